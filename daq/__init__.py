@@ -1,0 +1,1 @@
+"""Bytes and time: transport, framer, clock, acquisition, record, run store, live view."""

@@ -1,0 +1,1 @@
+"""Instrument drivers, rigs, the virtual bench, test protocols, the command line."""

@@ -1,0 +1,233 @@
+"""The command line: thin; each command imports what it needs when it runs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+
+app = typer.Typer(
+    name="pamrig",
+    help="Test bench for pneumatic artificial muscles: run tests, view, reduce, report.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+runs_app = typer.Typer(help="List, show, verify and rebuild recorded runs.", no_args_is_help=True)
+import_app = typer.Typer(help="Make a run of data from elsewhere.", no_args_is_help=True)
+calibrate_app = typer.Typer(help="Calibrate an instrument.", no_args_is_help=True)
+app.add_typer(runs_app, name="runs")
+app.add_typer(import_app, name="import")
+app.add_typer(calibrate_app, name="calibrate")
+
+RigOption = Annotated[str, typer.Option("--rig", help="Rig file, or the name of a shipped one.")]
+OutOption = Annotated[Path, typer.Option("--out", help="Folder of runs.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON value, nothing else.")]
+RunArgument = Annotated[str, typer.Argument(help="Run folder, run id, or 'last'.")]
+RUNS = Path("runs")
+
+
+def emit(value: Any) -> None:
+    """Print one JSON value."""
+    typer.echo(json.dumps(value, indent=2, allow_nan=False))
+
+
+@app.command()
+def isometric(
+    rig: RigOption = "virtual",
+    protocol: Annotated[
+        str, typer.Option("--protocol", help="Protocol file, or the name of a shipped one.")
+    ] = "isometric",
+    out: OutOption = RUNS,
+    specimen: Annotated[str, typer.Option(help="What is tested.")] = "muscle",
+    operator: Annotated[str, typer.Option(help="Who tests.")] = "",
+    note: Annotated[str, typer.Option(help="Anything worth remembering.")] = "",
+    seed: Annotated[Optional[int], typer.Option(help="Seed of a virtual bench.")] = None,  # noqa: UP045
+    live: Annotated[bool, typer.Option("--live", help="Show the test in the live view.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run an isometric test: length held, pressure stepped, force read."""
+    from rigs.commands import isometric_command
+
+    raise typer.Exit(
+        isometric_command(rig, protocol, out, specimen, operator, note, seed, live, as_json)
+    )
+
+
+@app.command()
+def virtual(
+    rig: RigOption = "virtual",
+    folder: Annotated[Path, typer.Option("--dir", help="Where ports and rig file appear.")] = Path(
+        "bench"
+    ),
+    seed: Annotated[Optional[int], typer.Option(help="Seed of the bench.")] = None,  # noqa: UP045
+    seconds: Annotated[float, typer.Option(help="Stop after so long; 0 = until Ctrl-C.")] = 0.0,
+    truth: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(help="Write the bench's true state to this file, a JSON line each 10 ms."),
+    ] = None,
+    tcp: Annotated[bool, typer.Option("--tcp", help="TCP ports instead of pseudo-terminals.")] = False,
+) -> None:
+    """Keep a virtual bench running in real time, on ports that any client can open."""
+    from rigs.virtual.server import serve_bench
+
+    serve_bench(rig, folder, seed=seed, seconds=seconds, truth=truth, tcp=tcp)
+
+
+@app.command()
+def vent(rig: RigOption = "virtual") -> None:
+    """Make a bench safe by hand: vent, disarm, confirm by the pressure reading."""
+    from rigs.config import load_rig
+    from rigs.vent import vent_rig
+
+    pressure = vent_rig(load_rig(rig))
+    typer.echo(f"vented and disarmed: pressure reads {pressure:.1f} kPa")
+
+
+@app.command()
+def doctor(rig: RigOption = "virtual", out: OutOption = RUNS, as_json: JsonOption = False) -> None:
+    """Check a rig before a test: says what would stop a run."""
+    from rigs.doctor import examine, print_findings
+
+    findings = examine(rig, out)
+    if as_json:
+        emit([vars(f) for f in findings])
+    else:
+        print_findings(findings)
+    raise typer.Exit(2 if any(f.status == "stop" for f in findings) else 0)
+
+
+@app.command()
+def report(
+    run: RunArgument = "last",
+    out: Annotated[Optional[Path], typer.Option("--out", help="HTML file to write.")] = None,  # noqa: UP045
+    runs: Annotated[Path, typer.Option("--runs", help="Folder of runs.")] = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Reduce a run and write its report: one HTML file that stands alone."""
+    from rigs.commands import report_command
+
+    report_command(run, runs, out, as_json)
+
+
+@app.command()
+def view(
+    run: RunArgument = "last",
+    runs: Annotated[Path, typer.Option("--runs", help="Folder of runs.")] = RUNS,
+) -> None:
+    """Open a recorded run in the viewer."""
+    from rigs.commands import view_command
+
+    view_command(run, runs)
+
+
+@app.command()
+def length(
+    frames: Annotated[str, typer.Argument(help="Picture, folder, TIFF stack, video or run folder.")],
+    method: Annotated[str, typer.Option(help="edge or macro.")] = "edge",
+    calibration: Annotated[Optional[Path], typer.Option(help="Camera calibration file.")] = None,  # noqa: UP045
+    preview: Annotated[Optional[Path], typer.Option(help="Write a picture of the measurement.")] = None,  # noqa: UP045
+    threshold: Annotated[int, typer.Option(help="Macro: NIH grey level, 0 white to 255 black.")] = 130,
+    roi: Annotated[str, typer.Option(help="Region left,top,width,height (macro: after the flip).")] = "",
+    flip: Annotated[bool, typer.Option("--flip/--no-flip", help="Macro: flip horizontally.")] = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure lengths in pictures."""
+    from rigs.commands import length_command
+
+    length_command(frames, method, calibration, preview, threshold, roi, flip, as_json)
+
+
+@runs_app.command("list")
+def runs_list(
+    runs: Annotated[Path, typer.Option("--runs", help="Folder of runs.")] = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """All runs, oldest first."""
+    from rigs.runs_commands import list_command
+
+    list_command(runs, as_json)
+
+
+@runs_app.command("show")
+def runs_show(
+    run: RunArgument = "last",
+    runs: Annotated[Path, typer.Option("--runs", help="Folder of runs.")] = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """What one run is and how it ended."""
+    from rigs.runs_commands import show_command
+
+    show_command(run, runs, as_json)
+
+
+@runs_app.command("verify")
+def runs_verify(
+    run: RunArgument = "last",
+    runs: Annotated[Path, typer.Option("--runs", help="Folder of runs.")] = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Check every byte of a record against its checksums; exit status 1 on damage."""
+    from rigs.runs_commands import verify_command
+
+    raise typer.Exit(verify_command(run, runs, as_json))
+
+
+@runs_app.command("rebuild")
+def runs_rebuild(
+    run: RunArgument = "last",
+    runs: Annotated[Path, typer.Option("--runs", help="Folder of runs.")] = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Make everything derived from the record anew: table, samples, report, view."""
+    from rigs.runs_commands import rebuild_command
+
+    rebuild_command(run, runs, as_json)
+
+
+@import_app.command("thesis")
+def import_thesis(
+    table: Annotated[str, typer.Argument(help="Thesis table: c01 (isometric).")],
+    out: OutOption = RUNS,
+    warm: Annotated[
+        bool, typer.Option("--warm", help="Also the warm columns, which are a formula.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a run of a thesis table; only measured columns unless told otherwise."""
+    from rigs.commands import import_command
+
+    import_command("thesis", table, out, warm, as_json)
+
+
+@import_app.command("points")
+def import_points(
+    source: Annotated[str, typer.Argument(help="CSV of settled points, or an exchange folder.")],
+    out: OutOption = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a run of settled points measured elsewhere."""
+    from rigs.commands import import_command
+
+    import_command("points", source, out, False, as_json)
+
+
+def main() -> None:
+    """Entry point of the console script: user errors become one line and exit status 2."""
+    from daq.errors import PamrigError
+
+    try:
+        app(standalone_mode=True)
+    except PamrigError as error:
+        typer.echo(f"pamrig: {error}", err=True)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

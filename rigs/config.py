@@ -1,0 +1,293 @@
+"""A rig file as values: which devices, where, with which calibrations and limits."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field
+from typing import Any
+
+from daq.calibration import Calibration
+from rigs.toml_reader import Table, find_config, load_toml
+
+VIRTUAL = "virtual"
+"""The port of a device that is simulated in this process."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the host will never ask of a rig; the firmware's trip stands behind it."""
+
+    pressure_kpa: float
+    trip_kpa: float
+    length_min_mm: float
+    length_max_mm: float
+    force_n: float
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What surrounds the test and is entered by hand until an instrument reads it."""
+
+    temperature_c: float
+    u_temperature_c: float
+    gravity_m_s2: float
+
+
+@dataclass(frozen=True)
+class Device:
+    """One instrument on a serial port: where it is and who it must say it is."""
+
+    port: str
+    baud: int
+    serial: str
+
+
+@dataclass(frozen=True)
+class ValveDevice(Device):
+    """The valve controller, its firmware settings and how it makes a static pressure."""
+
+    firmware: str
+    outlet_normally: str
+    static_scheme: str
+    parameters: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class StageDevice(Device):
+    """The linear stage that sets the muscle's length."""
+
+    speed_mm_s: float
+
+
+@dataclass(frozen=True)
+class CameraDevice:
+    """The camera: "virtual", "uvc:INDEX" or "tcp://host:port" of a virtual bench."""
+
+    source: str
+    serial: str
+    jpeg_quality: int
+
+
+@dataclass(frozen=True)
+class VirtualBenchConfig:
+    """How the simulated bench departs from the reference plant and how its sensors err."""
+
+    seed: int
+    draw_calibration_errors: bool
+    source: str
+    plant: dict[str, Any]
+    effects: dict[str, dict[str, Any]]
+    pressure_noise_kpa: float
+    force_noise_n: float
+    blur_px: float
+    frame_noise_levels: float
+
+
+@dataclass(frozen=True)
+class RigConfig:
+    """A whole rig file, checked.
+
+    ``crc32`` is over the text of the file, so that a run tells which version it used.
+    """
+
+    name: str
+    description: str
+    source: str
+    text: str
+    crc32: str
+    limits: Limits
+    conditions: Conditions
+    valve: ValveDevice
+    balance: Device
+    stage: StageDevice
+    camera: CameraDevice
+    calibrations: dict[str, Calibration]
+    virtual: VirtualBenchConfig | None
+
+    @property
+    def is_virtual(self) -> bool:
+        """True when every device of this rig is simulated in this process."""
+        return self.valve.port == VIRTUAL
+
+
+def load_rig(name: str, seed: int | None = None) -> RigConfig:
+    """Read a rig file given as a path or as a shipped name ("virtual", "virtual-thesis").
+
+    Args:
+        name: path or shipped name.
+        seed: replaces the seed of the virtual bench.
+
+    Raises:
+        ConfigError: names file, key, what is wrong and what to do.
+    """
+    text, _ = find_config(name, "rigs")
+    root = load_toml(name, "rigs")
+    limits = _limits(root.table("limits"))
+    calibrations = _calibrations(root.table("calibrations"))
+    rig = RigConfig(
+        name=root.text("name"),
+        description=root.text("description", ""),
+        source=root.source,
+        text=text,
+        crc32=f"{zlib.crc32(text.encode()):08x}",
+        limits=limits,
+        conditions=_conditions(root.table("conditions")),
+        valve=_valve(root.table("valve")),
+        balance=_device(root.table("balance")),
+        stage=_stage(root.table("stage")),
+        camera=_camera(root.table("camera")),
+        calibrations=calibrations,
+        virtual=_virtual(root, seed),
+    )
+    root.finish()
+    _check_whole(rig, root)
+    return rig
+
+
+def _check_whole(rig: RigConfig, root: Table) -> None:
+    """What no single key can tell: mixed rigs, and limits beyond a sensor's range."""
+    ports = {
+        "valve": rig.valve.port == VIRTUAL,
+        "balance": rig.balance.port == VIRTUAL,
+        "stage": rig.stage.port == VIRTUAL,
+        "camera": rig.camera.source == VIRTUAL,
+    }
+    if len(set(ports.values())) > 1:
+        real = sorted(k for k, virtual in ports.items() if not virtual)
+        raise root.fail(
+            f"{real[0]}.port",
+            "a rig is either wholly virtual or wholly on ports; this one mixes both",
+            'start `pamrig virtual` and use its ports, or set all to "virtual"',
+        )
+    if rig.is_virtual and rig.virtual is None:
+        raise root.fail("virtual", "a virtual rig needs a [virtual] table", "see configs/rigs")
+    high = rig.calibrations["pressure_kpa"].domain[1]
+    if rig.limits.trip_kpa > high:
+        raise root.fail(
+            "limits.trip_kpa",
+            f"{rig.limits.trip_kpa:g} kPa is above the pressure sensor's range ({high:g} kPa)",
+            "a trip that the sensor cannot see protects nobody",
+        )
+
+
+def _limits(t: Table) -> Limits:
+    pressure = t.number("pressure_kpa", 1, 2000, unit="kPa")
+    low = t.number("length_min_mm", 1, 5000, unit="mm")
+    out = Limits(
+        pressure_kpa=pressure,
+        trip_kpa=t.number("trip_kpa", pressure, 2000, unit="kPa"),
+        length_min_mm=low,
+        length_max_mm=t.number("length_max_mm", low, 5000, unit="mm"),
+        force_n=t.number("force_n", 0.1, 1e5, unit="N"),
+    )
+    t.finish()
+    return out
+
+
+def _conditions(t: Table) -> Conditions:
+    out = Conditions(
+        temperature_c=t.number("temperature_c", -20, 80, unit="degC"),
+        u_temperature_c=t.number("u_temperature_c", 0, 20, unit="degC"),
+        gravity_m_s2=t.number("gravity_m_s2", 9.7, 9.9, 9.80665, unit="m/s2"),
+    )
+    t.finish()
+    return out
+
+
+def _port(t: Table) -> tuple[str, int, str]:
+    return t.text("port"), t.integer("baud", 300, 4_000_000), t.text("serial", "")
+
+
+def _device(t: Table) -> Device:
+    port, baud, serial = _port(t)
+    t.finish()
+    return Device(port, baud, serial)
+
+
+def _valve(t: Table) -> ValveDevice:
+    port, baud, serial = _port(t)
+    parameters = t.table("parameters", optional=True)
+    out = ValveDevice(
+        port,
+        baud,
+        serial,
+        firmware=t.text("firmware", "0.1"),
+        outlet_normally=t.text("outlet_normally", choices=("open", "closed")),
+        static_scheme=t.text("static_scheme", "pwm", choices=("pwm", "reg")),
+        parameters={k: parameters.integer(k, 0, 2**31 - 1) for k in parameters.keys()},  # noqa: SIM118
+    )
+    t.finish()
+    return out
+
+
+def _stage(t: Table) -> StageDevice:
+    port, baud, serial = _port(t)
+    out = StageDevice(port, baud, serial, t.number("speed_mm_s", 0.1, 100, 10.0, unit="mm/s"))
+    t.finish()
+    return out
+
+
+def _camera(t: Table) -> CameraDevice:
+    out = CameraDevice(
+        source=t.text("source"),
+        serial=t.text("serial", ""),
+        jpeg_quality=t.integer("jpeg_quality", 50, 100, 95),
+    )
+    scheme = out.source.split(":")[0]
+    if scheme not in (VIRTUAL, "uvc", "tcp"):
+        raise t.fail(
+            "source", f"{out.source!r} is no camera", 'use "virtual", "uvc:0" or "tcp://host:port"'
+        )
+    t.finish()
+    return out
+
+
+def _calibrations(t: Table) -> dict[str, Calibration]:
+    units = {"pressure_kpa": ("kPa", "count"), "force_n": ("N", "g"), "length_mm": ("mm", "pixel")}
+    out = {}
+    for quantity, (unit, raw_unit) in units.items():
+        c = t.table(quantity)
+        low, high = c.numbers("domain", -1e6, 1e6, least=2)[:2]
+        scale = c.number("scale", -1e6, 1e6)
+        if scale == 0:
+            raise c.fail("scale", "a scale of 0 makes every reading the same")
+        out[quantity] = Calibration(
+            quantity=quantity,
+            unit=c.text("unit", choices=(unit,)),
+            raw_unit=c.text("raw_unit", choices=(raw_unit,)),
+            offset=c.number("offset", -1e6, 1e6),
+            scale=scale,
+            u_offset=c.number("u_offset", 0, 1e6, unit=unit),
+            u_gain=c.number("u_gain", 0, 1),
+            domain=(low, high),
+            id=c.text("id"),
+            date=c.text("date"),
+            note=c.text("note", ""),
+        )
+        c.finish()
+    t.finish()
+    return out
+
+
+def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
+    effects = root.raw("effects", {})
+    if "virtual" not in root:
+        return None
+    t = root.table("virtual")
+    sensors = t.table("sensors", optional=True)
+    out = VirtualBenchConfig(
+        seed=t.integer("seed", 0, 2**63 - 1, 1) if seed is None else seed,
+        draw_calibration_errors=t.flag("draw_calibration_errors", True),
+        source=t.text("source", "valve", choices=("valve", "regulator")),
+        plant=dict(t.raw("plant", {})),
+        effects=effects,
+        pressure_noise_kpa=sensors.number("pressure_noise_kpa", 0, 50, 0.5, unit="kPa"),
+        force_noise_n=sensors.number("force_noise_n", 0, 10, 0.005, unit="N"),
+        blur_px=sensors.number("blur_px", 0.3, 5, 0.8, unit="pixel"),
+        frame_noise_levels=sensors.number("frame_noise_levels", 0, 30, 2.0),
+    )
+    if seed is not None:
+        t.integer("seed", 0, 2**63 - 1, 1)
+    sensors.finish()
+    t.finish()
+    return out

@@ -1,0 +1,106 @@
+"""Line-based instruments: ask, wait for the line that answers, keep the rest for others."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from daq.errors import DeviceTimeout
+from daq.framer import LineFramer
+from daq.transport import Link
+from rigs.pump import Pump
+
+
+class LineDevice:
+    """Shared plumbing of instruments that speak in lines.
+
+    A line that ``on_line`` claims (returns True) is not offered to a waiting request, so a
+    stream of readings cannot be taken for an answer.
+    """
+
+    def __init__(self, link: Link, pump: Pump, kind: str, end: bytes = b"\r\n") -> None:
+        self._link = link
+        self._pump = pump
+        self._framer = LineFramer(b"\n")  # CR is stripped: some devices send LF alone
+        self._end = end
+        self._lines: deque[str] = deque(maxlen=256)
+        self.kind = kind
+        self.bad_lines = 0
+        self.on_bytes: Callable[[int, bytes], None] | None = None
+
+    @property
+    def name(self) -> str:
+        """Where the instrument is, for messages."""
+        return f"{self.kind} on {self._link.name}"
+
+    def on_line(self, line: str, host_ns: int) -> bool:
+        """Take an unsolicited line; True when it is one. Drivers override this."""
+        del line, host_ns
+        return False
+
+    def poll(self) -> None:
+        """Read what has come."""
+        for chunk in self._link.read():
+            if self.on_bytes is not None:
+                self.on_bytes(chunk.host_ns, chunk.data)
+            for raw in self._framer.feed(chunk.data):
+                try:
+                    line = raw.decode("ascii").strip()
+                except UnicodeDecodeError:
+                    self.bad_lines += 1
+                    continue
+                if line and not self.on_line(line, chunk.host_ns):
+                    self._lines.append(line)
+
+    def send(self, text: str) -> None:
+        """Send one line."""
+        self._link.write(text.encode("ascii") + self._end)
+
+    def send_raw(self, data: bytes) -> None:
+        """Send bytes as they are (single-character commands)."""
+        self._link.write(data)
+
+    def ask(self, text: str, accept: Callable[[str], bool], seconds: float = 1.0) -> str:
+        """Send ``text`` and return the first line that ``accept`` takes as its answer.
+
+        Lines that came before the question are stale and thrown away.
+
+        Raises:
+            DeviceTimeout: no such line in time; names what came instead.
+        """
+        self._lines.clear()
+        if text:
+            self.send(text)
+        return self.wait_line(accept, text, seconds)
+
+    def wait_line(self, accept: Callable[[str], bool], asked: str, seconds: float) -> str:
+        """Wait for a line that ``accept`` takes; see :meth:`ask`."""
+        found: list[str] = []
+        other: list[str] = []
+
+        def look() -> bool:
+            while self._lines:
+                line = self._lines.popleft()
+                (found if accept(line) else other).append(line)
+                if found:
+                    return True
+            return False
+
+        if self._pump.until(look, seconds):
+            return found[0]
+        raise DeviceTimeout(
+            self.name,
+            f"no answer to {asked!r} within {seconds:g} s"
+            + (f"; got {other[-1]!r} instead" if other else ""),
+            "check port, cable, baud rate and power",
+        )
+
+    def counters(self) -> dict[str, int]:
+        """Everything that was lost or refused on the link so far."""
+        framer = self._framer
+        return {
+            "lines": framer.frames,
+            "bad_lines": self.bad_lines,
+            "oversize": framer.oversize,
+            "dropped_bytes": framer.dropped_bytes,
+        }

@@ -1,0 +1,364 @@
+"""Carries a protocol's steps out on a rig, and ends the run the same way whatever happens.
+
+One loop does everything: it lets time pass, reads every device, beats the heart and checks
+for faults. A protocol that hangs therefore stops the heartbeat by itself, and the firmware
+vents; so does a record that can no longer be written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from daq.clock import NS_PER_S
+from daq.errors import DeviceError, LinkLost, PamrigError
+from daq.record import RecordWriter
+from rigs.interrupt import StopFlag
+from rigs.rig import SAFE_KPA, Rig
+from rigs.steps import (
+    Answer,
+    Dwell,
+    Measure,
+    SetLength,
+    SetPressure,
+    Settle,
+    State,
+    Step,
+    Steps,
+    Tare,
+    Vent,
+    Zero,
+)
+
+ALIVE_S = 1.0
+"""A step must report progress at least so often, or the heartbeat stops."""
+SAMPLE_S = 1e-3
+BALANCE_SILENCE_S = 2.0
+TELEMETRY_SILENCE_S = 0.5
+
+
+class RunFault(PamrigError):
+    """The bench reported a fault, or went silent, while a protocol ran."""
+
+
+@dataclass
+class Watch:
+    """What the outside sees of a run as it goes: hooks that may be left empty."""
+
+    state: Callable[[str], None] = lambda text: None
+    point: Callable[[Measure, float, float, float], None] = lambda point, p, f, length: None
+    picture: Callable[[int, bytes, Any], None] = lambda host_ns, jpeg, gap: None
+    set_point: Callable[[str, float], None] = lambda channel, value: None
+    log: Callable[[str], None] = lambda text: None
+
+
+@dataclass
+class Progress:
+    """How far a run is."""
+
+    points: int
+    done: int = 0
+    state: str = ""
+    notes: list[str] = field(default_factory=list)
+
+
+class Runner:
+    """Runs one protocol on one rig into one record.
+
+    Args:
+        rig: open instruments.
+        record: where everything goes.
+        stop: set by Ctrl-C and its kin; looked at in every round.
+        watch: hooks of the live view and the progress line.
+    """
+
+    def __init__(self, rig: Rig, record: RecordWriter, stop: StopFlag, watch: Watch) -> None:
+        self.rig = rig
+        self.record = record
+        self.stop = stop
+        self.watch = watch
+        self.progress = Progress(0)
+        self._armed = False
+        self._armed_seq = 0
+        self._reboots = 0
+        self._venting = True
+        self._last_seq = (0, 0)
+        self._last_row = (0, 0)
+
+    # ---- one round ------------------------------------------------------------------
+
+    def _alive(self) -> None:
+        """Report progress, then look for every reason to end the run."""
+        self.rig.valve.progress(ALIVE_S)
+        if self.record.failed is not None:
+            raise self.record.failed
+        self.stop.check()
+        valve = self.rig.valve
+        now_ns = self.rig.clock.now_ns()
+        if self._armed:
+            if valve.faults or valve.fault_latched:
+                words = valve.faults[-1] if valve.faults else "fault latched (telemetry flag)"
+                raise RunFault(
+                    valve.name,
+                    f"reported {words!r}",
+                    "find the cause, then `pamrig doctor`; the fault is cleared by the next run",
+                )
+            if valve.telemetry.reboots > self._reboots:
+                raise RunFault(
+                    valve.name,
+                    "restarted in mid-run (new boot id)",
+                    "check its power supply; the run up to here is kept",
+                )
+            if not self.armed_in_telemetry():
+                raise RunFault(valve.name, "disarmed itself", "see its fault list")
+        self._last_seq = self._silent("telemetry", valve.seq_end, self._last_seq, now_ns)
+        self._last_row = self._silent("balance readings", self.rig.balance.rows, self._last_row, now_ns)
+
+    def armed_in_telemetry(self) -> bool:
+        """The newest sample says armed, or none has come since arming."""
+        return self.rig.valve.armed or self.rig.valve.seq_end <= self._armed_seq
+
+    def _silent(self, what: str, count: int, last: tuple[int, int], now_ns: int) -> tuple[int, int]:
+        if count != last[0] or last[1] == 0:
+            return count, now_ns
+        limit = TELEMETRY_SILENCE_S if what == "telemetry" else BALANCE_SILENCE_S
+        if now_ns - last[1] > limit * NS_PER_S:
+            device = self.rig.valve if what == "telemetry" else self.rig.balance
+            detail = "" if what == "telemetry" else self.rig.balance.last_problem
+            raise RunFault(
+                device.name,
+                f"no {what} for {limit:g} s" + (f" (last: {detail})" if detail else ""),
+                "check its cable and power",
+            )
+        return last
+
+    def _pump_until(self, condition: Callable[[], bool], seconds: float) -> bool:
+        def look() -> bool:
+            self._alive()
+            return condition()
+
+        return self.rig.pump.until(look, seconds)
+
+    # ---- the run --------------------------------------------------------------------
+
+    def arm(self) -> None:
+        """Start the heartbeat, wait for telemetry, clear an old fault and arm."""
+        valve = self.rig.valve
+        valve.progress(ALIVE_S)
+        self._pump_until(lambda: valve.seq_end > 0 and self.rig.balance.rows > 0, 3.0)
+        if not valve.seq_end:
+            raise DeviceError(valve.name, "sends no telemetry", "check firmware and baud rate")
+        if valve.fault_latched:
+            valve.request("clear")
+            valve.faults.clear()
+        self._reboots = valve.telemetry.reboots
+        self._armed_seq = valve.seq_end
+        valve.arm()
+        self._armed = True
+        self.record.event("armed", identity=valve.identity)
+
+    def run(self, steps: Steps, points: int) -> None:
+        """Carry out every step. Ends the run venting, whatever is raised."""
+        self.progress.points = points
+        answer: Answer = None
+        try:
+            self.arm()
+            while True:
+                try:
+                    step = steps.send(answer)
+                except StopIteration:
+                    break
+                answer = self._do(step)
+        finally:
+            steps.close()
+            self._safe()
+
+    def _safe(self) -> None:
+        """Vent and confirm; a link that is gone leaves it to the firmware's deadline."""
+        self._armed = False
+        valve = self.rig.valve
+        try:
+            valve.still()
+            pressure = self.rig.vent()
+            self.record.event("vented", pressure_kpa=pressure, confirmed=bool(pressure < SAFE_KPA))
+            if not pressure < SAFE_KPA:
+                self.watch.log(f"WARNING: pressure still reads {pressure:.0f} kPa after venting")
+        except PamrigError as error:
+            self.record.event("vent_unconfirmed", reason=str(error))
+            self.watch.log(f"venting could not be confirmed: {error}")
+
+    def _do(self, step: Step) -> Answer:
+        """One step."""
+        match step:
+            case State(name):
+                self.progress.state = name
+                self.record.event("state", state=name)
+                self.watch.state(name)
+            case Vent():
+                self._vent()
+            case SetLength(length_mm):
+                self._set_length(length_mm)
+            case Tare():
+                grams = self._tare()
+                self.record.event("tare", grams=grams)
+            case SetPressure(pressure_kpa):
+                self._set_pressure(pressure_kpa)
+            case Dwell(seconds):
+                self._pump_until(lambda: False, seconds)
+            case Settle():
+                return self._settle(step)
+            case Zero():
+                self._zero(step)
+            case Measure():
+                self._measure(step)
+        return None
+
+    def _vent(self) -> None:
+        if not self._venting:
+            self.rig.valve.request("vent")
+            self._venting = True
+        self.watch.set_point("pressure", 0.0)
+        if not self._pump_until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
+            raise RunFault(
+                self.rig.valve.name,
+                f"was told to vent, pressure still reads {self.rig.pressure_kpa:.0f} kPa after 10 s",
+                "shut the supply by hand; check the outlet and the pressure zero",
+            )
+        self._pump_until(lambda: False, 0.3)
+
+    def _set_length(self, length_mm: float) -> None:
+        """Move the stage; the heartbeat goes on while it travels."""
+        self.record.event("command", device="stage", length_mm=length_mm)
+        self.watch.set_point("length", length_mm)
+        self.rig.pump.add(self._alive)
+        try:
+            self.rig.stage.move(length_mm)
+        finally:
+            self.rig.pump.remove(self._alive)
+
+    def _tare(self) -> float:
+        # A balance that tares sends no readings meanwhile.
+        self.rig.pump.add(self._beat_only)
+        try:
+            return self.rig.balance.tare()
+        finally:
+            self.rig.pump.remove(self._beat_only)
+            self._last_row = (0, 0)
+
+    def _beat_only(self) -> None:
+        self.rig.valve.progress(ALIVE_S)
+        self.stop.check()
+
+    def _set_pressure(self, pressure_kpa: float) -> None:
+        limit = self.rig.config.limits.pressure_kpa
+        if pressure_kpa > limit:
+            raise DeviceError(
+                self.rig.config.source,
+                f"set-point {pressure_kpa:g} kPa is above limits.pressure_kpa = {limit:g} kPa",
+                "correct the protocol or the limit",
+            )
+        counts = float(self.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
+        self.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
+        if self._venting:
+            self.rig.valve.request(f"scheme {self.rig.config.valve.static_scheme}")
+            self._venting = False
+        self.rig.valve.set_point(counts)
+        self.watch.set_point("pressure", pressure_kpa)
+
+    def _settle(self, step: Settle) -> Answer:
+        c = step.criterion
+        clock = self.rig.clock
+        start_ns = clock.now_ns()
+        samples = round(c.window_s / SAMPLE_S)
+        readings = max(4, round(c.window_s * 10))
+        first_seq = self.rig.valve.seq_end
+        first_row = self.rig.balance.rows
+        cal = self.rig.config.calibrations
+        newton = abs(cal["force_n"].scale)
+        tolerance = c.pressure_kpa
+        if self.rig.config.valve.static_scheme == "reg":
+            # The regulator is not closed on this sensor, so the two may differ by what the
+            # sensor's calibration allows.
+            tolerance += 3 * float(cal["pressure_kpa"].u(step.pressure_kpa))
+
+        def settled() -> bool:
+            if self.rig.valve.seq_end < first_seq + samples:
+                return False
+            if self.rig.balance.rows < first_row + readings:
+                return False
+            p = cal["pressure_kpa"].apply(self.rig.valve.recent_counts(samples))
+            half = len(p) // 2
+            early, late = float(np.mean(p[:half])), float(np.mean(p[half:]))
+            if abs((early + late) / 2 - step.pressure_kpa) > tolerance:
+                return False
+            if abs(late - early) > c.drift_kpa:
+                return False
+            grams, stable = self.rig.balance.recent(readings)
+            half = len(grams) // 2
+            drift = abs(float(np.mean(grams[:half]) - np.mean(grams[half:]))) * newton
+            return bool(stable.all()) and drift <= c.drift_n
+
+        done = self._pump_until(settled, c.timeout_s)
+        return done, (clock.now_ns() - start_ns) / NS_PER_S
+
+    def _window(self, seconds: float) -> tuple[list[int], list[int]]:
+        """Let ``seconds`` pass; half-open ranges of valve samples and balance rows in it."""
+        valve, balance = self.rig.valve, self.rig.balance
+        seq, row = valve.seq_end, balance.rows
+        samples, rows = round(seconds / SAMPLE_S), max(1, round(seconds * 10))
+        came = self._pump_until(
+            lambda: valve.seq_end >= seq + samples and balance.rows >= row + rows, seconds * 3 + 1.0
+        )
+        if not came:
+            raise RunFault(
+                balance.name if valve.seq_end >= seq + samples else valve.name,
+                f"sent too little during a window of {seconds:g} s",
+                "check rates, cable and baud rate",
+            )
+        return [seq, seq + samples], [row, balance.rows]
+
+    def _zero(self, step: Zero) -> None:
+        seq, rows = self._window(step.seconds)
+        self.record.event(
+            "zero", trial=step.trial, when=step.when, valve_seq=seq, balance_rows=rows
+        )
+
+    def _measure(self, step: Measure) -> None:
+        from rigs.pictures import take_picture
+
+        frames, lengths = [], []
+        for _ in range(step.frames):
+            number, gap, jpeg, host_ns = take_picture(self.rig, self.record)
+            frames.append(number)
+            self.watch.picture(host_ns, jpeg, gap)
+            if gap.trusted:
+                lengths.append(gap.pixels)
+        seq, rows = self._window(step.seconds)
+        fields = {k: v for k, v in vars(step).items() if k not in ("seconds", "frames")}
+        self.record.event(
+            "point", **fields, valve_seq=seq, balance_rows=rows, frames=frames
+        )
+        self.progress.done += 1
+        cal = self.rig.config.calibrations
+        counts = self.rig.valve.recent_counts(seq[1] - seq[0])
+        grams, _ = self.rig.balance.recent(rows[1] - rows[0])
+        self.watch.point(
+            step,
+            float(cal["pressure_kpa"].apply(counts.mean())),
+            float(cal["force_n"].apply(grams.mean())),
+            float(cal["length_mm"].apply(np.mean(lengths))) if lengths else float("nan"),
+        )
+
+
+def outcome_of(error: BaseException | None) -> str:
+    """The word for how a run ended."""
+    from rigs.interrupt import Stopped
+
+    if error is None:
+        return "clean"
+    if isinstance(error, Stopped):
+        return "stopped"
+    return "faulted" if isinstance(error, (RunFault, LinkLost, DeviceError)) else "aborted"

@@ -1,0 +1,215 @@
+"""One test from start to finish: open, check, record, run, finalise, derive."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.clock import NS_PER_S
+from daq.errors import PamrigError, RecordError
+from daq.record import RecordWriter
+from daq.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
+from rigs.config import RigConfig
+from rigs.interrupt import StopFlag, Stopped
+from rigs.isometric import Isometric, steps
+from rigs.rig import Rig, open_rig
+from rigs.runner import Runner, Watch, outcome_of
+
+if TYPE_CHECKING:
+    from rigs.livefeed import LiveFeed
+
+BALANCE_SCHEMA = {"row": "int64", "host_ns": "int64", "grams": "float64", "stable": "uint8"}
+BALANCE_UNITS = {"host_ns": "ns", "grams": "g"}
+BYTES_PER_POINT = 400_000
+"""Record size of one settled point, generously: 1 kHz for some seconds, and a frame."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a test ended."""
+
+    folder: Path
+    outcome: str
+    error: BaseException | None
+    points: int
+
+
+def software() -> dict[str, Any]:
+    """Versions that a result depends on, and the revision of the source where it is a checkout."""
+    out: dict[str, Any] = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in ("pamrig", "numpy", "numba", "opencv-python-headless", "pyarrow"):
+        try:
+            out[name] = version(name)
+        except PackageNotFoundError:
+            out[name] = None
+    here = Path(__file__).resolve().parent.parent
+    out["git"] = None
+    if (here / ".git").exists() and shutil.which("git"):
+        def git(*words: str) -> str:
+            done = subprocess.run(
+                ["git", "-C", str(here), *words], capture_output=True, text=True, timeout=10, check=False
+            )
+            return done.stdout.strip() if done.returncode == 0 else ""
+
+        out["git"] = {"revision": git("rev-parse", "HEAD") or None,
+                      "dirty": bool(git("status", "--porcelain"))}  # fmt: skip
+    return out
+
+
+def manifest(rig: Rig, protocol: Isometric, specimen: str, operator: str, note: str) -> dict[str, Any]:
+    """What is known before the run; it goes to disk before anything is armed."""
+    config = rig.config
+    out: dict[str, Any] = {
+        "protocol": "isometric",
+        "parameters": protocol.as_dict(),
+        "specimen": specimen,
+        "operator": operator,
+        "note": note,
+        "rig": {"name": config.name, "description": config.description, "source": config.source,
+                "crc32": config.crc32, "text": config.text},
+        "limits": dict(vars(config.limits)),
+        "conditions": dict(vars(config.conditions)),
+        "calibrations": {k: c.to_dict() for k, c in config.calibrations.items()},
+        "devices": rig.identities,
+        "software": software(),
+    }  # fmt: skip
+    if config.virtual is not None:
+        out["virtual"] = {"seed": config.virtual.seed}
+    return out
+
+
+def check_disk(root: Path, points: int) -> None:
+    """Refuse to start a run that the disk cannot hold.
+
+    Raises:
+        RecordError: says what is needed and what is free.
+    """
+    root.mkdir(parents=True, exist_ok=True)
+    free = shutil.disk_usage(root).free
+    need = 20_000_000 + points * BYTES_PER_POINT
+    if free < need:
+        raise RecordError(
+            str(root),
+            f"{free / 1e6:.0f} MB free, this run may need {need / 1e6:.0f} MB",
+            "make room or choose another folder with --out",
+        )
+
+
+def run_isometric(
+    config: RigConfig,
+    protocol: Isometric,
+    root: Path,
+    *,
+    specimen: str = "muscle",
+    operator: str = "",
+    note: str = "",
+    stop: StopFlag | None = None,
+    make_live: Callable[[str], LiveFeed] | None = None,
+    watch: Watch | None = None,
+    on_start: Callable[[Runner, RecordWriter], None] | None = None,
+    derive: bool = True,
+) -> Result:
+    """Run an isometric test and leave a finished record.
+
+    Args:
+        config: the rig.
+        protocol: the test.
+        root: folder of runs.
+        specimen, operator, note: go into the record.
+        stop: set from outside to end the run in good order.
+        make_live: makes the live view once the run's id is known.
+        watch: hooks for a progress line.
+        on_start: called with the runner just before the first step.
+        derive: also make table, figures, report and view from the record.
+
+    Raises:
+        PamrigError: nothing was recorded yet: device, key and remedy are named. Once a
+            record exists, errors come back in the result instead and the run is finalised.
+    """
+    check_disk(root, protocol.points)
+    stop = stop or StopFlag()
+    watch = watch or Watch()
+    with open_rig(config) as rig:
+        virtual = rig.clock.virtual
+        record = RecordWriter(
+            root, manifest(rig, protocol, specimen, operator, note), rig.clock,
+            durable=not virtual, threaded=not virtual,
+        )  # fmt: skip
+        record.stream("valve", VALVE_COLUMNS, VALVE_UNITS)
+        record.stream("balance", BALANCE_SCHEMA, BALANCE_UNITS)
+        error: BaseException | None = None
+        live: LiveFeed | None = None
+        runner = Runner(rig, record, stop, watch)
+        try:
+            _connect(rig, record)
+            if make_live is not None:
+                live = make_live(record.run_id)
+                live.attach(rig, record, watch)
+            if on_start is not None:
+                on_start(runner, record)
+            runner.run(steps(protocol), protocol.points)
+        except (PamrigError, Stopped) as caught:
+            error = caught
+        except BaseException as caught:
+            error = caught
+            raise
+        finally:
+            outcome = outcome_of(error)
+            if live is not None:
+                live.close()
+            _finish(rig, record, outcome, error)
+    if derive:
+        from rigs.products import derive_all
+
+        derive_all(record.folder)
+    return Result(record.folder, outcome, error, runner.progress.done)
+
+
+def _connect(rig: Rig, record: RecordWriter) -> None:
+    """Everything that comes in goes to the record as it came."""
+    def valve_batch(batch: dict[str, Any]) -> None:
+        record.append("valve", batch)
+
+    def balance_rows(batch: dict[str, Any]) -> None:
+        record.append("balance", batch)
+
+    def event(text: str) -> None:
+        kind = "fault" if text.startswith("fault") else "controller"
+        record.event(kind, device="valve", text=text)
+
+    def gap(found: Gap) -> None:
+        record.event("gap", stream="valve", seq=found.seq, missing=found.missing)
+
+    rig.valve.on_gap = gap
+    rig.valve.on_batch.append(valve_batch)
+    rig.balance.on_rows.append(balance_rows)
+    rig.valve.on_event = event
+
+
+def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException | None) -> None:
+    """Flush what is held back, write the last events and close the record."""
+    try:
+        rig.valve.telemetry.flush()
+    except RecordError:
+        pass  # the record has failed; that is already the outcome
+    fit = rig.valve.clock_fit.final().as_dict() if rig.valve.clock_fit.ready else {}
+    record.event("clockfit", **fit)
+    if error is not None:
+        record.event("end", outcome=outcome, reason=str(error) or type(error).__name__)
+    try:
+        record.finalize(
+            outcome,
+            reason=str(error) if error is not None else "",
+            clock_fit=fit,
+            counters={"valve": rig.valve.counters(), "balance": rig.balance.counters()},
+            duration_s=(rig.clock.now_ns() - record.start_ns) / NS_PER_S,
+        )
+    except RecordError:
+        if error is None:
+            raise

@@ -1,0 +1,1 @@
+"""The virtual bench: byte-level instruments over one plant, on one clock."""

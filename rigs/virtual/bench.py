@@ -1,0 +1,222 @@
+"""The virtual bench: byte-level instruments over one plant, on one clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.clock import VirtualClock
+from daq.errors import ConfigError
+from daq.transport import Link, memory_pair
+from plant.bench import BenchSim
+from plant.constants import nominal
+from plant.effects import Effects
+from plant.errors import PlantError
+from rigs.config import RigConfig, VirtualBenchConfig
+from rigs.virtual.balance import VirtualBalance
+from rigs.virtual.board import PressureSensor, SimBoard
+from rigs.virtual.camera import CameraModel, render
+from rigs.virtual.stage import VirtualStage
+
+DEVICES = ("valve", "balance", "stage")
+DRIFT = 25e-6
+"""The controller's crystal is slower than the host's by this much: a clock fit has work."""
+
+Send = Callable[[int, bytes], None]
+
+
+class VirtualBench:
+    """Valve controller, balance, stage and camera on one simulated muscle.
+
+    Bytes go in through :meth:`feed` and come out through ``send[device]``, stamped with the
+    host time of sending. With a virtual clock the bench hangs itself onto that clock and
+    offers in-memory links; without one somebody else calls :meth:`advance_to`.
+
+    Args:
+        config: a rig with a [virtual] table.
+        clock: virtual clock to run on, or None.
+        origin_ns: host time at power-on, when there is no virtual clock.
+
+    Raises:
+        ConfigError: the plant refuses a constant or an effect of the rig file.
+    """
+
+    def __init__(
+        self, config: RigConfig, clock: VirtualClock | None = None, origin_ns: int = 0
+    ) -> None:
+        if config.virtual is None:
+            raise ConfigError(config.source, "has no [virtual] table", "see configs/rigs")
+        self.config = config
+        self._v = config.virtual
+        self._clock = clock
+        self._origin_ns = clock.now_ns() if clock is not None else origin_ns
+        self._now_ns = 0
+        self.send: dict[str, Send] = {}
+        self.links: dict[str, Link] = {}
+        self._device_ends: dict[str, Link] = {}
+        self._frames = 0
+        streams = [np.random.default_rng([self._v.seed, k]) for k in range(5)]
+        self.plant = self._make_plant()
+        if clock is not None:
+            self._make_links(clock)
+        self._errors = self._draw_errors(streams[4])
+        self.board = self._make_board(streams[0])
+        self.balance = self._make_balance(streams[1])
+        limits = config.limits
+        self.stage = VirtualStage(
+            self._set_motion,
+            lambda data: self._send("stage", data),
+            config.stage.serial,
+            self.plant.length_mm,
+            limits.length_min_mm,
+            limits.length_max_mm,
+        )
+        self._camera_rng = streams[2]
+        cal = config.calibrations["length_mm"]
+        self.camera_model = CameraModel(
+            offset_mm=cal.offset,
+            mm_per_pixel=cal.scale,
+            blur_px=self._v.blur_px,
+            noise=self._v.frame_noise_levels,
+        )
+        if clock is not None:
+            clock.on_advance(self.advance_to)
+
+    # ---- building -------------------------------------------------------------------
+
+    def _make_plant(self) -> BenchSim:
+        source = self.config.source
+        try:
+            constants = nominal().with_overrides(self._v.plant)
+            effects = Effects.from_config(self._v.effects)
+            low = self.config.limits.length_min_mm
+            high = self.config.limits.length_max_mm
+            return BenchSim(
+                constants,
+                effects,
+                source="regulator" if self._v.source == "regulator" else "valve",
+                length_m=(low + high) / 2 * 1e-3,
+            )
+        except PlantError as error:
+            raise ConfigError(f"{source}: virtual.plant / effects", str(error)) from None
+
+    def _make_links(self, clock: VirtualClock) -> None:
+        for name in DEVICES:
+            self.links[name], end = memory_pair(clock, name)
+            self._device_ends[name] = end
+
+            def send(host_ns: int, data: bytes, end: Link = end) -> None:
+                clock.set_now_ns(host_ns)
+                end.write(data)
+
+            self.send[name] = send
+
+    def _draw_errors(self, rng: np.random.Generator) -> dict[str, tuple[float, float]]:
+        """Zero and gain error of each sensor, as its calibration allows (k = 1)."""
+        out = {}
+        for quantity, cal in sorted(self.config.calibrations.items()):
+            zero, gain = rng.standard_normal(2)
+            on = 1.0 if self._v.draw_calibration_errors else 0.0
+            out[quantity] = (on * zero * cal.u_offset, on * gain * cal.u_gain)
+        return out
+
+    def _make_board(self, rng: np.random.Generator) -> SimBoard:
+        zero, gain = self._errors["pressure_kpa"]
+        cal = self.config.calibrations["pressure_kpa"]
+        sensor = PressureSensor(
+            low_kpa=cal.offset,
+            high_kpa=cal.offset + cal.scale * 4095,
+            noise_kpa=self._v.pressure_noise_kpa,
+            zero_kpa=zero,
+            gain=gain,
+        )
+        return SimBoard(
+            self.plant,
+            rng,
+            sensor=sensor,
+            serial=self.config.valve.serial,
+            outlet_normally_open=self.config.valve.outlet_normally == "open",
+            has_regulator=self._v.source == "regulator",
+            sink=lambda bench_us, data: self._send("valve", data, bench_us * 1000),
+        )
+
+    def _make_balance(self, rng: np.random.Generator) -> VirtualBalance:
+        on = self._v.draw_calibration_errors
+        cal = self.config.calibrations["force_n"]
+        return VirtualBalance(
+            lambda: self.plant.force_n,
+            lambda data: self._send("balance", data),
+            rng,
+            self.config.balance.serial,
+            self.config.conditions.gravity_m_s2,
+            gain=self._errors["force_n"][1],
+            zero_n=cal.u_offset if on else 0.0,
+            noise_n=self._v.force_noise_n,
+        )
+
+    # ---- time -----------------------------------------------------------------------
+
+    def _host_ns(self, bench_ns: int) -> int:
+        return self._origin_ns + bench_ns + round(bench_ns * DRIFT)
+
+    def bench_us(self, host_ns: int) -> int:
+        """Bench time, in us since power-on, of a host time."""
+        return int((host_ns - self._origin_ns) / (1.0 + DRIFT)) // 1000
+
+    def _send(self, device: str, data: bytes, bench_ns: int | None = None) -> None:
+        send = self.send.get(device)
+        if send is not None:
+            send(self._host_ns(self._now_ns if bench_ns is None else bench_ns), data)
+
+    def feed(self, device: str, data: bytes) -> None:
+        """Bytes from the host reach a device."""
+        getattr(self, "board" if device == "valve" else device).feed(data)
+
+    def advance_to(self, host_ns: int) -> None:
+        """Bring the bench to a host time, stopping wherever a device has something to do."""
+        for name, end in self._device_ends.items():
+            for chunk in end.read():
+                self.feed(name, chunk.data)
+        target_us = self.bench_us(host_ns)
+        board = self.board
+        while True:
+            due_ns = self.balance.next_ns
+            if self.stage.next_ns is not None:
+                due_ns = min(due_ns, self.stage.next_ns)
+            stop_us = min(target_us, -(-due_ns // 1000))
+            board.run_until_us(stop_us)
+            self._now_ns = max(self._now_ns, min(stop_us, target_us) * 1000)
+            self.stage.advance(self._now_ns)
+            self.balance.advance(self._now_ns)
+            if stop_us >= target_us:
+                return
+
+    def _set_motion(self, length_mm: float, rate_mm_s: float) -> None:
+        if rate_mm_s == 0.0 and abs(length_mm - self.plant.length_mm) > 1e-12:
+            self.plant.set_length(length_mm)
+        self.plant.set_length_rate(rate_mm_s)
+
+    # ---- camera ---------------------------------------------------------------------
+
+    def expose(self) -> tuple[int, int, npt.NDArray[np.uint8]]:
+        """A frame of the bench as it is: (count, host time in ns, grey levels)."""
+        zero, gain = self._errors["length_mm"]
+        cal = self.config.calibrations["length_mm"]
+        true_mm = self.plant.length_mm
+        apparent_mm = true_mm + zero + gain * (true_mm - cal.offset)
+        gray = render(
+            apparent_mm,
+            self._camera_rng,
+            self.camera_model,
+            led=1.0 if self.board.led_on else 0.0,
+        )
+        self._frames += 1
+        now = self._clock.now_ns() if self._clock is not None else self._host_ns(self._now_ns)
+        return self._frames, now, gray
+
+    @property
+    def virtual(self) -> VirtualBenchConfig:
+        """The [virtual] table of the rig."""
+        return self._v
