@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
@@ -30,8 +32,13 @@ def take_picture(rig: Rig, record: RecordWriter) -> tuple[int, GapMeasurement, b
     number = record.frame(jpeg, frame.host_ns, seq=frame.seq)
     gray = cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
     gap = measure_gap(np.asarray(gray, dtype=np.uint8))
+    known = math.isfinite(gap.pixels)
     record.event(
-        "length", frame=number, pixels=gap.pixels, u_pixels=gap.u_pixels, trusted=gap.trusted,
+        "length",
+        frame=number,
+        pixels=gap.pixels if known else None,
+        u_pixels=gap.u_pixels if known else None,
+        trusted=gap.trusted,
         reason=gap.reason,
-    )  # fmt: skip
+    )
     return number, gap, jpeg, frame.host_ns

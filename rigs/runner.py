@@ -82,7 +82,6 @@ class Runner:
         self.watch = watch
         self.progress = Progress(0)
         self._armed = False
-        self._armed_seq = 0
         self._reboots = 0
         self._venting = True
         self._last_seq = (0, 0)
@@ -112,14 +111,10 @@ class Runner:
                     "restarted in mid-run (new boot id)",
                     "check its power supply; the run up to here is kept",
                 )
-            if not self.armed_in_telemetry():
+            if not valve.armed:
                 raise RunFault(valve.name, "disarmed itself", "see its fault list")
         self._last_seq = self._silent("telemetry", valve.seq_end, self._last_seq, now_ns)
         self._last_row = self._silent("balance readings", self.rig.balance.rows, self._last_row, now_ns)
-
-    def armed_in_telemetry(self) -> bool:
-        """The newest sample says armed, or none has come since arming."""
-        return self.rig.valve.armed or self.rig.valve.seq_end <= self._armed_seq
 
     def _silent(self, what: str, count: int, last: tuple[int, int], now_ns: int) -> tuple[int, int]:
         if count != last[0] or last[1] == 0:
@@ -155,8 +150,9 @@ class Runner:
             valve.request("clear")
             valve.faults.clear()
         self._reboots = valve.telemetry.reboots
-        self._armed_seq = valve.seq_end
         valve.arm()
+        if not self._pump_until(lambda: valve.armed, 2.0):
+            raise DeviceError(valve.name, "took `arm` but its telemetry does not say so")
         self._armed = True
         self.record.event("armed", identity=valve.identity)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.clock import NS_PER_S
-from daq.errors import PamrigError, RecordError
+from daq.errors import DeviceError, PamrigError, RecordError
 from daq.record import RecordWriter
 from daq.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
 from rigs.config import RigConfig
@@ -148,6 +148,8 @@ def run_isometric(
         runner = Runner(rig, record, stop, watch)
         try:
             _connect(rig, record)
+            if protocol.frames:
+                _check_camera(rig, record)
             if make_live is not None:
                 live = make_live(record.run_id)
                 live.attach(rig, record, watch)
@@ -169,6 +171,26 @@ def run_isometric(
 
         derive_all(record.folder)
     return Result(record.folder, outcome, error, runner.progress.done)
+
+
+def _check_camera(rig: Rig, record: RecordWriter) -> None:
+    """Take and measure one picture before anything is armed.
+
+    It tells a covered or displaced camera before the test, and loads all that measuring
+    needs, which would otherwise make the first point late.
+
+    Raises:
+        DeviceError: no length can be had of the picture.
+    """
+    from rigs.pictures import take_picture
+
+    _, gap, _, _ = take_picture(rig, record)
+    if not gap.trusted:
+        raise DeviceError(
+            f"camera ({rig.config.source}: camera.source = {rig.config.camera.source!r})",
+            f"no length can be measured in its picture: {gap.reason}",
+            "check lens, light and both marks; `pamrig length` shows what it sees",
+        )
 
 
 def _connect(rig: Rig, record: RecordWriter) -> None:

@@ -158,7 +158,8 @@ class VirtualBench:
 
     # ---- time -----------------------------------------------------------------------
 
-    def _host_ns(self, bench_ns: int) -> int:
+    def host_ns(self, bench_ns: int) -> int:
+        """Host time of a bench time in ns since power-on."""
         return self._origin_ns + bench_ns + round(bench_ns * DRIFT)
 
     def bench_us(self, host_ns: int) -> int:
@@ -168,7 +169,7 @@ class VirtualBench:
     def _send(self, device: str, data: bytes, bench_ns: int | None = None) -> None:
         send = self.send.get(device)
         if send is not None:
-            send(self._host_ns(self._now_ns if bench_ns is None else bench_ns), data)
+            send(self.host_ns(self._now_ns if bench_ns is None else bench_ns), data)
 
     def feed(self, device: str, data: bytes) -> None:
         """Bytes from the host reach a device."""
@@ -213,7 +214,7 @@ class VirtualBench:
             led=1.0 if self.board.led_on else 0.0,
         )
         self._frames += 1
-        now = self._clock.now_ns() if self._clock is not None else self._host_ns(self._now_ns)
+        now = self._clock.now_ns() if self._clock is not None else self.host_ns(self._now_ns)
         return self._frames, now, gray
 
     @property

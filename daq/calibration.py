@@ -1,0 +1,119 @@
+"""A straight calibration with its uncertainty, its range and where it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.errors import ConfigError
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """``value = offset + scale * raw``.
+
+    Attributes:
+        quantity: name of the column it makes, unit included: ``pressure_kpa``.
+        unit: unit of the value: ``kPa``.
+        raw_unit: unit of what the device sends: ``counts``, ``g``, ``pixel``.
+        offset: value at raw zero.
+        scale: value per raw unit; not zero.
+        u_offset: standard uncertainty of the offset, in ``unit``.
+        u_gain: relative standard uncertainty of the scale.
+        domain: values within which the calibration was made, ``(low, high)``.
+        id: certificate or file that it comes from.
+        date: when it was made, ISO.
+        note: anything else.
+    """
+
+    quantity: str
+    unit: str
+    raw_unit: str
+    offset: float
+    scale: float
+    u_offset: float = 0.0
+    u_gain: float = 0.0
+    domain: tuple[float, float] = (-np.inf, np.inf)
+    id: str = ""
+    date: str = ""
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"calibration {self.quantity}"
+        numbers = (self.offset, self.scale, self.u_offset, self.u_gain)
+        if not all(np.isfinite(n) for n in numbers) or self.scale == 0:
+            raise ConfigError(
+                where,
+                f"offset {self.offset}, scale {self.scale}, u_offset {self.u_offset}, "
+                f"u_gain {self.u_gain}: expected finite numbers and a scale other than 0",
+            )
+        if self.u_offset < 0 or self.u_gain < 0:
+            raise ConfigError(where, "an uncertainty is negative", "give it as a positive number")
+        if not self.domain[0] < self.domain[1]:
+            raise ConfigError(where, f"domain {self.domain} is empty", "give it as [low, high]")
+
+    def apply(self, raw: npt.ArrayLike) -> Floats:
+        """Values in ``unit`` of raw readings, same shape."""
+        return np.asarray(self.offset + self.scale * np.asarray(raw, dtype=np.float64))
+
+    def raw(self, value: npt.ArrayLike) -> Floats:
+        """Raw readings of values in ``unit``: the inverse of :meth:`apply`."""
+        return np.asarray((np.asarray(value, dtype=np.float64) - self.offset) / self.scale)
+
+    def u(self, value: npt.ArrayLike) -> Floats:
+        """Standard uncertainty of values that the calibration gave, in ``unit``."""
+        span = self.u_gain * (np.asarray(value, dtype=np.float64) - self.offset)
+        return np.asarray(np.hypot(self.u_offset, span))
+
+    def outside(self, value: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """True where a value lies outside the range the calibration was made in."""
+        v = np.asarray(value, dtype=np.float64)
+        return np.asarray((v < self.domain[0]) | (v > self.domain[1]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """For run.json; an open end of the domain is None."""
+        plain = asdict(self)
+        plain["domain"] = [d if np.isfinite(d) else None for d in self.domain]
+        return plain
+
+    @staticmethod
+    def from_dict(given: Mapping[str, Any], where: str = "calibration") -> Calibration:
+        """From run.json or a rig file.
+
+        Args:
+            given: the attributes by name.
+            where: file and key for the message.
+
+        Raises:
+            ConfigError: a key is unknown or missing, or a value impossible.
+        """
+        known = {f.name for f in fields(Calibration)}
+        needed = {"quantity", "unit", "raw_unit", "offset", "scale"}
+        unknown, missing = sorted(set(given) - known), sorted(needed - set(given))
+        if unknown or missing:
+            what = "; ".join(
+                f"{word} {', '.join(names)}"
+                for word, names in (("unknown key", unknown), ("missing key", missing))
+                if names
+            )
+            raise ConfigError(where, what, f"known keys: {', '.join(sorted(known))}")
+        plain = dict(given)
+        try:
+            for key in ("offset", "scale", "u_offset", "u_gain"):
+                if key in plain:
+                    plain[key] = float(plain[key])
+            if "domain" in plain:
+                low, high = plain["domain"]
+                plain["domain"] = (
+                    -np.inf if low is None else float(low),
+                    np.inf if high is None else float(high),
+                )
+        except (TypeError, ValueError) as error:
+            raise ConfigError(where, f"not a number: {error}") from error
+        return Calibration(**plain)

@@ -1,0 +1,150 @@
+"""Payloads to values and back, for the valve controller's frames."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from valvefw import wire
+
+_HEADER = struct.Struct(wire.TELEMETRY_HEADER)
+SAMPLE_DTYPE = np.dtype(
+    [
+        ("dt_us", "<u2"),
+        ("counts", "<u2"),
+        ("flags", "u1"),
+        ("inlet_u5", "u1"),
+        ("vent_u5", "u1"),
+    ]
+)
+assert SAMPLE_DTYPE.itemsize == wire.SAMPLE_SIZE == struct.calcsize(wire.SAMPLE)
+
+
+class CodecError(ValueError):
+    """A payload passed its CRC, yet is not of the form it claims (wrong firmware?)."""
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """One telemetry frame.
+
+    Attributes:
+        boot: boot id of the device.
+        setpoint_x16: pressure set-point in 1/16 counts.
+        seq0: sequence number of the first sample (32 bits, wraps).
+        t0_us: device time of the first sample (32 bits, wraps).
+        samples: ``SAMPLE_DTYPE``, shape (n,).
+    """
+
+    boot: int
+    setpoint_x16: int
+    seq0: int
+    t0_us: int
+    samples: npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Reply:
+    """The answer to one request.
+
+    Attributes:
+        id: id of the request it answers.
+        ok: True for ``ok``, False for ``err``.
+        values: ``key=value`` pairs of an ``ok``.
+        code: one word that names the error.
+        text: the error in words, with its remedy (or words of an ``ok`` without ``=``).
+    """
+
+    id: int
+    ok: bool
+    values: dict[str, str] = field(default_factory=dict)
+    code: str = ""
+    text: str = ""
+
+
+def telemetry_head(payload: bytes) -> tuple[int, int, int, int, int]:
+    """``boot, setpoint_x16, seq0, t0_us, n`` of a telemetry payload.
+
+    Raises:
+        CodecError: it is not one, or its length does not go with ``n``.
+    """
+    if len(payload) < _HEADER.size or payload[0] != wire.TELEMETRY:
+        raise CodecError(f"not a telemetry payload: {payload[:24].hex(' ')}")
+    _, boot, setpoint_x16, seq0, t0_us, n = _HEADER.unpack_from(payload)
+    if len(payload) != _HEADER.size + n * wire.SAMPLE_SIZE:
+        raise CodecError(f"telemetry of {n} samples has {len(payload)} bytes")
+    return boot, setpoint_x16, seq0, t0_us, n
+
+
+def decode_telemetry(payload: bytes) -> Telemetry:
+    """One telemetry frame from its payload (type byte first).
+
+    Raises:
+        CodecError: see :func:`telemetry_head`.
+    """
+    boot, setpoint_x16, seq0, t0_us, _ = telemetry_head(payload)
+    samples = np.frombuffer(payload, SAMPLE_DTYPE, offset=_HEADER.size)
+    return Telemetry(boot, setpoint_x16, seq0, t0_us, samples)
+
+
+def encode_request(request_id: int, text: str) -> bytes:
+    """A request as bytes on the wire.
+
+    Raises:
+        CodecError: the id is not 0..65535, or the text is not plain ASCII that fits.
+    """
+    if not 0 <= request_id <= 0xFFFF:
+        raise CodecError(f"request id {request_id} is not within 0..65535")
+    if not text.isascii() or not text.isprintable():
+        raise CodecError(f"request {text!r} is not printable ASCII")
+    body = f"{request_id} {text}".encode("ascii")
+    if len(body) > wire.MAX_REQUEST:
+        raise CodecError(f"request of {len(body)} bytes, at most {wire.MAX_REQUEST}: {text!r}")
+    return wire.encode_frame(bytes((wire.REQUEST,)) + body)
+
+
+def decode_reply(payload: bytes) -> Reply:
+    """A reply from its payload.
+
+    Raises:
+        CodecError: it is not ``R<id> ok ...`` or ``R<id> err <code> ...``.
+    """
+    text = _text(payload, wire.REPLY)
+    number, _, rest = text.partition(" ")
+    word, _, rest = rest.partition(" ")
+    if not (number.isascii() and number.isdigit()) or word not in ("ok", "err"):
+        raise CodecError(f"not a reply: {text!r}")
+    if word == "err":
+        code, _, message = rest.partition(" ")
+        return Reply(int(number), False, code=code, text=message)
+    values: dict[str, str] = {}
+    words: list[str] = []
+    for part in rest.split():
+        key, equals, value = part.partition("=")
+        if equals:
+            values[key] = value
+        else:
+            words.append(part)
+    return Reply(int(number), True, values, text=" ".join(words))
+
+
+def decode_event(payload: bytes) -> str:
+    """The text of an unsolicited event.
+
+    Raises:
+        CodecError: it is not one.
+    """
+    return _text(payload, wire.EVENT)
+
+
+def _text(payload: bytes, kind: int) -> str:
+    if not payload or payload[0] != kind:
+        raise CodecError(f"expected a payload {chr(kind)!r}, got {payload[:24]!r}")
+    try:
+        return payload[1:].decode("ascii")
+    except UnicodeDecodeError:
+        raise CodecError(f"payload is not ASCII: {payload[:48]!r}") from None

@@ -1,0 +1,336 @@
+"""Links that carry bytes: a serial port (or TCP in its place), or memory.
+
+The only importer of ``serial``. A link hands out what came in as chunks stamped with
+the host's monotonic time, never blocks on reading, and turns every way a port can
+vanish into one :class:`~daq.errors.LinkLost`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import socket
+import threading
+from collections import deque
+from typing import Any, NamedTuple, Protocol
+
+from daq.clock import Clock
+from daq.errors import LinkLost, PamrigError, PortError
+
+try:
+    import termios
+
+    _TERMIOS_ERRORS: tuple[type[Exception], ...] = (termios.error,)
+except ImportError:  # Windows
+    _TERMIOS_ERRORS = ()
+
+BUFFER_BYTES = 4 << 20
+READ_TIMEOUT_S = 0.05
+WRITE_TIMEOUT_S = 0.2
+READ_BYTES = 65536
+UNPLUGGED = "check the cable and the device's power, then start a new run"
+
+
+class Chunk(NamedTuple):
+    """Bytes as they came in one read, and when (host monotonic ns)."""
+
+    host_ns: int
+    data: bytes
+
+
+class Link(Protocol):
+    """Bytes to and from one device."""
+
+    @property
+    def name(self) -> str:
+        """Port or device, as it stands in messages."""
+        ...
+
+    def read(self) -> list[Chunk]:
+        """All that came since the last call, at once; raises LinkLost after the last of it."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``; raises LinkLost."""
+        ...
+
+    def close(self) -> None:
+        """Close; may be repeated."""
+        ...
+
+
+class _Inbox:
+    """Bounded buffer between who receives and who reads; the oldest is dropped, and counted."""
+
+    def __init__(self, limit_bytes: int) -> None:
+        self._limit = limit_bytes
+        self._chunks: deque[Chunk] = deque()
+        self._held = 0
+        self._lock = threading.Lock()
+        self.overruns = 0
+        self.lost_bytes = 0
+        self.error: PamrigError | None = None
+
+    def put(self, chunk: Chunk) -> None:
+        with self._lock:
+            self._chunks.append(chunk)
+            self._held += len(chunk.data)
+            while self._held > self._limit:
+                dropped = self._chunks.popleft()
+                self._held -= len(dropped.data)
+                self.lost_bytes += len(dropped.data)
+                self.overruns += 1
+
+    def take(self) -> list[Chunk]:
+        if not self._chunks:
+            if self.error is not None and not self._chunks:
+                raise self.error
+            return []
+        with self._lock:
+            chunks = list(self._chunks)
+            self._chunks.clear()
+            self._held = 0
+        return chunks
+
+
+class MemoryLink:
+    """One end of an in-process pair; see :func:`memory_pair`."""
+
+    def __init__(self, name: str, clock: Clock, limit_bytes: int) -> None:
+        self.name = name
+        self._clock = clock
+        self._inbox = _Inbox(limit_bytes)
+        self._peer: MemoryLink | None = None
+        self._closed = False
+
+    @property
+    def overruns(self) -> int:
+        """Chunks dropped because nobody read them."""
+        return self._inbox.overruns
+
+    def read(self) -> list[Chunk]:
+        """See :class:`Link`."""
+        if self._closed:
+            raise LinkLost(self.name, "the link is closed", UNPLUGGED)
+        return self._inbox.take()
+
+    def write(self, data: bytes) -> None:
+        """See :class:`Link`; it is there at once."""
+        peer = self._peer
+        if peer is None or self._closed:
+            raise LinkLost(self.name, f"{len(data)} bytes could not be sent: unplugged", UNPLUGGED)
+        if data:
+            peer._inbox.put(Chunk(self._clock.now_ns(), bytes(data)))
+
+    def close(self) -> None:
+        """See :class:`Link`; the other end is lost."""
+        self._closed = True
+        self.unplug()
+
+    def unplug(self) -> None:
+        """Pull the cable: what has arrived can still be read, then both ends are lost."""
+        peer, self._peer = self._peer, None
+        self._inbox.error = LinkLost(self.name, "the device was unplugged", UNPLUGGED)
+        if peer is not None:
+            peer.unplug()
+
+
+def memory_pair(
+    clock: Clock, name: str, limit_bytes: int = BUFFER_BYTES
+) -> tuple[MemoryLink, MemoryLink]:
+    """Two joined ends, ``(host_end, device_end)``; what one writes the other reads."""
+    host = MemoryLink(name, clock, limit_bytes)
+    device = MemoryLink(f"{name} (device end)", clock, limit_bytes)
+    host._peer, device._peer = device, host
+    return host, device
+
+
+class _SocketPort:
+    """``socket://host:port`` with the few methods of a serial port that are used here."""
+
+    def __init__(self, url: str) -> None:
+        host, _, port = url.removeprefix("socket://").rstrip("/").rpartition(":")
+        if not host or not port.isdigit():
+            raise ValueError("expected socket://host:port")
+        self._socket = socket.create_connection((host, int(port)), timeout=5.0)
+        self._socket.settimeout(READ_TIMEOUT_S)
+        with contextlib.suppress(OSError):
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def take(self) -> bytes:
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except TimeoutError:
+            return b""
+        if not data:
+            raise ConnectionResetError(errno.ECONNRESET, "closed by the other end")
+        return data
+
+    def write(self, data: bytes) -> int:
+        self._socket.sendall(data)
+        return len(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _SerialPort:
+    """A pyserial port that is asked only what pyserial answers reliably."""
+
+    def __init__(self, path: str, baud: int) -> None:
+        import serial
+
+        options: dict[str, Any] = {"baudrate": baud, "timeout": READ_TIMEOUT_S}
+        options["write_timeout"] = WRITE_TIMEOUT_S
+        if "://" not in path:
+            options["exclusive"] = True
+        self._serial: Any = serial.serial_for_url(path, **options)
+        # Best effort: FTDI adapters else hold bytes back for up to 16 ms.
+        with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):
+            self._serial.set_low_latency_mode(True)
+
+    def take(self) -> bytes:
+        waiting = min(self._serial.in_waiting, READ_BYTES)
+        return bytes(self._serial.read(max(1, waiting)))
+
+    def write(self, data: bytes) -> int:
+        return int(self._serial.write(data) or 0)
+
+    def close(self) -> None:
+        self._serial.close()
+
+
+def _open_port(path: str, baud: int) -> _SocketPort | _SerialPort:
+    return _SocketPort(path) if path.startswith("socket://") else _SerialPort(path, baud)
+
+
+def _port_failures() -> tuple[type[Exception], ...]:
+    """Everything a vanished port raises; the one place that knows."""
+    import serial
+
+    # TypeError and AttributeError come from pyserial reading a port closed under it.
+    return (OSError, serial.SerialException, TypeError, AttributeError, *_TERMIOS_ERRORS)
+
+
+class SerialLink:
+    """A serial port, opened exclusively, read by a thread of its own.
+
+    Args:
+        path: ``/dev/serial/by-id/...``, ``COM3``, or a URL such as ``socket://host:port``.
+        baud: bits a second.
+        clock: stamps each chunk right after it was read.
+        buffer_bytes: what is held for a reader that does not come; then the oldest goes.
+
+    Raises:
+        PortError: the port is missing, in use, or may not be opened.
+    """
+
+    def __init__(
+        self, path: str, baud: int, clock: Clock, buffer_bytes: int = BUFFER_BYTES
+    ) -> None:
+        self.name = path
+        self._clock = clock
+        self._failures = _port_failures()
+        self._inbox = _Inbox(buffer_bytes)
+        self._write_lock = threading.Lock()
+        self._stop = threading.Event()
+        self._closed = False
+        try:
+            self._port = _open_port(path, baud)
+        except self._failures as error:
+            raise _not_opened(path, error) from error
+        except ValueError as error:
+            raise PortError(path, f"not a port: {error}", "correct the path") from error
+        self._thread = threading.Thread(target=self._pump, name=f"read {path}", daemon=True)
+        self._thread.start()
+
+    @property
+    def overruns(self) -> int:
+        """Chunks dropped because nobody read them in time."""
+        return self._inbox.overruns
+
+    @property
+    def lost_bytes(self) -> int:
+        """Bytes in those chunks."""
+        return self._inbox.lost_bytes
+
+    def read(self) -> list[Chunk]:
+        """See :class:`Link`."""
+        return self._inbox.take()
+
+    def write(self, data: bytes) -> None:
+        """See :class:`Link`; a device that takes nothing for 0.2 s counts as lost."""
+        if self._inbox.error is not None:
+            raise self._inbox.error
+        try:
+            with self._write_lock:
+                sent = self._port.write(data)
+        except self._failures as error:
+            raise self._lost(f"{len(data)} bytes could not be sent", error) from error
+        if sent < len(data):
+            raise self._lost(f"took {sent} of {len(data)} bytes", None)
+
+    def close(self) -> None:
+        """See :class:`Link`."""
+        if self._closed:
+            return
+        self._closed = True
+        self._stop.set()
+        self._thread.join(2.0)
+        with contextlib.suppress(*self._failures):
+            self._port.close()
+        if self._inbox.error is None:
+            self._inbox.error = LinkLost(self.name, "the port is closed", "open it again")
+
+    def _pump(self) -> None:
+        while not self._stop.is_set():
+            try:
+                data = self._port.take()
+            except self._failures as error:
+                self._lost("no more bytes can be received", error)
+                return
+            if data:
+                self._inbox.put(Chunk(self._clock.now_ns(), data))
+
+    def _lost(self, what: str, error: Exception | None) -> LinkLost:
+        text = f"{what}: {error}" if error else what
+        lost = LinkLost(self.name, text, UNPLUGGED)
+        if self._inbox.error is None and not self._stop.is_set():
+            self._inbox.error = lost
+        return lost
+
+
+def list_ports() -> list[str]:
+    """Serial ports this machine has, best effort."""
+    try:
+        from serial.tools import list_ports as tool
+
+        return sorted(str(p.device) for p in tool.comports())
+    except (ImportError, OSError):
+        return []
+
+
+def _not_opened(path: str, error: Exception) -> PortError:
+    """Why a port could not be opened, and what to do about it."""
+    number = getattr(error, "errno", None)
+    text = str(error)
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in text:
+        ports = list_ports()
+        there = f"ports here: {', '.join(ports)}" if ports else "no serial port is here"
+        return PortError(path, "no such port", f"plug the device in or correct the path; {there}")
+    if number in (errno.EAGAIN, errno.EBUSY) or "PermissionError" in text:
+        return PortError(
+            path,
+            "the port is in use by another program",
+            "close the other program (another pamrig, a terminal, ModemManager) and try again",
+        )
+    if number in (errno.EACCES, errno.EPERM):
+        return PortError(
+            path,
+            "no permission to open the port",
+            "join the group that owns it (dialout or uucp: sudo usermod -aG dialout $USER), "
+            "then log in again",
+        )
+    if number == errno.ECONNREFUSED:
+        return PortError(path, "nothing listens there", "start the bench, or correct the address")
+    return PortError(path, f"cannot be opened: {text}", "check the path and the device")

@@ -1,0 +1,1 @@
+"""Physics of the bench: muscle, valve and gas, loads, whole-bench simulation."""

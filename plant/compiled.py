@@ -1,0 +1,59 @@
+"""How the plant compiles: one decorator, and what tells the compiler's cache that it is stale."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, MutableSequence
+from importlib import resources
+from typing import Any, TypeVar, cast
+
+from numba import njit
+
+F = TypeVar("F", bound=Callable[..., Any])
+Slots = MutableSequence[float]
+"""A state or parameter array as compiled code sees it: float64, contiguous, one number a slot."""
+
+_SOURCES = (
+    "compiled.py",
+    "constants.py",
+    "flow.py",
+    "friction.py",
+    "kernel.py",
+    "layout.py",
+    "muscle.py",
+    "rates.py",
+    "stepping.py",
+)
+
+
+def inlined(function: F) -> F:
+    """Make a scalar function callable from compiled code; compiled with whoever calls it.
+
+    A division by zero gives inf as in numpy, without a check at every division.
+    """
+    return cast(F, njit(error_model="numpy", forceinline=True)(function))
+
+
+def entry_point(signature: str) -> Callable[[F], F]:
+    """Compile for one signature, once per installation: the machine code is cached on disk.
+
+    The function must close over `fingerprint()`, see there.
+    """
+
+    def decorate(function: F) -> F:
+        return cast(F, njit(signature, cache=True, error_model="numpy")(function))
+
+    return decorate
+
+
+def fingerprint() -> int:
+    """CRC of the sources that are compiled in.
+
+    numba renews its cache when the file of the compiled function changes, not when a function that
+    it calls from another file does. Closure variables are part of its key, so an entry point that
+    closes over this number is compiled anew after a change to any of the files.
+    """
+    crc = 0
+    for name in _SOURCES:
+        crc = zlib.crc32(resources.files("plant").joinpath(name).read_bytes(), crc)
+    return crc

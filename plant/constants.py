@@ -1,0 +1,280 @@
+"""The constants of one bench: read from TOML in the bench's own units, held in SI."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from plant.errors import PlantError
+
+GAS_CONSTANT_J_KG_K = 287.05
+"""Specific gas constant of air."""
+REFERENCE_DENSITY_KG_M3 = 1.185
+"""Density of air at the reference state of ISO 6358."""
+REFERENCE_TEMPERATURE_K = 293.15
+"""Temperature of the reference state of ISO 6358."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of a plant file: where it lands, how it converts to SI, what it may be."""
+
+    name: str
+    field: str
+    to_si: float
+    low: float
+    high: float
+
+
+_KPA = 1e3
+_MM = 1e-3
+_MS = 1e-3
+_MS_PER_KPA = 1e-6
+_N_PER_MM = 1e3
+
+KEYS: dict[str, Key] = {
+    name: Key(name, field, to_si, low, high)
+    for name, field, to_si, low, high in [
+        ("supply_kpa", "supply_pa", _KPA, 0.0, 1200.0),
+        ("atmosphere_kpa", "atmosphere_pa", _KPA, 50.0, 110.0),
+        ("gas_temperature_k", "gas_temperature_k", 1.0, 230.0, 350.0),
+        ("braid_length_mm", "braid_length_m", _MM, 10.0, 2000.0),
+        ("turns", "turns", 1.0, 0.2, 100.0),
+        ("inlet_conductance_m3_s_pa", "inlet_conductance_m3_s_pa", 1.0, 1e-13, 1e-6),
+        ("outlet_conductance_m3_s_pa", "outlet_conductance_m3_s_pa", 1.0, 1e-13, 1e-6),
+        ("critical_ratio", "critical_ratio", 1.0, 0.0, 0.95),
+        ("dead_volume_ml", "dead_volume_m3", 1e-6, 1e-3, 10000.0),
+        ("polytropic_exponent", "polytropic_exponent", 1.0, 1.0, 1.4),
+        ("length_min_mm", "length_min_m", _MM, 1.0, 2000.0),
+        ("length_max_mm", "length_max_m", _MM, 1.0, 2000.0),
+        ("stop_stiffness_n_mm", "stop_stiffness_n_m", _N_PER_MM, 0.0, 1e4),
+        ("stop_damping_n_s_mm", "stop_damping_n_s_m", _N_PER_MM, 0.0, 10.0),
+        ("load_damping_n_s_mm", "load_damping_n_s_m", _N_PER_MM, 0.0, 10.0),
+        ("inlet_on_ms", "inlet_on_s", _MS, 0.0, 100.0),
+        ("inlet_on_ms_per_kpa", "inlet_on_s_per_pa", _MS_PER_KPA, -0.1, 0.1),
+        ("inlet_off_ms", "inlet_off_s", _MS, 0.0, 100.0),
+        ("inlet_off_ms_per_kpa", "inlet_off_s_per_pa", _MS_PER_KPA, -0.1, 0.1),
+        ("outlet_on_ms", "outlet_on_s", _MS, 0.0, 100.0),
+        ("outlet_on_ms_per_kpa", "outlet_on_s_per_pa", _MS_PER_KPA, -0.1, 0.1),
+        ("outlet_off_ms", "outlet_off_s", _MS, 0.0, 100.0),
+        ("outlet_off_ms_per_kpa", "outlet_off_s_per_pa", _MS_PER_KPA, -0.1, 0.1),
+        ("inlet_pull_in_v", "inlet_pull_in_v", 1.0, 0.0, 60.0),
+        ("inlet_pull_in_v_per_kpa", "inlet_pull_in_v_per_pa", 1e-3, -0.1, 0.1),
+        ("inlet_drop_out_v", "inlet_drop_out_v", 1.0, 0.0, 60.0),
+        ("outlet_pull_in_v", "outlet_pull_in_v", 1.0, 0.0, 60.0),
+        ("outlet_pull_in_v_per_kpa", "outlet_pull_in_v_per_pa", 1e-3, -0.1, 0.1),
+        ("outlet_drop_out_v", "outlet_drop_out_v", 1.0, 0.0, 60.0),
+    ]
+}
+"""Every numeric key of a plant file; bounds are in the key's own unit, both ends allowed."""
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "delay_mode": ("inertial", "transport"),
+    "outlet_normally": ("closed", "open"),
+}
+"""The keys that take a word, and the words."""
+
+
+@dataclass(frozen=True)
+class PlantConstants:
+    """All constants of one bench in SI (Pa gauge, m, s, N, K), as PLANT.md names them.
+
+    `tolerances` holds, per plant-file key, one standard deviation as a number in that key's
+    unit or as a share of the value ("5 %"); read it with `tolerance_si`.
+    """
+
+    supply_pa: float
+    atmosphere_pa: float
+    gas_temperature_k: float
+    braid_length_m: float
+    turns: float
+    inlet_conductance_m3_s_pa: float
+    outlet_conductance_m3_s_pa: float
+    critical_ratio: float
+    dead_volume_m3: float
+    polytropic_exponent: float
+    length_min_m: float
+    length_max_m: float
+    stop_stiffness_n_m: float
+    stop_damping_n_s_m: float
+    load_damping_n_s_m: float
+    inlet_on_s: float
+    inlet_on_s_per_pa: float
+    inlet_off_s: float
+    inlet_off_s_per_pa: float
+    outlet_on_s: float
+    outlet_on_s_per_pa: float
+    outlet_off_s: float
+    outlet_off_s_per_pa: float
+    inlet_pull_in_v: float
+    inlet_pull_in_v_per_pa: float
+    inlet_drop_out_v: float
+    outlet_pull_in_v: float
+    outlet_pull_in_v_per_pa: float
+    outlet_drop_out_v: float
+    delay_mode: str
+    outlet_normally: str
+    tolerances: tuple[tuple[str, float | str], ...] = ()
+
+    def with_overrides(
+        self, overrides: Mapping[str, Any], origin: str = "plant overrides"
+    ) -> PlantConstants:
+        """Return a copy with plant-file keys replaced, e.g. `{"supply_kpa": 700}`.
+
+        `origin` names the file or table in error messages. Raises `PlantError` for an unknown
+        key, a wrong type, a value out of range, or constants that contradict each other.
+        """
+        changes: dict[str, Any] = {}
+        for name, value in overrides.items():
+            if name == "tolerance":
+                merged = dict(self.tolerances) | _read_tolerances(value, origin)
+                changes["tolerances"] = tuple(merged.items())
+            elif name in CHOICES:
+                changes[name] = _read_choice(name, value, origin)
+            else:
+                key = _key(name, origin)
+                changes[key.field] = _read_number(key, value, origin) * key.to_si
+        return _consistent(dataclasses.replace(self, **changes), origin)
+
+    def value(self, name: str) -> float:
+        """Value of a numeric plant-file key in that key's own unit. Raises `PlantError`."""
+        key = _key(name, "plant constants")
+        return float(getattr(self, key.field)) / key.to_si
+
+    def tolerance_si(self, name: str) -> float:
+        """One standard deviation of a plant-file key in SI; 0 where none is stated."""
+        key = _key(name, "plant constants")
+        stated = dict(self.tolerances).get(name, 0.0)
+        if isinstance(stated, str):
+            return abs(float(getattr(self, key.field))) * _percent(name, stated, "tolerance") / 100
+        return stated * key.to_si
+
+
+def load_constants(source: str | Path | Mapping[str, Any]) -> PlantConstants:
+    """Read a complete set of constants from a TOML file or an already parsed table.
+
+    Raises `PlantError` naming file, key and remedy when the file cannot be read, is not TOML,
+    lacks a key, or holds one that is unknown, of the wrong type or out of range.
+    """
+    if isinstance(source, Mapping):
+        return _from_table(source, "plant table")
+    path = Path(source)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as exc:
+        raise PlantError(f"plant file {path}: cannot be read ({exc})") from exc
+    return _from_table(_parse(text, f"plant file {path}"), f"plant file {path}")
+
+
+def shipped(name: str) -> PlantConstants:
+    """Constants shipped with the package, by name ("thesis"). Raises `PlantError` if unknown."""
+    folder = resources.files("configs").joinpath("plant")
+    known = sorted(
+        entry.name.removesuffix(".toml")
+        for entry in folder.iterdir()
+        if entry.name.endswith(".toml")
+    )
+    if name not in known:
+        raise PlantError(f"plant {name!r}: not shipped; choose one of {', '.join(known)}")
+    text = folder.joinpath(f"{name}.toml").read_text(encoding="utf-8")
+    origin = f"shipped plant {name}.toml"
+    return _from_table(_parse(text, origin), origin)
+
+
+def nominal() -> PlantConstants:
+    """The reference bench of the thesis, `configs/plant/thesis.toml`."""
+    return shipped("thesis")
+
+
+def _parse(text: str, origin: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as exc:
+        raise PlantError(f"{origin}: not valid TOML ({exc})") from exc
+
+
+def _from_table(table: Mapping[str, Any], origin: str) -> PlantConstants:
+    missing = [name for name in [*KEYS, *CHOICES] if name not in table]
+    if missing:
+        raise PlantError(f"{origin}: missing {', '.join(missing)}; a plant file states every key")
+    # Placeholders are all replaced: every field was just checked to be in the table.
+    blank: dict[str, Any] = {key.field: math.nan for key in KEYS.values()}
+    return PlantConstants(**blank, delay_mode="", outlet_normally="").with_overrides(table, origin)
+
+
+def _key(name: str, origin: str) -> Key:
+    if name in KEYS:
+        return KEYS[name]
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, [*KEYS, *CHOICES, "tolerance"], n=1)
+    hint = f"did you mean {near[0]}?" if near else f"known keys: {', '.join([*KEYS, *CHOICES])}"
+    raise PlantError(f"{origin}: unknown key {name!r}; {hint}")
+
+
+def _read_number(key: Key, value: object, origin: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise PlantError(
+            f"{origin}: {key.name} = {value!r} is a {type(value).__name__}; "
+            f"expected a number from {key.low:g} to {key.high:g}"
+        )
+    # NaN fails this comparison too.
+    if not key.low <= value <= key.high:
+        raise PlantError(
+            f"{origin}: {key.name} = {value!r} is out of range; allowed {key.low:g} to {key.high:g}"
+        )
+    return float(value)
+
+
+def _read_choice(name: str, value: object, origin: str) -> str:
+    allowed = CHOICES[name]
+    if not isinstance(value, str) or value not in allowed:
+        words = " or ".join(repr(word) for word in allowed)
+        raise PlantError(f"{origin}: {name} = {value!r}; allowed {words}")
+    return value
+
+
+def _read_tolerances(table: object, origin: str) -> dict[str, float | str]:
+    if not isinstance(table, Mapping):
+        raise PlantError(f"{origin}: tolerance = {table!r}; expected a table of key = 1 sd")
+    read: dict[str, float | str] = {}
+    for name, value in table.items():
+        where = f"{origin} [tolerance]"
+        _key(name, where)
+        if isinstance(value, str):
+            _percent(name, value, where)
+            read[name] = value
+        elif isinstance(value, bool) or not isinstance(value, (int, float)) or not value >= 0:
+            raise PlantError(
+                f"{where}: {name} = {value!r}; expected a number >= 0 in the key's unit, "
+                'or a share such as "5 %"'
+            )
+        else:
+            read[name] = float(value)
+    return read
+
+
+def _percent(name: str, text: str, where: str) -> float:
+    try:
+        share = float(text.removesuffix("%").strip()) if text.endswith("%") else math.nan
+    except ValueError:
+        share = math.nan
+    if not 0 <= share <= 100:
+        raise PlantError(f'{where}: {name} = {text!r}; expected a share such as "5 %", 0 to 100 %')
+    return share
+
+
+def _consistent(c: PlantConstants, origin: str) -> PlantConstants:
+    if not c.length_min_m < c.length_max_m < c.braid_length_m:
+        raise PlantError(
+            f"{origin}: lengths must rise in the order length_min_mm ({c.length_min_m * 1e3:g}), "
+            f"length_max_mm ({c.length_max_m * 1e3:g}), "
+            f"braid_length_mm ({c.braid_length_m * 1e3:g})"
+        )
+    return c

@@ -1,0 +1,1 @@
+"""The thesis tables, as printed."""

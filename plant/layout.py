@@ -1,0 +1,72 @@
+"""Where each number stands in the state and parameter arrays of the compiled bench.
+
+The arrays are what crosses into compiled code; everything else uses these names. Slots are added
+at the end, so that recorded states keep their meaning.
+"""
+
+# State: what changes with time. Paired slots (inlet, outlet) are adjacent: OUTLET_x = INLET_x + 1.
+TIME = 0  # s
+PRESSURE = 1  # gauge Pa in the muscle
+LENGTH = 2  # m
+LENGTH_RATE = 3  # m/s, positive when lengthening
+FORCE = 4  # N, tension of the muscle at TIME
+SUPPLY = 5  # gauge Pa upstream of the inlet
+REGULATOR_SET = 6  # gauge Pa
+INLET_OPEN = 7  # 0 or 1, the valve itself
+OUTLET_OPEN = 8
+INLET_COMMAND = 9  # 0 or 1; inlet 1 = fill, outlet 1 = vent
+OUTLET_COMMAND = 10
+MASS_IN = 11  # kg passed by the inlet (or regulator) since the start
+MASS_OUT = 12  # kg passed by the outlet and leaks since the start
+TEMPERATURE = 13  # K, of the muscle's wall
+SLIP = 14  # four elements of the braid friction, each -1 to 1
+SLIP_ELEMENTS = 4
+QUEUE_HEAD = 18  # (inlet, outlet) index of the oldest pending valve edge
+QUEUE_COUNT = 20  # (inlet, outlet) number of pending valve edges
+EDGES_MERGED = 22  # pending edges that cancelled each other because the queue was full
+MEMORY = 23  # eight slots for effects with memory (creep, slow drifts)
+MEMORY_SLOTS = 8
+QUEUE = 32  # due times, s: QUEUE_LENGTH for the inlet, then as many for the outlet
+QUEUE_LENGTH = 256
+STATE_SIZE = QUEUE + 2 * QUEUE_LENGTH
+
+# Parameters: what stays constant over a run, already with the effects that only change a constant.
+SOURCE = 0  # 0 supply through the inlet valve, 1 regulator behind the inlet valve
+LOAD = 1  # 0 length prescribed, 1 hung mass
+ATMOSPHERE = 2  # Pa
+GAS_TEMPERATURE = 3  # K
+BRAID_LENGTH = 4  # m
+TURNS = 5
+INLET_CONDUCTANCE = 6  # m3/(s Pa); OUTLET next
+OUTLET_CONDUCTANCE = 7
+INLET_CRITICAL_RATIO = 8
+OUTLET_CRITICAL_RATIO = 9
+DEAD_VOLUME = 10  # m3
+EXPONENT = 11
+LENGTH_MIN = 12  # m
+LENGTH_MAX = 13  # m
+STOP_STIFFNESS = 14  # N/m
+STOP_DAMPING = 15  # N s/m
+LOAD_DAMPING = 16  # N s/m
+MASS = 17  # kg
+GRAVITY = 18  # m/s2
+REGULATOR_LAG = 19  # s
+DELAY_MODE = 20  # 0 inertial, 1 transport
+DELAY = 21  # s: inlet on, inlet off, outlet on, outlet off
+DELAY_SLOPE = 25  # s/Pa, same order
+STEP_MAX = 29  # s
+STEP_SAFETY = 30  # substep as a share of the fastest time constant
+LEAK_CONDUCTANCE = 31  # m3/(s Pa)
+LINER_LOST = 32  # Pa
+LINER_WIDTH = 33  # Pa
+FRICTION_FORCE = 34  # N at FRICTION_PRESSURE
+FRICTION_TRAVEL_PRESSURE = 35  # Pa of rise after which every element slips
+FRICTION_TRAVEL_LENGTH = 36  # m of shortening after which every element slips
+PARAMS_SIZE = 96  # the rest is kept at zero for the effects still to come
+
+# Inputs that a recording may hold, as numbered in the compiled batch runner.
+CHANNEL_INLET = 0  # 0 or 1
+CHANNEL_OUTLET = 1  # 0 or 1
+CHANNEL_LENGTH_RATE = 2  # m/s
+CHANNEL_REGULATOR = 3  # gauge Pa
+CHANNEL_SUPPLY = 4  # gauge Pa

@@ -1,0 +1,175 @@
+"""What the commands do, between the command line and the packages that do the work."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from daq.clock import RealClock
+from daq.errors import ConfigError, PamrigError
+from rigs.config import load_rig
+
+if TYPE_CHECKING:
+    from rigs.runner import Runner
+
+
+class ProgressLine:
+    """One line on the terminal: state, points done, time left. Quiet where there is no one."""
+
+    def __init__(self, quiet: bool) -> None:
+        import sys
+
+        self._quiet = quiet
+        self._tty = sys.stderr.isatty()
+        self._runner: Runner | None = None
+        self._start = 0.0
+        self._last = 0.0
+        self._width = 0
+
+    def start(self, runner: Runner, record: Any) -> None:
+        """The run begins."""
+        self._runner = runner
+        self._start = time.monotonic()
+        if not self._quiet:
+            typer.echo(f"recording to {record.folder}", err=True)
+
+    def state(self, text: str) -> None:
+        """A new phase; always printed where there is no terminal to redraw."""
+        if not self._quiet and not self._tty:
+            typer.echo(f"  {text}{self._left()}", err=True)
+        self.redraw(text)
+
+    def redraw(self, text: str = "") -> None:
+        """Redraw the line, ten times a second at most."""
+        now = time.monotonic()
+        if self._quiet or not self._tty or self._runner is None or now - self._last < 0.1:
+            return
+        self._last = now
+        line = f"{text or self._runner.progress.state}{self._left()}"
+        typer.echo("\r" + line.ljust(self._width), nl=False, err=True)
+        self._width = len(line)
+
+    def _left(self) -> str:
+        if self._runner is None:
+            return ""
+        p = self._runner.progress
+        text = f"  {p.done}/{p.points} points"
+        if p.done:
+            seconds = (time.monotonic() - self._start) / p.done * (p.points - p.done)
+            text += f", about {seconds:.0f} s left"
+        return text
+
+    def close(self) -> None:
+        """Leave the terminal on a fresh line."""
+        if self._width:
+            typer.echo("", err=True)
+
+
+def isometric_command(
+    rig: str,
+    protocol: str,
+    out: Path,
+    specimen: str,
+    operator: str,
+    note: str,
+    seed: int | None,
+    live: bool,
+    as_json: bool,
+) -> int:
+    """Run, derive, say what came of it; returns the exit status."""
+    from rigs.interrupt import stop_on_signals
+    from rigs.isometric import load_isometric
+    from rigs.runner import Watch
+    from rigs.session import run_isometric
+
+    config = load_rig(rig, seed)
+    if seed is not None and config.virtual is None:
+        raise ConfigError(config.source, "--seed is for virtual benches", "leave it out")
+    parameters = load_isometric(protocol, config.limits)
+    line = ProgressLine(quiet=as_json)
+    watch = Watch(state=line.state, point=lambda *_: line.redraw(), log=lambda t: typer.echo(t, err=True))
+    make_live = None
+    if live:
+        from rigs.livefeed import LiveFeed, open_live
+
+        def make_live(run_id: str) -> LiveFeed:
+            feed = open_live(run_id, max(parameters.pressures_kpa), open_browser=True)
+            address = feed.view.url or feed.view.error or ""
+            typer.echo(f"live view: {address}", err=True)
+            return feed
+
+    with stop_on_signals() as stop:
+        result = run_isometric(
+            config, parameters, out, specimen=specimen, operator=operator, note=note,
+            stop=stop, make_live=make_live, watch=watch, on_start=line.start,
+        )  # fmt: skip
+    line.close()
+    reason = str(result.error) if result.error else ""
+    if as_json:
+        from daq.run import open_run
+        from rigs.report import report_json
+
+        typer.echo(json.dumps(report_json(open_run(result.folder)), indent=2, allow_nan=False))
+    else:
+        typer.echo(f"{result.outcome}: {result.points} of {parameters.points} points in {result.folder}")
+        if reason:
+            typer.echo(f"  because: {reason}")
+        typer.echo(f"  report: {result.folder / 'derived' / 'report.html'}")
+        typer.echo(f"  table:  {result.folder / 'derived' / 'table.csv'}")
+    return {"clean": 0, "stopped": 130}.get(result.outcome, 2)
+
+
+def report_command(run: str, runs: Path, out: Path | None, as_json: bool) -> None:
+    """Reduce a run anew and write its report."""
+    from daq.store import find_run
+    from rigs.products import derive_all
+    from rigs.report import report_json
+
+    found = find_run(runs, run)
+    if as_json:
+        typer.echo(json.dumps(report_json(found), indent=2, allow_nan=False))
+        return
+    found = derive_all(found.folder)
+    path = found.folder / "derived" / "report.html"
+    if out is not None:
+        try:
+            out.write_bytes(path.read_bytes())
+        except OSError as error:
+            raise PamrigError(str(out), f"cannot be written: {error}", "choose another file") from None
+        path = out
+    typer.echo(str(path))
+
+
+def view_command(run: str, runs: Path) -> None:
+    """Open a run's view file, made anew where it is missing."""
+    from daq.store import find_run
+    from daq.viewfile import open_view
+    from rigs.products import derive_all
+
+    found = find_run(runs, run)
+    if not (found.folder / "derived" / "view.rrd").exists():
+        found = derive_all(found.folder)
+    open_view(found)
+
+
+def import_command(kind: str, source: str, out: Path, warm: bool, as_json: bool) -> None:
+    """Make a run of foreign data and derive its table and report."""
+    from rigs.importer import import_points, import_thesis
+    from rigs.products import derive_all
+
+    if kind == "thesis":
+        folder = import_thesis(source, out, RealClock(), include_formula=warm)
+    else:
+        folder = import_points(source, out, RealClock())
+    run = derive_all(folder)
+    if as_json:
+        from rigs.report import report_json
+
+        typer.echo(json.dumps(report_json(run), indent=2, allow_nan=False))
+        return
+    typer.echo(f"imported {source} as {folder}")
+    typer.echo(f"  report: {folder / 'derived' / 'report.html'}")

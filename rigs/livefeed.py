@@ -1,0 +1,103 @@
+"""What a running test hands to the live view; the view may lose it, the test never waits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.clock import NS_PER_S
+from daq.derive import scaled
+from daq.layout import Feed
+from daq.live import LiveView
+from daq.record import RecordWriter
+from rigs import liveview as paths
+from rigs.liveview import edge_lines, isometric_layout
+from rigs.rig import Rig
+from rigs.runner import Watch
+from rigs.steps import Measure
+
+if TYPE_CHECKING:
+    from vision.edge import GapMeasurement
+
+Batch = dict[str, npt.NDArray[np.generic]]
+
+
+class LiveFeed:
+    """Joins a rig, its record and the runner's hooks to a live view.
+
+    Args:
+        view: where it goes.
+        feeds: which column of which stream becomes which curve.
+    """
+
+    def __init__(self, view: LiveView, feeds: tuple[Feed, ...]) -> None:
+        self.view = view
+        self._feeds = feeds
+        self._start_ns = 0
+
+    def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:
+        """Listen to everything; called once before the run."""
+        self._start_ns = record.start_ns
+        self._rig = rig
+        clock = rig.clock
+
+        def now_s() -> float:
+            return (clock.now_ns() - self._start_ns) / NS_PER_S
+
+        rig.valve.on_batch.append(lambda batch: self._batch("valve", batch))
+        rig.balance.on_rows.append(lambda batch: self._batch("balance", batch))
+        inner_state, inner_log = watch.state, watch.log
+
+        def state(text: str) -> None:
+            inner_state(text)
+            self.view.state(paths.STATE, now_s(), text)
+
+        def log(text: str) -> None:
+            inner_log(text)
+            self.view.text(now_s(), text, "WARN")
+
+        def point(step: Measure, pressure_kpa: float, force_n: float, length_mm: float) -> None:
+            self.view.points(
+                paths.POINTS, pressure_kpa, force_n, f"{step.set_length_mm:g} mm", time_s=now_s()
+            )
+            if np.isfinite(length_mm):
+                self.view.series(paths.LENGTH, np.array([now_s()]), np.array([length_mm]))
+
+        def picture(host_ns: int, jpeg: bytes, gap: GapMeasurement) -> None:
+            time_s = (host_ns - self._start_ns) / NS_PER_S
+            self.view.image(paths.CAMERA, time_s, jpeg, lines=edge_lines(gap))
+
+        def set_point(channel: str, value: float) -> None:
+            if channel == "length":
+                self.view.series(paths.SET_LENGTH, np.array([now_s()]), np.array([value]))
+
+        watch.state, watch.log, watch.point = state, log, point
+        watch.picture, watch.set_point = picture, set_point
+
+    def _batch(self, stream: str, batch: Batch) -> None:
+        time_s = (self._host_ns(stream, batch) - self._start_ns) / NS_PER_S
+        columns, _ = scaled(stream, batch, self._rig.config.calibrations, {})
+        for feed in self._feeds:
+            if feed.stream == stream:
+                values = columns[feed.column].astype(np.float64) * feed.scale
+                self.view.series(feed.path, time_s, values)
+
+    def _host_ns(self, stream: str, batch: Batch) -> npt.NDArray[np.float64]:
+        """Host times of a batch; of telemetry by its spacing up to its arrival."""
+        host_ns = batch["host_ns"].astype(np.float64)
+        if stream != "valve":
+            return host_ns
+        device_us = batch["device_us"].astype(np.float64)
+        return np.asarray(host_ns[-1] - (device_us[-1] - device_us) * 1000.0)
+
+    def close(self) -> None:
+        """Close the view, within its own bound of time."""
+        self.view.close()
+
+
+def open_live(run_id: str, pressure_kpa: float, open_browser: bool) -> LiveFeed:
+    """Start the live view of an isometric test on loopback."""
+    layout = isometric_layout(pressure_max_kpa=pressure_kpa)
+    return LiveFeed(LiveView(run_id, layout, open_browser=open_browser), layout.feeds)

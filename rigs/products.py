@@ -1,0 +1,46 @@
+"""What is made of a record: samples, table, report and view file, in one sealed folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from daq.run import Run, open_run
+from daq.store import rebuild
+
+
+def derive_all(folder: Path | str) -> Run:
+    """Make everything derived of a run anew and return the run, opened afresh.
+
+    The report that a run gets is written last, so that it may name what stands beside it.
+
+    Raises:
+        RecordError: the record is damaged where nothing can be made of it, or the folder
+            cannot be written.
+    """
+    from rigs.reduction import reduce_isometric, write_table
+    from rigs.report import write_report
+
+    run = open_run(folder)
+    reduction = reduce_isometric(run)
+
+    def table(run: Run, out: Path) -> None:
+        del run
+        write_table(reduction, out)
+
+    def report(run: Run, out: Path) -> None:
+        write_report(run, out / "report.html", reduction)
+
+    makers = [table, report]
+    if not run.manifest.get("imported"):
+        makers.append(_view)
+    rebuild(run, makers)
+    return open_run(folder)
+
+
+def _view(run: Run, out: Path) -> None:
+    from daq.viewfile import view_maker
+    from rigs.liveview import isometric_layout, measured_edges
+
+    pressures = run.manifest.get("parameters", {}).get("pressures_kpa") or [600.0]
+    layout = isometric_layout(pressure_max_kpa=max(pressures))
+    view_maker(layout, measured_edges)(run, out)

@@ -1,0 +1,336 @@
+"""From the record of an isometric run to one tidy table of settled points.
+
+Only raw data are read: counts, grams as the balance sent them, and the frames as stored,
+measured anew. What a number is worth is carried in two parts that behave differently when
+points are averaged: noise (``u_*_noise``, seen in the window itself, averages out) and
+calibration (``u_*_cal``, zero and gain, common to all points, does not).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.calibration import Calibration
+from daq.errors import RecordError
+from rigs.uncertainty import FEW_INDEPENDENT, WindowMean, window_mean
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from daq.run import Run
+
+QUANTITIES = ("pressure_kpa", "length_mm", "temperature_c", "force_n")
+CODES = 4096
+"""12-bit pressure counts run from 0 to 4095; both ends may hide a value beyond."""
+
+BALANCE_STEP_G = 0.001
+
+COLUMNS: dict[str, str] = {
+    **dict.fromkeys(QUANTITIES, "float64"),
+    "direction": "str",
+    "repeat": "label",
+    "set_pressure_kpa": "float64",
+    "set_length_mm": "float64",
+    "trial": "label",
+    "slot": "str",
+    "mounting": "str",
+    "order": "int64",
+    "settled": "bool",
+    "n_samples": "int64",
+    **{f"u_{name}": "float64" for name in QUANTITIES},
+    **{f"u_{name}_noise": "float64" for name in QUANTITIES},
+    **{f"u_{name}_cal": "float64" for name in QUANTITIES},
+}
+"""Columns of the table in order; a label is a whole number where all are, else text."""
+
+MeasureGap = Callable[[npt.NDArray[np.uint8]], Any]
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """The table of settled points and what a reader of it should know.
+
+    Attributes:
+        table: one row a point, columns as ``COLUMNS``; empty if the run has no points.
+        notes: sentences; the first says why where the table is empty.
+        calibrations: those that were applied, by quantity.
+        zeros: vented readings, one row each: trial, when, pressure_kpa, u_pressure_kpa.
+    """
+
+    table: pd.DataFrame
+    notes: tuple[str, ...]
+    calibrations: dict[str, Calibration]
+    zeros: tuple[dict[str, Any], ...] = ()
+
+
+def reduce_isometric(run: Run, measure: MeasureGap | None = None) -> Reduction:
+    """Reduce a run, whole or interrupted, to its settled points.
+
+    Args:
+        run: an opened run; one with a stream ``points`` was imported and is passed through.
+        measure: replaces ``vision.edge.measure_gap`` (for tests).
+    """
+    points = [event for event in run.events if event.get("kind") == "point"]
+    if not points:
+        why = "the run holds no settled points"
+        if run.outcome != "clean":
+            why += f" (it is {run.outcome}: it ended before the first one)"
+        return Reduction(_frame([]), (why,), {})
+    if points[0].get("row") is not None:
+        return _imported(run, points)
+    return _Bench(run, measure).reduce(points)
+
+
+class _Bench:
+    """One recorded run's raw streams, calibrated on demand."""
+
+    def __init__(self, run: Run, measure: MeasureGap | None) -> None:
+        self.run = run
+        self.measure = measure
+        self.notes: list[str] = []
+        self._outside: dict[str, int] = {}
+        self.valve = self._samples("valve", ("seq", "counts"))
+        self.balance = self._samples("balance", ("row", "grams"))
+        self.live_pixels = {
+            event["frame"]: event["pixels"]
+            for event in run.events
+            if event.get("kind") == "length" and event.get("trusted")
+        }
+        self.calibrations = {
+            name: run.calibration(name) for name in ("pressure_kpa", "length_mm", "force_n")
+        }
+
+    def reduce(self, points: list[dict[str, Any]]) -> Reduction:
+        rows = [self._row(point) for point in points]
+        zeros = tuple(self._zeros())
+        if self.run.outcome != "clean":
+            self.notes.append(
+                f"the run is {self.run.outcome}: the table holds the {len(rows)} points it reached"
+            )
+        for quantity, count in self._outside.items():
+            low, high = self.calibrations[quantity].domain
+            self.notes.append(
+                f"{quantity}: {count} points outside the calibrated {low:g} to {high:g}"
+            )
+        unsettled = sum(not row["settled"] for row in rows)
+        if unsettled:
+            self.notes.append(f"{unsettled} points were taken without settling (column settled)")
+        return Reduction(_frame(rows), tuple(self.notes), self.calibrations, zeros)
+
+    def _samples(self, stream: str, needed: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
+        """A stream's columns; empty ones, and a note, where nothing of it survived."""
+        try:
+            columns = self.run.samples(stream)
+        except RecordError as error:
+            self.notes.append(str(error))
+            columns = {}
+        return {name: columns.get(name, np.empty(0, dtype=np.int64)) for name in needed}
+
+    def _row(self, point: dict[str, Any]) -> dict[str, Any]:
+        name = f"point {point['order']}"
+        pressure = self._pressure(point["valve_seq"], name)
+        row: dict[str, Any] = {
+            "direction": point["direction"],
+            "repeat": point["replicate"],
+            "n_samples": pressure.n,
+            "settled": bool(point["settled"]),
+            **{key: point[key] for key in ("trial", "slot", "mounting", "order")},
+            **{key: point[key] for key in ("set_pressure_kpa", "set_length_mm")},
+        }
+        self._put(row, "pressure_kpa", pressure)
+        self._put(row, "force_n", self._force(point["balance_rows"], name))
+        self._put(row, "length_mm", self._length(point["frames"], name))
+        self._put_temperature(row)
+        return row
+
+    def _put(self, row: dict[str, Any], quantity: str, mean: WindowMean) -> None:
+        u_cal = float(self.calibrations[quantity].u(mean.mean))
+        if self.calibrations[quantity].outside(mean.mean):
+            self._outside[quantity] = self._outside.get(quantity, 0) + 1
+        row[quantity] = mean.mean
+        row[f"u_{quantity}_noise"] = mean.u
+        row[f"u_{quantity}_cal"] = u_cal
+        row[f"u_{quantity}"] = math.hypot(mean.u, u_cal)
+
+    def _put_temperature(self, row: dict[str, Any]) -> None:
+        """Temperature as entered for the rig: no noise is known, only what was stated."""
+        stated = self.run.manifest.get("conditions") or {}
+        row["temperature_c"] = _number(stated.get("temperature_c"))
+        row["u_temperature_c_noise"] = 0.0 if math.isfinite(row["temperature_c"]) else math.nan
+        row["u_temperature_c_cal"] = row["u_temperature_c"] = _number(
+            stated.get("u_temperature_c")
+        )
+
+    def _pressure(self, window: list[int], name: str) -> WindowMean:
+        seq = self.valve["seq"]
+        inside = (seq >= window[0]) & (seq < window[1])
+        counts = self.valve["counts"][inside]
+        missing = window[1] - window[0] - len(counts)
+        if missing:
+            self.notes.append(f"{name}: {missing} of its pressure samples are missing")
+        if len(counts) and (counts.min() == 0 or counts.max() >= CODES - 1):
+            self.notes.append(f"{name}: the pressure reading touches the end of its range")
+        calibration = self.calibrations["pressure_kpa"]
+        return window_mean(_applied(calibration, counts), abs(calibration.scale))
+
+    def _force(self, window: list[int], name: str) -> WindowMean:
+        row = self.balance["row"]
+        grams = self.balance["grams"][(row >= window[0]) & (row < window[1])]
+        missing = window[1] - window[0] - len(grams)
+        if missing:
+            self.notes.append(f"{name}: {missing} of its balance readings are missing")
+        calibration = self.calibrations["force_n"]
+        return window_mean(_applied(calibration, grams), abs(calibration.scale) * BALANCE_STEP_G)
+
+    def _length(self, frames: list[int], name: str) -> WindowMean:
+        """Mean over the point's frames, each measured anew from its stored picture."""
+        pixels, variances = [], []
+        for number in frames:
+            gap = self._gap(number)
+            if isinstance(gap, str):
+                self.notes.append(f"{name}, frame {number}: no length ({gap})")
+                continue
+            if self.live_pixels.get(number, gap.pixels) != gap.pixels:
+                self.notes.append(f"{name}, frame {number}: measures differently than while live")
+            pixels.append(float(gap.pixels))
+            variances.append(float(gap.u_pixels) ** 2)
+        if not pixels:
+            return WindowMean(math.nan, math.nan, 0, 0.0, math.nan)
+        scale = abs(self.calibrations["length_mm"].scale)
+        lengths = _applied(self.calibrations["length_mm"], np.array(pixels))
+        u_frames = scale * math.sqrt(sum(variances)) / len(pixels)
+        u_scatter = float(lengths.std(ddof=1)) / math.sqrt(len(lengths)) if len(lengths) > 3 else 0
+        return WindowMean(
+            mean=float(lengths.mean()),
+            u=max(u_frames, u_scatter),
+            n=len(lengths),
+            n_effective=float(len(lengths)),
+            sd=u_frames * math.sqrt(len(lengths)),
+        )
+
+    def _gap(self, number: int) -> Any:
+        """The measured gap, or the reason why there is none."""
+        import cv2
+
+        if self.measure is None:
+            from vision.edge import measure_gap
+
+            self.measure = measure_gap
+        try:
+            jpeg = np.frombuffer(self.run.frame_bytes(number), dtype=np.uint8)
+        except RecordError as error:
+            return error.what
+        gray = cv2.imdecode(jpeg, cv2.IMREAD_GRAYSCALE)
+        if gray is None:
+            return "the stored picture cannot be decoded"
+        gap = self.measure(np.asarray(gray, dtype=np.uint8))
+        return gap if gap.trusted else str(gap.reason)
+
+    def _zeros(self) -> list[dict[str, Any]]:
+        """Vented pressure readings; they check the zero, they do not correct it.
+
+        The calibration's own zero uncertainty already covers what they show, and a muscle
+        that is not quite vented would turn a correction into an error.
+        """
+        zeros = []
+        calibration = self.calibrations["pressure_kpa"]
+        for event in self.run.events:
+            if event.get("kind") != "zero":
+                continue
+            name = f"zero {event['when']} trial {event['trial']}"
+            mean = self._pressure(event["valve_seq"], name)
+            limit = 3.0 * math.hypot(mean.u, calibration.u_offset)
+            if abs(mean.mean) > limit:
+                self.notes.append(
+                    f"{name}: the vented muscle reads {mean.mean:.2f} kPa, more than three times"
+                    f" its standard uncertainty ({limit:.2f} kPa)"
+                )
+            zeros.append(
+                {
+                    "trial": event["trial"],
+                    "when": event["when"],
+                    "pressure_kpa": mean.mean,
+                    "u_pressure_kpa": mean.u,
+                    "few": mean.n_effective < FEW_INDEPENDENT,
+                }
+            )
+        return zeros
+
+
+def write_table(reduction: Reduction, folder: Path) -> list[Path]:
+    """Write table.parquet and table.csv into ``folder``: the same bytes for the same table."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / "table.parquet", folder / "table.csv"]
+    pq.write_table(pa.Table.from_pandas(reduction.table, preserve_index=False), paths[0])
+    reduction.table.to_csv(paths[1], index=False, lineterminator="\n")
+    return paths
+
+
+def _imported(run: Run, points: list[dict[str, Any]]) -> Reduction:
+    """Points as they were imported, with the uncertainty given or stated, else NaN."""
+    stream = run.samples("points")
+    index = {int(row): position for position, row in enumerate(stream["row"])}
+    stated = run.manifest.get("stated_uncertainty") or {}
+    rows, lost = [], 0
+    for point in points:
+        position = index.get(int(point["row"]))
+        if position is None:
+            lost += 1
+            continue
+        row: dict[str, Any] = {
+            "direction": point["direction"],
+            "repeat": point["replicate"],
+            "n_samples": 1,
+            "settled": bool(point["settled"]),
+            **{key: point[key] for key in ("trial", "slot", "mounting", "order")},
+            **{key: _number(point[key]) for key in ("set_pressure_kpa", "set_length_mm")},
+        }
+        for name in QUANTITIES:
+            given = float(stream[f"u_{name}"][position])
+            row[name] = float(stream[name][position])
+            u = given if math.isfinite(given) else _number(stated.get(f"u_{name}"))
+            row[f"u_{name}"] = row[f"u_{name}_noise"] = u
+            row[f"u_{name}_cal"] = math.nan
+        rows.append(row)
+    notes = list(run.manifest.get("notes") or [])
+    if lost:
+        notes.append(f"{lost} points are missing: their samples did not survive")
+    table = _frame(rows)
+    unknown = [name for name in QUANTITIES if table[f"u_{name}"].isna().any()]
+    if unknown:
+        notes.append(f"no uncertainty is known for all of {', '.join(unknown)}: left empty (NaN)")
+    notes.append(
+        "uncertainties of imported points are as given or stated; no calibration is known,"
+        " so what all points have in common is not in them"
+    )
+    return Reduction(table, tuple(notes), {})
+
+
+def _frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
+    import pandas as pd
+
+    frame = pd.DataFrame(rows, columns=list(COLUMNS))
+    for column, kind in COLUMNS.items():
+        if kind == "label":
+            whole = all(isinstance(value, int) for value in frame[column])
+            kind = "int64" if whole else "str"
+        frame[column] = frame[column].astype(str if kind == "str" else kind)
+    return frame.sort_values("order", kind="stable", ignore_index=True)
+
+
+def _applied(calibration: Calibration, raw: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    return np.asarray(calibration.apply(raw.astype(np.float64)), dtype=np.float64)
+
+
+def _number(value: Any) -> float:
+    return math.nan if value is None else float(value)

@@ -1,0 +1,105 @@
+"""Standard uncertainty of the mean of a settled window (type A), and its resolution."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FEW_INDEPENDENT = 5.0
+"""Below this many independent samples a window says little about its own noise."""
+
+
+@dataclass(frozen=True)
+class WindowMean:
+    """Mean of a window of readings with what the window itself says about its spread.
+
+    Attributes:
+        mean: mean of the readings, in their unit; NaN if there were none.
+        u: standard uncertainty of the mean from noise and resolution, widened by Student's t
+            so that twice it covers 95 % however few independent readings there were.
+        n: number of readings.
+        n_effective: number of independent readings they are worth.
+        sd: standard deviation of a single reading.
+    """
+
+    mean: float
+    u: float
+    n: int
+    n_effective: float
+    sd: float
+
+
+def correlation_time(values: npt.NDArray[np.float64]) -> float:
+    """Integrated autocorrelation time of a window, in samples, never below 1.
+
+    Geyer's initial positive monotone sequence on the sample autocovariance. Subtracting the
+    window's own mean removes the variance of that mean from every autocovariance, which makes
+    short windows look less correlated than they are; it is put back by iteration.
+
+    Args:
+        values: shape (n,), equally spaced in time.
+
+    Returns:
+        1 + 2 sum of autocorrelations, between 1 and n / 3.
+    """
+    n = len(values)
+    if n < 4:
+        return 1.0
+    deviation = values - values.mean()
+    size = 1 << (2 * n - 1).bit_length()
+    spectrum = np.fft.rfft(deviation, size)
+    covariance = np.fft.irfft(spectrum * np.conj(spectrum), size)[:n] / (n - np.arange(n))
+    if covariance[0] <= 0.0:
+        return 1.0
+    variance_of_mean = 0.0
+    tau = 1.0
+    for _ in range(3):
+        rho = (covariance + variance_of_mean) / (covariance[0] + variance_of_mean)
+        pairs = rho[0 : 2 * (n // 4) : 2] + rho[1 : 2 * (n // 4) : 2]
+        stop = np.flatnonzero(pairs <= 0.0)
+        positive = np.minimum.accumulate(pairs[: stop[0]] if len(stop) else pairs)
+        tau = float(min(max(2.0 * positive.sum() - 1.0, 1.0), n / 3.0))
+        variance_of_mean = (covariance[0] + variance_of_mean) * tau / n
+    return tau
+
+
+def window_mean(values: npt.NDArray[np.float64], resolution: float = 0.0) -> WindowMean:
+    """Mean of a settled window and its standard uncertainty from noise and resolution.
+
+    The resolution enters as that of one reading (step / sqrt 12) only while the noise is too
+    small to carry the reading over its steps (sd below half a step); with more noise than
+    that the rounding is already part of the spread and averages out with it.
+
+    Args:
+        values: shape (n,), readings equally spaced in time, in the unit of the result.
+        resolution: one step of the instrument, same unit.
+
+    Returns:
+        WindowMean; for a single reading ``u`` is the resolution alone if one is known, NaN if
+        not; for none everything is NaN.
+    """
+    n = len(values)
+    u_resolution = resolution / math.sqrt(12.0)
+    if n == 0:
+        return WindowMean(math.nan, math.nan, 0, 0.0, math.nan)
+    mean = float(values.mean())
+    if n == 1:
+        return WindowMean(mean, u_resolution if resolution > 0 else math.nan, 1, 1.0, math.nan)
+    tau = min(correlation_time(values), n / 2.0)
+    n_effective = n / tau
+    variance = float(values.var()) / (1.0 - 1.0 / n_effective)
+    sd = math.sqrt(variance)
+    u_noise = sd / math.sqrt(n_effective) * _student_ratio(n_effective - 1.0)
+    if sd < resolution / 2.0:
+        u_noise = math.hypot(u_noise, u_resolution)
+    return WindowMean(mean, u_noise, n, n_effective, sd)
+
+
+def _student_ratio(degrees_of_freedom: float) -> float:
+    """Student's two-sided 95.45 % quantile over 2, so that k = 2 keeps its meaning."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(max(degrees_of_freedom, 1.0), 0.977249868)) / 2.0

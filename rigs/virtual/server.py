@@ -1,0 +1,321 @@
+"""`pamrig virtual`: the bench in real time, on pseudo-terminals or TCP, for any client.
+
+The bench runs in one loop that wakes each millisecond; the camera answers from a thread of
+its own. Where there is no pseudo-terminal (Windows) each port is a loopback TCP socket,
+which pyserial opens as ``socket://127.0.0.1:PORT``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import threading
+import time
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from daq.errors import ConfigError, PamrigError
+from rigs.config import RigConfig, load_rig
+from rigs.interrupt import stop_on_signals
+from rigs.virtual.bench import DEVICES, VirtualBench
+
+TICK_NS = 1_000_000
+TRUTH_NS = 10_000_000
+LOOPBACK = "127.0.0.1"
+LATENESS_KEPT = 2_000_000
+
+
+class Port(Protocol):
+    """One end of a byte line that a client may open and leave at will."""
+
+    address: str
+
+    def read(self) -> bytes:
+        """What came, without waiting."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send; what nobody reads is lost, as on a wire."""
+        ...
+
+    def close(self) -> None:
+        """Let go."""
+        ...
+
+
+class PtyPort:
+    """A pseudo-terminal under a stable name."""
+
+    def __init__(self, link: Path) -> None:
+        import tty
+
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        link.unlink(missing_ok=True)
+        link.symlink_to(os.ttyname(self._slave))
+        self._link = link
+        self.address = str(link)
+
+    def read(self) -> bytes:
+        try:
+            return os.read(self._master, 65536)
+        except (BlockingIOError, OSError):
+            return b""
+
+    def write(self, data: bytes) -> None:
+        with contextlib.suppress(BlockingIOError, OSError):
+            os.write(self._master, data)
+
+    def close(self) -> None:
+        self._link.unlink(missing_ok=True)
+        for fd in (self._master, self._slave):
+            with contextlib.suppress(OSError):
+                os.close(fd)
+
+
+class TcpPort:
+    """A loopback TCP socket that one client at a time may connect to."""
+
+    def __init__(self) -> None:
+        self._server = socket.create_server((LOOPBACK, 0))
+        self._server.setblocking(False)
+        self._client: socket.socket | None = None
+        self.address = f"socket://{LOOPBACK}:{self._server.getsockname()[1]}"
+
+    def read(self) -> bytes:
+        with contextlib.suppress(BlockingIOError, OSError):
+            client, _ = self._server.accept()
+            client.setblocking(False)
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._drop()
+            self._client = client
+        if self._client is None:
+            return b""
+        try:
+            data = self._client.recv(65536)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._drop()
+        return data
+
+    def write(self, data: bytes) -> None:
+        if self._client is not None:
+            try:
+                self._client.send(data)
+            except BlockingIOError:
+                pass  # nobody reads
+            except OSError:
+                self._drop()
+
+    def _drop(self) -> None:
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    def close(self) -> None:
+        self._drop()
+        self._server.close()
+
+
+class CameraPort:
+    """Frames on request over loopback TCP; the protocol is in ``rigs.camera.TcpCamera``."""
+
+    def __init__(self, bench: VirtualBench, serial: str) -> None:
+        self._bench = bench
+        self._serial = serial
+        self._server = socket.create_server((LOOPBACK, 0))
+        self.address = f"tcp://{LOOPBACK}:{self._server.getsockname()[1]}"
+        threading.Thread(target=self._serve, name="camera", daemon=True).start()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                client, _ = self._server.accept()
+            except OSError:
+                return
+            with client, client.makefile("rwb") as file:
+                with contextlib.suppress(OSError):
+                    self._talk(file)
+
+    def _talk(self, file: Any) -> None:
+        for request in file:
+            if request.strip() == b"I":
+                file.write(f"ID {self._serial}\n".encode())
+            elif request.strip() == b"T":
+                seq, host_ns, gray = self._bench.expose()
+                height, width = gray.shape
+                file.write(f"FRAME {seq} {time.monotonic_ns()} {width} {height}\n".encode())
+                del host_ns
+                file.write(gray.tobytes())
+            file.flush()
+
+    def close(self) -> None:
+        """Refuse further clients."""
+        self._server.close()
+
+
+class BenchServer:
+    """A virtual bench on ports, advanced in real time by :meth:`run`.
+
+    Args:
+        config: a rig with a [virtual] table.
+        folder: where port names and the clients' rig file appear.
+        tcp: TCP instead of pseudo-terminals.
+        truth: file for the true state, or None.
+    """
+
+    def __init__(
+        self, config: RigConfig, folder: Path, tcp: bool = False, truth: Path | None = None
+    ) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.config = config
+        self.lateness_ns: list[int] = []
+        self._truth = truth.open("w", encoding="utf-8", buffering=1) if truth else None
+        self._next_truth_ns = 0
+        self._vent_seen_us = -1
+        self._start_ns = time.monotonic_ns()
+        self.bench = VirtualBench(config, origin_ns=self._start_ns)
+        use_tcp = tcp or not hasattr(os, "openpty")
+        self.ports: dict[str, Port] = {}
+        for name in DEVICES:
+            port: Port = TcpPort() if use_tcp else PtyPort(folder / name)
+            self.ports[name] = port
+            self.bench.send[name] = lambda _, data, port=port: port.write(data)  # type: ignore[misc]
+        self.camera = CameraPort(self.bench, config.camera.serial)
+        self.rig_file = folder / "rig.toml"
+        self.rig_file.write_text(self._client_rig(), encoding="utf-8")
+
+    def _client_rig(self) -> str:
+        """The rig file with real addresses in place of "virtual", text otherwise as it was."""
+        out, table = [], ""
+        for line in self.config.text.splitlines():
+            word = line.strip()
+            if word.startswith("["):
+                table = word.strip("[]").split("#")[0].strip("[] ")
+            if table.startswith(("virtual", "effects")):
+                continue
+            key = word.split("=")[0].strip()
+            if key == "port" and table in self.ports:
+                line = f"port = {json.dumps(self.ports[table].address)}"
+            elif key == "source" and table == "camera":
+                line = f"source = {json.dumps(self.camera.address)}"
+            out.append(line)
+        text = "\n".join(out) + "\n"
+        tomllib.loads(text)
+        return text
+
+    def step(self) -> None:
+        """Bring the bench to now and move bytes."""
+        now_ns = time.monotonic_ns()
+        for name, port in self.ports.items():
+            data = port.read()
+            if data:
+                self.bench.feed(name, data)
+        before = self.bench.board.bench_us
+        self.bench.advance_to(now_ns)
+        ticks = self.bench.board.bench_us // 1000 - before // 1000
+        if ticks and len(self.lateness_ns) < LATENESS_KEPT:
+            # How late the oldest tick of this round was carried out.
+            due = self.bench.host_ns(before * 1000) + TICK_NS
+            self.lateness_ns.append(max(0, now_ns - due))
+            self.lateness_ns.extend(
+                max(0, now_ns - due - k * TICK_NS) for k in range(1, min(ticks, 1000))
+            )
+        if self._truth is not None:
+            self._tell_truth(now_ns)
+
+    def _tell_truth(self, now_ns: int) -> None:
+        board = self.bench.board
+        changed = board.vent_commanded_us != self._vent_seen_us
+        if now_ns < self._next_truth_ns and not changed:
+            return
+        self._next_truth_ns = now_ns + TRUTH_NS
+        self._vent_seen_us = board.vent_commanded_us
+        line = {
+            "t_ns": now_ns,
+            "pressure_kpa": round(board.pressure_kpa, 3),
+            "length_mm": round(self.bench.plant.length_mm, 4),
+            "vent_commanded_ns": self.bench.host_ns(board.vent_commanded_us * 1000),
+            "armed": bool(board.controller.safety.armed),
+            "faults": [str(f) for f in board.controller.safety.faults],
+        }
+        assert self._truth is not None
+        self._truth.write(json.dumps(line) + "\n")
+
+    def lateness_ms(self) -> dict[str, float]:
+        """Lateness of the 1 kHz loop so far: median, p99.9 and worst, in ms."""
+        late = np.array(self.lateness_ns or [0]) / 1e6
+        return {
+            "p50": float(np.median(late)),
+            "p99.9": float(np.percentile(late, 99.9)),
+            "worst": float(late.max()),
+        }
+
+    def close(self) -> None:
+        """Close every port."""
+        for port in self.ports.values():
+            port.close()
+        self.camera.close()
+        if self._truth is not None:
+            self._truth.close()
+
+
+@contextlib.contextmanager
+def open_server(
+    config: RigConfig, folder: Path, tcp: bool = False, truth: Path | None = None
+) -> Iterator[BenchServer]:
+    """A bench server that is closed on the way out.
+
+    Raises:
+        ConfigError: the rig has no virtual bench.
+        PamrigError: the folder cannot be used.
+    """
+    if config.virtual is None:
+        raise ConfigError(config.source, "has no [virtual] table, so it cannot be simulated")
+    try:
+        server = BenchServer(config, folder, tcp, truth)
+    except OSError as error:
+        raise PamrigError(str(folder), f"cannot hold the bench's ports: {error}", "use --dir") from None
+    try:
+        yield server
+    finally:
+        server.close()
+
+
+def serve_bench(
+    rig: str,
+    folder: Path,
+    *,
+    seed: int | None = None,
+    seconds: float = 0.0,
+    truth: Path | None = None,
+    tcp: bool = False,
+) -> None:
+    """Serve until Ctrl-C (or for ``seconds``), then say how well time was kept."""
+    import typer
+
+    with open_server(load_rig(rig, seed), folder, tcp, truth) as server, stop_on_signals() as stop:
+        for name, port in server.ports.items():
+            typer.echo(f"{name:8} {port.address}")
+        typer.echo(f"{'camera':8} {server.camera.address}")
+        typer.echo(f"rig file {server.rig_file}")
+        typer.echo(f"try:     pamrig isometric --rig {server.rig_file} --protocol isometric-short")
+        end = time.monotonic() + seconds if seconds > 0 else float("inf")
+        while not stop.reason and time.monotonic() < end:
+            server.step()
+            time.sleep(0.0008)
+        late = server.lateness_ms()
+        typer.echo(
+            f"1 kHz loop lateness: median {late['p50']:.2f} ms, p99.9 {late['p99.9']:.2f} ms, "
+            f"worst {late['worst']:.2f} ms"
+        )

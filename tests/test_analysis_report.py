@@ -1,0 +1,243 @@
+"""The report stands alone, says how the run ended, and cannot be made to run anything."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from analysis_bench import write_run
+
+from daq.clock import VirtualClock
+from daq.run import open_run
+from rigs import figures
+from rigs.importer import import_points, import_thesis
+from rigs.reduction import reduce_isometric
+from rigs.report import report_json, write_report
+from rigs.wording import with_u
+
+EVIL = '<script>alert("x")</script><img src=x onerror=alert(1)>&{{ 7 * 7 }}'
+VOID = {"meta", "img", "br", "link", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """Collects what a browser would fetch, run or show, and checks that tags are closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.addresses: list[str] = []
+        self.handlers: list[str] = []
+        self.shown: list[str] = []
+        self.open: list[str] = []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name in ("src", "href", "srcset", "data", "action", "poster"):
+                self.addresses.append(value or "")
+            if name.startswith("on"):
+                self.handlers.append(name)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+        if tag in ("td", "th", "dt", "dd", "tr"):
+            self.shown.append(" ")
+
+    def handle_data(self, data: str) -> None:
+        if not self.open or self.open[-1] != "style":
+            self.shown.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", "".join(self.shown))
+
+
+def page_of(folder: Path, **options: Any) -> tuple[Page, str]:
+    text = write_report(open_run(folder), **options).read_text(encoding="utf-8")
+    return Page(text), text
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_run(
+        tmp_path_factory.mktemp("runs"),
+        np.random.default_rng(4),
+        lengths_mm=(55.0, 58.0, 61.0, 64.0),
+        rig={"name": "virtual", "description": "simulated", "crc32": "0badcafe", "text": "x"},
+        devices={"valve": {"serial": "VB-0001", "fw": "1.2.3"}},
+        software={"pamrig": "0.1.0", "git": {"revision": "abc123", "dirty": True}},
+    ).folder
+
+
+@pytest.fixture(scope="module")
+def thesis(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return import_thesis("c01", tmp_path_factory.mktemp("runs"), VirtualClock())
+
+
+def test_a_report_needs_nothing_from_outside(recorded: Path, thesis: Path) -> None:
+    for folder in (recorded, thesis):
+        page, text = page_of(folder)
+        assert page.addresses, "the figures are in it"
+        assert all(address.startswith("data:image/svg+xml;base64,") for address in page.addresses)
+        assert not {"script", "link", "iframe", "object", "embed", "base"} & set(page.tags)
+        assert "http://" not in text
+        assert "https://" not in text
+        assert "url(" not in text
+        assert "@import" not in text
+
+
+def test_pictures_inside_the_report_need_nothing_either(recorded: Path) -> None:
+    page, _ = page_of(recorded)
+    for address in page.addresses:
+        svg = base64.b64decode(address.split(",", 1)[1]).decode()
+        assert svg.lstrip().startswith("<?xml")
+        references = re.findall(r'(?:xlink:)?href="([^"]*)"', svg)
+        assert all(ref.startswith(("#", "data:")) for ref in references)
+        assert "<script" not in svg
+
+
+def test_the_report_says_what_was_tested_by_whom_on_what_and_how_it_ended(recorded: Path) -> None:
+    text = page_of(recorded)[0].text
+    for words in (
+        "synthetic",
+        "nobody",
+        "VB-0001",
+        "fw 1.2.3",
+        "0badcafe",
+        "abc123",
+        "P-1",
+        "The test ran to its end",
+        "No fault was reported",
+        "error_ns 1000",
+        "k = 2",
+        "record_sha256",
+    ):
+        assert words in text, words
+
+
+def test_the_thesis_report_explains_the_51_mm_reading_with_its_numbers(thesis: Path) -> None:
+    text = page_of(thesis)[0].text
+    assert "14 of 14 gradient and intercept pairs of Table C-9" in text
+    for words in ("0.0087, -0.426", "0.0086, -0.419", "57.21", "58.71", "Only 51.45 mm gives"):
+        assert words in text, words
+
+
+@pytest.mark.parametrize("outcome", ["stopped", "aborted", "faulted", None])
+def test_runs_that_did_not_end_well_say_so_first(tmp_path: Path, outcome: str | None) -> None:
+    rng = np.random.default_rng(1)
+    truth = write_run(tmp_path, rng, (60.0,), (200.0, 400.0), ("up",), finish=outcome)
+    page, _ = page_of(truth.folder)
+    assert (outcome or "interrupted") in page.text[:400]
+    assert f"the run is {outcome or 'interrupted'}" in page.text
+
+
+def test_a_run_without_points_still_has_a_report(tmp_path: Path) -> None:
+    truth = write_run(tmp_path, np.random.default_rng(1), (), (), finish="stopped")
+    page, _ = page_of(truth.folder)
+    assert "No settled point was reached" in page.text
+
+
+def test_a_run_with_fewer_than_three_lengths_has_lines_but_no_law(tmp_path: Path) -> None:
+    truth = write_run(tmp_path, np.random.default_rng(1), (60.0,), (200.0, 400.0, 600.0), ("up",))
+    data = report_json(open_run(truth.folder))
+    assert len(data["lengths"]) == 1
+    assert data["laws"] == []
+    assert "Held at 60.0" in data["headline"]
+
+
+def test_texts_of_the_operator_are_shown_and_never_run(tmp_path: Path) -> None:
+    truth = write_run(
+        tmp_path,
+        np.random.default_rng(1),
+        (60.0,),
+        (200.0, 400.0),
+        ("up",),
+        operator=EVIL,
+        note=EVIL,
+        rig={"name": EVIL, "description": EVIL},
+        devices={EVIL: {EVIL: EVIL}},
+    )
+    page, text = page_of(truth.folder)
+    assert page.handlers == []
+    assert page.tags.count("script") == 0
+    assert EVIL in page.text, "escaped, so that it is shown as it was typed"
+    assert "<script>alert" not in text
+
+
+def test_texts_of_an_imported_file_are_shown_and_never_run(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(
+        "pressure_kpa,length_mm,force_n,slot,mounting,<b>odd</b>\n"
+        "200,60,5,<script>alert(1)</script>,m,1\n400,60,16,<script>alert(1)</script>,m,1\n"
+    )
+    page, text = page_of(import_points(path, tmp_path / "runs", VirtualClock()))
+    assert page.tags.count("script") == page.tags.count("b") == 0
+    assert "<script>" in page.text
+    assert "columns not used: <b>odd</b>" in page.text
+    assert "<script>" not in text
+
+
+def test_json_holds_no_nan_and_the_same_points(recorded: Path, thesis: Path) -> None:
+    for folder in (recorded, thesis):
+        run = open_run(folder)
+        data = json.loads(json.dumps(report_json(run), allow_nan=False))
+        table = reduce_isometric(run).table
+        assert [point["force_n"] for point in data["points"]] == list(table["force_n"])
+    assert data["thesis"]["matching"] == 14
+    assert data["points"][0]["u_force_n_cal"] is None
+
+
+def test_a_chosen_region_is_used_and_named(thesis: Path) -> None:
+    data = report_json(open_run(thesis), region_kpa=(0.0, 125.0))
+    assert {line["n"] for line in data["lengths"]} == {5}
+    assert data["thesis"] is None
+    assert "0 and 125 kPa" in data["headline"]
+
+
+def test_the_same_run_gives_the_same_report_to_the_byte(recorded: Path, tmp_path: Path) -> None:
+    first = page_of(recorded, out=tmp_path / "a.html")[1]
+    assert first == page_of(recorded, out=tmp_path / "b.html")[1]
+
+
+def test_a_touched_record_has_another_hash(tmp_path: Path) -> None:
+    truth = write_run(tmp_path, np.random.default_rng(1), (60.0,), (200.0, 400.0), ("up",))
+    before = report_json(open_run(truth.folder))["provenance"]["record_sha256"]
+    write_report(open_run(truth.folder))
+    run = open_run(truth.folder)
+    assert report_json(run)["provenance"]["record_sha256"] == before, "derived files do not count"
+    events = truth.folder / "events.jsonl"
+    events.write_bytes(events.read_bytes() + b"\n")
+    assert report_json(open_run(truth.folder))["provenance"]["record_sha256"] != before
+
+
+def test_labels_at_the_curves_ends_never_overlap_and_keep_their_order() -> None:
+    wanted = [1.0, 1.1, 1.15, 5.0, 5.05, 9.0]
+    places = figures._spread(wanted, gap=0.5)
+    assert np.diff(places).min() >= 0.5 - 1e-12
+    assert places[-1] == 9.0
+    assert np.mean(places[:3]) == pytest.approx(np.mean(wanted[:3]))
+
+
+def test_decimation_keeps_every_peak() -> None:
+    values = np.zeros(100_000)
+    values[54_321], values[77_777] = 9.0, -4.0
+    x, y = figures._min_max(np.arange(100_000.0), values)
+    assert len(x) == len(y) < 3000
+    assert (y.max(), y.min()) == (9.0, -4.0)
+
+
+def test_a_value_is_cut_where_its_uncertainty_says() -> None:
+    assert with_u(41.4236, 0.0266) == "41.424 ± 0.053"
+    assert with_u(-7.4335, 0.27) == "−7.43 ± 0.54"
+    assert with_u(412.3, 6.0) == "412 ± 12"
+    assert with_u(None, 1.0) == "–"

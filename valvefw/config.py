@@ -1,0 +1,86 @@
+"""Parameters: each an integer with bounds, and one CRC over all that arming must name.
+
+Pressures are raw ADC counts (``_x16``: sixteenths of a count), so that no calibration or tare
+can move a limit. Values change only while disarmed; arming copies them.
+"""
+
+from valvefw.wire import crc16
+
+# key, default, lowest, highest, meaning. The order is that of the CRC and of `conf <index>`.
+PARAMETERS = (
+    ("trip", 2703, 1, 4095, "over-pressure limit, counts"),
+    ("trip_n", 3, 1, 10, "samples at or above trip ..."),
+    ("trip_m", 5, 1, 10, "... among the last so many trip"),
+    ("sat_high", 4095, 1, 4096, "readings at or above are no readings; 4096 = off"),
+    ("sat_low", 0, 0, 4095, "readings below are no readings; 0 = off"),
+    ("sat_n", 5, 1, 10, "so many in a row trip"),
+    ("hb_ms", 300, 50, 1000, "heartbeat deadline"),
+    ("inlet_max_ms", 1000, 1, 2000, "longest inlet opening, renewals added up"),
+    ("inlet_rest_ms", 10, 1, 100, "shut for so long counts as a closing"),
+    ("clear_below", 82, 1, 4095, "clear only below, counts"),
+    ("vent_below", 82, 1, 4095, "vented when below, counts"),
+    ("vent_ms", 2000, 50, 10000, "vented within, else vent_failed"),
+    ("sp_max", 2540, 0, 4095, "highest set-point, counts"),
+    ("pwm_period_ms", 20, 2, 1000, "shortest time from pulse to pulse"),
+    ("pwm_gain_in", 137, 1, 16383, "inlet us per count of error"),
+    ("pwm_gain_out", 1120, 1, 16383, "outlet us per count of error, at 0 gauge if pwm_atm"),
+    ("pwm_atm", 415, 0, 4095, "atmosphere, counts: outlet gain falls as absolute; 0 = constant"),
+    ("pwm_dead_x16", 36, 0, 65535, "dead zone each side"),
+    ("pwm_min_in_us", 2050, 0, 100000, "shortest inlet pulse that opens"),
+    ("pwm_min_out_us", 2050, 0, 100000, "shortest outlet pulse that opens"),
+    ("pwm_lag_in_us", 500, 0, 100000, "inlet opens later than it shuts by"),
+    ("pwm_lag_out_us", 500, 0, 100000, "outlet opens later than it shuts by"),
+    ("pwm_max_in_us", 60000, 5, 500000, "longest inlet pulse"),
+    ("pwm_max_out_us", 100000, 5, 500000, "longest outlet pulse"),
+    ("pwm_settle_us", 4000, 0, 100000, "wait after a pulse before reading"),
+    ("pwm_window", 16, 1, 64, "samples averaged for a reading"),
+)
+
+
+def config_crc(values: dict[str, int]) -> int:
+    """CRC-16 over ``key=value`` lines in table order; the host computes it the same way."""
+    text = ""
+    for row in PARAMETERS:
+        text += "%s=%d\n" % (row[0], values[row[0]])
+    return crc16(text.encode())
+
+
+def defaults() -> dict[str, int]:
+    """A fresh set of default values."""
+    values = {}
+    for row in PARAMETERS:
+        values[row[0]] = row[1]
+    return values
+
+
+def bounds(key: str) -> tuple[int, int] | None:
+    """Lowest and highest value of ``key``, or None if there is no such key."""
+    for row in PARAMETERS:
+        if row[0] == key:
+            return row[2], row[3]
+    return None
+
+
+def problem(values: dict[str, int]) -> str:
+    """Why these values cannot be armed together, or an empty text."""
+    for low, high in (
+        ("trip_n", "trip_m"),
+        ("sp_max", "trip"),
+        ("sat_low", "trip"),
+        ("vent_below", "trip"),
+        ("clear_below", "trip"),
+        ("trip", "sat_high"),
+    ):
+        if values[low] > values[high]:
+            return "%s %d is above %s %d" % (low, values[low], high, values[high])
+    for side in ("in", "out"):
+        low = "pwm_min_%s_us" % side
+        high = "pwm_max_%s_us" % side
+        if values[low] > values[high]:
+            return "%s %d is above %s %d" % (low, values[low], high, values[high])
+    if values["pwm_max_in_us"] > values["inlet_max_ms"] * 1000:
+        return "pwm_max_in_us %d is above inlet_max_ms" % values["pwm_max_in_us"]
+    # Between two inlet pulses the valve must count as closed, or the pulses add up to a fault.
+    if values["pwm_settle_us"] + values["pwm_window"] * 1000 < values["inlet_rest_ms"] * 1000:
+        return "pwm_settle_us + pwm_window is below inlet_rest_ms"
+    return ""

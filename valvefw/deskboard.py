@@ -1,0 +1,91 @@
+"""A board without hardware: a crude chamber in integers, the same on every interpreter.
+
+The wire-conformance tests run the firmware on it, under CPython and MicroPython alike; it is
+also the shortest complete example of a ``Board``. There is no noise: two runs are equal.
+"""
+
+from valvefw.board import Board
+from valvefw.controller import Controller
+from valvefw.wire import TICK_US
+
+FILL_X16_PER_MS = 96  # 1.5 kPa/ms where 1000 kPa are 4095 counts
+VENT_SHARE = 500  # per ms one part in so many of the pressure, and one sixteenth of a count
+TOP_X16 = 4095 * 16
+
+
+class DeskBoard(Board):
+    """Firmware, chamber and byte pipe; ``run`` lets virtual time pass."""
+
+    name = "desk"
+    serial = "DESK-1"
+
+    def __init__(self, boot_id: int = 4660, has_regulator: bool = False) -> None:
+        self.has_regulator = has_regulator
+        self.now_us = 0
+        self.pressure_x16 = 0
+        self.inlet_us = 0
+        self.vent_us = 0
+        self.regulator_x16 = 0
+        self.led_on = 0
+        self.override = -1
+        self._boot_id = boot_id
+        self._rx = b""
+        self._tx: list[bytes] = []
+        self.controller = Controller(self)
+
+    def run(self, ticks: int, data: bytes = b"") -> bytes:
+        """Receive ``data``, run so many ticks, return all that was sent."""
+        self._rx += data
+        for _ in range(ticks):
+            self.now_us = (self.now_us + TICK_US) & 0xFFFFFFFF
+            self.controller.tick()
+            self._flow()
+        sent = b"".join(self._tx)
+        self._tx = []
+        return sent
+
+    def _flow(self) -> None:
+        pressure = self.pressure_x16
+        inlet_us = min(self.inlet_us, TICK_US)
+        vent_us = min(self.vent_us, TICK_US)
+        if inlet_us and self.has_regulator:
+            pressure += (self.regulator_x16 - pressure) // 100
+        else:
+            pressure += FILL_X16_PER_MS * inlet_us // TICK_US
+        pressure -= (pressure // VENT_SHARE + 1) * vent_us // TICK_US
+        self.pressure_x16 = max(0, min(TOP_X16, pressure))
+
+    def ticks_us(self) -> int:
+        """Virtual device time."""
+        return self.now_us
+
+    def adc(self) -> int:
+        """The chamber's pressure, or whatever a test put in its place."""
+        return self.override if self.override >= 0 else self.pressure_x16 >> 4
+
+    def drive(self, inlet_us: int, vent_us: int) -> None:
+        """Takes effect until the next tick."""
+        self.inlet_us = inlet_us
+        self.vent_us = vent_us
+
+    def regulator(self, counts_x16: int) -> None:
+        """Pressure the chamber follows while the inlet is open."""
+        self.regulator_x16 = counts_x16
+
+    def led(self, on: int) -> None:
+        """Sync LED."""
+        self.led_on = on
+
+    def rx(self) -> bytes:
+        """What ``run`` was given."""
+        data = self._rx
+        self._rx = b""
+        return data
+
+    def tx(self, data: bytes) -> None:
+        """What ``run`` returns."""
+        self._tx.append(data)
+
+    def random16(self) -> int:
+        """The boot id a test chose."""
+        return self._boot_id

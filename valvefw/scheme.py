@@ -1,0 +1,20 @@
+"""What a control scheme is: ``start`` when chosen, then one ``step`` per tick."""
+
+from valvefw.valves import Valves
+
+
+class Scheme:
+    """Base of all schemes. A step uses small integers only and allocates nothing."""
+
+    name = ""
+    # True: the inlet may stay open for ever so long as the host renews it (regulator benches).
+    renews = False
+
+    def start(self, values: dict[str, int]) -> None:
+        """Copy parameters and forget the past."""
+
+    def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
+        """One sample. ``valves`` holds what is left of earlier pulses; write to begin others."""
+
+    def renew(self) -> None:
+        """A heartbeat or set-point came."""

@@ -1,0 +1,161 @@
+"""The wire: COBS frames with a CRC-16, four kinds of payload (see docs/wire-format.md).
+
+A frame is COBS(payload + crc16(payload), high byte first) + one zero byte. Zero bytes occur
+nowhere else, so whoever lost the thread finds it again at the next zero: garbage costs the
+frame it hits and no other. The host imports this file too; there is no second copy.
+"""
+
+import binascii
+
+PROTO = 1
+
+REQUEST = 0x51  # "Q", host to device
+REPLY = 0x52  # "R"
+TELEMETRY = 0x54  # "T"
+EVENT = 0x45  # "E", unsolicited text
+
+TELEMETRY_HEADER = "<BHHIIB"  # type, boot_id, setpoint_x16, seq0, t0_us, n
+TELEMETRY_HEADER_SIZE = 14
+SAMPLE = "<HHBBB"  # dt_us, counts, flags, inlet_u5, vent_u5
+SAMPLE_SIZE = 7
+MAX_SAMPLES = 32
+DT_UNKNOWN = 65535
+PULSE_UNIT_US = 5
+TICK_US = 1000
+
+FLAG_INLET = 1
+FLAG_VENT = 2
+FLAG_ARMED = 4
+FLAG_FAULT = 8
+FLAG_LED = 16
+FLAG_HEARTBEAT = 32
+FLAG_PROX_A = 64
+FLAG_PROX_B = 128
+
+MAX_PAYLOAD = 400
+MAX_REQUEST = 96
+
+
+def _crc_table() -> list[int]:
+    table = []
+    for high in range(256):
+        crc = high << 8
+        for _ in range(8):
+            crc = ((crc << 1) ^ 0x1021) & 0xFFFF if crc & 0x8000 else (crc << 1) & 0xFFFF
+        table.append(crc)
+    return table
+
+
+def crc16_table(data: bytes, table: list[int]) -> int:
+    """CRC-CCITT, polynomial 0x1021, initial value 0xFFFF, byte by byte from a table of 256."""
+    crc = 0xFFFF
+    for byte in data:
+        crc = ((crc << 8) & 0xFF00) ^ table[(crc >> 8) ^ byte]
+    return crc
+
+
+# MicroPython's binascii has no crc_hqx.
+_crc_hqx = getattr(binascii, "crc_hqx", None)
+_TABLE = _crc_table() if _crc_hqx is None else []
+
+
+def crc16(data: bytes) -> int:
+    """CRC-CCITT, polynomial 0x1021, initial value 0xFFFF, not reflected."""
+    if _crc_hqx is not None:
+        crc: int = _crc_hqx(data, 0xFFFF)
+        return crc
+    return crc16_table(data, _TABLE)
+
+
+_CODES = [bytes([code]) for code in range(256)]
+
+
+def cobs_encode(data: bytes) -> bytes:
+    """Consistent overhead byte stuffing (Cheshire and Baker 1999), without the closing zero."""
+    codes = _CODES
+    out = []
+    for run in data.split(b"\x00"):
+        while len(run) >= 254:
+            out.append(codes[255])
+            out.append(run[:254])
+            run = run[254:]
+        out.append(codes[len(run) + 1])
+        out.append(run)
+    return b"".join(out)
+
+
+def cobs_decode(data: bytes) -> bytes | None:
+    """The bytes that ``cobs_encode`` was given, or None if these cannot be its result."""
+    out = []
+    size = len(data)
+    at = 0
+    while at < size:
+        code = data[at]
+        end = at + code
+        if code == 0 or end > size:
+            return None
+        out.append(data[at + 1 : end])
+        at = end
+        if code != 255 and at < size:
+            out.append(b"\x00")
+    if not size or b"\x00" in data:
+        return None
+    return b"".join(out)
+
+
+def encode_frame(payload: bytes) -> bytes:
+    """Payload to bytes on the wire, closing zero included."""
+    crc = crc16(payload)
+    return cobs_encode(payload + bytes((crc >> 8, crc & 0xFF))) + b"\x00"
+
+
+def decode_frame(frame: bytes) -> bytes | None:
+    """Bytes between two zeros to payload; None unless the CRC agrees."""
+    data = cobs_decode(frame)
+    if data is None or len(data) < 3:
+        return None
+    payload = data[:-2]
+    if crc16(payload) != (data[-2] << 8) | data[-1]:
+        return None
+    return payload
+
+
+def lfsr_next(state: int) -> int:
+    """Next state of the sync LED's pattern: Galois, x^16 + x^14 + x^13 + x^11 + 1.
+
+    The LED shows the lowest bit; bit k is that of the state after k steps from the seed.
+    """
+    return (state >> 1) ^ 0xB400 if state & 1 else state >> 1
+
+
+class Decoder:
+    """Bytes in, payloads out one at a time; bounded, and it counts what it had to drop."""
+
+    def __init__(self, limit: int = 2 * MAX_PAYLOAD) -> None:
+        self._limit = limit
+        self._held = b""
+        self.bad_frames = 0
+        self.lost_bytes = 0
+
+    def push(self, data: bytes) -> None:
+        """Take received bytes; of a flood only the newest ``limit`` bytes are kept."""
+        held = self._held + data if self._held else data
+        if len(held) > self._limit:
+            self.lost_bytes += len(held) - self._limit
+            held = held[len(held) - self._limit :]
+        self._held = held
+
+    def next(self) -> bytes | None:
+        """The next good payload, or None when no whole frame is left."""
+        while True:
+            end = self._held.find(b"\x00")
+            if end < 0:
+                return None
+            frame = self._held[:end]
+            self._held = self._held[end + 1 :]
+            if not end:
+                continue  # an empty frame: a host may send zeros to clear the line
+            payload = decode_frame(frame)
+            if payload is not None:
+                return payload
+            self.bad_frames += 1

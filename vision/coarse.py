@@ -1,0 +1,204 @@
+"""Finds the two facing mark edges anywhere in a frame, to about a pixel.
+
+Rows are averaged in bands, a step filter runs along each band, and its answers are added
+up along every straight line up to 8 degrees off the vertical. Lines that many bands vote
+for are edges; a gap is a rising edge (dark to light) with a falling edge to its right and
+no other edge between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+STEP_HALF = 6  # px on either side of the step filter; more than twice the widest blur
+MAX_SLOPE = 0.14  # 8 degrees; the method promises 5
+FULL_VOTE = 256  # what one band can say at most
+FLANK = 3  # px of a mark that must be seen beyond its edge
+
+Box = tuple[int, int, int, int]
+Image = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
+F32 = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class EdgeGuess:
+    """A straight edge x = x_mid + slope * (y - y_mid), its sign, and how many bands see it."""
+
+    x_mid: float
+    slope: float
+    rising: bool
+    votes: float
+    room_left: float = 0.0  # px to the next edge (or the border) on this side
+    room_right: float = 0.0
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What the coarse search found; ``reason`` says why it is not a pair of edges."""
+
+    left: EdgeGuess | None
+    right: EdgeGuess | None
+    reason: str = ""
+
+
+@njit(cache=True, nogil=True)
+def _bands(img, top, left, width, count, band):  # type: ignore[no-untyped-def]
+    out = np.zeros((count, width), np.float32)
+    scale = np.float32(1.0 / band)
+    for k in range(count):
+        acc = np.zeros(width, np.float32)
+        for y in range(top + k * band, top + (k + 1) * band):
+            for x in range(width):
+                acc[x] += np.float32(img[y, left + x])
+        for x in range(width):
+            out[k, x] = acc[x] * scale
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _steps(bands, half, flank):  # type: ignore[no-untyped-def]
+    """Light on the right minus light on the left of each pixel boundary 0..width."""
+    count, width = bands.shape
+    out = np.zeros((count, width + 1), np.float32)
+    total = np.zeros(width + 1, np.float64)
+    for k in range(count):
+        for x in range(width):
+            total[x + 1] = total[x] + bands[k, x]
+        for x in range(flank, width + 1 - flank):
+            lo = max(0, x - half)
+            hi = min(width, x + half)
+            right = (total[hi] - total[x]) / (hi - x)
+            left = (total[x] - total[lo]) / (x - lo)
+            out[k, x] = right - left
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _add(total, part):  # type: ignore[no-untyped-def]
+    for x in range(total.shape[0]):
+        total[x] += part[x]
+
+
+@njit(cache=True, nogil=True)
+def _vote(steps, offsets, dead, cap, pad):  # type: ignore[no-untyped-def]
+    """Capped sums of rising and falling steps along lines, at every second column."""
+    count, full = steps.shape
+    width = full // 2
+    up = np.zeros((count, width + 2 * pad), np.int16)
+    down = np.zeros((count, width + 2 * pad), np.int16)
+    scale = np.float32(FULL_VOTE) / cap
+    for k in range(count):
+        for x in range(width):
+            v = max(steps[k, 2 * x], steps[k, 2 * x + 1])
+            if v > dead:
+                up[k, x + pad] = np.int16(min(v * scale, np.float32(FULL_VOTE)))
+            v = -min(steps[k, 2 * x], steps[k, 2 * x + 1])
+            if v > dead:
+                down[k, x + pad] = np.int16(min(v * scale, np.float32(FULL_VOTE)))
+    slopes = offsets.shape[0]
+    rising = np.zeros((slopes, width), np.int16)
+    falling = np.zeros((slopes, width), np.int16)
+    for s in range(slopes):
+        for k in range(count):
+            shift = pad + offsets[s, k]
+            _add(rising[s], up[k, shift : shift + width])
+            _add(falling[s], down[k, shift : shift + width])
+    return rising, falling
+
+
+def find_edges(img: Image, box: Box, exclude: tuple[Box, ...] = ()) -> Guess:
+    """Find the facing edges of reference mark and marker inside ``box``.
+
+    Args:
+        img: grey frame, shape (height, width), uint8 or float32 grey levels.
+        box: left, top, width, height of the region, inside the frame.
+        exclude: boxes (frame coordinates) whose content must not count.
+    """
+    left, top, width, height = box
+    band = max(1, min(16, height // 24))
+    count = height // band
+    bands = _bands(img, top, left, width, count, band)
+    steps = _steps(bands, STEP_HALF, FLANK)
+    mid = (height - 1) / 2.0
+    rows = (np.arange(count) + 0.5) * band - 0.5 - mid
+    for e_left, e_top, e_width, e_height in exclude:
+        hit = (rows + mid + band / 2 + top >= e_top) & (
+            rows + mid - band / 2 + top <= e_top + e_height
+        )
+        lo = max(0, e_left - left - STEP_HALF)
+        hi = max(0, e_left + e_width - left + STEP_HALF + 1)
+        steps[hit, lo:hi] = 0.0
+    strength = np.abs(steps).max(axis=1)
+    cap = float(np.sort(strength)[int(0.9 * (count - 1))])
+    noise = 1.4826 * float(np.median(np.abs(steps[:, FLANK:-FLANK])))
+    if cap < max(6.0, 3.0 * noise):
+        return Guess(None, None, "no edge stands out from the noise in the region")
+    lines = max(9, 2 * int(np.ceil(MAX_SLOPE * height / 2 / 1.2)) + 1)
+    slopes = np.linspace(-MAX_SLOPE, MAX_SLOPE, lines)
+    offsets = np.rint(0.5 * slopes[:, None] * rows[None, :]).astype(np.int64)
+    dead = np.float32(max(3.0 * noise, 0.2 * cap))
+    pad = int(np.abs(offsets).max()) + 1
+    rising, falling = _vote(steps, offsets, dead, np.float32(0.8 * cap), pad)
+    least = max(2.0, 24.0 / band, 0.04 * count)
+    edges = [
+        *_peaks(rising, slopes, mid, True, least),
+        *_peaks(falling, slopes, mid, False, least),
+    ]
+    return _choose(edges, width, count)
+
+
+def _peaks(
+    votes: npt.NDArray[np.int16], slopes: npt.NDArray[np.float64], half: float, rising: bool, least: float
+) -> list[EdgeGuess]:
+    found: list[EdgeGuess] = []
+    rest = votes.copy()
+    for _ in range(8):
+        s, x = divmod(int(np.argmax(rest)), rest.shape[1])
+        best = int(rest[s, x])
+        if best < least * FULL_VOTE or (found and best < 0.15 * found[0].votes * FULL_VOTE):
+            break
+        # the answer of the step filter is a plateau for wide blur: take its middle
+        first = max(0, x - 3)
+        plateau = np.flatnonzero(rest[s, first : x + 4] >= 0.98 * best)
+        centre = 2.0 * (first + float(plateau.mean())) + 0.5
+        found.append(EdgeGuess(centre, float(slopes[s]), rising, best / FULL_VOTE))
+        # a line that crosses this one inside the region lives on the same evidence
+        for k in range(len(slopes)):
+            reach = (STEP_HALF + 4 + int(abs(slopes[k] - slopes[s]) * half)) // 2
+            rest[k, max(0, x - reach) : x + reach + 1] = 0
+    return found
+
+
+def _choose(edges: list[EdgeGuess], width: int, count: int) -> Guess:
+    if not edges:
+        return Guess(None, None, "no straight edge found in the region")
+    top = max(e.votes for e in edges)
+    # an edge counts when it is a fair part of the strongest: marks may differ in height
+    strong = sorted((e for e in edges if e.votes >= 0.25 * top), key=lambda e: e.x_mid)
+    pairs: list[tuple[EdgeGuess, EdgeGuess]] = []
+    for i in range(len(strong) - 1):
+        a, b = strong[i], strong[i + 1]
+        if a.rising and not b.rising:
+            before = strong[i - 1].x_mid if i > 0 else 0.0
+            after = strong[i + 2].x_mid if i + 2 < len(strong) else float(width)
+            room = b.x_mid - a.x_mid
+            pairs.append(
+                (
+                    EdgeGuess(a.x_mid, a.slope, True, a.votes, a.x_mid - before, room),
+                    EdgeGuess(b.x_mid, b.slope, False, b.votes, room, after - b.x_mid),
+                )
+            )
+    if not pairs:
+        kinds = "one mark" if len(strong) <= 2 else f"{len(strong)} edges but no light gap"
+        return Guess(None, None, f"found {kinds}: two dark marks with light between are needed")
+    pairs.sort(key=lambda p: min(p[0].votes, p[1].votes), reverse=True)
+    if len(pairs) > 1:
+        first = min(pairs[0][0].votes, pairs[0][1].votes)
+        second = min(pairs[1][0].votes, pairs[1][1].votes)
+        if second > 0.6 * first:
+            return Guess(*pairs[0], f"{len(pairs)} light gaps look alike: give a region")
+    return Guess(*pairs[0])
