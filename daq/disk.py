@@ -86,6 +86,7 @@ class Disk:
         self._files: dict[str, _File] = {}
         self._dirty: set[_File] = set()
         self._ended: set[_File] = set()
+        self._grown: set[Path] = set()
         self._sync_lock = threading.Lock()
         self._sync_wanted = threading.Event()
         self._stop = False
@@ -223,13 +224,13 @@ class Disk:
         handle = self._files.get(file)
         if handle is None:
             path = self.root / file
+            folders = {path.parent}
             if not path.parent.exists():
                 path.parent.mkdir(parents=True)
-                if self.durable:
-                    sync_folder(path.parent.parent)
+                folders.add(path.parent.parent)
             handle = self._files[file] = _File(path)
-            if self.durable:
-                sync_folder(path.parent)
+            with self._sync_lock:
+                self._grown.update(folders)
         return handle
 
     def _write_loop(self) -> None:
@@ -238,7 +239,10 @@ class Disk:
                 job.set()
                 continue
             file, data, flags = job
-            self._append(file, data, flags)
+            try:
+                self._append(file, data, flags)
+            except Exception as error:  # a writer that dies in silence would lose all to come
+                self._fail(RecordError(str(self.root / file), f"cannot be written: {error!r}"))
             self._written += len(data)
             if flags & 1:
                 self._sync_wanted.set()
@@ -254,6 +258,7 @@ class Disk:
         with self._sync_lock:
             dirty, self._dirty = self._dirty, set()
             ended, self._ended = self._ended, set()
+            grown, self._grown = self._grown, set()
         if self.durable or self._stop:
             for file in dirty:
                 try:
@@ -261,6 +266,9 @@ class Disk:
                         os.fsync(file.fd)
                 except OSError as error:
                     self._fail(disk_error(file.path, "cannot be synced", error))
+            for folder in grown:
+                with contextlib.suppress(OSError):
+                    sync_folder(folder)
         for file in ended:
             if file.fd >= 0:
                 with contextlib.suppress(OSError):

@@ -38,7 +38,8 @@ class Channel:
         path: where it lives, ``panel/name_unit``; what ``LiveView.series`` is called with.
         label: the name in the legend.
         unit: unit for the read-out ("kPa"); empty where there is none.
-        colour: red, green, blue; None takes the next of ``PALETTE``.
+        colour: red, green, blue; None takes the next of ``PALETTE``. In a states panel: of
+            every text that ``state_colours`` does not name; None leaves that to the viewer.
         reduce: how 1 kHz becomes 100 Hz: both extremes of each bin, or its mean.
         step: draw as a staircase (set-points, states) instead of joining the points.
         digits: decimals in the read-out.
@@ -76,7 +77,8 @@ class Panel:
         channels: what is known of it beforehand. More may arrive at run time.
         share: height (or width) relative to its neighbours.
         y_range: fixed vertical range of a series panel, or None for automatic.
-        x_axis, y_axis: axes of a points panel.
+        x_axis, y_axis: axes of a points panel; of a camera panel the extent of its frames
+            in pixels, if it is known.
         state_colours: (text, colour) pairs of a states panel.
     """
 

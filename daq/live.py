@@ -19,16 +19,17 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.layout import LiveLayout
-from daq.liveview_decimate import Thinner
+from daq.liveview_decimate import Thinner, decimate
 from daq.liveview_queue import DropQueue, Item
 from daq.liveview_scene import Line, Scene
-from daq.liveview_web import WebViewer, free_port
+from daq.liveview_web import WebViewer, free_port, has_client, has_screen
 
 LOOPBACK = "127.0.0.1"
 PERIOD_S = 0.05  # one batch of columns each
-POINTS_A_SECOND = 100.0
+BIN_S = 0.02  # lowest and highest of each: at most 100 points a second
 IDLE_FLUSH_S = 0.2  # an unfinished bin is shown after this long without news
 READOUT_S = 0.25
+HOLD_BEHIND_S = 0.25
 START_S = 20.0
 CLOSE_S = 4.0
 APPLICATION = "pamrig"
@@ -40,7 +41,8 @@ _log = logging.getLogger(__name__)
 class LiveView:
     """A window on a running test that the test never waits for.
 
-    No method raises and none waits, but ``close`` (at most 6 s) and the constructor (which
+    No method raises and none waits, but ``close`` (at most 6 s), ``wait_for_viewer`` and the
+    constructor (which
     imports Rerun, about 1 s; make it before arming). If the viewer cannot start, ``error``
     says why and every later item is counted as dropped.
 
@@ -48,7 +50,7 @@ class LiveView:
         run_id: names the recording; the same id as the run folder's.
         layout: panels, names, units and colours.
         port: of the server on 127.0.0.1; another free one is taken if it is in use.
-        open_browser: also open the web viewer in the default browser.
+        open_browser: also open the web viewer in the default browser, where there is a screen.
         web: serve the web viewer on loopback (implied by ``open_browser``).
         memory: bound on what the server keeps for viewers that come late.
         queue: the queue, for other bounds than the usual ones.
@@ -70,7 +72,7 @@ class LiveView:
         self.error: str | None = None
         self.url = ""
         self.web_url = ""
-        self._port = port
+        self.port = port
         self._memory = memory
         self._queue = queue or DropQueue()
         self._stop = threading.Event()
@@ -105,7 +107,7 @@ class LiveView:
             v = np.array(values, dtype=np.float64, ndmin=1)
             if t.shape != v.shape or t.ndim != 1:
                 raise ValueError(f"{path}: time {t.shape} and values {v.shape} do not match")
-            self._bulk(t.nbytes + v.nbytes, ("series", str(path), t, v))
+            self._bulk(t.nbytes + v.nbytes, (str(path), t, v))
         except Exception as error:
             self._refuse(error)
 
@@ -124,14 +126,21 @@ class LiveView:
     def image(
         self, path: str, time_s: float, jpeg_bytes: bytes, lines: list[Line] | None = None
     ) -> None:
-        """A JPEG as stored, with ``lines`` ((x0, y0), (x1, y1), label) in pixels over it."""
+        """A JPEG as stored, with ``lines`` ((x0, y0), (x1, y1), label) in pixels over it.
+
+        Of several pictures within 50 ms the newest is drawn.
+        """
         try:
             drawn = [
                 ((float(a[0]), float(a[1])), (float(b[0]), float(b[1])), str(text))
                 for a, b, text in (lines or [])
             ]
             jpeg = bytes(jpeg_bytes)
-            self._bulk(len(jpeg), ("image", str(path), float(time_s), jpeg, drawn))
+            item = (str(path), float(time_s), jpeg, drawn)
+            if self._closed or self.error is not None:
+                self._queue.drop()
+            else:
+                self._queue.put_picture(str(path), item)
         except Exception as error:
             self._refuse(error)
 
@@ -148,6 +157,18 @@ class LiveView:
             self._fact(("text", str(path), float(time_s), str(text), str(level).upper()))
         except Exception as error:
             self._refuse(error)
+
+    def wait_for_viewer(self, timeout_s: float) -> bool:
+        """Wait until a viewer has connected; False if none came in time.
+
+        For tests that would be over before a page has loaded (the virtual clock).
+        """
+        pause, end = threading.Event(), time.monotonic() + timeout_s
+        while self.error is None and time.monotonic() < end:
+            if has_client(self.port):
+                return True
+            pause.wait(0.1)
+        return False
 
     def close(self) -> None:
         """Draw what is left and stop, within 6 s whatever the viewer does. May be repeated."""
@@ -197,10 +218,12 @@ class LiveView:
         try:
             self._web = WebViewer([self.url])
             self.web_url = self._web.url
-            if open_browser:
+            if open_browser and has_screen():
                 import webbrowser
 
-                webbrowser.open(self.web_url)
+                # Some browsers are waited for, so not on the caller's thread.
+                show = threading.Thread(target=webbrowser.open, args=(self.web_url,), daemon=True)
+                show.start()
         except Exception as error:  # the native viewer can still connect
             _log.warning("live view: no web viewer: %s", error)
             self.web_error = str(error)
@@ -216,14 +239,17 @@ class LiveView:
         next_readout, news = 0.0, False
         while True:
             stopping = self._stop.wait(PERIOD_S)
-            bulk, facts = self._queue.drain()
+            bulk, pictures, facts = self._queue.drain()
             self._draw(scene, bulk, facts, last=stopping)
+            for picture in pictures:
+                self._try(scene.image, *picture)
             now = time.monotonic()
-            news = news or bool(bulk or facts)
+            news = news or bool(bulk or pictures or facts)
             if news and (now >= next_readout or stopping):
                 news = False
                 next_readout = now + READOUT_S
                 note = f"{self.dropped} items not shown (the viewer was slow)"
+                self._try(scene.hold_steps, 0.0 if stopping else HOLD_BEHIND_S)
                 self._try(scene.readout, note if self.dropped else "")
             if stopping:
                 break
@@ -236,12 +262,12 @@ class LiveView:
         import rerun as rr
 
         self._rec = rr.RecordingStream(APPLICATION, recording_id=self.run_id)
-        port = free_port(self._port)
+        self.port = port = free_port(self.port)
         self._rec.set_sinks(
             rr.GrpcServerSink(bind_ip=LOOPBACK, port=port, server_memory_limit=self._memory)
         )
         self.url = f"rerun+http://{LOOPBACK}:{port}/proxy"
-        scene = Scene(self._rec, self.layout, live=True)
+        scene = Scene(self._rec, self.layout)
         scene.start()
         return scene
 
@@ -253,20 +279,14 @@ class LiveView:
 
     def _draw(self, scene: Scene, bulk: list[Item], facts: list[Item], last: bool) -> None:
         curves: dict[str, list[Item]] = {}
-        pictures: dict[str, Item] = {}
         for item in bulk:
-            if item[0] == "series":
-                curves.setdefault(item[1], []).append(item)
-            else:
-                pictures[item[1]] = item  # of several frames in one period, the newest
+            curves.setdefault(item[0], []).append(item)
         now = time.monotonic()
         for path, items in curves.items():
             self._try(self._curve, scene, path, items, now)
         for path, (thinner, fed_at) in list(self._thinners.items()):
             if thinner.waiting and (last or now - fed_at > IDLE_FLUSH_S):
                 self._try(scene.series, path, *thinner.flush())
-        for _, path, time_s, jpeg, lines in pictures.values():
-            self._try(scene.image, path, time_s, jpeg, lines)
         for kind, path, time_s, *rest in facts:
             if kind == "points":
                 label, x, y = rest
@@ -278,13 +298,19 @@ class LiveView:
                 self._try(scene.text, path, time_s, *rest)
 
     def _curve(self, scene: Scene, path: str, items: list[Item], now: float) -> None:
+        time_s = np.concatenate([item[1] for item in items])
+        values = np.concatenate([item[2] for item in items])
+        channel = self.layout.channels.get(path)
+        if channel is not None and channel.step:
+            # Its changes only, and at once: ``hold_steps`` carries the value on.
+            known = np.concatenate(([scene.newest.get(path, np.nan)], values[:-1]))
+            change = values != known
+            scene.series(path, *decimate(time_s[change], values[change], BIN_S))
+            return
         if path not in self._thinners:
-            channel = self.layout.channels.get(path)
             reduce = channel.reduce if channel else "minmax"
-            per_bin = 2.0 if reduce == "minmax" else 1.0
-            self._thinners[path] = (Thinner(per_bin / POINTS_A_SECOND, reduce), now)
+            bin_s = BIN_S if reduce == "minmax" else BIN_S / 2.0
+            self._thinners[path] = (Thinner(bin_s, reduce), now)
         thinner = self._thinners[path][0]
         self._thinners[path] = (thinner, now)
-        time_s = np.concatenate([item[2] for item in items])
-        values = np.concatenate([item[3] for item in items])
         scene.series(path, *thinner.feed(time_s, values))

@@ -21,6 +21,7 @@ Line = tuple[tuple[float, float], tuple[float, float], str]
 FRAME_COLOUR = (130, 135, 140)
 GRID_COLOUR = (45, 49, 53)
 TEXT_COLOUR = (215, 215, 215)
+MOST_STATES = 200  # texts of a lane that get a colour of their own
 
 
 def _label_place(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
@@ -37,19 +38,19 @@ class Scene:
     Args:
         rec: a ``rerun.RecordingStream``.
         layout: the panels.
-        live: True follows the newest data through a sliding window; False shows all of it.
     """
 
-    def __init__(self, rec: Any, layout: LiveLayout, *, live: bool) -> None:
+    def __init__(self, rec: Any, layout: LiveLayout) -> None:
         import rerun as rr
 
         self._rr, self._rec = rr, rec
         self._layout = layout
-        self._live = live
         self._known = set(layout.channels)
         self._charts: dict[str, Chart] = {}
         self._extra = False
+        self._state_colours: dict[str, dict[str, Colour]] = {}
         self.newest: dict[str, float] = {}
+        self._last_s: dict[str, float] = {}
         self.states: dict[str, str] = {}
         self.newest_s = 0.0
 
@@ -57,7 +58,7 @@ class Scene:
 
     def start(self) -> None:
         """Send the blueprint, the style of every known channel and empty charts."""
-        self._rec.send_blueprint(blueprint(self._layout, live=self._live, extra=self._extra))
+        self._rec.send_blueprint(blueprint(self._layout, extra=self._extra))
         for index, (path, channel) in enumerate(self._layout.channels.items()):
             panel = self._layout.panel_of(path)
             if panel is not None and panel.kind == "series":
@@ -81,16 +82,18 @@ class Scene:
         )
 
     def _state_styles(self, panel: Panel) -> None:
-        if not panel.state_colours:
-            return
-        texts = [text for text, _ in panel.state_colours]
-        colours = [colour for _, colour in panel.state_colours]
         for channel in panel.channels:
-            self._rec.log(
-                channel.path,
-                self._rr.StateConfiguration(values=texts, labels=texts, colors=colours),
-                static=True,
+            self._state_colours[channel.path] = dict(panel.state_colours)
+            self._state_style(channel.path)
+
+    def _state_style(self, path: str) -> None:
+        colours = self._state_colours[path]
+        if colours:
+            texts = list(colours)
+            style = self._rr.StateConfiguration(
+                values=texts, labels=texts, colors=list(colours.values())
             )
+            self._rec.log(path, style, static=True)
 
     # ------------------------------------------------------------------- drawing
 
@@ -107,6 +110,7 @@ class Scene:
             columns=self._rr.Scalars.columns(scalars=values),
         )
         self.newest[path] = float(values[-1])
+        self._last_s[path] = float(time_s[-1])
         self.newest_s = max(self.newest_s, float(time_s[-1]))
 
     def _meet(self, path: str) -> None:
@@ -115,7 +119,7 @@ class Scene:
         self._style(Channel(path, label), PALETTE[(len(self._known) - 1) % len(PALETTE)])
         if self._layout.panel_of(path) is None and not self._extra:
             self._extra = True
-            self._rec.send_blueprint(blueprint(self._layout, live=self._live, extra=self._extra))
+            self._rec.send_blueprint(blueprint(self._layout, extra=self._extra))
 
     def points(self, path: str, time_s: float, label: str, x: Floats, y: Floats) -> None:
         """Add points to a chart; paths without a points panel are drawn nowhere."""
@@ -219,6 +223,13 @@ class Scene:
 
     def state(self, path: str, time_s: float, text: str) -> None:
         """A change of state, drawn as a lane; empty text ends the lane."""
+        channel, colours = self._layout.channels.get(path), self._state_colours.get(path)
+        colour = channel.colour if channel is not None else None
+        if text and colour and colours is not None and text not in colours:
+            if len(colours) >= MOST_STATES:
+                colours.pop(next(iter(colours)))
+            colours[text] = colour
+            self._state_style(path)
         self._at(time_s)
         self._rec.log(path, self._rr.StateChange(state=text or None))
         self.states[path] = text
@@ -226,8 +237,28 @@ class Scene:
     def text(self, path: str, time_s: float, text: str, level: str) -> None:
         """A line in the log."""
         self._at(time_s)
-        colour = {"ERROR": VERMILLION, "WARN": ORANGE}.get(level)
+        colour = {"ERROR": VERMILLION, "WARN": ORANGE}.get(level, TEXT_COLOUR)
         self._rec.log(path, self._rr.TextLog(f"{time_s:.1f} s   {text}", level=level, color=colour))
+
+    def hold_steps(self, behind_s: float = 0.0) -> None:
+        """Carry the last value of every staircase on to ``behind_s`` before the newest time.
+
+        Live, batches of different devices arrive up to some tens of ms apart; a staircase
+        carried all the way could overtake its own next step.
+        """
+        until_s = self.newest_s - behind_s
+        for path, value in list(self.newest.items()):
+            channel = self._layout.channels.get(path)
+            if channel is not None and channel.step and self._last_s[path] < until_s:
+                self.series(path, np.array([until_s]), np.array([value]))
+
+    def finish(self) -> None:
+        """For a view file: staircases to the end, and all of the test on the screen."""
+        self.hold_steps()
+        self.readout()
+        self._rec.send_blueprint(
+            blueprint(self._layout, extra=self._extra, whole_s=max(self.newest_s, 1e-3))
+        )
 
     def readout(self, note: str = "") -> None:
         """Newest values in figures, in every read-out panel."""

@@ -80,6 +80,25 @@ def viewer_environment(folder: Path) -> dict[str, str]:
     return {**os.environ, "XDG_CONFIG_HOME": str(folder), "CI": "1"}
 
 
+def has_client(port: int) -> bool:
+    """Whether somebody is connected to the server on ``port`` of this process."""
+    import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
+
+    try:
+        links = psutil.Process().net_connections("tcp")
+    except (psutil.Error, OSError):
+        return False
+    return any(c.laddr.port == port and c.status == psutil.CONN_ESTABLISHED for c in links)
+
+
+def has_screen() -> bool:
+    """Whether a window can be opened here."""
+    system: str = sys.platform
+    if system.startswith("linux"):
+        return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return not os.environ.get("SSH_CONNECTION")
+
+
 class _Program:
     """The viewer's program as a child process, stopped for certain by ``close``."""
 

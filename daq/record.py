@@ -30,7 +30,7 @@ from daq.segments import (
 SCHEMA = "pamrig-run/1"
 OUTCOMES = ("clean", "stopped", "aborted", "faulted")
 SEGMENT_ROWS = 300_000  # 5 min at 1 kHz
-FRAMES_FILE_BYTES = 1 << 30
+FRAMES_FILE_BYTES = 256 << 20
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*\Z")
 

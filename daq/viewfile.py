@@ -7,7 +7,6 @@ one too, of as much as their CRCs vouch for.
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +22,7 @@ from daq.layout import Channel, EventFeed, Feed, LiveLayout, Panel, PointFeed
 from daq.live import APPLICATION
 from daq.liveview_decimate import decimate
 from daq.liveview_scene import Line, Scene
-from daq.liveview_web import NativeViewer, WebViewer
+from daq.liveview_web import NativeViewer, WebViewer, has_screen
 from daq.run import Run
 from daq.segments import Columns
 
@@ -76,13 +75,17 @@ def build_view(
         rec = rr.RecordingStream(APPLICATION, recording_id=run.run_id)
         rec.save(partial)
         try:
-            _fill(Scene(rec, layout, live=False), run, layout, edges, most_rows)
+            _fill(Scene(rec, layout), run, layout, edges, most_rows)
         finally:
             rec.flush(timeout_sec=60.0)
             rec.disconnect()
         os.replace(partial, path)
     except OSError as error:
         raise disk_error(path, "the view cannot be written", error) from error
+    except RuntimeError as error:  # what rerun raises when its writer has failed
+        raise RecordError(
+            str(path), f"the view cannot be written: {error}", "make room, then rebuild the run"
+        ) from error
     finally:
         partial.unlink(missing_ok=True)
     return path
@@ -132,7 +135,7 @@ def _fill(scene: Scene, run: Run, layout: LiveLayout, edges: Edges | None, most_
     for problem in run.problems:
         scene.text("log", 0.0, f"record: {problem}", "ERROR")
     scene.text("log", scene.newest_s, f"outcome: {run.outcome}", "INFO")
-    scene.readout()
+    scene.finish()
 
 
 def _series(scene: Scene, table: Columns, feed: Feed, layout: LiveLayout, most_rows: int) -> None:
@@ -237,16 +240,12 @@ def _frames(
 
 def _sentence(event: dict[str, Any]) -> str:
     skip = ("n", "t_ns", "kind", "crc")
-    rest = ", ".join(f"{k} {v}" for k, v in event.items() if k not in skip)
+    rest = ", ".join(
+        f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}"
+        for k, v in event.items()
+        if k not in skip
+    )
     return f"{event['kind']}: {rest}"[:200]
-
-
-def has_screen() -> bool:
-    """Whether a window can be opened here."""
-    system: str = sys.platform
-    if system.startswith("linux"):
-        return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    return not os.environ.get("SSH_CONNECTION")
 
 
 def open_view(

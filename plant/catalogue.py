@@ -391,4 +391,4 @@ CATALOGUE: dict[str, Entry] = {entry.id: entry for entry in _ENTRIES}
 """All thirty effects by id, in the order of the specification."""
 
 FAMILIES: tuple[str, ...] = tuple(dict.fromkeys(entry.family for entry in _ENTRIES))
-"""The sixteen families in order of first appearance."""
+"""The families, in order of first appearance; "none" and "unknown" are verdicts beside them."""

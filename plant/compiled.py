@@ -27,11 +27,16 @@ _SOURCES = (
 
 
 def inlined(function: F) -> F:
-    """Make a scalar function callable from compiled code; compiled with whoever calls it.
+    """Compile a small function into each place that uses it.
 
     A division by zero gives inf as in numpy, without a check at every division.
     """
     return cast(F, njit(error_model="numpy", forceinline=True)(function))
+
+
+def called(function: F) -> F:
+    """Compile a large function once; repeating it at each place would cost seconds to compile."""
+    return cast(F, njit(error_model="numpy")(function))
 
 
 def entry_point(signature: str) -> Callable[[F], F]:

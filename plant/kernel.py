@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from plant import layout as at
-from plant.compiled import Slots, entry_point, fingerprint, inlined
+from plant.compiled import Slots, called, entry_point, fingerprint, inlined
 from plant.rates import slip_after, tension
 from plant.stepping import integrate
 
@@ -20,7 +20,7 @@ SAME_INSTANT_S = 1e-9
 _STATE = "float64[::1]"
 
 
-@inlined
+@called
 def _command(state: Slots, params: Slots, which: int, value: float) -> None:
     """Give solenoid `which` (0 inlet, 1 outlet) a command at the present time.
 
@@ -68,7 +68,7 @@ def _act(state: Slots, which: int) -> None:
     state[at.QUEUE_COUNT + which] -= 1.0
 
 
-@inlined
+@called
 def _run_until(state: Slots, params: Slots, end: float) -> None:
     """Advance to time `end` with no new command; pending valve edges act exactly when due."""
     while True:

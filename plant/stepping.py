@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from plant import layout as at
-from plant.compiled import Slots, inlined
+from plant.compiled import Slots, called, inlined
 from plant.constants import GAS_CONSTANT_J_KG_K
 from plant.rates import (
     chamber,
@@ -33,6 +33,9 @@ from plant.rates import (
 
 # Absolute pressures within this ratio are equal: 0.6 mPa, where rounding would stall the approach.
 _EQUAL = 1.0 + 1e-9
+# A prescribed length stays between these shares of the braid length.
+_TRAVEL_LOW = 0.1
+_TRAVEL_HIGH = 0.99
 _STAGE = np.array([0.0, 0.5, 0.5, 1.0])
 _WEIGHT = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 
@@ -63,7 +66,7 @@ def _touched(params: Slots, length: float, rate: float) -> int:
     return 0
 
 
-@inlined
+@called
 def _substep(state: Slots, params: Slots, touched: int) -> float:
     """Longest step that follows the fastest part of the bench."""
     safety = params[at.STEP_SAFETY]
@@ -91,6 +94,16 @@ def _at_rest(state: Slots, params: Slots) -> bool:
 
 
 @inlined
+def _end_of_travel(state: Slots, params: Slots, duration: float) -> None:
+    """Stop a stage that would leave what a braid can be, before its formulas lose their meaning."""
+    rate = state[at.LENGTH_RATE]
+    if params[at.LOAD] == 0.0 and rate != 0.0:
+        share = (state[at.LENGTH] + rate * duration) / params[at.BRAID_LENGTH]
+        if (share > _TRAVEL_HIGH and rate > 0.0) or (share < _TRAVEL_LOW and rate < 0.0):
+            state[at.LENGTH_RATE] = 0.0
+
+
+@called
 def _closed_form(state: Slots, params: Slots, duration: float) -> None:
     """Prescribed length with sealed or regulated gas: exact for any duration."""
     atmosphere = params[at.ATMOSPHERE]
@@ -128,7 +141,7 @@ def _crossed(params: Slots, before: float, after: float) -> float:
     return 0.0
 
 
-@inlined
+@called
 def _trial(
     state: Slots, params: Slots, touched: int, step: float
 ) -> tuple[float, float, float, float, float]:
@@ -192,9 +205,10 @@ def _trial(
     )
 
 
-@inlined
+@called
 def integrate(state: Slots, params: Slots, duration: float) -> None:
     """Advance gas and load by `duration` seconds with the valves as they stand."""
+    _end_of_travel(state, params, duration)
     if params[at.LOAD] == 0.0 and (sealed(state, params) or regulated(state, params)):
         _closed_form(state, params, duration)
         return

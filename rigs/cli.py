@@ -48,13 +48,16 @@ def isometric(
     note: Annotated[str, typer.Option(help="Anything worth remembering.")] = "",
     seed: Annotated[Optional[int], typer.Option(help="Seed of a virtual bench.")] = None,  # noqa: UP045
     live: Annotated[bool, typer.Option("--live", help="Show the test in the live view.")] = False,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the live view in the browser.")
+    ] = True,
     as_json: JsonOption = False,
 ) -> None:
     """Run an isometric test: length held, pressure stepped, force read."""
     from rigs.commands import isometric_command
 
     raise typer.Exit(
-        isometric_command(rig, protocol, out, specimen, operator, note, seed, live, as_json)
+        isometric_command(rig, protocol, out, specimen, operator, note, seed, live, browser, as_json)
     )
 
 

@@ -78,6 +78,7 @@ def isometric_command(
     note: str,
     seed: int | None,
     live: bool,
+    browser: bool,
     as_json: bool,
 ) -> int:
     """Run, derive, say what came of it; returns the exit status."""
@@ -97,9 +98,13 @@ def isometric_command(
         from rigs.livefeed import LiveFeed, open_live
 
         def make_live(run_id: str) -> LiveFeed:
-            feed = open_live(run_id, max(parameters.pressures_kpa), open_browser=True)
-            address = feed.view.url or feed.view.error or ""
-            typer.echo(f"live view: {address}", err=True)
+            feed = open_live(run_id, max(parameters.pressures_kpa), open_browser=browser)
+            view = feed.view
+            if view.error:
+                typer.echo(f"live view: none ({view.error}); the test goes on", err=True)
+            else:
+                where = view.web_url or f"open it with: rerun --connect {view.url}"
+                typer.echo(f"live view: {where}", err=True)
             return feed
 
     with stop_on_signals() as stop:
@@ -108,19 +113,23 @@ def isometric_command(
             stop=stop, make_live=make_live, watch=watch, on_start=line.start,
         )  # fmt: skip
     line.close()
-    reason = str(result.error) if result.error else ""
+    status = {"clean": 0, "stopped": 130}.get(result.outcome, 2)
     if as_json:
         from daq.run import open_run
         from rigs.report import report_json
 
         typer.echo(json.dumps(report_json(open_run(result.folder)), indent=2, allow_nan=False))
-    else:
-        typer.echo(f"{result.outcome}: {result.points} of {parameters.points} points in {result.folder}")
-        if reason:
-            typer.echo(f"  because: {reason}")
-        typer.echo(f"  report: {result.folder / 'derived' / 'report.html'}")
-        typer.echo(f"  table:  {result.folder / 'derived' / 'table.csv'}")
-    return {"clean": 0, "stopped": 130}.get(result.outcome, 2)
+        return status
+    typer.echo(f"{result.outcome}: {result.points} of {parameters.points} points in {result.folder}")
+    if result.error:
+        typer.echo(f"  because: {result.error}")
+    if result.not_derived:
+        typer.echo(f"  table and report could not be made: {result.not_derived}")
+        typer.echo(f"  the record is safe; later: pamrig runs rebuild {result.folder}")
+        return status or 2
+    typer.echo(f"  report: {result.folder / 'derived' / 'report.html'}")
+    typer.echo(f"  table:  {result.folder / 'derived' / 'table.csv'}")
+    return status
 
 
 def report_command(run: str, runs: Path, out: Path | None, as_json: bool) -> None:

@@ -16,7 +16,8 @@ import numpy as np
 
 from daq.clock import Clock
 from daq.errors import PamrigError
-from rigs.pointsfile import NUMBERS, PointsFile, read_points
+from rigs.pointcheck import NUMBERS
+from rigs.pointsfile import PointsFile, read_points
 
 SHORTEST_MM = 51.45
 """What every table but C-1 calls the shortest length; C-1's own heading says 51."""
@@ -154,9 +155,7 @@ def import_thesis(
     return _write(rows, manifest, root, clock)
 
 
-def import_points(
-    path: Path | str, root: Path | str, clock: Clock, *, specimen: str = ""
-) -> Path:
+def import_points(path: Path | str, root: Path | str, clock: Clock, *, specimen: str = "") -> Path:
     """Make a run of a CSV of settled points, or of an exchange folder of them.
 
     Args:

@@ -55,7 +55,10 @@ STATE_COLOURS = (
 
 
 def isometric_layout(
-    pressure_max_kpa: float = 500.0, force_max_n: float = 100.0, window_s: float = 60.0
+    pressure_max_kpa: float = 500.0,
+    force_max_n: float = 100.0,
+    window_s: float = 60.0,
+    frame_px: tuple[int, int] = (640, 480),
 ) -> LiveLayout:
     """The screen of an isometric test: curves left; points, camera and figures right.
 
@@ -63,6 +66,7 @@ def isometric_layout(
         pressure_max_kpa: highest pressure of the protocol, for the axis of the points.
         force_max_n: highest force expected; the axis grows if more comes.
         window_s: how much of the past the curves show.
+        frame_px: width and height of the camera's frames.
     """
     pressure = Panel(
         "Pressure (kPa)",
@@ -104,7 +108,7 @@ def isometric_layout(
         "Protocol",
         "states",
         "state",
-        (Channel(STATE, "state"), Channel(FAULT, "fault")),
+        (Channel(STATE, "state"), Channel(FAULT, "fault", colour=VERMILLION)),
         share=0.8,
         state_colours=STATE_COLOURS,
     )
@@ -117,7 +121,13 @@ def isometric_layout(
         x_axis=Axis("pressure (kPa)", 0.0, pressure_max_kpa),
         y_axis=Axis("force (N)", 0.0, force_max_n),
     )
-    camera = Panel("Camera with measured edges", "camera", CAMERA, share=1.0)
+    camera = Panel(
+        "Camera with measured edges",
+        "camera",
+        CAMERA,
+        x_axis=Axis("x (px)", 0.0, frame_px[0]),
+        y_axis=Axis("y (px)", 0.0, frame_px[1]),
+    )
     now = Panel("Now", "readout", "readout", share=0.85)
     log = Panel("Messages", "log", LOG, share=0.6)
     return LiveLayout(

@@ -50,6 +50,8 @@ COLUMNS: dict[str, str] = {
 }
 """Columns of the table in order; a label is a whole number where all are, else text."""
 
+_DTYPES: dict[str, Any] = {"str": str, "float64": "float64", "int64": "int64", "bool": "bool"}
+
 MeasureGap = Callable[[npt.NDArray[np.uint8]], Any]
 
 
@@ -96,6 +98,7 @@ class _Bench:
         self.measure = measure
         self.notes: list[str] = []
         self._outside: dict[str, int] = {}
+        self._places: dict[str, list[str]] = {}
         self.valve = self._samples("valve", ("seq", "counts"))
         self.balance = self._samples("balance", ("row", "grams"))
         self.live_pixels = {
@@ -110,6 +113,9 @@ class _Bench:
     def reduce(self, points: list[dict[str, Any]]) -> Reduction:
         rows = [self._row(point) for point in points]
         zeros = tuple(self._zeros())
+        for what, places in self._places.items():
+            more = f" and {len(places) - 1} more" if len(places) > 1 else ""
+            self.notes.append(f"{what}: {places[0]}{more}")
         if self.run.outcome != "clean":
             self.notes.append(
                 f"the run is {self.run.outcome}: the table holds the {len(rows)} points it reached"
@@ -132,6 +138,10 @@ class _Bench:
             self.notes.append(str(error))
             columns = {}
         return {name: columns.get(name, np.empty(0, dtype=np.int64)) for name in needed}
+
+    def _met(self, what: str, place: str) -> None:
+        """Remember a defect and where it was; one note is made of all its places."""
+        self._places.setdefault(what, []).append(place)
 
     def _row(self, point: dict[str, Any]) -> dict[str, Any]:
         name = f"point {point['order']}"
@@ -164,9 +174,7 @@ class _Bench:
         stated = self.run.manifest.get("conditions") or {}
         row["temperature_c"] = _number(stated.get("temperature_c"))
         row["u_temperature_c_noise"] = 0.0 if math.isfinite(row["temperature_c"]) else math.nan
-        row["u_temperature_c_cal"] = row["u_temperature_c"] = _number(
-            stated.get("u_temperature_c")
-        )
+        row["u_temperature_c_cal"] = row["u_temperature_c"] = _number(stated.get("u_temperature_c"))
 
     def _pressure(self, window: list[int], name: str) -> WindowMean:
         seq = self.valve["seq"]
@@ -174,9 +182,9 @@ class _Bench:
         counts = self.valve["counts"][inside]
         missing = window[1] - window[0] - len(counts)
         if missing:
-            self.notes.append(f"{name}: {missing} of its pressure samples are missing")
+            self._met("pressure samples are missing", f"{name} ({missing})")
         if len(counts) and (counts.min() == 0 or counts.max() >= CODES - 1):
-            self.notes.append(f"{name}: the pressure reading touches the end of its range")
+            self._met("pressure touches the end of the sensor's range", name)
         calibration = self.calibrations["pressure_kpa"]
         return window_mean(_applied(calibration, counts), abs(calibration.scale))
 
@@ -185,7 +193,7 @@ class _Bench:
         grams = self.balance["grams"][(row >= window[0]) & (row < window[1])]
         missing = window[1] - window[0] - len(grams)
         if missing:
-            self.notes.append(f"{name}: {missing} of its balance readings are missing")
+            self._met("balance readings are missing", f"{name} ({missing})")
         calibration = self.calibrations["force_n"]
         return window_mean(_applied(calibration, grams), abs(calibration.scale) * BALANCE_STEP_G)
 
@@ -195,10 +203,10 @@ class _Bench:
         for number in frames:
             gap = self._gap(number)
             if isinstance(gap, str):
-                self.notes.append(f"{name}, frame {number}: no length ({gap})")
+                self._met("no length", f"{name}, frame {number}: {gap}")
                 continue
             if self.live_pixels.get(number, gap.pixels) != gap.pixels:
-                self.notes.append(f"{name}, frame {number}: measures differently than while live")
+                self._met("length differs from the one taken live", f"{name}, frame {number}")
             pixels.append(float(gap.pixels))
             variances.append(float(gap.u_pixels) ** 2)
         if not pixels:
@@ -241,6 +249,7 @@ class _Bench:
         """
         zeros = []
         calibration = self.calibrations["pressure_kpa"]
+        beyond: list[tuple[float, float, str]] = []
         for event in self.run.events:
             if event.get("kind") != "zero":
                 continue
@@ -248,10 +257,7 @@ class _Bench:
             mean = self._pressure(event["valve_seq"], name)
             limit = 3.0 * math.hypot(mean.u, calibration.u_offset)
             if abs(mean.mean) > limit:
-                self.notes.append(
-                    f"{name}: the vented muscle reads {mean.mean:.2f} kPa, more than three times"
-                    f" its standard uncertainty ({limit:.2f} kPa)"
-                )
+                beyond.append((mean.mean, limit, name))
             zeros.append(
                 {
                     "trial": event["trial"],
@@ -260,6 +266,13 @@ class _Bench:
                     "u_pressure_kpa": mean.u,
                     "few": mean.n_effective < FEW_INDEPENDENT,
                 }
+            )
+        if beyond:
+            worst, limit, name = max(beyond, key=lambda entry: abs(entry[0]))
+            self.notes.append(
+                f"pressure zero: {len(beyond)} of {len(zeros)} vented readings lie beyond three"
+                f" standard uncertainties ({limit:.2f} kPa), worst {worst:.2f} kPa at {name};"
+                " nothing was corrected"
             )
         return zeros
 
@@ -324,7 +337,7 @@ def _frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
         if kind == "label":
             whole = all(isinstance(value, int) for value in frame[column])
             kind = "int64" if whole else "str"
-        frame[column] = frame[column].astype(str if kind == "str" else kind)
+        frame[column] = frame[column].astype(_DTYPES[kind])
     return frame.sort_values("order", kind="stable", ignore_index=True)
 
 

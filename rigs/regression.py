@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -122,7 +122,8 @@ def length_groups(table: pd.DataFrame) -> list[tuple[float, float, pd.DataFrame]
     by_degree = temperature.round(0) if spread > 2.0 else temperature * 0.0
     keys = [length.rename("length"), by_degree.fillna(-1e9).rename("temperature")]
     groups = []
-    for (length_key, _), rows in table.groupby(keys, sort=True):
+    for key, rows in table.groupby(keys, sort=True):
+        length_key, _ = cast(tuple[float, float], key)
         groups.append((float(length_key), _mean(rows["temperature_c"]), rows))
     return groups
 
@@ -247,6 +248,6 @@ def _down_minus_up(rows: pd.DataFrame) -> float:
     return _mean(difference)
 
 
-def _mean(values: pd.Series) -> float:  # type: ignore[type-arg]
+def _mean(values: pd.Series) -> float:
     finite = values.astype(float).dropna()
     return float(finite.mean()) if len(finite) else math.nan

@@ -27,7 +27,18 @@ if TYPE_CHECKING:
     from daq.run import Run
 
 SCHEMA = "pamrig-report/1"
-QUIET_EVENTS = ("point", "zero", "length", "state", "command", "tare", "clockfit", "armed")
+QUIET_EVENTS = (
+    "point",
+    "zero",
+    "length",
+    "state",
+    "command",
+    "tare",
+    "clockfit",
+    "armed",
+    "controller",
+)
+"""Events of a run as it should be; any other kind is shown among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")
 
 
@@ -74,9 +85,12 @@ def report_json(
             for name, calibration in reduction.calibrations.items()
         ],
         "faults": [
-            {"t_s": event["t_ns"] / 1e9, **{k: v for k, v in event.items() if k not in ("n", "t_ns")}}
+            {
+                "t_s": event["t_ns"] / 1e9,
+                **{k: v for k, v in event.items() if k not in ("n", "t_ns")},
+            }
             for event in run.events
-            if event.get("kind") not in QUIET_EVENTS
+            if event.get("kind") not in QUIET_EVENTS and not event.get("confirmed")
         ],
         "counters": final.get("counters"),
         "problems": [f"{p.file} at byte {p.offset}: {p.what}" for p in run.problems],
@@ -114,10 +128,14 @@ def write_report(
     out = out or Path(run.folder) / "derived" / "report.html"
     reduction = reduction or reduce_isometric(run)
     data = report_json(run, reduction, region_kpa)
-    html = _environment().get_template("report.html.j2").render(
-        r=data,
-        figures=_figures(run, reduction, data, region_kpa),
-        provenance=_flat({k: data[k] for k in _APPENDIX if data.get(k) is not None}),
+    html = (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            r=data,
+            figures=_figures(run, reduction, data, region_kpa),
+            provenance=_flat({k: data[k] for k in _APPENDIX if data.get(k) is not None}),
+        )
     )
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(html, encoding="utf-8")
@@ -181,32 +199,33 @@ def _figures(
 ) -> dict[str, str]:
     """Each figure as a data address, by name."""
     from rigs import figures
+    from rigs.drawing import as_svg
     from rigs.thesis_check import printed_law
+    from rigs.timeline import timeline_figure
 
     made = dict.fromkeys(("force", "regression", "residual", "timeline"), "")
     table = _coldest(reduction.table)
     lines = per_length(table, region_kpa, reduction.calibrations)
     if len(table):
-        made["force"] = _data_address(figures.as_svg(figures.force_figure(table)))
+        made["force"] = _data_address(as_svg(figures.force_figure(table)))
     groups = _by_temperature(lines)
     if groups and len(groups[0]) >= 3:
         cold = groups[0]
         digits = THESIS_DIGITS if data["thesis"] else None
         printed = (printed_law("4-34"), printed_law("4-35")) if data["thesis"] else None
         figure = figures.regression_figure(cold, against_length(cold, digits), printed)
-        made["regression"] = _data_address(figures.as_svg(figure))
+        made["regression"] = _data_address(as_svg(figure))
         figure = figures.residual_figure(table, lines, region_kpa)
-        made["residual"] = _data_address(figures.as_svg(figure))
+        made["residual"] = _data_address(as_svg(figure))
     if not data["imported"]:
-        timeline = figures.timeline_figure(run)
+        timeline = timeline_figure(run)
         if timeline is not None:
-            made["timeline"] = _data_address(figures.as_svg(timeline))
+            made["timeline"] = _data_address(as_svg(timeline))
     return made
 
 
 def _coldest(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows of the lowest temperature where a table spans several: one figure, one curve
-    a length."""
+    """The rows of the lowest temperature where a table spans several: one curve a length."""
     temperature = table["temperature_c"].astype(float)
     if not temperature.max() - temperature.min() > 2.0:
         return table

@@ -84,6 +84,7 @@ class Runner:
         self._armed = False
         self._reboots = 0
         self._venting = True
+        self._balance_speaks = True
         self._last_seq = (0, 0)
         self._last_row = (0, 0)
 
@@ -114,7 +115,9 @@ class Runner:
             if not valve.armed:
                 raise RunFault(valve.name, "disarmed itself", "see its fault list")
         self._last_seq = self._silent("telemetry", valve.seq_end, self._last_seq, now_ns)
-        self._last_row = self._silent("balance readings", self.rig.balance.rows, self._last_row, now_ns)
+        if self._balance_speaks:
+            rows = self.rig.balance.rows
+            self._last_row = self._silent("balance readings", rows, self._last_row, now_ns)
 
     def _silent(self, what: str, count: int, last: tuple[int, int], now_ns: int) -> tuple[int, int]:
         if count != last[0] or last[1] == 0:
@@ -130,20 +133,12 @@ class Runner:
             )
         return last
 
-    def _pump_until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        def look() -> bool:
-            self._alive()
-            return condition()
-
-        return self.rig.pump.until(look, seconds)
-
     # ---- the run --------------------------------------------------------------------
 
     def arm(self) -> None:
         """Start the heartbeat, wait for telemetry, clear an old fault and arm."""
         valve = self.rig.valve
-        valve.progress(ALIVE_S)
-        self._pump_until(lambda: valve.seq_end > 0 and self.rig.balance.rows > 0, 3.0)
+        self.rig.pump.until(lambda: valve.seq_end > 0 and self.rig.balance.rows > 0, 3.0)
         if not valve.seq_end:
             raise DeviceError(valve.name, "sends no telemetry", "check firmware and baud rate")
         if valve.fault_latched:
@@ -151,7 +146,7 @@ class Runner:
             valve.faults.clear()
         self._reboots = valve.telemetry.reboots
         valve.arm()
-        if not self._pump_until(lambda: valve.armed, 2.0):
+        if not self.rig.pump.until(lambda: valve.armed, 2.0):
             raise DeviceError(valve.name, "took `arm` but its telemetry does not say so")
         self._armed = True
         self.record.event("armed", identity=valve.identity)
@@ -160,6 +155,8 @@ class Runner:
         """Carry out every step. Ends the run venting, whatever is raised."""
         self.progress.points = points
         answer: Answer = None
+        pump = self.rig.pump
+        pump.add(self._alive)  # in every round, also while a driver waits for a reply
         try:
             self.arm()
             while True:
@@ -169,6 +166,7 @@ class Runner:
                     break
                 answer = self._do(step)
         finally:
+            pump.remove(self._alive)
             steps.close()
             self._safe()
 
@@ -203,7 +201,7 @@ class Runner:
             case SetPressure(pressure_kpa):
                 self._set_pressure(pressure_kpa)
             case Dwell(seconds):
-                self._pump_until(lambda: False, seconds)
+                self.rig.pump.for_seconds(seconds)
             case Settle():
                 return self._settle(step)
             case Zero():
@@ -217,36 +215,27 @@ class Runner:
             self.rig.valve.request("vent")
             self._venting = True
         self.watch.set_point("pressure", 0.0)
-        if not self._pump_until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
+        if not self.rig.pump.until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
             raise RunFault(
                 self.rig.valve.name,
                 f"was told to vent, pressure still reads {self.rig.pressure_kpa:.0f} kPa after 10 s",
                 "shut the supply by hand; check the outlet and the pressure zero",
             )
-        self._pump_until(lambda: False, 0.3)
+        self.rig.pump.for_seconds(0.3)
 
     def _set_length(self, length_mm: float) -> None:
-        """Move the stage; the heartbeat goes on while it travels."""
+        """Move the stage and wait until it is there."""
         self.record.event("command", device="stage", length_mm=length_mm)
         self.watch.set_point("length", length_mm)
-        self.rig.pump.add(self._alive)
-        try:
-            self.rig.stage.move(length_mm)
-        finally:
-            self.rig.pump.remove(self._alive)
+        self.rig.stage.move(length_mm)
 
     def _tare(self) -> float:
-        # A balance that tares sends no readings meanwhile.
-        self.rig.pump.add(self._beat_only)
+        self._balance_speaks = False  # a balance that tares sends no readings meanwhile
         try:
             return self.rig.balance.tare()
         finally:
-            self.rig.pump.remove(self._beat_only)
+            self._balance_speaks = True
             self._last_row = (0, 0)
-
-    def _beat_only(self) -> None:
-        self.rig.valve.progress(ALIVE_S)
-        self.stop.check()
 
     def _set_pressure(self, pressure_kpa: float) -> None:
         limit = self.rig.config.limits.pressure_kpa
@@ -297,7 +286,7 @@ class Runner:
             drift = abs(float(np.mean(grams[:half]) - np.mean(grams[half:]))) * newton
             return bool(stable.all()) and drift <= c.drift_n
 
-        done = self._pump_until(settled, c.timeout_s)
+        done = self.rig.pump.until(settled, c.timeout_s)
         return done, (clock.now_ns() - start_ns) / NS_PER_S
 
     def _window(self, seconds: float) -> tuple[list[int], list[int]]:
@@ -305,7 +294,7 @@ class Runner:
         valve, balance = self.rig.valve, self.rig.balance
         seq, row = valve.seq_end, balance.rows
         samples, rows = round(seconds / SAMPLE_S), max(1, round(seconds * 10))
-        came = self._pump_until(
+        came = self.rig.pump.until(
             lambda: valve.seq_end >= seq + samples and balance.rows >= row + rows, seconds * 3 + 1.0
         )
         if not came:

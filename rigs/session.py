@@ -32,12 +32,13 @@ BYTES_PER_POINT = 400_000
 
 @dataclass(frozen=True)
 class Result:
-    """How a test ended."""
+    """How a test ended; ``not_derived`` says why table and report could not be made."""
 
     folder: Path
     outcome: str
     error: BaseException | None
     points: int
+    not_derived: str = ""
 
 
 def software() -> dict[str, Any]:
@@ -90,7 +91,12 @@ def check_disk(root: Path, points: int) -> None:
     Raises:
         RecordError: says what is needed and what is free.
     """
-    root.mkdir(parents=True, exist_ok=True)
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordError(
+            str(root), f"cannot hold runs: {error.strerror}", "choose another folder with --out"
+        ) from None
     free = shutil.disk_usage(root).free
     need = 20_000_000 + points * BYTES_PER_POINT
     if free < need:
@@ -166,11 +172,19 @@ def run_isometric(
             if live is not None:
                 live.close()
             _finish(rig, record, outcome, error)
-    if derive:
-        from rigs.products import derive_all
+    not_derived = _derive(record.folder) if derive else ""
+    return Result(record.folder, outcome, error, runner.progress.done, not_derived)
 
-        derive_all(record.folder)
-    return Result(record.folder, outcome, error, runner.progress.done)
+
+def _derive(folder: Path) -> str:
+    """Make what is derived; why it could not be made, or "". The record is safe either way."""
+    from rigs.products import derive_all
+
+    try:
+        derive_all(folder)
+    except PamrigError as error:
+        return str(error)
+    return ""
 
 
 def _check_camera(rig: Rig, record: RecordWriter) -> None:

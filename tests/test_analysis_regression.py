@@ -20,7 +20,9 @@ from rigs.thesis_check import compare_c9
 
 def printed_pairs() -> dict[str, tuple[str, str]]:
     """Table C-9 straight from the shipped text, not through the code under test."""
-    text = resources.files("plant.data").joinpath("c09_c15_per_length_coefs_150_600.csv").read_text()
+    text = (
+        resources.files("plant.data").joinpath("c09_c15_per_length_coefs_150_600.csv").read_text()
+    )
     return {
         row["length_mm"]: (row["pressure_gradient_coef"], row["intercept_coef"])
         for row in csv.DictReader(text.splitlines())
@@ -101,8 +103,8 @@ def points(rows: list[dict[str, object]]) -> pd.DataFrame:
 def test_a_point_belongs_to_the_region_by_its_set_pressure() -> None:
     table = points(
         [
-            {"set_pressure_kpa": p, "pressure_kpa": p - 0.2, "set_length_mm": 60, "length_mm": 60.01,
-             "force_n": 0.1 * p}
+            {"set_pressure_kpa": p, "pressure_kpa": p - 0.2, "force_n": 0.1 * p,
+             "set_length_mm": 60.0, "length_mm": 60.01}
             for p in (100.0, 150.0, 300.0, 600.0)
         ]
     )  # fmt: skip

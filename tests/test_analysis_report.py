@@ -15,10 +15,11 @@ from analysis_bench import write_run
 
 from daq.clock import VirtualClock
 from daq.run import open_run
-from rigs import figures
+from rigs.drawing import spread
 from rigs.importer import import_points, import_thesis
 from rigs.reduction import reduce_isometric
 from rigs.report import report_json, write_report
+from rigs.timeline import min_max
 from rigs.wording import with_u
 
 EVIL = '<script>alert("x")</script><img src=x onerror=alert(1)>&{{ 7 * 7 }}'
@@ -222,7 +223,7 @@ def test_a_touched_record_has_another_hash(tmp_path: Path) -> None:
 
 def test_labels_at_the_curves_ends_never_overlap_and_keep_their_order() -> None:
     wanted = [1.0, 1.1, 1.15, 5.0, 5.05, 9.0]
-    places = figures._spread(wanted, gap=0.5)
+    places = spread(wanted, gap=0.5)
     assert np.diff(places).min() >= 0.5 - 1e-12
     assert places[-1] == 9.0
     assert np.mean(places[:3]) == pytest.approx(np.mean(wanted[:3]))
@@ -231,7 +232,7 @@ def test_labels_at_the_curves_ends_never_overlap_and_keep_their_order() -> None:
 def test_decimation_keeps_every_peak() -> None:
     values = np.zeros(100_000)
     values[54_321], values[77_777] = 9.0, -4.0
-    x, y = figures._min_max(np.arange(100_000.0), values)
+    x, y = min_max(np.arange(100_000.0), values)
     assert len(x) == len(y) < 3000
     assert (y.max(), y.min()) == (9.0, -4.0)
 

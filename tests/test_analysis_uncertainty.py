@@ -27,6 +27,15 @@ def test_twice_u_covers_the_mean_of_correlated_noise(phi: float, n: int) -> None
     assert 0.93 <= inside <= 0.985
 
 
+@pytest.mark.parametrize(("phi", "n", "least"), [(0.8, 100, 0.91), (0.9, 100, 0.87)])
+def test_a_window_of_few_correlation_times_falls_short_only_a_little(
+    phi: float, n: int, least: float
+) -> None:
+    rng = np.random.default_rng(7)
+    means = [window_mean(series) for series in ar1(rng, phi, 1500, n)]
+    assert least <= np.mean([abs(mean.mean) <= 2 * mean.u for mean in means]) <= 0.96
+
+
 def test_a_naive_standard_error_would_have_failed_the_same_test() -> None:
     rng = np.random.default_rng(7)
     series = ar1(rng, 0.8, 400, 500)

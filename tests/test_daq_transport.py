@@ -73,6 +73,12 @@ def lost(link: Link, within_s: float = 2.0) -> LinkLost:
     raise AssertionError("the link was never reported lost")
 
 
+def keep_writing(link: Link, data: bytes, pause_s: float = 0.0) -> None:
+    for _ in range(100):
+        link.write(data)
+        time.sleep(pause_s)
+
+
 @pty_only
 def test_bytes_go_both_ways_and_are_stamped_when_they_came(pty: Pty, link: SerialLink) -> None:
     before = time.monotonic_ns()
@@ -121,9 +127,7 @@ def test_what_came_before_the_unplugging_is_still_read(pty: Pty, link: SerialLin
 def test_unplugged_and_written_to_at_once(pty: Pty, link: SerialLink) -> None:
     pty.unplug()
     with pytest.raises(LinkLost) as caught:
-        for _ in range(100):
-            link.write(b"x")
-            time.sleep(0.01)
+        keep_writing(link, b"x", pause_s=0.01)
     assert pty.path in str(caught.value)
 
 
@@ -131,8 +135,7 @@ def test_unplugged_and_written_to_at_once(pty: Pty, link: SerialLink) -> None:
 def test_a_device_that_takes_nothing_is_lost_not_waited_for(pty: Pty, link: SerialLink) -> None:
     start = time.perf_counter()
     with pytest.raises(LinkLost) as caught:
-        for _ in range(100):
-            link.write(bytes(4096))  # nobody reads the other end
+        keep_writing(link, bytes(4096))  # nobody reads the other end
     assert time.perf_counter() - start < 2.0
     assert "4096 bytes could not be sent" in str(caught.value)
     assert lost(link) is not None

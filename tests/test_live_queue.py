@@ -21,7 +21,7 @@ def test_full_queue_drops_the_oldest_bulk_and_counts_it():
     queue = DropQueue(bulk_bytes=100)
     for k in range(10):
         queue.put_bulk(30, ("series", k))
-    bulk, _ = queue.drain()
+    bulk, _, _ = queue.drain()
     assert [item[1] for item in bulk] == [7, 8, 9]
     assert queue.dropped == 7
     assert queue.held_bytes == 0
@@ -32,7 +32,7 @@ def test_a_flood_of_samples_does_not_push_out_reduced_points():
     queue.put_fact(("points", "a"))
     for _ in range(1_000):
         queue.put_bulk(1, ("series",))
-    bulk, facts = queue.drain()
+    bulk, _, facts = queue.drain()
     assert facts == [("points", "a")]
     assert len(bulk) == 10
 
@@ -41,8 +41,19 @@ def test_an_item_larger_than_the_whole_queue_is_dropped_not_kept():
     queue = DropQueue(bulk_bytes=100)
     queue.put_bulk(50, ("small",))
     queue.put_bulk(1_000, ("huge",))
-    assert queue.drain() == ([], [])
+    assert queue.drain() == ([], [], [])
     assert queue.dropped == 2
+
+
+def test_of_several_pictures_only_the_newest_waits_and_curves_are_not_pushed_out():
+    queue = DropQueue(picture_paths=2)
+    queue.put_bulk(8, ("curve",))
+    for k in range(100):
+        queue.put_picture("camera", ("camera", k))
+    queue.put_picture("b", ("b", 0))
+    queue.put_picture("c", ("c", 0))
+    assert queue.drain() == ([("curve",)], [("b", 0), ("c", 0)], [])
+    assert (queue.replaced, queue.dropped) == (99, 1)
 
 
 @given(st.lists(st.integers(0, 400), max_size=60), st.integers(1, 500), st.integers(1, 10))
@@ -51,7 +62,7 @@ def test_every_item_is_either_held_or_counted_as_dropped(sizes, limit, items):
     for size in sizes:
         queue.put_bulk(size, (size,))
         assert queue.held_bytes <= limit
-    bulk, _ = queue.drain()
+    bulk, _, _ = queue.drain()
     assert len(bulk) + queue.dropped == len(sizes)
     assert len(bulk) <= items
 

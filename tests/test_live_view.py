@@ -72,6 +72,28 @@ def client(view: LiveView, folder) -> subprocess.Popen:
     return process
 
 
+def curves_in(path) -> dict[str, np.ndarray]:
+    """(n, 2) time in s and value of every curve in a file, in order of time."""
+    import warnings
+
+    import rerun.chunk
+
+    parts: dict[str, list[np.ndarray]] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for chunk in rerun.chunk.RrdReader(str(path)).stream():
+            batch = chunk.to_record_batch()
+            for name in batch.schema.names:
+                if name.endswith("Scalars:scalars"):
+                    at = batch.column("time").to_numpy(zero_copy_only=False)
+                    at_s = at.astype("timedelta64[ns]").astype(np.int64) * 1e-9
+                    values = np.array([row[0] for row in batch.column(name).to_pylist()])
+                    entity = str(chunk.entity_path).strip("/")
+                    parts.setdefault(entity, []).append(np.column_stack((at_s, values)))
+    joined = {entity: np.concatenate(p) for entity, p in parts.items()}
+    return {e: c[np.argsort(c[:, 0], kind="stable")] for e, c in joined.items()}
+
+
 def seen(path) -> dict[str, int]:
     """Rows by entity in a file of the viewer's."""
     import warnings
@@ -232,6 +254,29 @@ def test_series_nobody_planned_for_are_drawn_and_no_more_than_100_points_a_secon
     rows = seen(tmp_path / "seen.rrd")
     for path in ("prediction/force_n", "force/predicted_n", names.PRESSURE):
         assert 250 <= rows[f"/{path}"] <= 501, path
+
+
+def test_a_staircase_is_drawn_by_its_steps_in_order_and_carried_on(tmp_path):
+    view = LiveView("steps", isometric_layout(), port=0)
+    viewer = client(view, tmp_path)
+    t = np.arange(3_000) * 1e-3
+    for k, part in enumerate(np.split(t, 60)):
+        view.series(names.PRESSURE, part, part)
+        view.series(names.SET_POINT, part, np.floor(part) * 100.0)
+        if k % 20 == 5:
+            view.series(names.SET_LENGTH, part[:1], [55.0 + k])
+            time.sleep(0.4)
+    close_in_time(view)
+    time.sleep(0.5)
+    viewer.terminate()
+    viewer.wait()
+    curves = curves_in(tmp_path / "seen.rrd")
+    steps = curves[names.SET_POINT]
+    assert np.array_equal(steps[:, 1], np.floor(steps[:, 0] + 1e-9) * 100.0)
+    lengths = curves[names.SET_LENGTH]
+    assert np.array_equal(lengths[:, 1], 60.0 + 20.0 * np.floor(lengths[:, 0] - 0.25 + 1e-9))
+    assert lengths[-1, 0] == pytest.approx(2.999)
+    assert len(steps) < 20
 
 
 def test_an_empty_layout_still_shows_what_it_is_handed():

@@ -151,6 +151,7 @@ def test_a_staircase_keeps_its_steps_only(view):
     curves, _ = view
     assert curves[names.SET_POINT][:, 1].tolist() == [90.0, 115.0, 140.0, 165.0, 165.0]
     assert np.allclose(curves[names.SET_POINT][:, 0], [0.0, 1.0, 2.0, 3.0, 3.999])
+    assert np.allclose(curves[names.SET_LENGTH], [[0.0, 60.0], [3.999, 60.0]])
 
 
 def test_lengths_come_from_trusted_frames_at_the_time_of_the_frame(view):

@@ -175,7 +175,7 @@ def test_gas_in_the_muscle_is_what_came_in_less_what_went_out(
     def mass() -> float:
         absolute = bench.state[layout.PRESSURE] + c.atmosphere_pa
         volume = float(muscle.chamber_volume(bench.state[layout.LENGTH], c))
-        return absolute * volume / (GAS_CONSTANT_J_KG_K * c.gas_temperature_k)
+        return float(absolute * volume / (GAS_CONSTANT_J_KG_K * c.gas_temperature_k))
 
     first = mass()
     for inlet, outlet in ticks:

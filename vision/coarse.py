@@ -8,7 +8,7 @@ no other edge between them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,7 @@ class EdgeGuess:
     slope: float
     rising: bool
     votes: float
+    contrast: float = 0.0  # grey levels, median over the bands that see it
     room_left: float = 0.0  # px to the next edge (or the border) on this side
     room_right: float = 0.0
 
@@ -148,7 +149,7 @@ def find_edges(img: Image, box: Box, exclude: tuple[Box, ...] = ()) -> Guess:
         *_peaks(rising, slopes, mid, True, least),
         *_peaks(falling, slopes, mid, False, least),
     ]
-    return _choose(edges, width, count)
+    return _choose([_weigh(e, steps, rows, float(dead)) for e in edges], width)
 
 
 def _peaks(
@@ -173,32 +174,60 @@ def _peaks(
     return found
 
 
-def _choose(edges: list[EdgeGuess], width: int, count: int) -> Guess:
+def _weigh(edge: EdgeGuess, steps: F32, rows: npt.NDArray[np.float64], dead: float) -> EdgeGuess:
+    x = np.rint(edge.x_mid + edge.slope * rows).astype(np.int64)
+    inside = (x >= 0) & (x < steps.shape[1])
+    seen = steps[np.flatnonzero(inside), x[inside]] * (1.0 if edge.rising else -1.0)
+    seen = seen[seen > dead]
+    return replace(edge, contrast=float(np.median(seen)) if len(seen) else 0.0)
+
+
+def _choose(edges: list[EdgeGuess], width: int) -> Guess:
+    """Pick the pair of edges that a single light gap between dark marks would make."""
     if not edges:
         return Guess(None, None, "no straight edge found in the region")
-    top = max(e.votes for e in edges)
+    top = max(e.votes * e.contrast for e in edges)
     # an edge counts when it is a fair part of the strongest: marks may differ in height
-    strong = sorted((e for e in edges if e.votes >= 0.25 * top), key=lambda e: e.x_mid)
-    pairs: list[tuple[EdgeGuess, EdgeGuess]] = []
-    for i in range(len(strong) - 1):
-        a, b = strong[i], strong[i + 1]
-        if a.rising and not b.rising:
-            before = strong[i - 1].x_mid if i > 0 else 0.0
-            after = strong[i + 2].x_mid if i + 2 < len(strong) else float(width)
-            room = b.x_mid - a.x_mid
-            pairs.append(
-                (
-                    EdgeGuess(a.x_mid, a.slope, True, a.votes, a.x_mid - before, room),
-                    EdgeGuess(b.x_mid, b.slope, False, b.votes, room, after - b.x_mid),
-                )
+    strong = sorted((e for e in edges if e.votes * e.contrast >= 0.2 * top), key=lambda e: e.x_mid)
+    runs: list[list[EdgeGuess]] = []
+    for e in strong:
+        if runs and runs[-1][-1].rising == e.rising:
+            runs[-1].append(e)
+        else:
+            runs.append([e])
+    pairs: list[tuple[float, EdgeGuess, EdgeGuess, str]] = []
+    for i in range(len(runs) - 1):
+        if not runs[i][0].rising:
+            continue
+        a, doubt_a = _of_run(runs[i])
+        b, doubt_b = _of_run(runs[i + 1])
+        before = max((e.x_mid for e in strong if e.x_mid < a.x_mid), default=0.0)
+        after = min((e.x_mid for e in strong if e.x_mid > b.x_mid), default=float(width))
+        beside_a = min(e.x_mid for e in strong if e.x_mid > a.x_mid)
+        beside_b = max(e.x_mid for e in strong if e.x_mid < b.x_mid)
+        pairs.append(
+            (
+                min(a.votes * a.contrast, b.votes * b.contrast),
+                replace(a, room_left=a.x_mid - before, room_right=beside_a - a.x_mid),
+                replace(b, room_left=b.x_mid - beside_b, room_right=after - b.x_mid),
+                doubt_a or doubt_b,
             )
+        )
     if not pairs:
         kinds = "one mark" if len(strong) <= 2 else f"{len(strong)} edges but no light gap"
         return Guess(None, None, f"found {kinds}: two dark marks with light between are needed")
-    pairs.sort(key=lambda p: min(p[0].votes, p[1].votes), reverse=True)
-    if len(pairs) > 1:
-        first = min(pairs[0][0].votes, pairs[0][1].votes)
-        second = min(pairs[1][0].votes, pairs[1][1].votes)
-        if second > 0.6 * first:
-            return Guess(*pairs[0], f"{len(pairs)} light gaps look alike: give a region")
-    return Guess(*pairs[0])
+    pairs.sort(key=lambda pair: pair[0], reverse=True)
+    if len(pairs) > 1 and pairs[1][0] > 0.5 * pairs[0][0]:
+        return Guess(*pairs[0][1:3], f"{len(pairs)} light gaps look alike: give a region")
+    return Guess(*pairs[0][1:])
+
+
+def _of_run(run: list[EdgeGuess]) -> tuple[EdgeGuess, str]:
+    """The strongest of neighbouring edges of one sign, and a doubt if another is as strong."""
+    ranked = sorted(run, key=lambda e: e.votes * e.contrast, reverse=True)
+    if len(ranked) > 1:
+        first, second = (e.votes * e.contrast for e in ranked[:2])
+        if second > 0.5 * first:
+            where = f"columns {ranked[0].x_mid:.0f} and {ranked[1].x_mid:.0f}"
+            return ranked[0], f"two edges of one sign look alike ({where})"
+    return ranked[0], ""

@@ -37,7 +37,6 @@ class EdgeLine:
     top: int
     bottom: int
     blur_px: float
-    smear_px: float
     contrast: float
     noise: float
     rows_used: int

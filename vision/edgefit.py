@@ -1,14 +1,20 @@
 """Joint robust fit of one straight blurred edge to all pixels near it.
 
-Model of the light at column x, row y (t = (y - y_mid)/half_height), d = x - a - b*(y - y_mid):
+Model of the light at column x, row y, with d = x - a - b*(y - y_mid), for the group of four
+rows that y belongs to:
 
-    I = L (1 + gamma d) (1 - F(d)) + H (1 + gamma d) F(d) + kappa d (2 F(d) - 1)
-    L = p0 + p1 t + p2 t^2,  H = q0 + q1 t + q2 t^2
+    I = p (1 + gamma d) (1 - F(d)) + q (1 + gamma d) F(d) + kappa d (2 F(d) - 1)
 
-where F is the step seen by a unit pixel through a Gaussian blur of sd sigma and, where
-motion shows, a box of width w: twice integrated normal density. Parameters are found by
-Gauss-Newton steps with Tukey's biweight (c = 4.685, 95 % efficient on Gaussian noise);
-rows in which more than a third of the pixels near the edge are outliers are left out.
+p and q are the levels left and right of the edge, free for every group (uneven light, glare
+and shutter bands cost nothing: the position takes its information from each row anyway);
+F is the step seen by a unit pixel through a Gaussian blur of sd sigma: the normal density
+integrated twice. (Motion blur is another symmetric kernel: it widens sigma and, by symmetry,
+leaves the position alone.) gamma is the relative change of
+light across the edge; kappa, light that does not change in proportion, stays 0 unless the
+frame shows it. Parameters are found by Gauss-Newton steps with Tukey's biweight (c = 4.685,
+95 % efficient on Gaussian noise), the levels eliminated group by group. Rows in which more
+than a third of the pixels near the edge are outliers are left out, and so are groups that
+fit much worse than the rest.
 """
 
 from __future__ import annotations
@@ -19,12 +25,12 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-PARAMETERS = 11  # a, b, sigma, p0 p1 p2, q0 q1 q2, gamma, kappa
+PARAMETERS = 5  # a, b, sigma, gamma, kappa
 TABLE = 1024  # longest profile table
 STEPS_A_SIGMA = 24.0
 TUKEY = 4.685
-GROUP = 4  # rows that share one t in the equations
-BASIS_OF = (0, 0, 1, 2, 2, 2, 3, 3, 3, 4, 5)
+GROUP = 4  # rows that share one pair of levels
+RHO_MAX = 22.0  # what one outlier adds to its group's misfit, in squared sds
 HIST = 2048
 HIST_STEP = 1.0 / 32.0
 CORE_MAX = 64  # widest stored residual window
@@ -45,16 +51,7 @@ def _phi2(t, sigma):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _phi3(t, sigma):  # type: ignore[no-untyped-def]
-    """Second integral of the normal distribution function."""
-    z = t / sigma
-    cdf = 0.5 * (1.0 + math.erf(z * _SQRT_HALF))
-    pdf = _INV_SQRT_2PI * math.exp(-0.5 * z * z)
-    return 0.5 * ((t * t + sigma * sigma) * cdf + t * sigma * pdf)
-
-
-@njit(cache=True, nogil=True)
-def fill_table(sigma, w, table, core):  # type: ignore[no-untyped-def]
+def fill_table(sigma, table, core):  # type: ignore[no-untyped-def]
     """Tabulate F, dF/dd and dF/dsigma for |d| <= core at ``sigma/24`` or finer.
 
     Returns the number of entries to one side; entry k + side stands at d = k * step.
@@ -69,26 +66,9 @@ def fill_table(sigma, w, table, core):  # type: ignore[no-untyped-def]
         d = k * step
         z1 = (d + 0.5) * inv
         z0 = (d - 0.5) * inv
-        if w < 0.05:
-            f = _phi2(d + 0.5, sigma) - _phi2(d - 0.5, sigma)
-            g = 0.5 * (math.erf(z1 * _SQRT_HALF) - math.erf(z0 * _SQRT_HALF))
-            h = _INV_SQRT_2PI * (math.exp(-0.5 * z1 * z1) - math.exp(-0.5 * z0 * z0))
-        else:
-            half = 0.5 * w
-            f = 0.0
-            g = 0.0
-            h = 0.0
-            for i in range(4):
-                sx = 0.5 if i % 2 == 0 else -0.5
-                sw = half if i < 2 else -half
-                sign = 1.0 if (i == 0 or i == 3) else -1.0
-                z = (d + sx + sw) * inv
-                f += sign * _phi3(d + sx + sw, sigma)
-                g += sign * _phi2(d + sx + sw, sigma)
-                h += sign * sigma * 0.5 * (1.0 + math.erf(z * _SQRT_HALF))
-            f /= w
-            g /= w
-            h /= w
+        f = _phi2(d + 0.5, sigma) - _phi2(d - 0.5, sigma)
+        g = 0.5 * (math.erf(z1 * _SQRT_HALF) - math.erf(z0 * _SQRT_HALF))
+        h = _INV_SQRT_2PI * (math.exp(-0.5 * z1 * z1) - math.exp(-0.5 * z0 * z0))
         table[0, side + k] = f
         table[1, side + k] = g
         table[2, side + k] = h
@@ -106,6 +86,7 @@ def _flat(line, x_from, x_to, x0, level, slope, inv2):  # type: ignore[no-untype
     s2 = np.float32(0.0)
     r0 = np.float32(0.0)
     r1 = np.float32(0.0)
+    rho = np.float32(0.0)
     start = np.float32(x_from + 0.5 - x0)
     level32 = np.float32(level)
     slope32 = np.float32(slope)
@@ -122,55 +103,70 @@ def _flat(line, x_from, x_to, x0, level, slope, inv2):  # type: ignore[no-untype
         s2 += wt * d * d
         r0 += wt * r
         r1 += wt * r * d
-    return float(s0), float(s1), float(s2), float(r0), float(r1)
+        rho += min(one, r * r * inv32)
+    return float(s0), float(s1), float(s2), float(r0), float(r1), float(rho)
 
 
 @njit(cache=True, nogil=True)
-def _spread(u, v, t, half, c, work, normal, right):  # type: ignore[no-untyped-def]
-    """Add sums over the six functions of d, taken over rows near t, to the normal equations.
+def _eliminate(u, v, c, arm, block, normal, right):  # type: ignore[no-untyped-def]
+    """Take the levels out of one group's sums and add the rest to the normal equations.
 
-    A few rows share one t: that touches the weights of the equations, never the residuals.
+    ``block`` (2, PARAMETERS + 1) gets what ``shift_levels`` needs to move the levels later.
     """
-    work[0] = -c
-    work[1] = -c * t * half
-    work[2] = c
-    work[3] = 1.0
-    work[4] = t
-    work[5] = t * t
-    work[6] = 1.0
-    work[7] = t
-    work[8] = t * t
-    work[9] = 1.0
-    work[10] = 1.0
+    m00 = u[2, 2]
+    m11 = u[3, 3]
+    m01 = u[2, 3]
+    det = m00 * m11 - m01 * m01
+    if m00 <= 0.0 or m11 <= 0.0 or det < 1e-6 * m00 * m11:
+        return False
+    kinds = (0, 0, 1, 4, 5)
+    factor = (-c, -c * arm, c, 1.0, 1.0)
     for m in range(PARAMETERS):
-        km = BASIS_OF[m]
-        right[m] += work[m] * v[km]
+        k = kinds[m]
+        e = u[2, k] if k > 2 else u[k, 2]
+        f = u[3, k] if k > 3 else u[k, 3]
+        block[0, m] = factor[m] * (m11 * e - m01 * f) / det
+        block[1, m] = factor[m] * (m00 * f - m01 * e) / det
+    block[0, PARAMETERS] = (m11 * v[2] - m01 * v[3]) / det
+    block[1, PARAMETERS] = (m00 * v[3] - m01 * v[2]) / det
+    for m in range(PARAMETERS):
+        km = kinds[m]
+        e = (u[2, km] if km > 2 else u[km, 2]) * factor[m]
+        f = (u[3, km] if km > 3 else u[km, 3]) * factor[m]
+        right[m] += factor[m] * v[km] - e * block[0, PARAMETERS] - f * block[1, PARAMETERS]
         for n in range(m, PARAMETERS):
-            normal[m, n] += work[m] * work[n] * u[km, BASIS_OF[n]]
+            kn = kinds[n]
+            normal[m, n] += (
+                factor[m] * factor[n] * u[km, kn] - e * block[0, n] - f * block[1, n]
+            )
+    return True
 
 
 @njit(cache=True, nogil=True)
 def sweep(  # type: ignore[no-untyped-def]
-    img, rows, y_mid, half, p, w, room, box_left, box_right,
-    scale, tukey, table, work, hist, normal, right, keep, resid, spread, stats,
+    img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right,
+    scale, table, hist, normal, right, blocks, misfit, keep, resid, stats,
 ):
     """One pass over the pixels: normal equations, residual histogram, statistics.
 
-    ``p`` are the PARAMETERS; ``room`` the (left, right) px that belong to this edge.
-    ``keep`` (rows) gets 1 where the row counted; ``resid`` (rows, CORE_MAX) the weighted
-    residuals near the edge; ``spread`` (bins, 2) the mean residual profile at 1/4 px.
+    ``rows`` with their ``group_of`` index; ``p`` are the PARAMETERS, ``levels`` (groups, 2);
+    groups with ``used`` 0 are skipped; ``room`` the (left, right) px that belong to this
+    edge. ``keep`` (rows) gets 1 where the row counted; ``misfit`` (groups) the mean bounded
+    squared residual; ``resid`` (rows, CORE_MAX) the weighted residuals near the edge, column
+    CORE_MAX/2 holding the pixel that the edge runs through.
     """
     a = p[0]
     b = p[1]
     sigma = p[2]
-    core = 3.6 * sigma + 0.5 + 0.5 * w + 0.3
-    side, step = fill_table(sigma, w, table, core + 1.0)
+    core = 3.6 * sigma + 0.8
+    side, step = fill_table(sigma, table, core + 1.0)
     inv_step = 1.0 / step
-    outer = 12.0 + 6.0 * sigma + 0.5 * w
+    outer = 12.0 + 6.0 * sigma
     reach_l = min(outer, room[0])
     reach_r = min(outer, room[1])
-    limit = tukey * scale
+    limit = TUKEY * scale
     inv2 = 1.0 / (limit * limit)
+    inv_s2 = 1.0 / (scale * scale)
     normal[:] = 0.0
     right[:] = 0.0
     hist[:] = 0
@@ -178,34 +174,56 @@ def sweep(  # type: ignore[no-untyped-def]
     core_l = min(core, reach_l)
     core_r = min(core, reach_r)
     store = resid.shape[0] > 0
-    n_par = PARAMETERS
-    group_u = np.zeros((6, 6))
-    group_v = np.zeros(6)
-    y_group = -(10**9)
-    t_group = 0.0
-    c_group = 1.0
     u = np.zeros((6, 6))
     v = np.zeros(6)
-    for i in range(rows.shape[0]):
+    count_rows = rows.shape[0]
+    at = -1  # group being summed
+    arm = 0.0
+    members = 0
+    s_rho = 0.0
+    n_rho = 0.0
+    for i in range(count_rows + 1):
+        if i == count_rows or group_of[i] != at:
+            if at >= 0:
+                misfit[at] = -1.0
+                if members > 0:
+                    c = levels[at, 1] - levels[at, 0]
+                    if not _eliminate(u, v, c, arm / members, blocks[at], normal, right):
+                        blocks[at] = 0.0
+                    misfit[at] = s_rho / n_rho
+                else:
+                    blocks[at] = 0.0
+            if i == count_rows:
+                break
+            at = group_of[i]
+            u[:] = 0.0
+            v[:] = 0.0
+            arm = 0.0
+            members = 0
+            s_rho = 0.0
+            n_rho = 0.0
+        keep[i] = 0
+        if used[at] == 0:
+            continue
         y = rows[i]
-        t = (y - y_mid) / half
         x0 = a + b * (y - y_mid)
-        low = p[3] + p[4] * t + p[5] * t * t
-        high = p[6] + p[7] * t + p[8] * t * t
-        sl = p[9] * low - p[10]
-        sh = p[9] * high + p[10]
-        c = high - low
+        low = levels[at, 0]
+        high = levels[at, 1]
+        sl = p[3] * low - p[4]
+        sh = p[3] * high + p[4]
         first = max(box_left, int(math.ceil(x0 - reach_l - 0.5)))
         last = min(box_right - 1, int(math.floor(x0 + reach_r - 0.5)))
         c_first = max(first, int(math.ceil(x0 - core_l - 0.5)))
         c_last = min(last, int(math.floor(x0 + core_r - 0.5)))
-        keep[i] = 0
         if c_last - c_first < 2 or c_first + 0.5 - x0 > -0.5 or c_last + 0.5 - x0 < 0.5:
+            stats[9] += 1.0
             continue
+        shift = c_first - int(math.floor(x0)) + CORE_MAX // 2
         bad = 0
         s_psi2 = 0.0
         s_dpsi = 0.0
         s_w = 0.0
+        rho = 0.0
         hot = 0
         u00 = 0.0
         u01 = 0.0
@@ -257,8 +275,7 @@ def sweep(  # type: ignore[no-untyped-def]
             q = r * r * inv2
             if q >= 1.0:
                 bad += 1
-                if store and j < CORE_MAX:
-                    resid[i, j] = 0.0
+                rho += RHO_MAX
                 continue
             m = 1.0 - q
             wt = m * m
@@ -266,8 +283,9 @@ def sweep(  # type: ignore[no-untyped-def]
             s_psi2 += psi * psi
             s_dpsi += m * (1.0 - 5.0 * q)
             s_w += wt
-            if store and j < CORE_MAX:
-                resid[i, j] = psi
+            rho += min(RHO_MAX, r * r * inv_s2)
+            if store and 0 <= j + shift < CORE_MAX:
+                resid[i, j + shift] = psi
             wg = wt * g
             wh = wt * h
             we = wt * e
@@ -303,36 +321,39 @@ def sweep(  # type: ignore[no-untyped-def]
             v5 += psi * df
         if bad * 3 > size:
             stats[0] += 1.0
+            s_rho += RHO_MAX * 0.2 * size
+            n_rho += size
             continue
         if hot * 5 > size * 2:
             stats[8] += 1.0
-        u[0, 0] = u00
-        u[0, 1] = u01
-        u[0, 2] = u02
-        u[0, 3] = u03
-        u[0, 4] = u04
-        u[0, 5] = u05
-        u[1, 1] = u11
-        u[1, 2] = u12
-        u[1, 3] = u13
-        u[1, 4] = u14
-        u[1, 5] = u15
-        u[2, 2] = u22
-        u[2, 3] = u23
-        u[2, 4] = u24
-        u[2, 5] = u25
-        u[3, 3] = u33
-        u[3, 4] = u34
-        u[3, 5] = u35
-        u[4, 4] = u44
-        u[4, 5] = u45
-        u[5, 5] = u55
-        v[0] = v0
-        v[1] = v1
-        v[2] = v2
-        v[3] = v3
-        v[4] = v4
-        v[5] = v5
+            continue
+        u[0, 0] += u00
+        u[0, 1] += u01
+        u[0, 2] += u02
+        u[0, 3] += u03
+        u[0, 4] += u04
+        u[0, 5] += u05
+        u[1, 1] += u11
+        u[1, 2] += u12
+        u[1, 3] += u13
+        u[1, 4] += u14
+        u[1, 5] += u15
+        u[2, 2] += u22
+        u[2, 3] += u23
+        u[2, 4] += u24
+        u[2, 5] += u25
+        u[3, 3] += u33
+        u[3, 4] += u34
+        u[3, 5] += u35
+        u[4, 4] += u44
+        u[4, 5] += u45
+        u[5, 5] += u55
+        v[0] += v0
+        v[1] += v1
+        v[2] += v2
+        v[3] += v3
+        v[4] += v4
+        v[5] += v5
         # flat parts: only levels and slopes
         for part in range(2):
             if part == 0:
@@ -341,7 +362,7 @@ def sweep(  # type: ignore[no-untyped-def]
                 x_from, x_to = c_last + 1, last + 1
             level = low if part == 0 else high
             slope = sl if part == 0 else sh
-            s0, s1, s2, r0, r1 = _flat(line, x_from, x_to, x0, level, slope, inv2)
+            s0, s1, s2, r0, r1, flat_rho = _flat(line, x_from, x_to, x0, level, slope, inv2)
             j = 2 + part
             sign = -1.0 if part == 0 else 1.0
             u[j, j] += s0
@@ -353,27 +374,35 @@ def sweep(  # type: ignore[no-untyped-def]
             v[j] += r0
             v[4] += level * r1
             v[5] += sign * r1
+            rho += flat_rho * RHO_MAX
+            stats[10] += x_to - x_from
+            stats[11] += s0
         keep[i] = 1
+        arm += y - y_mid
+        members += 1
+        s_rho += rho
+        n_rho += last - first + 1
         stats[1] += 1.0
         stats[2] += size
         stats[3] += bad
         stats[4] += s_psi2
         stats[5] += s_dpsi
         stats[6] += s_w
-        stats[7] += c
-        if y - y_group >= GROUP:
-            _spread(group_u, group_v, t_group, half, c_group, work, normal, right)
-            group_u[:] = 0.0
-            group_v[:] = 0.0
-            y_group, t_group, c_group = y, t, c
-        for m_ in range(6):
-            group_v[m_] += v[m_]
-            for n_ in range(m_, 6):
-                group_u[m_, n_] += u[m_, n_]
-    _spread(group_u, group_v, t_group, half, c_group, work, normal, right)
-    for m_ in range(n_par):
-        for n_ in range(m_):
-            normal[m_, n_] = normal[n_, m_]
+        stats[7] += high - low
+    for m in range(PARAMETERS):
+        for n in range(m):
+            normal[m, n] = normal[n, m]
+
+
+@njit(cache=True, nogil=True)
+def shift_levels(levels, blocks, groups, step):  # type: ignore[no-untyped-def]
+    """Move each group's levels to where they fit best after the parameters moved by step."""
+    for at in groups:
+        for k in range(2):
+            change = blocks[at, k, PARAMETERS]
+            for m in range(PARAMETERS):
+                change -= blocks[at, k, m] * step[m]
+            levels[at, k] += change
 
 
 @njit(cache=True, nogil=True)
@@ -433,7 +462,8 @@ def invert(matrix, inverse):  # type: ignore[no-untyped-def]
 def start_line(img, box, y_mid, a, b, rising, reach_l, reach_r, group):  # type: ignore[no-untyped-def]
     """Line and levels from groups of rows by the area under each mean profile.
 
-    Returns (a, b, left level, right level, used flag per group); a < 0 when too few agree.
+    Returns (a, b, left levels, right levels, used flags), the last three one per group of
+    rows; a < 0 when too few agree.
     """
     left, top, width, height = box
     count = height // group
@@ -447,6 +477,8 @@ def start_line(img, box, y_mid, a, b, rising, reach_l, reach_r, group):  # type:
     amp = np.zeros(count)
     used = np.zeros(count, np.uint8)
     profile = np.zeros(size)
+    row_lo = np.zeros(group)
+    row_hi = np.zeros(group)
     flank = max(2, min(4, size // 4))
     for k in range(count):
         y0 = top + k * group
@@ -461,20 +493,32 @@ def start_line(img, box, y_mid, a, b, rising, reach_l, reach_r, group):  # type:
             if cut > min(n_l, n_r) - 3:
                 continue
         profile[:] = 0.0
+        n_rows = 0
         for y in range(y0, y0 + group):
-            for j in range(size):
-                x = min(max(start + j, left), left + width - 1)
-                profile[j] += img[y, x]
-        lo = 0.0
-        hi = 0.0
+            lo = 0.0
+            hi = 0.0
+            for j in range(flank):
+                lo += img[y, min(max(start + j, left), left + width - 1)]
+                hi += img[y, min(max(start + size - 1 - j, left), left + width - 1)]
+            row_lo[n_rows] = lo / flank
+            row_hi[n_rows] = hi / flank
+            n_rows += 1
+        lo = np.median(row_lo)
+        hi = np.median(row_hi)
+        near = 0.25 * abs(hi - lo)
+        n_rows = 0
+        for y in range(y0, y0 + group):
+            r = y - y0
+            if abs(row_lo[r] - lo) <= near and abs(row_hi[r] - hi) <= near:
+                n_rows += 1
+                for j in range(size):
+                    value = float(img[y, min(max(start + j, left), left + width - 1)])
+                    profile[j] += min(max(value, min(lo, hi) - near), max(lo, hi) + near)
+        if n_rows * 3 < group:
+            continue
         area = 0.0
-        for j in range(flank):
-            lo += profile[j]
-            hi += profile[size - 1 - j]
-        lo /= flank * group
-        hi /= flank * group
         for j in range(size):
-            area += profile[j] / group - lo
+            area += profile[j] / n_rows - lo
         amp[k] = hi - lo if rising else lo - hi
         if amp[k] <= 0.0:
             continue
@@ -486,14 +530,14 @@ def start_line(img, box, y_mid, a, b, rising, reach_l, reach_r, group):  # type:
     order = np.sort(amp)
     typical = order[int(0.85 * (count - 1))]
     if typical <= 0.0:
-        return -1.0, 0.0, 0.0, 0.0, used
+        return -1.0, 0.0, lows, highs, used
     n = 0
     for k in range(count):
         if amp[k] > 0.45 * typical:
             used[k] = 1
             n += 1
     if n < 3:
-        return -1.0, 0.0, 0.0, 0.0, used
+        return -1.0, 0.0, lows, highs, used
     idx = np.flatnonzero(used)
     res = np.empty(n)
     shift = np.empty(n)
@@ -533,79 +577,130 @@ def start_line(img, box, y_mid, a, b, rising, reach_l, reach_r, group):  # type:
     for i in range(n):
         if abs(res[i]) > max(1.0, 6.0 * scale):
             used[idx[i]] = 0
-    low = np.median(lows[idx])
-    high = np.median(highs[idx])
-    return a, b, low, high, used
+    return a, b, lows, highs, used
 
 
 @njit(cache=True, nogil=True)
-def refine(img, rows, y_mid, half, p, w, room, box_left, box_right, resid, keep, out):  # type: ignore[no-untyped-def]
-    """Iterate ``sweep`` to convergence; fills p, resid, keep and out, returns True on success.
+def drop_misfits(misfit, used, levels):  # type: ignore[no-untyped-def]
+    """Switch off groups that fit far worse, or show far less contrast, than most; count them."""
+    count = 0
+    values = np.empty(misfit.shape[0])
+    contrast = np.empty(misfit.shape[0])
+    for k in range(misfit.shape[0]):
+        if used[k] and misfit[k] >= 0.0:
+            values[count] = misfit[k]
+            contrast[count] = levels[k, 1] - levels[k, 0]
+            count += 1
+    if count < 4:
+        return 0
+    middle = np.median(values[:count])
+    spread = 1.4826 * np.median(np.abs(values[:count] - middle))
+    limit = middle + max(6.0 * spread, 0.35 * middle)
+    typical = np.median(contrast[:count])
+    dropped = 0
+    for k in range(misfit.shape[0]):
+        if used[k] == 0:
+            continue
+        c = levels[k, 1] - levels[k, 0]
+        if misfit[k] > limit or c * typical < 0.35 * typical * typical:
+            used[k] = 0
+            dropped += 1
+    return dropped
 
-    out: 0..2 covariance aa, ab, bb (white noise), 3 rms noise near the edge, 4 share of
-    outlier pixels, 5 rows used, 6 rows refused, 7 mean contrast, 8 over-exposed rows,
-    9 information on a (px^-2 per grey^2), 10 mean weight.
+
+@njit(cache=True, nogil=True)
+def refine(  # type: ignore[no-untyped-def]
+    img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right,
+    least_scale, resid, keep, out,
+):
+    """Iterate ``sweep`` to convergence; fills p, levels, resid, keep and out.
+
+    out: 0..2 covariance aa, ab, bb (white noise), 3 noise sd near the edge, 4 share of
+    outlier pixels near it, 5 rows used, 6 rows refused, 7 mean contrast, 8 over-exposed
+    rows, 9 share of outliers in the flat parts, 10 groups refused, 11 kappa was freed, 12 variance of
+    sums over 8 image rows against that of white noise, 13 the same for sums over all rows.
+    Returns True when it converged on enough rows.
     """
+    groups = levels.shape[0]
     table = np.empty((3, TABLE))
-    work = np.empty(PARAMETERS)
     hist = np.zeros(HIST, np.int64)
     normal = np.zeros((PARAMETERS, PARAMETERS))
     inverse = np.zeros((PARAMETERS, PARAMETERS))
+    wide = np.zeros((PARAMETERS, PARAMETERS))
     right = np.zeros(PARAMETERS)
     stats = np.zeros(12)
-    spread = np.zeros((1, 2))
+    blocks = np.zeros((groups, 2, PARAMETERS + 1))
+    misfit = np.zeros(groups)
     none = np.zeros((0, CORE_MAX), np.float32)
     n = rows.shape[0]
-    stride = max(1, n // 90)
-    some = rows[::stride].copy()
+    stride = max(1, groups // 24)
+    chosen = np.flatnonzero(group_of % stride == stride // 2)
+    some = rows[chosen]
+    some_group = group_of[chosen]
     some_keep = np.zeros(some.shape[0], np.uint8)
-    scale = 0.3 * abs(p[6] - p[3])
-    coarse = 5
+    some_ids = np.unique(some_group)
+    all_ids = np.arange(groups)
+    scale = max(least_scale, 0.3 * abs(np.median(levels[:, 1] - levels[:, 0])))
+    coarse = 6
     fine = 0
     free = False
-    bend = 0.0
-    wide = np.zeros((PARAMETERS, PARAMETERS))
-    for it in range(14):
+    dropped = 0
+    pruned = False
+    da = 0.0
+    for it in range(18):
         full = it >= coarse
         if full:
             sweep(
-                img, rows, y_mid, half, p, w, room, box_left, box_right, scale, TUKEY,
-                table, work, hist, normal, right, keep, resid, spread, stats,
+                img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right, scale,
+                table, hist, normal, right, blocks, misfit, keep, resid, stats,
             )
         else:
             sweep(
-                img, some, y_mid, half, p, w, room, box_left, box_right, scale, TUKEY,
-                table, work, hist, normal, right, some_keep, none, spread, stats,
+                img, some, some_group, y_mid, p, levels, used, room, box_left, box_right,
+                scale, table, hist, normal, right, blocks, misfit, some_keep, none, stats,
             )
         if stats[1] < 4 or (full and stats[1] < 8):
             if scale > 60.0:
                 return False
+            if not full:
+                coarse = it + 1
             scale *= 2.0
             continue
+        bend = normal[4, 4]
         if not free:
-            bend = normal[10, 10]
-            normal[10, 10] = 1e30
+            normal[4, 4] = 1e30
         invert(normal, inverse)
         step = inverse @ right
         da = min(1.0, max(-1.0, step[0]))
-        p[0] += da
-        p[1] += min(0.02, max(-0.02, step[1]))
-        p[2] = min(8.0, max(0.2, p[2] + min(0.6, max(-0.6, step[2]))))
-        for k in range(3, PARAMETERS):
-            p[k] += step[k]
-        new_scale = min(60.0, max(0.3, 1.4826 * median_from(hist)))
+        step[0] = da
+        step[1] = min(0.02, max(-0.02, step[1]))
+        step[2] = min(0.6, max(-0.6, step[2]))
+        p[0] += step[0]
+        p[1] += step[1]
+        p[2] = min(8.0, max(0.2, p[2] + step[2]))
+        p[3] += step[3]
+        p[4] += step[4]
+        shift_levels(levels, blocks, all_ids if full else some_ids, step)
+        new_scale = min(60.0, max(least_scale, 1.4826 * median_from(hist)))
         settled = abs(new_scale - scale) < 0.1 * scale
         if full:
             tight = 0.2 * math.sqrt(max(1e-12, inverse[0, 0])) * scale + 1e-5
             fine += 1
+            if settled and not pruned:
+                pruned = True
+                now = drop_misfits(misfit, used, levels)
+                dropped += now
+                if now > 0:
+                    scale = new_scale
+                    continue
             if settled and fine >= 2 and abs(da) < tight:
                 if free:
                     break
                 # does the light change across the edge other than in proportion to it?
-                normal[10, 10] = bend
+                normal[4, 4] = bend
                 invert(normal, wide)
-                kappa = (wide @ right)[10]
-                if abs(kappa) < 4.0 * math.sqrt(max(1e-30, wide[10, 10])) * scale:
+                kappa = (wide @ right)[4]
+                if abs(kappa) < 4.0 * math.sqrt(max(1e-30, wide[4, 4])) * scale:
                     break
                 free = True
         elif settled and abs(da) < 0.01 and abs(step[2]) < 0.02:
@@ -614,18 +709,54 @@ def refine(img, rows, y_mid, half, p, w, room, box_left, box_right, resid, keep,
     count = stats[2]
     if stats[1] < 8 or stats[5] <= 0.0:
         return False
-    s2 = (stats[4] / count) / (stats[5] / count) ** 2 * count / max(1.0, count - PARAMETERS)
-    mean_w = stats[6] / count
-    factor = s2 * mean_w
+    s2 = (stats[4] / count) / (stats[5] / count) ** 2 * count / max(1.0, count - stats[1])
+    factor = s2 * stats[6] / count
     out[0] = inverse[0, 0] * factor
     out[1] = inverse[0, 1] * factor
     out[2] = inverse[1, 1] * factor
-    out[3] = math.sqrt(stats[4] / max(1.0, count - stats[3])) / max(0.05, mean_w)
+    out[3] = scale
     out[4] = stats[3] / count
     out[5] = stats[1]
     out[6] = stats[0]
     out[7] = stats[7] / stats[1]
     out[8] = stats[8]
-    out[9] = s2
-    out[10] = mean_w
+    out[9] = 1.0 - stats[11] / max(1.0, stats[10]) / max(0.05, stats[6] / (count - stats[3]))
+    out[10] = dropped
+    out[11] = 1.0 if free else 0.0
+    out[12], out[13] = row_correlation(resid, rows, keep)
     return True
+
+
+@njit(cache=True, nogil=True)
+def row_correlation(resid, rows, keep):  # type: ignore[no-untyped-def]
+    """How much more sums of residuals over 8 aligned rows, and over all, vary than white noise."""
+    columns = resid.shape[1]
+    one = 0.0
+    eight = 0.0
+    every = 0.0
+    block = np.zeros(columns)
+    total = np.zeros(columns)
+    seen = np.zeros(columns)
+    at = -1
+    for i in range(rows.shape[0] + 1):
+        if i == rows.shape[0] or rows[i] // 8 != at:
+            for j in range(columns):
+                eight += block[j] * block[j]
+                block[j] = 0.0
+            if i == rows.shape[0]:
+                break
+            at = rows[i] // 8
+        if keep[i] == 0:
+            continue
+        for j in range(columns):
+            r = resid[i, j]
+            if r != 0.0:
+                one += r * r
+                block[j] += r
+                total[j] += r
+                seen[j] += 1.0
+    for j in range(columns):
+        every += total[j] * total[j]
+    if one <= 0.0:
+        return 1.0, 1.0
+    return eight / one, every / one

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from vision.coarse import EdgeGuess, Image, find_edges
 from vision.edge import EdgeLine, GapMeasurement
-from vision.edgefit import CORE_MAX, PARAMETERS, refine, start_line
+from vision.edgefit import CORE_MAX, GROUP, refine, start_line
 from vision.gray import Box
+from vision.jpegerror import find_quantiser, position_variance
 
 F64 = npt.NDArray[np.float64]
+
+LEAST_NOISE = 0.3  # grey levels: rounding to whole ones
+ROWS_ALIKE = 1.25  # above this, neighbouring rows err alike: compressed, or lined
+STEEPEST = math.tan(math.radians(7.0))
+LARGEST_U = 0.05  # px; a frame that says less than this is not a measurement
+LARGEST_U_DEFECTS = 0.05 / 3  # where part of the evidence was thrown out
 
 
 @dataclass(frozen=True)
@@ -27,9 +34,12 @@ class Fit:
     p: F64
     out: F64
     rows: npt.NDArray[np.int64]
+    group_of: npt.NDArray[np.int64]
     keep: npt.NDArray[np.uint8]
     resid: npt.NDArray[np.float32]
-    smear: float = 0.0
+    levels: F64
+    on: npt.NDArray[np.uint8]
+    seen: int
 
 
 def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
@@ -37,13 +47,84 @@ def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
     guess = find_edges(gray, box, exclude)
     if guess.left is None or guess.right is None:
         return GapMeasurement(math.nan, math.nan, False, guess.reason, region=box)
-    left = _fit_edge(gray, box, guess.left, exclude)
-    right = _fit_edge(gray, box, guess.right, exclude)
-    if left is None or right is None:
-        side = "left" if left is None else "right"
-        reason = f"the {side} edge of the gap is not one straight edge"
-        return GapMeasurement(math.nan, math.nan, False, reason, region=box)
-    return _combine(left, right, box, guess.reason)
+    fits: list[Fit] = []
+    for side, edge in (("left", guess.left), ("right", guess.right)):
+        fit = _fit_edge(gray, box, edge, exclude)
+        if fit is None:
+            reason = f"the {side} edge of the gap is not one straight edge"
+            return GapMeasurement(math.nan, math.nan, False, reason, region=box)
+        fits.append(fit)
+    extra = [0.0, 0.0]
+    if max(fit.out[12] for fit in fits) > ROWS_ALIKE:
+        fits, extra = _allow_for_rounding(gray, box, fits, (guess.left, guess.right))
+    return _combine(fits[0], fits[1], extra, box, guess.reason or _doubt(fits))
+
+
+def _allow_for_rounding(
+    gray: Image, box: Box, fits: list[Fit], guesses: tuple[EdgeGuess, EdgeGuess]
+) -> tuple[list[Fit], list[float]]:
+    """Fits and added variances for a frame whose neighbouring rows err alike (JPEG)."""
+    points = [(fit.a + fit.b * (fit.rows[::16] - fit.y_mid), fit.rows[::16]) for fit in fits]
+    quantiser = find_quantiser(
+        gray,
+        np.concatenate([p[0] for p in points]),
+        np.concatenate([p[1] for p in points]),
+    )
+    if quantiser is None:
+        # another encoder, or another cause: what the residuals in common to all rows can say
+        return fits, [
+            fit.cov[0, 0] * (max(1.0, fit.out[12], 0.25 * fit.out[13]) - 1) for fit in fits
+        ]
+    floor = 1.5 * quantiser.pixel_error
+    again: list[Fit] = []
+    extra: list[float] = []
+    for fit, guess in zip(fits, guesses, strict=True):
+        better = _refit(gray, box, fit, guess, floor) if fit.out[3] < floor else fit
+        again.append(better or fit)
+        noise2 = max(1.0, (quantiser.noise / again[-1].out[3]) ** 2) - 1.0
+        levels = (float(np.median(fit.levels[:, 0])), float(np.median(fit.levels[:, 1])))
+        extra.append(
+            again[-1].cov[0, 0] * noise2
+            + position_variance(quantiser, fit.a, fit.b, int(fit.out[5]), fit.p[2], levels)
+        )
+    return again, extra
+
+
+def _refit(gray: Image, box: Box, fit: Fit, guess: EdgeGuess, least_scale: float) -> Fit | None:
+    p, levels, on, out = fit.p.copy(), fit.levels.copy(), fit.on.copy(), np.zeros(16)
+    resid, keep = np.zeros_like(fit.resid), np.zeros_like(fit.keep)
+    if not refine(
+        gray, fit.rows, fit.group_of, fit.y_mid, p, levels, on, _room(guess), box[0],
+        box[0] + box[2], least_scale, resid, keep, out,
+    ):
+        return None
+    cov = np.array([[out[0], out[1]], [out[1], out[2]]])
+    return replace(
+        fit, a=p[0], b=p[1], p=p, levels=levels, on=on, out=out, resid=resid, keep=keep, cov=cov
+    )
+
+
+def _doubt(fits: list[Fit]) -> str:
+    """Why a pair of fits must not be trusted, or nothing."""
+    for side, fit in zip(("left", "right"), fits, strict=True):
+        rows, edge = fit.out[5], f"the {side} edge"
+        if fit.out[8] > 0.25 * fit.seen:
+            return f"over- or under-exposed at {edge}"
+        if rows < 0.45 * fit.seen:
+            return f"only {rows:.0f} of {fit.seen} rows agree on {edge}"
+        if fit.out[4] > 0.15:
+            return f"{100 * fit.out[4]:.0f} % of the pixels near {edge} do not fit an edge"
+        if fit.out[9] > 0.3:
+            return f"the light beside {edge} is broken"
+        if fit.p[2] > 6.0:
+            return f"{edge} is too blurred ({fit.p[2]:.1f} pixels)"
+        if abs(fit.b) > STEEPEST:
+            return f"{edge} leans by {math.degrees(math.atan(fit.b)):.1f} degrees"
+    if abs(fits[0].b - fits[1].b) > 0.03:
+        return "the two edges are not parallel"
+    if fits[1].a - fits[0].a < 3.0 * (fits[0].p[2] + fits[1].p[2]) + 3.0:
+        return "the gap is too narrow for its blur"
+    return ""
 
 
 def _fit_edge(
@@ -54,18 +135,19 @@ def _fit_edge(
     group = max(2, min(8, height // 8))
     reach_l = max(3.0, min(11.0, 0.9 * guess.room_left))
     reach_r = max(3.0, min(11.0, 0.9 * guess.room_right))
-    a, b, low, high, used = start_line(
+    a, b, lows, highs, used = start_line(
         gray, box, y_mid, left + guess.x_mid, guess.slope, guess.rising, reach_l, reach_r, group
     )
     if a < 0:
         return None
     marked = used.astype(bool)
+    if not marked.any():
+        return None
     wide = marked.copy()
     wide[1:] |= marked[:-1]
     wide[:-1] |= marked[1:]
     rows = np.flatnonzero(np.repeat(wide, group)).astype(np.int64) + top
-    if rows[-1] == top + len(used) * group - 1:
-        rows = np.concatenate([rows, np.arange(rows[-1] + 1, top + height, dtype=np.int64)])
+    seen = len(rows)
     for e_left, e_top, e_width, e_height in exclude:
         x = a + b * (rows - y_mid)
         hit = (rows >= e_top) & (rows < e_top + e_height)
@@ -74,41 +156,58 @@ def _fit_edge(
     if len(rows) < 8:
         return None
     own_mid = 0.5 * float(rows[0] + rows[-1])
-    half = max(1.0, 0.5 * float(rows[-1] - rows[0]))
-    p = np.zeros(PARAMETERS)
-    p[0], p[1], p[2], p[3], p[6] = a + b * (own_mid - y_mid), b, 1.4, low, high
-    room = np.array([max(3.0, 0.55 * guess.room_left), max(3.0, 0.55 * guess.room_right)])
+    p = np.array([a + b * (own_mid - y_mid), b, 1.4, 0.0, 0.0])
+    block = (rows - top) // group
+    # a group that stands out only by its neighbours starts from the nearest marked levels
+    known = np.flatnonzero(marked)
+    nearest = known[np.argmin(np.abs(np.arange(len(used))[:, None] - known[None, :]), axis=1)]
+    _, first, group_of = np.unique(
+        (rows - top) // GROUP, return_index=True, return_inverse=True
+    )
+    source = nearest[block[first]]
+    levels = np.stack([lows[source], highs[source]], axis=1)
+    on = np.ones(len(levels), dtype=np.uint8)
     resid = np.zeros((len(rows), CORE_MAX), dtype=np.float32)
     keep = np.zeros(len(rows), dtype=np.uint8)
-    out = np.zeros(12)
-    if not refine(gray, rows, own_mid, half, p, 0.0, room, left, left + width, resid, keep, out):
+    out = np.zeros(16)
+    if not refine(
+        gray, rows, group_of, own_mid, p, levels, on, _room(guess), left, left + width,
+        LEAST_NOISE, resid, keep, out,
+    ):
         return None
     cov = np.array([[out[0], out[1]], [out[1], out[2]]])
-    return Fit(p[0], p[1], own_mid, cov, p, out, rows, keep, resid)
+    return Fit(
+        p[0], p[1], own_mid, cov, p, out, rows, group_of, keep, resid, levels, on, seen
+    )
 
 
-def _combine(left: Fit, right: Fit, box: Box, doubt: str) -> GapMeasurement:
+def _room(guess: EdgeGuess) -> F64:
+    """Columns left and right of an edge that are its own, not the next edge's."""
+    return np.array([max(3.0, 0.55 * guess.room_left), max(3.0, 0.55 * guess.room_right)])
+
+
+def _combine(
+    left: Fit, right: Fit, extra: list[float], box: Box, doubt: str
+) -> GapMeasurement:
     y = 0.5 * (left.y_mid + right.y_mid)
     weight_l, weight_r = 1 / left.cov[1, 1], 1 / right.cov[1, 1]
     slope = (left.b * weight_l + right.b * weight_r) / (weight_l + weight_r)
     apart = abs(left.b - right.b)
     u_apart = math.sqrt(left.cov[1, 1] + right.cov[1, 1])
+    var = extra[0] + extra[1]
     if apart < 4 * u_apart + 1e-4:  # parallel as far as can be told: one slope for both
-        x_l = left.a + left.cov[0, 1] / left.cov[1, 1] * (slope - left.b)
-        x_r = right.a + right.cov[0, 1] / right.cov[1, 1] * (slope - right.b)
-        x_l += slope * (y - left.y_mid)
-        x_r += slope * (y - right.y_mid)
-        var = (
-            left.cov[0, 0] - left.cov[0, 1] ** 2 / left.cov[1, 1]
-            + right.cov[0, 0] - right.cov[0, 1] ** 2 / right.cov[1, 1]
-        )
-        arm = (right.y_mid - left.y_mid) + 0.0
+        bend_l = left.cov[0, 1] / left.cov[1, 1]
+        bend_r = right.cov[0, 1] / right.cov[1, 1]
+        x_l = left.a + bend_l * (slope - left.b) + slope * (y - left.y_mid)
+        x_r = right.a + bend_r * (slope - right.b) + slope * (y - right.y_mid)
+        var += left.cov[0, 0] - left.cov[0, 1] * bend_l
+        var += right.cov[0, 0] - right.cov[0, 1] * bend_r
+        arm = left.y_mid - right.y_mid + bend_r - bend_l
         var += arm**2 / (weight_l + weight_r)
     else:
         y = box[1] + (box[3] - 1) / 2
         x_l = left.a + left.b * (y - left.y_mid)
         x_r = right.a + right.b * (y - right.y_mid)
-        var = 0.0
         for fit in (left, right):
             d = y - fit.y_mid
             var += fit.cov[0, 0] + 2 * d * fit.cov[0, 1] + d * d * fit.cov[1, 1]
@@ -118,29 +217,32 @@ def _combine(left: Fit, right: Fit, box: Box, doubt: str) -> GapMeasurement:
     u = math.hypot(u, gap * slope * cosine**2 / math.sqrt(weight_l + weight_r))
     lines = [_line(left), _line(right)]
     reason = doubt
-    corners = []
+    defects = max(max(f.out[4], 1 - f.out[5] / f.seen) for f in (left, right))
+    limit = LARGEST_U_DEFECTS if defects > 0.02 else LARGEST_U
+    if not reason and u > limit:
+        reason = f"standard uncertainty {u:.3f} pixels is above {limit:.3f}"
+    corners: list[tuple[float, float]] = []
     for line, order in ((lines[0], 1), (lines[1], -1)):
-        ends = [(line.x_at(line.top), float(line.top)), (line.x_at(line.bottom), float(line.bottom))]
+        ends = [(line.x_at(row), float(row)) for row in (line.top, line.bottom)]
         corners += ends[::order]
     return GapMeasurement(
-        gap, u, not reason, reason, lines[0], lines[1], box, tuple(corners)
+        float(gap), float(u), not reason, reason, lines[0], lines[1], box, tuple(corners)
     )
 
 
 def _line(fit: Fit) -> EdgeLine:
     kept = fit.rows[fit.keep > 0]
     return EdgeLine(
-        x_mid=fit.a,
-        slope=fit.b,
+        x_mid=float(fit.a),
+        slope=float(fit.b),
         y_mid=fit.y_mid,
         u_x_mid=math.sqrt(fit.cov[0, 0]),
         top=int(kept[0]),
         bottom=int(kept[-1]),
         blur_px=float(fit.p[2]),
-        smear_px=fit.smear,
         contrast=abs(float(fit.out[7])),
         noise=float(fit.out[3]),
         rows_used=int(fit.out[5]),
-        rows_seen=len(fit.rows),
+        rows_seen=fit.seen,
         outliers=float(fit.out[4]),
     )

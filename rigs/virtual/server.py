@@ -183,6 +183,7 @@ class BenchServer:
         self._truth = truth.open("w", encoding="utf-8", buffering=1) if truth else None
         self._next_truth_ns = 0
         self._vent_seen_us = -1
+        self._heartbeat_ns = 0
         self._start_ns = time.monotonic_ns()
         self.bench = VirtualBench(config, origin_ns=self._start_ns)
         use_tcp = tcp or not hasattr(os, "openpty")
@@ -220,6 +221,8 @@ class BenchServer:
         for name, port in self.ports.items():
             data = port.read()
             if data:
+                if name == "valve" and b" hb " in data:
+                    self._heartbeat_ns = now_ns
                 self.bench.feed(name, data)
         before = self.bench.board.bench_us
         self.bench.advance_to(now_ns)
@@ -246,6 +249,7 @@ class BenchServer:
             "pressure_kpa": round(board.pressure_kpa, 3),
             "length_mm": round(self.bench.plant.length_mm, 4),
             "vent_commanded_ns": self.bench.host_ns(board.vent_commanded_us * 1000),
+            "last_heartbeat_ns": self._heartbeat_ns,
             "armed": bool(board.controller.safety.armed),
             "faults": [str(f) for f in board.controller.safety.faults],
         }

@@ -1,12 +1,13 @@
 """Pictures of the live view and of a run's view file, in headless Chromium.
 
-python -m tests.look.live --out docs/images/live-isometric.png
+python -m tests.look.live --out docs/images/live-isometric.png   (a test on the virtual bench)
 python -m tests.look.live --run runs/<run> --out out/view.png
 """
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -56,9 +57,10 @@ def shrink(path: Path) -> None:
     """Fewer colours, so that the picture is small enough to live in the documentation."""
     from PIL import Image
 
-    Image.open(path).convert("RGB").quantize(192, dither=Image.Dither.NONE).save(
-        path, optimize=True
-    )
+    # Thin lines have few pixels; the default method would merge their colours away.
+    method = Image.Quantize.MAXCOVERAGE
+    picture = Image.open(path).convert("RGB").quantize(256, method, dither=Image.Dither.NONE)
+    picture.save(path, optimize=True)
 
 
 def look_at_live(out: Path, width: int = 1600, height: int = 1000) -> npt.NDArray[np.uint8]:
@@ -75,6 +77,45 @@ def look_at_live(out: Path, width: int = 1600, height: int = 1000) -> npt.NDArra
             return photograph(browser, out)
     finally:
         view.close()
+
+
+def look_at_bench(
+    root: Path, out: Path, points: int = 130, width: int = 1600, height: int = 1000
+) -> npt.NDArray[np.uint8]:
+    """Photograph the live view of a real run on the virtual bench, held after some points."""
+    from rigs.config import load_rig
+    from rigs.interrupt import StopFlag
+    from rigs.isometric import load_isometric
+    from rigs.livefeed import LiveFeed
+    from rigs.session import run_isometric
+
+    config = load_rig("virtual")
+    protocol = load_isometric("isometric", config.limits)
+    layout = isometric_layout(pressure_max_kpa=max(protocol.pressures_kpa))
+    stop, done = StopFlag(), []
+    taken: list[npt.NDArray[np.uint8]] = []
+
+    class HeldView(LiveView):
+        """Stops the virtual clock after some points, for as long as the picture takes."""
+
+        def points(self, *args: object, **kwargs: object) -> None:
+            super().points(*args, **kwargs)
+            done.append(args)
+            if len(done) == points:
+                taken.append(photograph(browser, out))
+                stop.set("the picture is taken")
+
+    def make_live(run_id: str) -> LiveFeed:
+        view = HeldView(run_id, layout, port=0, web=True)
+        assert view.error is None, view.error
+        assert view.web_error is None, view.web_error
+        browser.open(view.web_url)
+        assert view.wait_for_viewer(LOAD_S)
+        return LiveFeed(view, layout.feeds)
+
+    with Browser(width, height) as browser:
+        run_isometric(config, protocol, root, stop=stop, make_live=make_live, derive=False)
+    return taken[0]
 
 
 def look_at_run(
@@ -94,12 +135,16 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Pictures of the live view.")
     parser.add_argument("--out", type=Path, default=Path("docs/images/live-isometric.png"))
-    parser.add_argument("--run", type=Path, help="a run folder instead of a synthetic test")
+    parser.add_argument("--run", type=Path, help="a run folder instead of a live test")
+    parser.add_argument("--synthetic", action="store_true", help="no bench, made-up curves")
     parser.add_argument("--width", type=int, default=1600)
     parser.add_argument("--height", type=int, default=1000)
     given = parser.parse_args()
     if given.run:
         look_at_run(given.run, given.out, given.width, given.height)
+    elif not given.synthetic:
+        with tempfile.TemporaryDirectory() as root:
+            look_at_bench(Path(root), given.out, width=given.width, height=given.height)
     else:
         look_at_live(given.out, given.width, given.height)
     print(f"{given.out}: {given.out.stat().st_size / 1000:.0f} kB")

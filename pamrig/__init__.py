@@ -1,0 +1,93 @@
+"""pamrig for notebooks: ``import pamrig; pamrig.open_run("last").table``.
+
+Everything here is a thin face over the packages that do the work; units stand in the
+names of all columns.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from daq.run import Run
+
+__all__ = ["RecordedRun", "open_run", "runs"]
+
+
+class RecordedRun:
+    """A recorded run as tables.
+
+    Attributes:
+        run: the record itself, with raw streams and frames (`daq.run.Run`).
+    """
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """Settled points, one row each: pressure_kpa, length_mm, force_n, ... and u_ columns.
+
+        Made from the record where it has not been derived yet.
+        """
+        if not (self.run.folder / "derived" / "table.parquet").is_file():
+            from rigs.products import derive_all
+
+            self.run = derive_all(self.run.folder)
+        return self.run.table
+
+    @property
+    def samples(self) -> pd.DataFrame:
+        """The 1 kHz stream in engineering units: time_s, pressure_kpa, setpoint_kpa, ..."""
+        return self.stream("valve")
+
+    def stream(self, name: str) -> pd.DataFrame:
+        """Any stream in engineering units (``valve``, ``balance``, ``points``)."""
+        import pandas as pd
+
+        from daq.derive import engineering
+
+        columns, _ = engineering(self.run, name)
+        return pd.DataFrame(columns)
+
+    @property
+    def events(self) -> pd.DataFrame:
+        """Everything that happened, one row each, with time_s since the start."""
+        import pandas as pd
+
+        table = pd.DataFrame(self.run.events)
+        if len(table):
+            table.insert(0, "time_s", table.pop("t_ns") * 1e-9)
+        return table
+
+    @property
+    def outcome(self) -> str:
+        """clean, stopped, aborted, faulted, interrupted or damaged."""
+        return self.run.outcome
+
+    def __repr__(self) -> str:
+        return f"RecordedRun({self.run.run_id!r}, {self.outcome})"
+
+
+def open_run(run: str | Path = "last", runs: str | Path = "runs") -> RecordedRun:
+    """Open a run by folder, by id, by part of its id, or the last one.
+
+    Raises:
+        daq.errors.RecordError: no run, or several, are meant.
+    """
+    from daq.store import find_run
+
+    return RecordedRun(find_run(Path(runs), str(run)))
+
+
+def runs(folder: str | Path = "runs") -> pd.DataFrame:
+    """All runs of a folder, oldest first."""
+    import pandas as pd
+
+    from daq.store import list_runs
+
+    rows: list[dict[str, Any]] = [info.as_dict() for info in list_runs(folder)]
+    return pd.DataFrame(rows)

@@ -1,0 +1,80 @@
+"""Do settled points agree with the plant as often as their uncertainty says?
+
+The oracle is PLANT.md's muscle equation, written out here, not taken from the package.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench_runs import run_bench
+from rigs.reduction import reduce_isometric
+
+BRAID_MM = 88.4
+TURNS = 1.855
+
+
+def force_n(pressure_kpa: float, length_mm: float) -> float:
+    """Equation 4-7 in kPa, mm and N: F = p (3 L^2 - b^2) / (4 pi n^2)."""
+    area_mm2 = (3 * length_mm**2 - BRAID_MM**2) / (4 * math.pi * TURNS**2)
+    return pressure_kpa * 1e-3 * area_mm2
+
+
+def slopes(pressure_kpa: float, length_mm: float) -> tuple[float, float]:
+    """(dF/dp in N/kPa, dF/dL in N/mm) of Equation 4-7."""
+    scale = 1e-3 / (4 * math.pi * TURNS**2)
+    return scale * (3 * length_mm**2 - BRAID_MM**2), scale * pressure_kpa * 6 * length_mm
+
+
+def agreement(root: Path, rig: str, benches: int, first_seed: int) -> tuple[float, float, int]:
+    """Share of points within k = 2, worst |mean true pressure - set-point| in kPa, points."""
+    inside, points, worst = 0, 0, 0.0
+    for seed in range(first_seed, first_seed + benches):
+        result, run, bench = run_bench(root, rig, seed)
+        assert result.outcome == "clean", result.error
+        table = reduce_isometric(run).table
+        for row in table.itertuples():
+            by_p, by_l = slopes(row.pressure_kpa, row.length_mm)
+            u = math.hypot(row.u_force_n, by_p * row.u_pressure_kpa, by_l * row.u_length_mm)
+            error = row.force_n - force_n(row.pressure_kpa, row.length_mm)
+            inside += abs(error) <= 2 * u
+            points += 1
+        for event in run.events:
+            if event["kind"] == "point":
+                a, b = event["valve_seq"]
+                samples = run.between("valve", "seq", a, b)
+                true_kpa = bench.board.mean_kpa(
+                    int(samples["device_us"][0]), int(samples["device_us"][-1])
+                )
+                worst = max(worst, abs(true_kpa - event["set_pressure_kpa"]))
+    return inside / points, worst, points
+
+
+def sizes(normal: int, campaign: int) -> int:
+    return campaign if os.environ.get("PAMRIG_CAMPAIGN") else normal
+
+
+def test_stated_uncertainty_covers_the_plant_on_the_modern_bench(tmp_path: Path) -> None:
+    share, worst_kpa, points = agreement(tmp_path, "virtual", sizes(60, 400), first_seed=1000)
+    print(f"\nvirtual: {share:.1%} of {points} points within k = 2; worst set-point error {worst_kpa:.2f} kPa")
+    assert 0.93 <= share <= 0.98
+    assert worst_kpa < 2.0
+
+
+@pytest.mark.campaign
+def test_stated_uncertainty_covers_the_plant_on_the_thesis_bench(tmp_path: Path) -> None:
+    share, worst_kpa, points = agreement(tmp_path, "virtual-thesis", sizes(60, 400), first_seed=1000)
+    print(f"\nvirtual-thesis: {share:.1%} of {points} within k = 2; worst {worst_kpa:.2f} kPa")
+    assert 0.93 <= share <= 0.98
+    assert worst_kpa < 2.0
+
+
+def test_the_equation_here_is_that_of_the_specification() -> None:
+    """PLANT.md check 2: F(600 kPa) at 52, 55, 60, 65 and 67 mm."""
+    got = [force_n(600.0, length) for length in (52.0, 55.0, 60.0, 65.0, 67.0)]
+    assert np.round(got, 2).tolist() == [4.13, 17.49, 41.42, 67.44, 78.43]

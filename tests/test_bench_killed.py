@@ -1,0 +1,75 @@
+"""The host dies: what it had recorded stays, and the firmware vents by itself."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from bench_process import bench_process, pamrig
+from daq.run import open_run
+from daq.store import verify
+
+LOST_S = 0.1
+SILENT_S = 0.350
+VENT_S = {"virtual": 1.5, "virtual-thesis": 0.3}
+SAFE_KPA = 20.0
+
+
+def kill_once(folder: Path, rig: str, after_s: float) -> dict[str, float]:
+    """One run killed ``after_s`` after it was armed; figures of what followed."""
+    with bench_process(folder / "bench", rig) as bench:
+        client = pamrig("isometric", "--rig", bench.rig, "--protocol", "isometric-short", "--out", folder / "runs")
+        end = time.monotonic() + 40
+        while not any(line["armed"] for line in bench.truth()[-3:]):
+            assert client.poll() is None, client.communicate()
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        time.sleep(after_s)
+        killed_ns = time.monotonic_ns()
+        os.kill(client.pid, signal.SIGKILL)
+        client.communicate()
+        time.sleep(SILENT_S + VENT_S[rig] + 0.4)
+        truth = bench.truth()
+    (run_folder,) = (folder / "runs").iterdir()
+    run = open_run(run_folder)
+    assert run.outcome == "interrupted"
+    samples = run.samples("valve")
+    assert all(problem.torn for problem in verify(run)), verify(run)
+    last_heartbeat_ns = max(line["last_heartbeat_ns"] for line in truth)
+    vents = [line["vent_commanded_ns"] for line in truth if line["faults"]]
+    venting_ns = vents[0]
+    late = [t["pressure_kpa"] for t in truth if t["t_ns"] >= venting_ns + VENT_S[rig] * 1e9]
+    return {
+        "lost_s": (killed_ns - int(samples["host_ns"][-1])) * 1e-9,
+        "silent_s": (venting_ns - last_heartbeat_ns) * 1e-9,
+        "pressure_kpa": max(late),
+    }
+
+
+def check(figures: dict[str, float]) -> None:
+    print({k: round(v, 4) for k, v in figures.items()})
+    assert figures["lost_s"] <= LOST_S
+    assert figures["silent_s"] <= SILENT_S
+    assert figures["pressure_kpa"] < SAFE_KPA
+
+
+@pytest.mark.parametrize("moment", range(3))
+def test_killed_at_a_random_moment(tmp_path: Path, moment: int) -> None:
+    check(kill_once(tmp_path, "virtual", random.Random(moment).uniform(0.5, 9.0)))
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("moment", range(20))
+def test_killed_at_twenty_moments(tmp_path: Path, moment: int) -> None:
+    check(kill_once(tmp_path, "virtual", random.Random(100 + moment).uniform(0.1, 12.0)))
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("moment", range(20))
+def test_killed_at_twenty_moments_on_the_thesis_bench(tmp_path: Path, moment: int) -> None:
+    check(kill_once(tmp_path, "virtual-thesis", random.Random(200 + moment).uniform(0.1, 20.0)))
