@@ -37,13 +37,16 @@ class RealClock:
     virtual = False
 
     def now_ns(self) -> int:
+        """Monotonic time in ns."""
         return time.monotonic_ns()
 
     def sleep(self, seconds: float) -> None:
+        """Wait."""
         if seconds > 0:
             time.sleep(seconds)
 
     def wall_ns(self) -> int:
+        """UTC in ns."""
         return time.time_ns()
 
 
@@ -65,6 +68,7 @@ class VirtualClock:
         self._drivers.append(drive)
 
     def now_ns(self) -> int:
+        """Virtual time in ns."""
         return self._now_ns
 
     def set_now_ns(self, now_ns: int) -> None:
@@ -73,10 +77,12 @@ class VirtualClock:
             self._now_ns = now_ns
 
     def sleep(self, seconds: float) -> None:
+        """Bring the simulated world and the clock forward."""
         until_ns = self._now_ns + max(0, round(seconds * NS_PER_S))
         for drive in self._drivers:
             drive(until_ns)
         self.set_now_ns(until_ns)
 
     def wall_ns(self) -> int:
+        """UTC in ns."""
         return time.time_ns()

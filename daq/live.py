@@ -240,11 +240,11 @@ class LiveView:
         while True:
             stopping = self._stop.wait(PERIOD_S)
             bulk, pictures, facts = self._queue.drain()
-            self._draw(scene, bulk, facts, last=stopping)
+            flushed = self._draw(scene, bulk, facts, last=stopping)
             for picture in pictures:
                 self._try(scene.image, *picture)
             now = time.monotonic()
-            news = news or bool(bulk or pictures or facts)
+            news = news or flushed or bool(bulk or pictures or facts)
             if news and (now >= next_readout or stopping):
                 news = False
                 next_readout = now + READOUT_S
@@ -277,7 +277,9 @@ class LiveView:
         except Exception as error:  # a bad item must not end the view
             self._refuse(error)
 
-    def _draw(self, scene: Scene, bulk: list[Item], facts: list[Item], last: bool) -> None:
+    def _draw(self, scene: Scene, bulk: list[Item], facts: list[Item], last: bool) -> bool:
+        """Draw curves and facts; True if a bin that had waited was drawn too."""
+        flushed = False
         curves: dict[str, list[Item]] = {}
         for item in bulk:
             curves.setdefault(item[0], []).append(item)
@@ -287,6 +289,7 @@ class LiveView:
         for path, (thinner, fed_at) in list(self._thinners.items()):
             if thinner.waiting and (last or now - fed_at > IDLE_FLUSH_S):
                 self._try(scene.series, path, *thinner.flush())
+                flushed = True
         for kind, path, time_s, *rest in facts:
             if kind == "points":
                 label, x, y = rest
@@ -296,6 +299,7 @@ class LiveView:
                 self._try(scene.state, path, time_s, *rest)
             else:
                 self._try(scene.text, path, time_s, *rest)
+        return flushed
 
     def _curve(self, scene: Scene, path: str, items: list[Item], now: float) -> None:
         time_s = np.concatenate([item[1] for item in items])

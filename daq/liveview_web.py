@@ -82,7 +82,7 @@ def viewer_environment(folder: Path) -> dict[str, str]:
 
 def has_client(port: int) -> bool:
     """Whether somebody is connected to the server on ``port`` of this process."""
-    import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
+    import psutil
 
     try:
         links = psutil.Process().net_connections("tcp")

@@ -126,7 +126,9 @@ class Balance(LineDevice):
         match = re.match(r"^T S +(-?\d+(?:\.\d+)?) g$", answer)
         if not match:
             raise DeviceError(
-                self.name, f"did not tare, said {answer!r}", "let the load come to rest and try again"
+                self.name,
+                f"did not tare, said {answer!r}",
+                "let the load come to rest and try again",
             )
         self.start()
         return float(match[1])

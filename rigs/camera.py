@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -76,7 +77,9 @@ class TcpCamera:
             self._socket = socket.create_connection((host, int(port)), timeout=TRIGGER_S)
         except (OSError, ValueError) as error:
             raise DeviceError(
-                self.name, f"cannot be opened: {error}", "start `pamrig virtual`, check camera.source"
+                self.name,
+                f"cannot be opened: {error}",
+                "start `pamrig virtual`, check camera.source",
             ) from None
         self._file = self._socket.makefile("rwb")
         answer = self._ask(b"I\n").split()
@@ -88,7 +91,9 @@ class TcpCamera:
             self._file.flush()
             line = self._file.readline(200).decode("ascii", "replace").strip()
         except TimeoutError:
-            raise DeviceTimeout(self.name, f"no answer within {TRIGGER_S:g} s", "restart it") from None
+            raise DeviceTimeout(
+                self.name, f"no answer within {TRIGGER_S:g} s", "restart it"
+            ) from None
         except OSError as error:
             raise LinkLost(self.name, f"connection lost: {error}", "restart it") from None
         if not line:
@@ -111,10 +116,8 @@ class TcpCamera:
     def close(self) -> None:
         """Close the connection."""
         for thing in (self._file, self._socket):
-            try:
+            with contextlib.suppress(OSError):  # gone already, which is what we want
                 thing.close()
-            except OSError:
-                pass  # it is gone already, which is what we want
 
 
 class TriggeredUvc:

@@ -57,7 +57,9 @@ def isometric(
     from rigs.commands import isometric_command
 
     raise typer.Exit(
-        isometric_command(rig, protocol, out, specimen, operator, note, seed, live, browser, as_json)
+        isometric_command(
+            rig, protocol, out, specimen, operator, note, seed, live, browser, as_json
+        )
     )
 
 
@@ -73,7 +75,9 @@ def virtual(
         Optional[Path],  # noqa: UP045
         typer.Option(help="Write the bench's true state to this file, a JSON line each 10 ms."),
     ] = None,
-    tcp: Annotated[bool, typer.Option("--tcp", help="TCP ports instead of pseudo-terminals.")] = False,
+    tcp: Annotated[
+        bool, typer.Option("--tcp", help="TCP ports instead of pseudo-terminals.")
+    ] = False,
 ) -> None:
     """Keep a virtual bench running in real time, on ports that any client can open."""
     from rigs.virtual.server import serve_bench
@@ -130,13 +134,23 @@ def view(
 
 @app.command()
 def length(
-    frames: Annotated[str, typer.Argument(help="Picture, folder, TIFF stack, video or run folder.")],
+    frames: Annotated[
+        str, typer.Argument(help="Picture, folder, TIFF stack, video or run folder.")
+    ],
     method: Annotated[str, typer.Option(help="edge or macro.")] = "edge",
     calibration: Annotated[Optional[Path], typer.Option(help="Camera calibration file.")] = None,  # noqa: UP045
-    preview: Annotated[Optional[Path], typer.Option(help="Write a picture of the measurement.")] = None,  # noqa: UP045
-    threshold: Annotated[int, typer.Option(help="Macro: NIH grey level, 0 white to 255 black.")] = 130,
-    roi: Annotated[str, typer.Option(help="Region left,top,width,height (macro: after the flip).")] = "",
-    flip: Annotated[bool, typer.Option("--flip/--no-flip", help="Macro: flip horizontally.")] = True,
+    preview: Annotated[
+        Path | None, typer.Option(help="Write a picture of the measurement.")
+    ] = None,
+    threshold: Annotated[
+        int, typer.Option(help="Macro: NIH grey level, 0 white to 255 black.")
+    ] = 130,
+    roi: Annotated[
+        str, typer.Option(help="Region left,top,width,height (macro: after the flip).")
+    ] = "",
+    flip: Annotated[
+        bool, typer.Option("--flip/--no-flip", help="Macro: flip horizontally.")
+    ] = True,
     as_json: JsonOption = False,
 ) -> None:
     """Measure lengths in pictures."""

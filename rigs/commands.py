@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from rigs.runner import Runner
 
 
+VIEWER_S = 30.0
+
+
 class ProgressLine:
     """One line on the terminal: state, points done, time left. Quiet where there is no one."""
 
@@ -92,7 +95,9 @@ def isometric_command(
         raise ConfigError(config.source, "--seed is for virtual benches", "leave it out")
     parameters = load_isometric(protocol, config.limits)
     line = ProgressLine(quiet=as_json)
-    watch = Watch(state=line.state, point=lambda *_: line.redraw(), log=lambda t: typer.echo(t, err=True))
+    watch = Watch(
+        state=line.state, point=lambda *_: line.redraw(), log=lambda t: typer.echo(t, err=True)
+    )
     make_live = None
     if live:
         from rigs.livefeed import LiveFeed, open_live
@@ -102,9 +107,13 @@ def isometric_command(
             view = feed.view
             if view.error:
                 typer.echo(f"live view: none ({view.error}); the test goes on", err=True)
-            else:
-                where = view.web_url or f"open it with: rerun --connect {view.url}"
-                typer.echo(f"live view: {where}", err=True)
+                return feed
+            where = view.web_url or f"open it with: rerun --connect {view.url}"
+            typer.echo(f"live view: {where}", err=True)
+            if browser and config.is_virtual:
+                # On the virtual clock the test is over before a page has loaded.
+                typer.echo(f"waiting up to {VIEWER_S:.0f} s for a viewer", err=True)
+                view.wait_for_viewer(VIEWER_S)
             return feed
 
     with stop_on_signals() as stop:
@@ -120,7 +129,9 @@ def isometric_command(
 
         typer.echo(json.dumps(report_json(open_run(result.folder)), indent=2, allow_nan=False))
         return status
-    typer.echo(f"{result.outcome}: {result.points} of {parameters.points} points in {result.folder}")
+    typer.echo(
+        f"{result.outcome}: {result.points} of {parameters.points} points in {result.folder}"
+    )
     if result.error:
         typer.echo(f"  because: {result.error}")
     if result.not_derived:
@@ -148,21 +159,30 @@ def report_command(run: str, runs: Path, out: Path | None, as_json: bool) -> Non
         try:
             out.write_bytes(path.read_bytes())
         except OSError as error:
-            raise PamrigError(str(out), f"cannot be written: {error}", "choose another file") from None
+            raise PamrigError(
+                str(out), f"cannot be written: {error}", "choose another file"
+            ) from None
         path = out
     typer.echo(str(path))
 
 
 def view_command(run: str, runs: Path) -> None:
-    """Open a run's view file, made anew where it is missing."""
+    """Open a run's view and keep it open until Ctrl-C or the viewer is closed."""
     from daq.store import find_run
     from daq.viewfile import open_view
-    from rigs.products import derive_all
+    from rigs.liveview import isometric_layout, measured_edges
 
     found = find_run(runs, run)
-    if not (found.folder / "derived" / "view.rrd").exists():
-        found = derive_all(found.folder)
-    open_view(found)
+    pressures = found.manifest.get("parameters", {}).get("pressures_kpa") or [600.0]
+    layout = isometric_layout(pressure_max_kpa=max(pressures))
+    view = open_view(found, layout, measured_edges)
+    try:
+        typer.echo(view.message)
+        view.wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        view.close()
 
 
 def import_command(kind: str, source: str, out: Path, warm: bool, as_json: bool) -> None:

@@ -58,7 +58,9 @@ def _disk(out: Path) -> Finding:
     free = shutil.disk_usage(here).free
     hours = free / 250e6
     status = "ok" if free > 1e9 else "warn" if free > 1e8 else "stop"
-    return Finding("disk", status, f"{free / 1e9:.1f} GB free in {here}, about {hours:.0f} h of test")
+    return Finding(
+        "disk", status, f"{free / 1e9:.1f} GB free in {here}, about {hours:.0f} h of test"
+    )
 
 
 def _config(config: RigConfig) -> Iterator[Finding]:
@@ -124,7 +126,9 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         )
     yield _camera(rig)
     if rig.valve.fault_latched:
-        yield Finding("fault", "warn", f"latched: {', '.join(rig.valve.faults) or 'see pamrig vent'}")
+        yield Finding(
+            "fault", "warn", f"latched: {', '.join(rig.valve.faults) or 'see pamrig vent'}"
+        )
 
 
 def _camera(rig: Rig) -> Finding:

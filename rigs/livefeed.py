@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,31 +49,47 @@ class LiveFeed:
 
         rig.valve.on_batch.append(lambda batch: self._batch("valve", batch))
         rig.balance.on_rows.append(lambda batch: self._batch("balance", batch))
-        inner_state, inner_log = watch.state, watch.log
+        inner = replace(watch)
+        length = rig.config.calibrations["length_mm"]
 
         def state(text: str) -> None:
-            inner_state(text)
+            inner.state(text)
             self.view.state(paths.STATE, now_s(), text)
 
         def log(text: str) -> None:
-            inner_log(text)
+            inner.log(text)
             self.view.text(now_s(), text, "WARN")
 
         def point(step: Measure, pressure_kpa: float, force_n: float, length_mm: float) -> None:
+            inner.point(step, pressure_kpa, force_n, length_mm)
             self.view.points(
                 paths.POINTS, pressure_kpa, force_n, f"{step.set_length_mm:g} mm", time_s=now_s()
             )
-            if np.isfinite(length_mm):
-                self.view.series(paths.LENGTH, np.array([now_s()]), np.array([length_mm]))
 
         def picture(host_ns: int, jpeg: bytes, gap: GapMeasurement) -> None:
+            inner.picture(host_ns, jpeg, gap)
             time_s = (host_ns - self._start_ns) / NS_PER_S
-            self.view.image(paths.CAMERA, time_s, jpeg, lines=edge_lines(gap))
+            length_mm = float(length.apply(gap.pixels)) if gap.trusted else None
+            self.view.image(paths.CAMERA, time_s, jpeg, lines=edge_lines(gap, length_mm))
+            if length_mm is not None:
+                self.view.series(paths.LENGTH, [time_s], [length_mm])
 
         def set_point(channel: str, value: float) -> None:
+            inner.set_point(channel, value)
             if channel == "length":
-                self.view.series(paths.SET_LENGTH, np.array([now_s()]), np.array([value]))
+                self.view.series(paths.SET_LENGTH, [now_s()], [value])
 
+        on_event = rig.valve.on_event
+
+        def event(text: str) -> None:
+            if on_event is not None:
+                on_event(text)
+            fault = text.startswith("fault")
+            if fault:
+                self.view.state(paths.FAULT, now_s(), text)
+            self.view.text(now_s(), text, "ERROR" if fault else "INFO")
+
+        rig.valve.on_event = event
         watch.state, watch.log, watch.point = state, log, point
         watch.picture, watch.set_point = picture, set_point
 

@@ -159,7 +159,7 @@ def edge_lines(gap: GapMeasurement, length_mm: float | None = None) -> list[Line
     Empty where no gap was found; a gap that is not trusted says why instead of a length.
     """
     lines: list[Line] = []
-    for edge, name in ((gap.left, "reference"), (gap.right, "marker")):
+    for edge, name in ((gap.left, "left edge"), (gap.right, "right edge")):
         if edge is None:
             continue
         ends = [

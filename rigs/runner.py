@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from daq.clock import NS_PER_S
-from daq.errors import DeviceError, LinkLost, PamrigError
+from daq.errors import DeviceError, LinkLost, PamrigError, RecordError
 from daq.record import RecordWriter
 from rigs.interrupt import StopFlag
 from rigs.rig import SAFE_KPA, Rig
@@ -218,7 +218,7 @@ class Runner:
         if not self.rig.pump.until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
             raise RunFault(
                 self.rig.valve.name,
-                f"was told to vent, pressure still reads {self.rig.pressure_kpa:.0f} kPa after 10 s",
+                f"told to vent, pressure still reads {self.rig.pressure_kpa:.0f} kPa after 10 s",
                 "shut the supply by hand; check the outlet and the pressure zero",
             )
         self.rig.pump.for_seconds(0.3)
@@ -323,9 +323,7 @@ class Runner:
                 lengths.append(gap.pixels)
         seq, rows = self._window(step.seconds)
         fields = {k: v for k, v in vars(step).items() if k not in ("seconds", "frames")}
-        self.record.event(
-            "point", **fields, valve_seq=seq, balance_rows=rows, frames=frames
-        )
+        self.record.event("point", **fields, valve_seq=seq, balance_rows=rows, frames=frames)
         self.progress.done += 1
         cal = self.rig.config.calibrations
         counts = self.rig.valve.recent_counts(seq[1] - seq[0])
@@ -346,4 +344,8 @@ def outcome_of(error: BaseException | None) -> str:
         return "clean"
     if isinstance(error, Stopped):
         return "stopped"
-    return "faulted" if isinstance(error, (RunFault, LinkLost, DeviceError)) else "aborted"
+    return (
+        "faulted"
+        if isinstance(error, (RunFault, LinkLost, DeviceError, RecordError))
+        else "aborted"
+    )

@@ -31,21 +31,27 @@ def show_command(run: str, runs: Path, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(facts, indent=2, allow_nan=False))
         return
-    typer.echo(f"{facts['run_id']}\n  {facts['protocol']} of {facts['specimen']}: {facts['outcome']}")
+    typer.echo(
+        f"{facts['run_id']}\n  {facts['protocol']} of {facts['specimen']}: {facts['outcome']}"
+    )
     final = facts.get("final") or {}
     if final.get("reason"):
         typer.echo(f"  because: {final['reason']}")
-    typer.echo(f"  started {facts['started_utc']}, {facts['bytes'] / 1e6:.1f} MB, {facts['frames']} frames")
+    typer.echo(
+        f"  started {facts['started_utc']}, {facts['bytes'] / 1e6:.1f} MB, {facts['frames']} frames"
+    )
     for name, stream in facts["streams"].items():
         lost = f", {len(stream['lost_rows'])} damaged stretches" if stream["lost_rows"] else ""
         typer.echo(f"  stream {name}: {stream['rows']} rows{lost}")
     counters = (final.get("counters") or {}).get("valve") or {}
     if counters:
         typer.echo(
-            f"  telemetry: {counters.get('missing', 0)} samples missing in {counters.get('gaps', 0)} gaps, "
-            f"{counters.get('damaged', 0)} damaged frames, {counters.get('duplicates', 0)} duplicates"
+            "  telemetry: {missing} samples missing in {gaps} gaps, {damaged} damaged frames, "
+            "{duplicates} duplicates".format_map(counters)
         )
-    typer.echo("  events: " + ", ".join(f"{n} {kind}" for kind, n in sorted(facts["events"].items())))
+    typer.echo(
+        "  events: " + ", ".join(f"{n} {kind}" for kind, n in sorted(facts["events"].items()))
+    )
     typer.echo("  derived: " + (", ".join(facts["derived"]) or "nothing (pamrig runs rebuild)"))
     for problem in facts["problems"]:
         typer.echo(f"  PROBLEM {problem}")

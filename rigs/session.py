@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import platform
 import shutil
 import subprocess
@@ -52,9 +53,14 @@ def software() -> dict[str, Any]:
     here = Path(__file__).resolve().parent.parent
     out["git"] = None
     if (here / ".git").exists() and shutil.which("git"):
+
         def git(*words: str) -> str:
             done = subprocess.run(
-                ["git", "-C", str(here), *words], capture_output=True, text=True, timeout=10, check=False
+                ["git", "-C", str(here), *words],
+                capture_output=True,
+                text=True,
+                timeout=10,
+                check=False,
             )
             return done.stdout.strip() if done.returncode == 0 else ""
 
@@ -63,7 +69,9 @@ def software() -> dict[str, Any]:
     return out
 
 
-def manifest(rig: Rig, protocol: Isometric, specimen: str, operator: str, note: str) -> dict[str, Any]:
+def manifest(
+    rig: Rig, protocol: Isometric, specimen: str, operator: str, note: str
+) -> dict[str, Any]:
     """What is known before the run; it goes to disk before anything is armed."""
     config = rig.config
     out: dict[str, Any] = {
@@ -209,6 +217,7 @@ def _check_camera(rig: Rig, record: RecordWriter) -> None:
 
 def _connect(rig: Rig, record: RecordWriter) -> None:
     """Everything that comes in goes to the record as it came."""
+
     def valve_batch(batch: dict[str, Any]) -> None:
         record.append("valve", batch)
 
@@ -230,10 +239,8 @@ def _connect(rig: Rig, record: RecordWriter) -> None:
 
 def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException | None) -> None:
     """Flush what is held back, write the last events and close the record."""
-    try:
+    with contextlib.suppress(RecordError):  # a failed record is the outcome already
         rig.valve.telemetry.flush()
-    except RecordError:
-        pass  # the record has failed; that is already the outcome
     fit = rig.valve.clock_fit.final().as_dict() if rig.valve.clock_fit.ready else {}
     record.event("clockfit", **fit)
     if error is not None:

@@ -44,7 +44,9 @@ class Stage(LineDevice):
         Raises:
             DeviceError: the stage refused it.
         """
-        answer = self.ask(text, lambda line: line == "ok" or line.startswith(("error", "ALARM")), seconds)
+        answer = self.ask(
+            text, lambda line: line == "ok" or line.startswith(("error", "ALARM")), seconds
+        )
         if answer != "ok":
             raise DeviceError(self.name, f"refused {text!r}: {answer}", "see the GRBL error list")
 

@@ -83,7 +83,7 @@ class Table:
         return value
 
     def flag(self, key: str, default: Any = ...) -> bool:
-        """true or false."""
+        """True or false."""
         value = self._take(key, default)
         if not isinstance(value, bool):
             raise self.fail(key, f"expected true or false, got {value!r}")
@@ -159,7 +159,9 @@ def find_config(name: str, folder: str) -> tuple[str, str]:
         return entry.read_text(encoding="utf-8"), f"configs/{folder}/{name}.toml"
     names = sorted(e.name[:-5] for e in shipped.iterdir() if e.name.endswith(".toml"))
     raise ConfigError(
-        name, f"no such file, and no shipped {folder[:-1]} of that name", f"shipped: {', '.join(names)}"
+        name,
+        f"no such file, and no shipped {folder[:-1]} of that name",
+        f"shipped: {', '.join(names)}",
     )
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from analysis_bench import CALIBRATIONS, force_n, write_run
 
+from analysis_bench import CALIBRATIONS, force_n, write_run
 from daq.run import open_run
 from rigs.reduction import COLUMNS, reduce_isometric, write_table
 from rigs.regression import against_length, per_length

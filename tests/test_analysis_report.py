@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from analysis_bench import write_run
 
+from analysis_bench import write_run
 from daq.clock import VirtualClock
 from daq.run import open_run
 from rigs.drawing import spread

@@ -61,14 +61,19 @@ def sizes(normal: int, campaign: int) -> int:
 
 def test_stated_uncertainty_covers_the_plant_on_the_modern_bench(tmp_path: Path) -> None:
     share, worst_kpa, points = agreement(tmp_path, "virtual", sizes(60, 400), first_seed=1000)
-    print(f"\nvirtual: {share:.1%} of {points} points within k = 2; worst set-point error {worst_kpa:.2f} kPa")
+    print(
+        f"\nvirtual: {share:.1%} of {points} points within k = 2; "
+        f"worst set-point error {worst_kpa:.2f} kPa"
+    )
     assert 0.93 <= share <= 0.98
     assert worst_kpa < 2.0
 
 
 @pytest.mark.campaign
 def test_stated_uncertainty_covers_the_plant_on_the_thesis_bench(tmp_path: Path) -> None:
-    share, worst_kpa, points = agreement(tmp_path, "virtual-thesis", sizes(60, 400), first_seed=1000)
+    share, worst_kpa, points = agreement(
+        tmp_path, "virtual-thesis", sizes(60, 400), first_seed=1000
+    )
     print(f"\nvirtual-thesis: {share:.1%} of {points} within k = 2; worst {worst_kpa:.2f} kPa")
     assert 0.93 <= share <= 0.98
     assert worst_kpa < 2.0

@@ -23,7 +23,15 @@ SAFE_KPA = 20.0
 def kill_once(folder: Path, rig: str, after_s: float) -> dict[str, float]:
     """One run killed ``after_s`` after it was armed; figures of what followed."""
     with bench_process(folder / "bench", rig) as bench:
-        client = pamrig("isometric", "--rig", bench.rig, "--protocol", "isometric-short", "--out", folder / "runs")
+        client = pamrig(
+            "isometric",
+            "--rig",
+            bench.rig,
+            "--protocol",
+            "isometric-short",
+            "--out",
+            folder / "runs",
+        )
         end = time.monotonic() + 40
         while not any(line["armed"] for line in bench.truth()[-3:]):
             assert client.poll() is None, client.communicate()

@@ -37,7 +37,9 @@ def refused(*words: str | Path, expect: tuple[str, ...]) -> str:
     return done.stderr
 
 
-REAL = [('\nport = "virtual"', '\nport = "/dev/nowhere"')] * 3 + [('source = "virtual"', 'source = "uvc:97"')]
+REAL = [('\nport = "virtual"', '\nport = "/dev/nowhere"')] * 3 + [
+    ('source = "virtual"', 'source = "uvc:97"')
+]
 
 
 @pytest.mark.parametrize(
@@ -45,8 +47,8 @@ REAL = [('\nport = "virtual"', '\nport = "/dev/nowhere"')] * 3 + [('source = "vi
     [
         ([("pressure_kpa = 650 ", "presure_kpa = 650 ")], ("limits.pressure_kpa", "missing")),
         ([("[limits]", "[limits]\nmood = 3")], ("limits.mood", "unknown key")),
-        ([("serial = \"VB-0001\"", "serail = \"VB-0001\"")], ("valve.serail", "did you mean 'serial'")),
-        ([("baud = 115200", "baud = \"fast\"")], ("valve.baud", "whole number", "'fast'")),
+        ([('serial = "VB-0001"', 'serail = "VB-0001"')], ("valve.serail", "did you mean 'serial'")),
+        ([("baud = 115200", 'baud = "fast"')], ("valve.baud", "whole number", "'fast'")),
         ([("trip_kpa = 690 ", "trip_kpa = 1990 ")], ("trip_kpa", "sensor's range")),
         ([("scale = 0.11", "scale = 0")], ("calibrations.length_mm.scale",)),
         ([('unit = "kPa"', 'unit = "bar"')], ("calibrations.pressure_kpa.unit", "kPa")),
@@ -113,16 +115,27 @@ def test_ports_as_they_go_wrong(tmp_path: Path) -> None:
             return path
 
         wrong = client("serial", '"VB-0001"', '"VB-7777"')
-        refused("isometric", "--rig", wrong, "--out", out, expect=("valve.serial", "VB-7777", "VB-0001"))
+        refused(
+            "isometric", "--rig", wrong, "--out", out, expect=("valve.serial", "VB-7777", "VB-0001")
+        )
         wrong = client("balance", '"BAL-0001"', '"BAL-7"')
-        refused("isometric", "--rig", wrong, "--out", out, expect=("balance.serial", "BAL-7", "BAL-0001"))
+        refused(
+            "isometric",
+            "--rig",
+            wrong,
+            "--out",
+            out,
+            expect=("balance.serial", "BAL-7", "BAL-0001"),
+        )
         wrong = client("swapped", f"{bench.folder}/balance", f"{bench.folder}/stage-gone")
         refused("isometric", "--rig", wrong, "--out", out, expect=("balance.port", "no such port"))
         wrong = client("camera", "tcp://127.0.0.1:", "tcp://127.0.0.1:1")
         refused("isometric", "--rig", wrong, "--out", out, expect=("camera", "camera.source"))
         assert not list(out.glob("*")), "nothing was recorded of runs that never began"
 
-        busy = pamrig("isometric", "--rig", bench.rig, "--protocol", "isometric-short", "--out", out)
+        busy = pamrig(
+            "isometric", "--rig", bench.rig, "--protocol", "isometric-short", "--out", out
+        )
         wait_for(lambda: any(line["armed"] for line in bench.truth()[-3:]))
         refused("isometric", "--rig", bench.rig, "--out", out, expect=("valve.port", "in use"))
         busy.send_signal(signal.SIGINT)
@@ -174,13 +187,17 @@ def test_a_full_disk_ends_the_run_in_good_order(tmp_path: Path) -> None:
     assert len(run.samples("valve")["seq"]) > 1000, "what came before the fault is readable"
 
 
-def test_too_little_room_is_told_before_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_little_room_is_told_before_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import shutil
 
     from daq.errors import RecordError
     from rigs.session import check_disk
 
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 10**6))
+    monkeypatch.setattr(
+        shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 10**6)
+    )
     with pytest.raises(RecordError, match=r"1 MB free.*--out"):
         check_disk(tmp_path, points=100)
 
@@ -196,7 +213,8 @@ def test_help_is_light() -> None:
     """None of the heavy packages may be loaded by the command line's front."""
     code = (
         "import sys, rigs.cli;"
-        "bad=[m for m in ('rerun','cv2','pyarrow','pandas','numba','matplotlib','scipy','numpy') if m in sys.modules];"
+        "heavy=('rerun','cv2','pyarrow','pandas','numba','matplotlib','scipy','numpy');"
+        "bad=[m for m in heavy if m in sys.modules];"
         "print(bad); sys.exit(bool(bad))"
     )
     import subprocess

@@ -71,7 +71,8 @@ def test_the_run_ends_vented_disarmed_and_told(tmp_path: Path) -> None:
     _, run, bench = run_bench(tmp_path)
     assert run.outcome == "clean"
     vented = [e for e in run.events if e["kind"] == "vented"]
-    assert vented and vented[-1]["confirmed"]
+    assert vented
+    assert vented[-1]["confirmed"]
     assert bench.board.pressure_kpa < 10.0
     assert not bench.board.controller.safety.armed
 
@@ -173,7 +174,9 @@ def test_the_method_reads_as_a_method() -> None:
 
 
 def test_a_notebook_sees_frames_with_units(tmp_path: Path) -> None:
-    result, _, _ = run_bench(tmp_path, lengths_mm=(60.0,), pressures_kpa=(200.0, 400.0), derive=True)
+    result, _, _ = run_bench(
+        tmp_path, lengths_mm=(60.0,), pressures_kpa=(200.0, 400.0), derive=True
+    )
     run = pamrig.open_run(result.folder)
     assert {"pressure_kpa", "length_mm", "force_n", "temperature_c", "u_force_n"} <= set(run.table)
     assert len(run.table) == 4
@@ -192,7 +195,9 @@ def test_a_notebook_sees_frames_with_units(tmp_path: Path) -> None:
 def test_effects_of_the_rig_file_show_in_the_table(
     tmp_path: Path, effect: str, expected: str
 ) -> None:
-    text = load_rig("virtual").text.replace("draw_calibration_errors = true", "draw_calibration_errors = false")
+    text = load_rig("virtual").text.replace(
+        "draw_calibration_errors = true", "draw_calibration_errors = false"
+    )
     rig = tmp_path / "rig.toml"
     rig.write_text(text + "\n" + effect)
     _, plain, _ = run_bench(tmp_path / "a", derive=True)

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from daq_records import begin, content, fill, valve_batch
 
 from daq.derive import derive
 from daq.errors import RecordError
 from daq.run import Run, open_run
 from daq.segments import BatchEncoder
 from daq.store import list_runs, show, verify
+from daq_records import begin, content, fill, valve_batch
 
 
 def table_maker(run: Run, folder: Path) -> None:

@@ -17,14 +17,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from daq_records import (
-    MANIFEST,
-    balance_batch,
-    begin,
-    fill,
-    jpeg,
-    valve_batch,
-)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -35,6 +27,14 @@ from daq.run import open_run
 from daq.sealed import SealError, open_file, open_line, seal_file, seal_line
 from daq.segments import BatchDecoder, BatchEncoder, StreamSchema
 from daq.store import verify
+from daq_records import (
+    MANIFEST,
+    balance_batch,
+    begin,
+    fill,
+    jpeg,
+    valve_batch,
+)
 
 # So that a subprocess finds what stands beside this file.
 BESIDE = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from daq_records import FORCE, MANIFEST, PRESSURE, begin, fill, valve_batch
 
 from daq.calibration import Calibration
 from daq.clock import VirtualClock
@@ -18,6 +17,7 @@ from daq.errors import ConfigError, RecordError
 from daq.record import RecordWriter
 from daq.run import Run, open_run
 from daq.store import find_run, list_runs, rebuild, show, verify
+from daq_records import FORCE, MANIFEST, PRESSURE, begin, fill, valve_batch
 
 
 def finished(root: Path, **summary: Any) -> Run:

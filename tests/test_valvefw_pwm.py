@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 import pytest
-from test_valvefw_safety import Bench, thesis, virtual
 
 from plant.constants import PlantConstants
+from test_valvefw_safety import Bench, thesis, virtual
 
 COUNTS_X16_PER_KPA = 4.095 * 16
 

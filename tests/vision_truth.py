@@ -99,9 +99,7 @@ def _cover(scene: Scene, edge: float, side: int, width, rows, smear: float):
 def clean(scene: Scene):
     """Noise-free frame in grey levels, float64."""
     cover = _cover(scene, -scene.gap / 2, -1, scene.left_width, scene.left_rows, scene.smear)
-    cover = cover + _cover(
-        scene, scene.gap / 2, +1, scene.right_width, scene.right_rows, 0.0
-    )
+    cover = cover + _cover(scene, scene.gap / 2, +1, scene.right_width, scene.right_rows, 0.0)
     frame = scene.light - (scene.light - scene.dark) * cover
     if scene.gradient:
         a = np.radians(scene.gradient_deg)
@@ -143,7 +141,16 @@ def cramer_rao(scene: Scene) -> float:
 
     norm = abs(np.cos(np.radians(scene.gradient_deg))) + abs(np.sin(np.radians(scene.gradient_deg)))
     theta = np.array(
-        [scene.gap, scene.x, scene.tilt_deg, scene.blur, scene.light, scene.dark, gx / norm, gy / norm]
+        [
+            scene.gap,
+            scene.x,
+            scene.tilt_deg,
+            scene.blur,
+            scene.light,
+            scene.dark,
+            gx / norm,
+            gy / norm,
+        ]
     )
     steps = [1e-3, 1e-3, 1e-3, 1e-3, 0.1, 0.1, 1e-3, 1e-3]
     columns = []

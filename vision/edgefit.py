@@ -145,12 +145,13 @@ def _eliminate(u, v, c, arm, block, normal, right):  # type: ignore[no-untyped-d
 @njit(cache=True, nogil=True)
 def sweep(  # type: ignore[no-untyped-def]
     img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right,
-    scale, table, hist, normal, right, blocks, misfit, keep, resid, stats,
+    scale, near_only, table, hist, normal, right, blocks, misfit, keep, resid, stats,
 ):
     """One pass over the pixels: normal equations, residual histogram, statistics.
 
     ``rows`` with their ``group_of`` index; ``p`` are the PARAMETERS, ``levels`` (groups, 2);
-    groups with ``used`` 0 are skipped; ``room`` the (left, right) px that belong to this
+    groups with ``used`` 0 are skipped; ``near_only`` keeps to
+    the neighbourhood of the edge, where light that bends is still straight; ``room`` the (left, right) px that belong to this
     edge. ``keep`` (rows) gets 1 where the row counted; ``misfit`` (groups) the mean bounded
     squared residual; ``resid`` (rows, CORE_MAX) the weighted residuals near the edge, column
     CORE_MAX/2 holding the pixel that the edge runs through.
@@ -161,7 +162,7 @@ def sweep(  # type: ignore[no-untyped-def]
     core = 3.6 * sigma + 0.8
     side, step = fill_table(sigma, table, core + 1.0)
     inv_step = 1.0 / step
-    outer = 12.0 + 6.0 * sigma
+    outer = 6.0 + 4.5 * sigma if near_only else 12.0 + 6.0 * sigma
     reach_l = min(outer, room[0])
     reach_r = min(outer, room[1])
     limit = TUKEY * scale
@@ -268,7 +269,7 @@ def sweep(  # type: ignore[no-untyped-def]
             e = 1.0 - f
             value = near[j]
             r = value - ((low + sl * d) * e + (high + sh * d) * f)
-            if value >= 254.5 or value <= 0.5:
+            if value >= 254.5:
                 hot += 1
             bin_ = int(abs(r) * (1.0 / HIST_STEP))
             hist[np.uintp(bin_ if bin_ < HIST else HIST - 1)] += 1
@@ -324,7 +325,7 @@ def sweep(  # type: ignore[no-untyped-def]
             s_rho += RHO_MAX * 0.2 * size
             n_rho += size
             continue
-        if hot * 5 > size * 2:
+        if hot >= 2 and hot * 7 > size:
             stats[8] += 1.0
             continue
         u[0, 0] += u00
@@ -611,7 +612,7 @@ def drop_misfits(misfit, used, levels):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def refine(  # type: ignore[no-untyped-def]
     img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right,
-    least_scale, resid, keep, out,
+    least_scale, may_bend, resid, keep, out,
 ):
     """Iterate ``sweep`` to convergence; fills p, levels, resid, keep and out.
 
@@ -652,12 +653,12 @@ def refine(  # type: ignore[no-untyped-def]
         if full:
             sweep(
                 img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right, scale,
-                table, hist, normal, right, blocks, misfit, keep, resid, stats,
+                free, table, hist, normal, right, blocks, misfit, keep, resid, stats,
             )
         else:
             sweep(
                 img, some, some_group, y_mid, p, levels, used, room, box_left, box_right,
-                scale, table, hist, normal, right, blocks, misfit, some_keep, none, stats,
+                scale, free, table, hist, normal, right, blocks, misfit, some_keep, none, stats,
             )
         if stats[1] < 4 or (full and stats[1] < 8):
             if scale > 60.0:
@@ -700,7 +701,7 @@ def refine(  # type: ignore[no-untyped-def]
                 normal[4, 4] = bend
                 invert(normal, wide)
                 kappa = (wide @ right)[4]
-                if abs(kappa) < 4.0 * math.sqrt(max(1e-30, wide[4, 4])) * scale:
+                if not may_bend or abs(kappa) < 4.0 * math.sqrt(max(1e-30, wide[4, 4])) * scale:
                     break
                 free = True
         elif settled and abs(da) < 0.01 and abs(step[2]) < 0.02:

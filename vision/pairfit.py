@@ -17,6 +17,9 @@ from vision.jpegerror import find_quantiser, position_variance
 F64 = npt.NDArray[np.float64]
 
 LEAST_NOISE = 0.3  # grey levels: rounding to whole ones
+COLUMNS_ALIKE = 2.5  # the same for sums over all rows
+LOPSIDED = 6.0  # even misfit in common to all rows, against noise, that noise cannot explain
+LOPSIDED_GAIN = 4.0
 ROWS_ALIKE = 1.25  # above this, neighbouring rows err alike: compressed, or lined
 STEEPEST = math.tan(math.radians(7.0))
 LARGEST_U = 0.05  # px; a frame that says less than this is not a measurement
@@ -55,7 +58,8 @@ def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
             return GapMeasurement(math.nan, math.nan, False, reason, region=box)
         fits.append(fit)
     extra = [0.0, 0.0]
-    if max(fit.out[12] for fit in fits) > ROWS_ALIKE:
+    alike = max(fit.out[12] for fit in fits) > ROWS_ALIKE
+    if alike or max(fit.out[13] for fit in fits) > COLUMNS_ALIKE:
         fits, extra = _allow_for_rounding(gray, box, fits, (guess.left, guess.right))
     return _combine(fits[0], fits[1], extra, box, guess.reason or _doubt(fits))
 
@@ -71,15 +75,14 @@ def _allow_for_rounding(
         np.concatenate([p[1] for p in points]),
     )
     if quantiser is None:
-        # another encoder, or another cause: what the residuals in common to all rows can say
-        return fits, [
-            fit.cov[0, 0] * (max(1.0, fit.out[12], 0.25 * fit.out[13]) - 1) for fit in fits
-        ]
+        return fits, [_misfit_variance(fit) for fit in fits]
     floor = 1.5 * quantiser.pixel_error
     again: list[Fit] = []
     extra: list[float] = []
     for fit, guess in zip(fits, guesses, strict=True):
-        better = _refit(gray, box, fit, guess, floor) if fit.out[3] < floor else fit
+        better: Fit | None = fit
+        if fit.out[3] < floor or fit.out[11] > 0:
+            better = _refit(gray, box, fit, guess, floor)
         again.append(better or fit)
         noise2 = max(1.0, (quantiser.noise / again[-1].out[3]) ** 2) - 1.0
         levels = (float(np.median(fit.levels[:, 0])), float(np.median(fit.levels[:, 1])))
@@ -90,12 +93,38 @@ def _allow_for_rounding(
     return again, extra
 
 
+def _misfit_variance(fit: Fit) -> float:
+    """Variance to add for residuals that rows have in common without JPEG to explain them.
+
+    Another kernel than the Gaussian (motion) leaves residuals that are odd about the edge and
+    do not move it; they are taken out with two odd functions. What is left over is even, as
+    glare and reflections are, and moves the edge by an unknown multiple of its own size.
+    """
+    alike = max(0.0, fit.out[12] - 1.0) if fit.out[12] > ROWS_ALIKE else 0.0
+    residual = fit.resid * (fit.keep[:, None] > 0)
+    seen = np.count_nonzero(residual, axis=0)
+    columns = np.flatnonzero(seen > 0.3 * seen.max())
+    x0 = fit.a + fit.b * (fit.rows - fit.y_mid)
+    d = columns - CORE_MAX // 2 + 0.5 - float(np.mean(x0 - np.floor(x0)))
+    mean = residual[:, columns].sum(axis=0) / np.sqrt(seen[columns]) / fit.out[3]
+    odd = np.exp(-0.5 * ((d + 0.5) / fit.p[2]) ** 2) - np.exp(-0.5 * ((d - 0.5) / fit.p[2]) ** 2)
+    basis = np.stack([odd, odd * d**2, odd * d**4], axis=1)
+    basis /= np.linalg.norm(basis, axis=0) + 1e-12
+    rest = mean - basis @ np.linalg.lstsq(basis, mean, rcond=None)[0]
+    even = float(np.sum(rest**2)) / max(1, len(columns) - 7)
+    if even < LOPSIDED:
+        explained = float(np.sum(mean**2) - np.sum(rest**2)) / max(1e-9, float(np.sum(mean**2)))
+        return float(fit.cov[0, 0] * alike * (1.0 - explained))
+    return float(fit.cov[0, 0] * (alike + LOPSIDED_GAIN * even))
+
+
 def _refit(gray: Image, box: Box, fit: Fit, guess: EdgeGuess, least_scale: float) -> Fit | None:
-    p, levels, on, out = fit.p.copy(), fit.levels.copy(), fit.on.copy(), np.zeros(16)
+    p, levels, on, out = fit.p.copy(), fit.levels.copy(), np.ones_like(fit.on), np.zeros(16)
+    p[4] = 0.0
     resid, keep = np.zeros_like(fit.resid), np.zeros_like(fit.keep)
     if not refine(
         gray, fit.rows, fit.group_of, fit.y_mid, p, levels, on, _room(guess), box[0],
-        box[0] + box[2], least_scale, resid, keep, out,
+        box[0] + box[2], least_scale, False, resid, keep, out,
     ):
         return None
     cov = np.array([[out[0], out[1]], [out[1], out[2]]])
@@ -108,7 +137,7 @@ def _doubt(fits: list[Fit]) -> str:
     """Why a pair of fits must not be trusted, or nothing."""
     for side, fit in zip(("left", "right"), fits, strict=True):
         rows, edge = fit.out[5], f"the {side} edge"
-        if fit.out[8] > 0.25 * fit.seen:
+        if fit.out[8] > 0.5 * fit.seen:
             return f"over- or under-exposed at {edge}"
         if rows < 0.45 * fit.seen:
             return f"only {rows:.0f} of {fit.seen} rows agree on {edge}"
@@ -172,7 +201,7 @@ def _fit_edge(
     out = np.zeros(16)
     if not refine(
         gray, rows, group_of, own_mid, p, levels, on, _room(guess), left, left + width,
-        LEAST_NOISE, resid, keep, out,
+        LEAST_NOISE, True, resid, keep, out,
     ):
         return None
     cov = np.array([[out[0], out[1]], [out[1], out[2]]])
@@ -217,8 +246,9 @@ def _combine(
     u = math.hypot(u, gap * slope * cosine**2 / math.sqrt(weight_l + weight_r))
     lines = [_line(left), _line(right)]
     reason = doubt
-    defects = max(max(f.out[4], 1 - f.out[5] / f.seen) for f in (left, right))
-    limit = LARGEST_U_DEFECTS if defects > 0.02 else LARGEST_U
+    defects = max(max(f.out[4], 1 - f.out[5] / f.seen) for f in (left, right)) > 0.02
+    defects = defects or max(left.out[11], right.out[11]) > 0
+    limit = LARGEST_U_DEFECTS if defects else LARGEST_U
     if not reason and u > limit:
         reason = f"standard uncertainty {u:.3f} pixels is above {limit:.3f}"
     corners: list[tuple[float, float]] = []

@@ -161,9 +161,7 @@ def _step(d: FloatArray, blur: float, smear: float) -> FloatArray:
         return ramp(d + 0.5) - ramp(d - 0.5)
     count = max(3, int(np.ceil(8 * smear)))
     offsets = ((np.arange(count) + 0.5) / count - 0.5) * smear
-    return np.asarray(
-        np.mean([ramp(d + o + 0.5) - ramp(d + o - 0.5) for o in offsets], axis=0)
-    )
+    return np.asarray(np.mean([ramp(d + o + 0.5) - ramp(d + o - 0.5) for o in offsets], axis=0))
 
 
 def _cover(

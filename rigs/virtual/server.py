@@ -64,16 +64,19 @@ class PtyPort:
         self.address = str(link)
 
     def read(self) -> bytes:
+        """What came, without waiting."""
         try:
             return os.read(self._master, 65536)
         except (BlockingIOError, OSError):
             return b""
 
     def write(self, data: bytes) -> None:
+        """Send; what nobody reads is lost."""
         with contextlib.suppress(BlockingIOError, OSError):
             os.write(self._master, data)
 
     def close(self) -> None:
+        """Let go."""
         self._link.unlink(missing_ok=True)
         for fd in (self._master, self._slave):
             with contextlib.suppress(OSError):
@@ -90,6 +93,7 @@ class TcpPort:
         self.address = f"socket://{LOOPBACK}:{self._server.getsockname()[1]}"
 
     def read(self) -> bytes:
+        """What came, without waiting."""
         with contextlib.suppress(BlockingIOError, OSError):
             client, _ = self._server.accept()
             client.setblocking(False)
@@ -109,6 +113,7 @@ class TcpPort:
         return data
 
     def write(self, data: bytes) -> None:
+        """Send; what nobody reads is lost."""
         if self._client is not None:
             try:
                 self._client.send(data)
@@ -123,6 +128,7 @@ class TcpPort:
             self._client = None
 
     def close(self) -> None:
+        """Let go."""
         self._drop()
         self._server.close()
 
@@ -143,9 +149,8 @@ class CameraPort:
                 client, _ = self._server.accept()
             except OSError:
                 return
-            with client, client.makefile("rwb") as file:
-                with contextlib.suppress(OSError):
-                    self._talk(file)
+            with client, client.makefile("rwb") as file, contextlib.suppress(OSError):
+                self._talk(file)
 
     def _talk(self, file: Any) -> None:
         for request in file:
@@ -289,7 +294,9 @@ def open_server(
     try:
         server = BenchServer(config, folder, tcp, truth)
     except OSError as error:
-        raise PamrigError(str(folder), f"cannot hold the bench's ports: {error}", "use --dir") from None
+        raise PamrigError(
+            str(folder), f"cannot hold the bench's ports: {error}", "use --dir"
+        ) from None
     try:
         yield server
     finally:

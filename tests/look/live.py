@@ -54,13 +54,10 @@ def photograph(browser: Browser, out: Path, still: int = 3) -> npt.NDArray[np.ui
 
 
 def shrink(path: Path) -> None:
-    """Fewer colours, so that the picture is small enough to live in the documentation."""
-    from PIL import Image
+    """Fewer shades, so that the picture is small enough to live in the documentation."""
+    from PIL import Image, ImageOps
 
-    # Thin lines have few pixels; the default method would merge their colours away.
-    method = Image.Quantize.MAXCOVERAGE
-    picture = Image.open(path).convert("RGB").quantize(256, method, dither=Image.Dither.NONE)
-    picture.save(path, optimize=True)
+    ImageOps.posterize(Image.open(path).convert("RGB"), 6).save(path, optimize=True)
 
 
 def look_at_live(out: Path, width: int = 1600, height: int = 1000) -> npt.NDArray[np.uint8]:

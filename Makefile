@@ -1,0 +1,47 @@
+# Everything a newcomer needs: `make demo` does the main job, `make test` passes the tests.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+RUNS   ?= out/demo
+READY  := $(VENV)/.ready
+
+.PHONY: demo test lint types bench campaign look wheel lock clean
+
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pamrig needs Python 3.11 or newer")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --editable .
+	@touch $@
+
+demo: $(READY)   ## an isometric test on the virtual bench, then the thesis's measured table
+	@$(BIN)/python -m rigs.demo $(RUNS)
+
+test: $(READY)   ## all tests at their small sizes
+	$(BIN)/python -m pytest
+
+campaign: $(READY)   ## the same tests at full size, and the long ones
+	PAMRIG_CAMPAIGN=1 $(BIN)/python -m pytest -m "campaign or not look" -s
+
+look: $(READY)   ## what needs a browser: the pictures in docs
+	$(BIN)/python -m pytest -m look
+
+bench: $(READY)   ## side by side with what one would use instead
+	$(BIN)/python -m benchmarks
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(READY)
+	$(BIN)/mypy
+
+wheel: $(READY)
+	$(BIN)/python -m build --wheel --outdir dist .
+
+lock:   ## pin anew after changing dependencies (needs uv)
+	uv pip compile --quiet pyproject.toml --extra test --extra dev --extra bench --universal --no-header --no-annotate --no-emit-index-url --upgrade --output-file requirements.lock
+
+clean:
+	rm -rf $(VENV) build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache

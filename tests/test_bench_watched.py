@@ -1,0 +1,71 @@
+"""A viewer that is absent, frozen or killed costs a real-time test nothing."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from bench_process import bench_process, pamrig
+from daq.run import open_run
+from daq.store import verify
+
+# A bench in a laboratory has its computer to itself; a test machine need not.
+LATE_MS = 10.0 if os.environ.get("PAMRIG_CAMPAIGN") else None
+
+
+@contextmanager
+def frozen_viewer(port: int) -> Iterator[None]:
+    """Connects to the live view's server and never reads a byte."""
+    with socket.create_connection(("127.0.0.1", port), timeout=5) as s:
+        # The beginning of an HTTP/2 connection, as a viewer sends it.
+        s.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes.fromhex("000000040000000000"))
+        yield
+
+
+@pytest.mark.parametrize("viewer", ["absent", "frozen", "killed"])
+def test_not_one_sample_is_lost(tmp_path: Path, viewer: str) -> None:
+    with bench_process(tmp_path / "bench") as bench:
+        client = pamrig(
+            "isometric", "--rig", bench.rig, "--protocol", "isometric-short",
+            "--out", tmp_path / "runs", "--live", "--no-browser",
+        )  # fmt: skip
+        assert client.stderr is not None
+        line = client.stderr.readline()
+        while "live view" not in line:
+            assert line, client.communicate()
+            line = client.stderr.readline()
+        found = re.search(r"127\.0\.0\.1:(\d+)", line)
+        assert found, line
+        port = int(found[1])
+        if viewer == "absent":
+            said, told = client.communicate(timeout=120)
+        else:
+            with frozen_viewer(port):
+                if viewer == "killed":
+                    time.sleep(3)
+                else:
+                    said, told = client.communicate(timeout=120)
+            if viewer == "killed":
+                said, told = client.communicate(timeout=120)
+        assert client.returncode == 0, (said, told)
+        words = bench.stop()
+    (folder,) = (tmp_path / "runs").iterdir()
+    run = open_run(folder)
+    assert run.outcome == "clean"
+    assert verify(run) == []
+    counters = run.manifest and run.final and run.final["counters"]["valve"]
+    assert counters["missing"] == counters["damaged"] == counters["duplicates"] == 0
+    seq = run.samples("valve")["seq"]
+    assert len(seq) == seq[-1] - seq[0] + 1
+    late = re.search(r"p99\.9 ([\d.]+) ms", words)
+    assert late
+    print(f"\n{viewer}: {len(seq)} samples, loop lateness {words.splitlines()[-1]}")
+    if LATE_MS is not None:
+        assert float(late[1]) < LATE_MS

@@ -1,0 +1,100 @@
+"""Every command in README and docs is run as it stands there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rigs.config import load_rig
+from rigs.toml_reader import find_config
+
+HOUSE = Path(__file__).resolve().parent.parent
+PAGES = [
+    "README.md",
+    *sorted(p.relative_to(HOUSE).as_posix() for p in (HOUSE / "docs").glob("*.md")),
+]
+# What a reader puts in for himself.
+PLACES = {"RUN": "last", "runs/<run>": "last"}
+# These serve until they are stopped.
+SERVING = ("pamrig view", "--live")
+
+
+def commands(page: str) -> list[str]:
+    """Indented or fenced lines that begin with `pamrig`, without their comments."""
+    text = (HOUSE / page).read_text(encoding="utf-8")
+    lines = re.findall(r"^(?: {4}|\$ )(pamrig .*)$", text, flags=re.MULTILINE)
+    return [re.sub(r"\s+#.*$", "", line).strip() for line in lines]
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as a reader has it: own rig and protocol, own points, own pictures, one run."""
+    folder = tmp_path_factory.mktemp("desk")
+    (folder / "mybench.toml").write_text(load_rig("virtual").text)
+    (folder / "mytest.toml").write_text(find_config("isometric-short", "protocols")[0])
+    rows = [f"{p},{60 + k},{p * 0.07 + k:.3f}" for k in range(3) for p in (200, 300, 400)]
+    (folder / "mine.csv").write_text("pressure_kpa,length_mm,force_n\n" + "\n".join(rows) + "\n")
+    run(folder, "pamrig isometric --protocol isometric-short")
+    prepare = HOUSE / "tests" / "docs_pictures.py"
+    if prepare.exists():
+        subprocess.run([sys.executable, str(prepare), str(folder)], check=True, timeout=120)
+    return folder
+
+
+def argv(command: str) -> list[str]:
+    words = [PLACES.get(word, word) for word in shlex.split(command)]
+    return [sys.executable, "-m", "rigs.cli", *words[1:]]
+
+
+def run(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        argv(command), cwd=folder, text=True, capture_output=True, timeout=300, check=False
+    )
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_of_the_page_works(page: str, desk: Path) -> None:
+    for command in commands(page):
+        if "pamrig view" in command:
+            serve(desk, command)
+            continue
+        if "--live" in command:
+            command += " --no-browser"
+        done = run(desk, command)
+        assert done.returncode == 0, f"{page}: {command}\n{done.stdout}\n{done.stderr}"
+
+
+def serve(folder: Path, command: str) -> None:
+    """Run a command that goes on until Ctrl-C, and end it so once it has said something."""
+    process = subprocess.Popen(
+        argv(command), cwd=folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    assert process.stdout is not None
+    first = process.stdout.readline()
+    time.sleep(1.0)
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    rest, _ = process.communicate(timeout=30)
+    assert "127.0.0.1" in first + rest, f"{command}\n{first}{rest}"
+    assert "Traceback" not in rest
+
+
+def test_the_pages_have_commands() -> None:
+    """The pattern above still finds what it is for."""
+    assert len(commands("README.md")) >= 5
+    assert shutil.which("make")
+
+
+def test_every_link_leads_somewhere() -> None:
+    for page in PAGES:
+        text = (HOUSE / page).read_text(encoding="utf-8")
+        for target in re.findall(r"\]\(([^)#:]+)\)", text):
+            assert ((HOUSE / page).parent / target).exists(), f"{page}: {target}"

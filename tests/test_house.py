@@ -1,0 +1,84 @@
+"""The rules of the house that a machine can check."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+HOUSE = Path(__file__).resolve().parent.parent
+PACKAGES = ("valvefw", "plant", "vision", "daq", "rigs", "gap", "pamrig")
+# Where each of these may be imported, and nowhere else.
+ONLY_IN = {
+    "serial": ("daq/transport.py",),
+    "rerun": ("daq/live", "daq/viewfile.py"),
+    "machine": ("valvefw/boards/", "valvefw/board_"),
+    "rp2": ("valvefw/boards/", "valvefw/board_"),
+}
+MICROPYTHON = {
+    "valvefw",
+    "binascii",
+    "struct",
+    "array",
+    "micropython",
+    "machine",
+    "rp2",
+    "sys",
+    "os",
+    "gc",
+    "time",
+}
+
+
+def imports(path: Path) -> set[str]:
+    """First parts of all modules a file imports, at any depth of its code."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {name.name.split(".")[0] for name in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module.split(".")[0])
+    return found
+
+
+def sources() -> list[tuple[str, Path]]:
+    return [
+        (path.relative_to(HOUSE).as_posix(), path)
+        for package in PACKAGES
+        for path in sorted((HOUSE / package).rglob("*.py"))
+    ]
+
+
+def test_imports_only_point_down() -> None:
+    tool = shutil.which("lint-imports", path=str(Path(sys.executable).parent)) or "lint-imports"
+    done = subprocess.run([tool], cwd=HOUSE, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_each_device_library_has_one_home() -> None:
+    for name, path in sources():
+        for library in imports(path) & set(ONLY_IN):
+            assert name.startswith(ONLY_IN[library]), f"{name} imports {library}"
+
+
+def test_the_firmware_needs_nothing_micropython_lacks() -> None:
+    for name, path in sources():
+        if name.startswith("valvefw/"):
+            assert imports(path) <= MICROPYTHON, f"{name}: {imports(path) - MICROPYTHON}"
+
+
+def test_nothing_sleeps_but_the_clock() -> None:
+    """The virtual bench in real time and the live view's thread live outside protocols."""
+    allowed = ("daq/clock.py", "rigs/virtual/server.py", "daq/live", "daq/disk.py", "rigs/uvc.py")
+    for name, path in sources():
+        if "time.sleep(" in path.read_text(encoding="utf-8"):
+            assert name.startswith(allowed), name
+
+
+def test_no_module_outgrows_its_reader() -> None:
+    """About 300 lines and one public noun; 400 is the most."""
+    for name, path in sources():
+        lines = len(path.read_text(encoding="utf-8").splitlines())
+        assert lines <= 400, f"{name}: {lines} lines"
