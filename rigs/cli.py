@@ -51,6 +51,7 @@ def isometric(
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the live view in the browser.")
     ] = True,
+    wire: Annotated[bool, typer.Option("--wire", help="Record every received byte, too.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run an isometric test: length held, pressure stepped, force read."""
@@ -58,7 +59,7 @@ def isometric(
 
     raise typer.Exit(
         isometric_command(
-            rig, protocol, out, specimen, operator, note, seed, live, browser, as_json
+            rig, protocol, out, specimen, operator, note, seed, live, browser, wire, as_json
         )
     )
 

@@ -82,6 +82,7 @@ def isometric_command(
     seed: int | None,
     live: bool,
     browser: bool,
+    wire: bool,
     as_json: bool,
 ) -> int:
     """Run, derive, say what came of it; returns the exit status."""
@@ -119,7 +120,7 @@ def isometric_command(
     with stop_on_signals() as stop:
         result = run_isometric(
             config, parameters, out, specimen=specimen, operator=operator, note=note,
-            stop=stop, make_live=make_live, watch=watch, on_start=line.start,
+            stop=stop, make_live=make_live, watch=watch, on_start=line.start, wire=wire,
         )  # fmt: skip
     line.close()
     status = {"clean": 0, "stopped": 130}.get(result.outcome, 2)

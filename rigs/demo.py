@@ -21,7 +21,7 @@ def demo(root: Path) -> int:
         "1. an isometric test on the virtual bench: 5 lengths, 8 pressures, up and down, twice"
     )
     status = isometric_command(
-        "virtual", "isometric", root, "demo-muscle", "demo", "", None, False, False, False
+        "virtual", "isometric", root, "demo-muscle", "demo", "", None, False, False, False, False
     )
     if status:
         return status

@@ -128,6 +128,7 @@ def run_isometric(
     watch: Watch | None = None,
     on_start: Callable[[Runner, RecordWriter], None] | None = None,
     derive: bool = True,
+    wire: bool = False,
 ) -> Result:
     """Run an isometric test and leave a finished record.
 
@@ -141,6 +142,7 @@ def run_isometric(
         watch: hooks for a progress line.
         on_start: called with the runner just before the first step.
         derive: also make table, figures, report and view from the record.
+        wire: also record every byte that came in: a fixture, or evidence after a fault.
 
     Raises:
         PamrigError: nothing was recorded yet: device, key and remedy are named. Once a
@@ -162,6 +164,8 @@ def run_isometric(
         runner = Runner(rig, record, stop, watch)
         try:
             _connect(rig, record)
+            if wire:
+                _record_bytes(rig, record)
             if protocol.frames:
                 _check_camera(rig, record)
             if make_live is not None:
@@ -235,6 +239,17 @@ def _connect(rig: Rig, record: RecordWriter) -> None:
     rig.valve.on_batch.append(valve_batch)
     rig.balance.on_rows.append(balance_rows)
     rig.valve.on_event = event
+
+
+def _record_bytes(rig: Rig, record: RecordWriter) -> None:
+    """Every byte that comes in goes to the record, before anything has looked at it."""
+
+    def listener(name: str) -> Callable[[int, bytes], None]:
+        return lambda host_ns, data: record.wire(name, host_ns, data)
+
+    rig.valve.on_bytes = listener("valve")
+    rig.balance.on_bytes = listener("balance")
+    rig.stage.on_bytes = listener("stage")
 
 
 def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException | None) -> None:

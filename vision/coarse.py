@@ -227,7 +227,7 @@ def _of_run(run: list[EdgeGuess]) -> tuple[EdgeGuess, str]:
     ranked = sorted(run, key=lambda e: e.votes * e.contrast, reverse=True)
     if len(ranked) > 1:
         first, second = (e.votes * e.contrast for e in ranked[:2])
-        if second > 0.5 * first:
+        if second > 0.35 * first:
             where = f"columns {ranked[0].x_mid:.0f} and {ranked[1].x_mid:.0f}"
             return ranked[0], f"two edges of one sign look alike ({where})"
     return ranked[0], ""

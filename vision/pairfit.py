@@ -149,6 +149,9 @@ def _doubt(fits: list[Fit]) -> str:
             return f"{edge} is too blurred ({fit.p[2]:.1f} pixels)"
         if abs(fit.b) > STEEPEST:
             return f"{edge} leans by {math.degrees(math.atan(fit.b)):.1f} degrees"
+    noises = sorted(fit.out[3] for fit in fits)
+    if noises[1] > 2.0 * max(noises[0], 1.0):
+        return "one edge is much rougher than the other: light or dirt beside it"
     if abs(fits[0].b - fits[1].b) > 0.03:
         return "the two edges are not parallel"
     if fits[1].a - fits[0].a < 3.0 * (fits[0].p[2] + fits[1].p[2]) + 3.0:
