@@ -176,7 +176,7 @@ def view_command(run: str, runs: Path) -> None:
     found = find_run(runs, run)
     pressures = found.manifest.get("parameters", {}).get("pressures_kpa") or [600.0]
     layout = isometric_layout(pressure_max_kpa=max(pressures))
-    view = open_view(found, layout, measured_edges)
+    view = open_view(found, layout, measured_edges(found))
     try:
         typer.echo(view.message)
         view.wait()

@@ -59,13 +59,37 @@ class StageDevice(Device):
     speed_mm_s: float
 
 
+Box = tuple[int, int, int, int]
+"""Left, top, width, height in pixels."""
+
+
+@dataclass(frozen=True)
+class CameraSync:
+    """How the sync LED is seen: its patch of the picture, and the camera's timing.
+
+    ``exposure_ms`` is that of a row, ``readout_ms`` the time between the first and the last
+    row (0 for a global shutter), ``frames`` how many are taken at the start of a run.
+    """
+
+    patch: Box
+    exposure_ms: float
+    readout_ms: float
+    frames: int
+    bit_ms: int
+
+
 @dataclass(frozen=True)
 class CameraDevice:
-    """The camera: "virtual", "uvc:INDEX" or "tcp://host:port" of a virtual bench."""
+    """The camera: "virtual", "uvc:INDEX" or "tcp://host:port" of a virtual bench.
+
+    ``region`` is where the marks are looked for (None: the whole picture).
+    """
 
     source: str
     serial: str
     jpeg_quality: int
+    region: Box | None = None
+    sync: CameraSync | None = None
 
 
 @dataclass(frozen=True)
@@ -81,6 +105,7 @@ class VirtualBenchConfig:
     force_noise_n: float
     blur_px: float
     frame_noise_levels: float
+    camera_delay_ms: float
 
 
 @dataclass(frozen=True)
@@ -227,11 +252,33 @@ def _stage(t: Table) -> StageDevice:
     return out
 
 
+def _box(t: Table, key: str) -> Box:
+    values = t.numbers(key, 0, 65535, unit="pixel", least=4)
+    if len(values) != 4 or any(v != int(v) for v in values) or values[2] < 1 or values[3] < 1:
+        raise t.fail(key, f"expected [left, top, width, height], got {list(values)}")
+    left, top, width, height = (int(v) for v in values)
+    return left, top, width, height
+
+
+def _sync(t: Table) -> CameraSync:
+    out = CameraSync(
+        patch=_box(t, "patch"),
+        exposure_ms=t.number("exposure_ms", 0.01, 1000, unit="ms"),
+        readout_ms=t.number("readout_ms", 0, 1000, 0.0, unit="ms"),
+        frames=t.integer("frames", 30, 1000, 80),
+        bit_ms=t.integer("bit_ms", 5, 1000, 23),
+    )
+    t.finish()
+    return out
+
+
 def _camera(t: Table) -> CameraDevice:
     out = CameraDevice(
         source=t.text("source"),
         serial=t.text("serial", ""),
         jpeg_quality=t.integer("jpeg_quality", 50, 100, 95),
+        region=_box(t, "region") if "region" in t else None,
+        sync=_sync(t.table("sync")) if "sync" in t else None,
     )
     scheme = out.source.split(":")[0]
     if scheme not in (VIRTUAL, "uvc", "tcp"):
@@ -285,6 +332,7 @@ def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
         force_noise_n=sensors.number("force_noise_n", 0, 10, 0.005, unit="N"),
         blur_px=sensors.number("blur_px", 0.3, 5, 0.8, unit="pixel"),
         frame_noise_levels=sensors.number("frame_noise_levels", 0, 30, 2.0),
+        camera_delay_ms=sensors.number("camera_delay_ms", 0, 500, 12.0, unit="ms"),
     )
     if seed is not None:
         t.integer("seed", 0, 2**63 - 1, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from daq.layout import (
@@ -24,6 +25,7 @@ from daq.layout import (
 
 if TYPE_CHECKING:
     from daq.liveview_scene import Line
+    from daq.run import Run
     from vision.edge import GapMeasurement
 
 SET_POINT = "pressure/set_point_kpa"
@@ -178,12 +180,14 @@ def edge_lines(gap: GapMeasurement, length_mm: float | None = None) -> list[Line
     return lines
 
 
-def measured_edges(jpeg: bytes) -> list[Line]:
-    """Measure a stored frame again, for the view file of a finished run."""
-    import cv2
-    import numpy as np
+def measured_edges(run: Run) -> Callable[[bytes], list[Line]]:
+    """Measures stored frames of a run again, for its view file."""
+    from rigs.pictures import decode, measure_stored
 
-    from vision.edge import measure_gap
+    camera = run.manifest.get("camera") or {}
 
-    gray = cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
-    return edge_lines(measure_gap(np.asarray(gray, dtype=np.uint8)))
+    def lines(jpeg: bytes) -> list[Line]:
+        gray = decode(jpeg)
+        return [] if gray is None else edge_lines(measure_stored(gray, camera))
+
+    return lines

@@ -1,37 +1,73 @@
-"""One picture of the muscle: exposed, encoded, stored, and measured as it was stored."""
+"""Pictures of the muscle: exposed, encoded, stored, and measured as they were stored."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from daq.errors import DeviceError
 from daq.record import RecordWriter
+from rigs.camera import Frame
 from rigs.rig import Rig
 from vision.edge import GapMeasurement, measure_gap
 
 
-def take_picture(rig: Rig, record: RecordWriter) -> tuple[int, GapMeasurement, bytes, int]:
+@dataclass(frozen=True)
+class Picture:
+    """A stored picture: its number in the record, when it was taken, its bytes, its gap."""
+
+    number: int
+    host_ns: int
+    jpeg: bytes
+    gap: GapMeasurement
+
+
+def decode(jpeg: bytes) -> npt.NDArray[np.uint8] | None:
+    """Grey levels of a stored picture, (h, w); None if it is none."""
+    gray = cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+    return None if gray is None else np.asarray(gray, dtype=np.uint8)
+
+
+def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> GapMeasurement:
+    """Measure a decoded picture as the run's rig says (``camera`` of run.json).
+
+    The live test, the reduction and the view all come through here.
+    """
+    region, sync = camera.get("region"), camera.get("sync")
+    return measure_gap(
+        gray,
+        tuple(region) if region else None,
+        exclude=(tuple(sync["patch"]),) if sync else (),
+    )
+
+
+def store(rig: Rig, record: RecordWriter, frame: Frame, **meta: Any) -> tuple[int, bytes]:
+    """Encode a frame and append it to the record; its number and its bytes."""
+    quality = [cv2.IMWRITE_JPEG_QUALITY, rig.config.camera.jpeg_quality]
+    ok, data = cv2.imencode(".jpg", frame.gray, quality)
+    if not ok:
+        raise DeviceError("camera", f"frame {frame.seq} cannot be encoded as JPEG")
+    jpeg = data.tobytes()
+    return record.frame(jpeg, frame.host_ns, seq=frame.seq, **meta), jpeg
+
+
+def take_picture(rig: Rig, record: RecordWriter, camera: Mapping[str, Any]) -> Picture:
     """Trigger, encode, store, decode, measure.
 
     The decoded JPEG is measured, not the frame as it came, so that a replay of the record
     gives the same length to the bit.
-
-    Returns:
-        (frame number in the record, measurement, JPEG bytes, host time in ns)
     """
     frame = rig.camera.trigger()
-    ok, data = cv2.imencode(
-        ".jpg", frame.gray, [cv2.IMWRITE_JPEG_QUALITY, rig.config.camera.jpeg_quality]
-    )
-    if not ok:
-        raise DeviceError("camera", f"frame {frame.seq} cannot be encoded as JPEG")
-    jpeg = data.tobytes()
-    number = record.frame(jpeg, frame.host_ns, seq=frame.seq)
-    gray = cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
-    gap = measure_gap(np.asarray(gray, dtype=np.uint8))
+    number, jpeg = store(rig, record, frame)
+    gray = decode(jpeg)
+    assert gray is not None
+    gap = measure_stored(gray, camera)
     known = math.isfinite(gap.pixels)
     record.event(
         "length",
@@ -41,4 +77,4 @@ def take_picture(rig: Rig, record: RecordWriter) -> tuple[int, GapMeasurement, b
         trusted=gap.trusted,
         reason=gap.reason,
     )
-    return number, gap, jpeg, frame.host_ns
+    return Picture(number, frame.host_ns, jpeg, gap)

@@ -43,4 +43,4 @@ def _view(run: Run, out: Path) -> None:
 
     pressures = run.manifest.get("parameters", {}).get("pressures_kpa") or [600.0]
     layout = isometric_layout(pressure_max_kpa=max(pressures))
-    view_maker(layout, measured_edges)(run, out)
+    view_maker(layout, measured_edges(run))(run, out)

@@ -225,20 +225,18 @@ class _Bench:
 
     def _gap(self, number: int) -> Any:
         """The measured gap, or the reason why there is none."""
-        import cv2
+        from rigs.pictures import decode, measure_stored
 
-        if self.measure is None:
-            from vision.edge import measure_gap
-
-            self.measure = measure_gap
         try:
-            jpeg = np.frombuffer(self.run.frame_bytes(number), dtype=np.uint8)
+            gray = decode(self.run.frame_bytes(number))
         except RecordError as error:
             return error.what
-        gray = cv2.imdecode(jpeg, cv2.IMREAD_GRAYSCALE)
         if gray is None:
             return "the stored picture cannot be decoded"
-        gap = self.measure(np.asarray(gray, dtype=np.uint8))
+        if self.measure is not None:
+            gap = self.measure(gray)
+        else:
+            gap = measure_stored(gray, self.run.manifest.get("camera") or {})
         return gap if gap.trusted else str(gap.reason)
 
     def _zeros(self) -> list[dict[str, Any]]:

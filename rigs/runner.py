@@ -7,8 +7,8 @@ vents; so does a record that can no longer be written.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -62,7 +62,6 @@ class Progress:
     points: int
     done: int = 0
     state: str = ""
-    notes: list[str] = field(default_factory=list)
 
 
 class Runner:
@@ -73,10 +72,19 @@ class Runner:
         record: where everything goes.
         stop: set by Ctrl-C and its kin; looked at in every round.
         watch: hooks of the live view and the progress line.
+        camera: how pictures are measured, as run.json says it.
     """
 
-    def __init__(self, rig: Rig, record: RecordWriter, stop: StopFlag, watch: Watch) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        record: RecordWriter,
+        stop: StopFlag,
+        watch: Watch,
+        camera: Mapping[str, Any],
+    ) -> None:
         self.rig = rig
+        self.camera = camera
         self.record = record
         self.stop = stop
         self.watch = watch
@@ -316,11 +324,11 @@ class Runner:
 
         frames, lengths = [], []
         for _ in range(step.frames):
-            number, gap, jpeg, host_ns = take_picture(self.rig, self.record)
-            frames.append(number)
-            self.watch.picture(host_ns, jpeg, gap)
-            if gap.trusted:
-                lengths.append(gap.pixels)
+            picture = take_picture(self.rig, self.record, self.camera)
+            frames.append(picture.number)
+            self.watch.picture(picture.host_ns, picture.jpeg, picture.gap)
+            if picture.gap.trusted:
+                lengths.append(picture.gap.pixels)
         seq, rows = self._window(step.seconds)
         fields = {k: v for k, v in vars(step).items() if k not in ("seconds", "frames")}
         self.record.event("point", **fields, valve_seq=seq, balance_rows=rows, frames=frames)

@@ -84,6 +84,7 @@ def manifest(
                 "crc32": config.crc32, "text": config.text},
         "limits": dict(vars(config.limits)),
         "conditions": dict(vars(config.conditions)),
+        "camera": camera_values(config),
         "calibrations": {k: c.to_dict() for k, c in config.calibrations.items()},
         "devices": rig.identities,
         "software": software(),
@@ -91,6 +92,15 @@ def manifest(
     if config.virtual is not None:
         out["virtual"] = {"seed": config.virtual.seed}
     return out
+
+
+def camera_values(config: RigConfig) -> dict[str, Any]:
+    """How pictures are to be measured: what a replay must know."""
+    camera = config.camera
+    return {
+        "region": list(camera.region) if camera.region else None,
+        "sync": {**vars(camera.sync), "patch": list(camera.sync.patch)} if camera.sync else None,
+    }
 
 
 def check_disk(root: Path, points: int) -> None:
@@ -161,13 +171,14 @@ def run_isometric(
         record.stream("balance", BALANCE_SCHEMA, BALANCE_UNITS)
         error: BaseException | None = None
         live: LiveFeed | None = None
-        runner = Runner(rig, record, stop, watch)
+        camera = camera_values(config)
+        runner = Runner(rig, record, stop, watch, camera)
         try:
             _connect(rig, record)
             if wire:
                 _record_bytes(rig, record)
             if protocol.frames:
-                _check_camera(rig, record)
+                _check_camera(rig, record, camera)
             if make_live is not None:
                 live = make_live(record.run_id)
                 live.attach(rig, record, watch)
@@ -199,7 +210,7 @@ def _derive(folder: Path) -> str:
     return ""
 
 
-def _check_camera(rig: Rig, record: RecordWriter) -> None:
+def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> None:
     """Take and measure one picture before anything is armed.
 
     It tells a covered or displaced camera before the test, and loads all that measuring
@@ -208,15 +219,20 @@ def _check_camera(rig: Rig, record: RecordWriter) -> None:
     Raises:
         DeviceError: no length can be had of the picture.
     """
+    from rigs.camerasync import measure_camera_delay
     from rigs.pictures import take_picture
 
-    _, gap, _, _ = take_picture(rig, record)
+    gap = take_picture(rig, record, camera).gap
     if not gap.trusted:
         raise DeviceError(
             f"camera ({rig.config.source}: camera.source = {rig.config.camera.source!r})",
             f"no length can be measured in its picture: {gap.reason}",
             "check lens, light and both marks; `pamrig length` shows what it sees",
         )
+    if rig.config.camera.sync is not None:
+        rig.valve.progress(60.0)  # nothing is armed yet; the beats are the clock's pings
+        rig.pump.until(lambda: rig.valve.clock_fit.pings >= 5, 2.0)
+        measure_camera_delay(rig, record, rig.config.camera.sync)
 
 
 def _connect(rig: Rig, record: RecordWriter) -> None:

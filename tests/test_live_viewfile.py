@@ -131,7 +131,7 @@ def contents(path) -> tuple[dict[str, np.ndarray], dict[str, list]]:
 def view(tmp_path_factory):
     root = tmp_path_factory.mktemp("runs")
     run = small_run(root)
-    path = build_view(run, root / "view.rrd", isometric_layout(), measured_edges)
+    path = build_view(run, root / "view.rrd", isometric_layout(), measured_edges(run))
     return contents(path)
 
 

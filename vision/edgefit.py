@@ -145,7 +145,7 @@ def _eliminate(u, v, c, arm, block, normal, right):  # type: ignore[no-untyped-d
 @njit(cache=True, nogil=True)
 def sweep(  # type: ignore[no-untyped-def]
     img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right,
-    scale, near_only, table, hist, normal, right, blocks, misfit, keep, resid, stats,
+    scale, near_only, hot_from, table, hist, normal, right, blocks, misfit, keep, resid, stats,
 ):
     """One pass over the pixels: normal equations, residual histogram, statistics.
 
@@ -159,7 +159,7 @@ def sweep(  # type: ignore[no-untyped-def]
     a = p[0]
     b = p[1]
     sigma = p[2]
-    core = 3.6 * sigma + 0.8
+    core = max(2.3, 3.2 * sigma + 0.8)
     side, step = fill_table(sigma, table, core + 1.0)
     inv_step = 1.0 / step
     outer = 6.0 + 4.5 * sigma if near_only else 12.0 + 6.0 * sigma
@@ -269,7 +269,7 @@ def sweep(  # type: ignore[no-untyped-def]
             e = 1.0 - f
             value = near[j]
             r = value - ((low + sl * d) * e + (high + sh * d) * f)
-            if value >= 254.5:
+            if value >= hot_from:
                 hot += 1
             bin_ = int(abs(r) * (1.0 / HIST_STEP))
             hist[np.uintp(bin_ if bin_ < HIST else HIST - 1)] += 1
@@ -612,14 +612,17 @@ def drop_misfits(misfit, used, levels):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def refine(  # type: ignore[no-untyped-def]
     img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right,
-    least_scale, may_bend, resid, keep, out,
+    least_scale, may_bend, hot_from, resid, keep, out,
 ):
     """Iterate ``sweep`` to convergence; fills p, levels, resid, keep and out.
 
     out: 0..2 covariance aa, ab, bb (white noise), 3 noise sd near the edge, 4 share of
     outlier pixels near it, 5 rows used, 6 rows refused, 7 mean contrast, 8 over-exposed
     rows, 9 share of outliers in the flat parts, 10 groups refused, 11 kappa was freed, 12 variance of
-    sums over 8 image rows against that of white noise, 13 the same for sums over all rows.
+    sums over 8 image rows against that of white noise, 13 the same for sums over all rows,
+    14 the variance (grey levels squared) that the covariance is scaled by.
+    ``hot_from`` is the grey level that counts as over-exposed.
+    ``may_bend`` False: p and levels come from an earlier fit, kappa stays 0.
     Returns True when it converged on enough rows.
     """
     groups = levels.shape[0]
@@ -643,6 +646,9 @@ def refine(  # type: ignore[no-untyped-def]
     all_ids = np.arange(groups)
     scale = max(least_scale, 0.3 * abs(np.median(levels[:, 1] - levels[:, 0])))
     coarse = 6
+    if not may_bend:  # a second look from a fit that converged
+        scale = least_scale
+        coarse = 0
     fine = 0
     free = False
     dropped = 0
@@ -653,12 +659,12 @@ def refine(  # type: ignore[no-untyped-def]
         if full:
             sweep(
                 img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right, scale,
-                free, table, hist, normal, right, blocks, misfit, keep, resid, stats,
+                free, hot_from, table, hist, normal, right, blocks, misfit, keep, resid, stats,
             )
         else:
             sweep(
                 img, some, some_group, y_mid, p, levels, used, room, box_left, box_right,
-                scale, free, table, hist, normal, right, blocks, misfit, some_keep, none, stats,
+                scale, free, hot_from, table, hist, normal, right, blocks, misfit, some_keep, none, stats,
             )
         if stats[1] < 4 or (full and stats[1] < 8):
             if scale > 60.0:
@@ -678,7 +684,7 @@ def refine(  # type: ignore[no-untyped-def]
         step[2] = min(0.6, max(-0.6, step[2]))
         p[0] += step[0]
         p[1] += step[1]
-        p[2] = min(8.0, max(0.2, p[2] + step[2]))
+        p[2] = min(8.0, max(0.12, p[2] + step[2]))
         p[3] += step[3]
         p[4] += step[4]
         shift_levels(levels, blocks, all_ids if full else some_ids, step)
@@ -701,7 +707,7 @@ def refine(  # type: ignore[no-untyped-def]
                 normal[4, 4] = bend
                 invert(normal, wide)
                 kappa = (wide @ right)[4]
-                if not may_bend or abs(kappa) < 4.0 * math.sqrt(max(1e-30, wide[4, 4])) * scale:
+                if not may_bend or scale < 0.5 or abs(kappa) < 4.0 * math.sqrt(max(1e-30, wide[4, 4])) * scale:
                     break
                 free = True
         elif settled and abs(da) < 0.01 and abs(step[2]) < 0.02:
@@ -724,6 +730,7 @@ def refine(  # type: ignore[no-untyped-def]
     out[9] = 1.0 - stats[11] / max(1.0, stats[10]) / max(0.05, stats[6] / (count - stats[3]))
     out[10] = dropped
     out[11] = 1.0 if free else 0.0
+    out[14] = factor
     out[12], out[13] = row_correlation(resid, rows, keep)
     return True
 

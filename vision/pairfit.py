@@ -17,6 +17,8 @@ from vision.jpegerror import find_quantiser, position_variance
 F64 = npt.NDArray[np.float64]
 
 LEAST_NOISE = 0.3  # grey levels: rounding to whole ones
+DRAWN_SCALE = 0.02  # of the contrast: what a model without noise may be off by
+OVEREXPOSED = 254.5
 COLUMNS_ALIKE = 2.5  # the same for sums over all rows
 LOPSIDED = 6.0  # even misfit in common to all rows, against noise, that noise cannot explain
 LOPSIDED_GAIN = 4.0
@@ -43,6 +45,7 @@ class Fit:
     levels: F64
     on: npt.NDArray[np.uint8]
     seen: int
+    drawn: bool
 
 
 def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
@@ -68,12 +71,14 @@ def _allow_for_rounding(
     gray: Image, box: Box, fits: list[Fit], guesses: tuple[EdgeGuess, EdgeGuess]
 ) -> tuple[list[Fit], list[float]]:
     """Fits and added variances for a frame whose neighbouring rows err alike (JPEG)."""
-    points = [(fit.a + fit.b * (fit.rows[::16] - fit.y_mid), fit.rows[::16]) for fit in fits]
+    points = [(fit.a + fit.b * (fit.rows[::32] - fit.y_mid), fit.rows[::32]) for fit in fits]
     quantiser = find_quantiser(
         gray,
         np.concatenate([p[0] for p in points]),
         np.concatenate([p[1] for p in points]),
     )
+    if quantiser is None and all(fit.drawn for fit in fits):
+        return fits, [_rounding_variance(fit) for fit in fits]
     if quantiser is None:
         return fits, [_misfit_variance(fit) for fit in fits]
     floor = 1.5 * quantiser.pixel_error
@@ -91,6 +96,17 @@ def _allow_for_rounding(
             + position_variance(quantiser, fit.a, fit.b, int(fit.out[5]), fit.p[2], levels)
         )
     return again, extra
+
+
+def _rounding_variance(fit: Fit) -> float:
+    """Variance to add where no noise dithers the rounding to whole grey levels.
+
+    Rows that cross the pixel grid alike are rounded alike; an edge that leans by a twentieth
+    of a pixel is rounded anew.
+    """
+    rows = float(fit.out[5])
+    anew = min(rows, max(1.0, 20.0 * abs(fit.b) * rows))
+    return float(fit.cov[0, 0] / max(fit.out[14], 1e-12) * rows / anew / 12)
 
 
 def _misfit_variance(fit: Fit) -> float:
@@ -124,7 +140,7 @@ def _refit(gray: Image, box: Box, fit: Fit, guess: EdgeGuess, least_scale: float
     resid, keep = np.zeros_like(fit.resid), np.zeros_like(fit.keep)
     if not refine(
         gray, fit.rows, fit.group_of, fit.y_mid, p, levels, on, _room(guess), box[0],
-        box[0] + box[2], least_scale, False, resid, keep, out,
+        box[0] + box[2], least_scale, False, OVEREXPOSED, resid, keep, out,
     ):
         return None
     cov = np.array([[out[0], out[1]], [out[1], out[2]]])
@@ -199,17 +215,25 @@ def _fit_edge(
     source = nearest[block[first]]
     levels = np.stack([lows[source], highs[source]], axis=1)
     on = np.ones(len(levels), dtype=np.uint8)
+    # a drawn picture may have ground of exactly 255; a camera's noise shows in the dark
+    reach = min(8.0, 0.8 * (guess.room_left if guess.rising else guess.room_right))
+    beside = (a - reach if guess.rising else a + reach) + b * (rows - y_mid)
+    dark = gray[rows, np.clip(beside.astype(np.int64), left, left + width - 1)].astype(np.float64)
+    drawn = float(np.mean(np.abs(np.diff(dark)) > 0)) < 0.05
+    hot_from = 1e9 if drawn else OVEREXPOSED
+    step = float(np.median(np.abs(levels[:, 1] - levels[:, 0])))
+    least = max(LEAST_NOISE, DRAWN_SCALE * step) if drawn else LEAST_NOISE
     resid = np.zeros((len(rows), CORE_MAX), dtype=np.float32)
     keep = np.zeros(len(rows), dtype=np.uint8)
     out = np.zeros(16)
     if not refine(
         gray, rows, group_of, own_mid, p, levels, on, _room(guess), left, left + width,
-        LEAST_NOISE, True, resid, keep, out,
+        least, True, hot_from, resid, keep, out,
     ):
         return None
     cov = np.array([[out[0], out[1]], [out[1], out[2]]])
     return Fit(
-        p[0], p[1], own_mid, cov, p, out, rows, group_of, keep, resid, levels, on, seen
+        p[0], p[1], own_mid, cov, p, out, rows, group_of, keep, resid, levels, on, seen, drawn
     )
 
 
@@ -249,8 +273,9 @@ def _combine(
     u = math.hypot(u, gap * slope * cosine**2 / math.sqrt(weight_l + weight_r))
     lines = [_line(left), _line(right)]
     reason = doubt
-    defects = max(max(f.out[4], 1 - f.out[5] / f.seen) for f in (left, right)) > 0.02
-    defects = defects or max(left.out[11], right.out[11]) > 0
+    defects = any(
+        f.out[4] > 0.02 or f.out[5] < 0.7 * f.seen or f.out[11] > 0 for f in (left, right)
+    )
     limit = LARGEST_U_DEFECTS if defects else LARGEST_U
     if not reason and u > limit:
         reason = f"standard uncertainty {u:.3f} pixels is above {limit:.3f}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -14,10 +15,10 @@ from plant.bench import BenchSim
 from plant.constants import nominal
 from plant.effects import Effects
 from plant.errors import PlantError
-from rigs.config import RigConfig, VirtualBenchConfig
+from rigs.config import RigConfig
 from rigs.virtual.balance import VirtualBalance
 from rigs.virtual.board import PressureSensor, SimBoard
-from rigs.virtual.camera import CameraModel, render
+from rigs.virtual.camera import CameraModel, led_exposure, render
 from rigs.virtual.stage import VirtualStage
 
 DEVICES = ("valve", "balance", "stage")
@@ -75,11 +76,14 @@ class VirtualBench:
         )
         self._camera_rng = streams[2]
         cal = config.calibrations["length_mm"]
+        sync = config.camera.sync
         self.camera_model = CameraModel(
             offset_mm=cal.offset,
             mm_per_pixel=cal.scale,
             blur_px=self._v.blur_px,
             noise=self._v.frame_noise_levels,
+            exposure_s=sync.exposure_ms * 1e-3 if sync else 0.004,
+            readout_s=sync.readout_ms * 1e-3 if sync else 0.0,
         )
         if clock is not None:
             clock.on_advance(self.advance_to)
@@ -202,22 +206,24 @@ class VirtualBench:
     # ---- camera ---------------------------------------------------------------------
 
     def expose(self) -> tuple[int, int, npt.NDArray[np.uint8]]:
-        """A frame of the bench as it is: (count, host time in ns, grey levels)."""
+        """A frame that begins now: (count, host time it is stamped with, grey levels).
+
+        It takes as long as exposure and read-out do, and its stamp is late by the camera's
+        delay, as that of a real one is.
+        """
+        begin_ns = self._clock.now_ns() if self._clock is not None else time.monotonic_ns()
         zero, gain = self._errors["length_mm"]
         cal = self.config.calibrations["length_mm"]
         true_mm = self.plant.length_mm
         apparent_mm = true_mm + zero + gain * (true_mm - cal.offset)
-        gray = render(
-            apparent_mm,
-            self._camera_rng,
-            self.camera_model,
-            led=1.0 if self.board.led_on else 0.0,
-        )
+        delay_s = self._v.camera_delay_ms * 1e-3
+        model = self.camera_model
+        wait_s = max(delay_s, model.exposure_s + model.readout_s) + 2e-3
+        (self._clock.sleep if self._clock is not None else time.sleep)(wait_s)
+        led: float | npt.NDArray[np.float64] = 0.0
+        toggles_s = np.array(self.board.led_toggles_us, dtype=np.float64) * 1e-6
+        if len(toggles_s):
+            led = led_exposure(toggles_s, (begin_ns - self._origin_ns) * 1e-9 / (1 + DRIFT), model)
+        gray = render(apparent_mm, self._camera_rng, model, led=led)
         self._frames += 1
-        now = self._clock.now_ns() if self._clock is not None else self.host_ns(self._now_ns)
-        return self._frames, now, gray
-
-    @property
-    def virtual(self) -> VirtualBenchConfig:
-        """The [virtual] table of the rig."""
-        return self._v
+        return self._frames, begin_ns + round(delay_s * 1e9), gray

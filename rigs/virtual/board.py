@@ -115,6 +115,8 @@ class SimBoard(Board):
         self.sink = sink
         self.bench_us = 0
         self.led_on = False
+        self.led_toggles_us = array("q")
+        """Bench times at which the sync LED changed, the first of them to lit."""
         self.prox_bits = 0
         self.vent_commanded_us = 0
         """Bench time of the last change from anything else to steady venting."""
@@ -175,7 +177,9 @@ class SimBoard(Board):
 
     def led(self, on: int) -> None:
         """Sync LED."""
-        self.led_on = bool(on)
+        if bool(on) != self.led_on:
+            self.led_on = bool(on)
+            self.led_toggles_us.append(self.bench_us)
 
     def prox(self) -> int:
         """Proximity inputs."""
@@ -330,7 +334,7 @@ class SimBoard(Board):
         self._halted = True
         self._boot_at_us = self.bench_us + boot_us
         self._rx.clear()
-        self.led_on = False
+        self.led(0)
         self.plant.state[REGULATOR_SLOT] = 0.0
         self._let_go()
 

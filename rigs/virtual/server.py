@@ -159,8 +159,7 @@ class CameraPort:
             elif request.strip() == b"T":
                 seq, host_ns, gray = self._bench.expose()
                 height, width = gray.shape
-                file.write(f"FRAME {seq} {time.monotonic_ns()} {width} {height}\n".encode())
-                del host_ns
+                file.write(f"FRAME {seq} {host_ns} {width} {height}\n".encode())
                 file.write(gray.tobytes())
             file.flush()
 

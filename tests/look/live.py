@@ -119,7 +119,8 @@ def look_at_run(
     folder: Path, out: Path, width: int = 1600, height: int = 1000
 ) -> npt.NDArray[np.uint8]:
     """Photograph the view of a recorded run."""
-    viewer = open_view(open_run(folder), isometric_layout(), measured_edges, web=True, port=0)
+    run = open_run(folder)
+    viewer = open_view(run, isometric_layout(), measured_edges(run), web=True, port=0)
     try:
         with Browser(width, height) as browser:
             browser.open(viewer.url)

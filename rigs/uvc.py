@@ -1,0 +1,148 @@
+"""A USB camera read by a thread that stamps each frame as it comes in.
+
+Reading in a thread keeps the driver's queue empty, so a frame is stamped when it arrives and
+not when somebody gets round to it. The stamp is taken after the frame was exposed and moved;
+the sync LED tells by how much (``vision.syncled``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.clock import Clock
+from daq.errors import DeviceError
+
+KEPT = 64  # frames between two calls of drain before the oldest go
+STALE_READS = 5  # failed reads in a row before the camera counts as lost
+
+
+@dataclass(frozen=True)
+class UvcFrame:
+    """One frame: the thread's count, the host's monotonic time of arrival, grey levels."""
+
+    seq: int
+    host_ns: int
+    gray: npt.NDArray[np.uint8]
+
+
+class UvcCamera:
+    """A camera by index (0, 1, ...) or by URL or device path.
+
+    ``dropped`` counts frames that nobody drained in time, ``repeated`` frames identical to
+    the one before (a driver that hands out its buffer twice).
+
+    Raises:
+        DeviceError: there is no such camera, it is in use, or it gives no frame.
+    """
+
+    def __init__(self, index_or_url: int | str, clock: Clock, capture: Any = None) -> None:
+        self.name = f"camera {index_or_url}"
+        self._clock = clock
+        self.dropped = 0
+        self.repeated = 0
+        self._lock = threading.Lock()
+        self._kept: deque[UvcFrame] = deque(maxlen=KEPT)
+        self._newest: UvcFrame | None = None
+        self._failure: DeviceError | None = None
+        self._stop = threading.Event()
+        if capture is None:
+            import cv2
+
+            # its own complaint on standard error says less than the DeviceError does
+            with contextlib.suppress(AttributeError):
+                cv2.setLogLevel(0)
+            capture = cv2.VideoCapture(index_or_url)
+        self._capture = capture
+        if not capture.isOpened():
+            capture.release()
+            raise DeviceError(
+                self.name,
+                "cannot be opened",
+                "check that it is plugged in, that no other program uses it, and the key "
+                "camera.source in the rig file",
+            )
+        first = self._read()
+        if first is None:
+            capture.release()
+            raise DeviceError(
+                self.name,
+                "opens but gives no frame",
+                "unplug it, plug it in again, try another mode",
+            )
+        self._keep(0, first)
+        self._thread = threading.Thread(target=self._grab, name=self.name, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> npt.NDArray[np.uint8] | None:
+        ok, image = self._capture.read()
+        if not ok or image is None:
+            return None
+        array = np.asarray(image)
+        if array.ndim == 3 and array.shape[2] >= 3:
+            import cv2
+
+            array = np.asarray(cv2.cvtColor(array, cv2.COLOR_BGR2GRAY))
+        elif array.ndim == 3:
+            array = array[:, :, 0]
+        return np.ascontiguousarray(array, dtype=np.uint8)
+
+    def _keep(self, seq: int, gray: npt.NDArray[np.uint8]) -> None:
+        frame = UvcFrame(seq, self._clock.now_ns(), gray)
+        with self._lock:
+            before = self._newest
+            if before is not None and np.array_equal(before.gray, gray):
+                self.repeated += 1
+            if len(self._kept) == KEPT:
+                self.dropped += 1
+            self._kept.append(frame)
+            self._newest = frame
+
+    def _grab(self) -> None:
+        seq, failed = 1, 0
+        while not self._stop.is_set():
+            gray = self._read()
+            if gray is None:
+                failed += 1
+                if failed >= STALE_READS:
+                    with self._lock:
+                        self._failure = DeviceError(
+                            self.name,
+                            f"gave no frame in {STALE_READS} reads after frame {seq - 1}",
+                            "check its cable; start the run again",
+                        )
+                    return
+                continue
+            failed = 0
+            self._keep(seq, gray)
+            seq += 1
+
+    def latest(self) -> UvcFrame | None:
+        """The newest frame. Raises DeviceError once the camera is lost."""
+        with self._lock:
+            if self._failure is not None:
+                raise self._failure
+            return self._newest
+
+    def drain(self) -> list[UvcFrame]:
+        """All frames since the last call, oldest first. Raises DeviceError once it is lost."""
+        with self._lock:
+            frames = list(self._kept)
+            self._kept.clear()
+            if not frames and self._failure is not None:
+                raise self._failure
+        return frames
+
+    def close(self) -> None:
+        """Stop the thread and let go of the camera; may be called twice."""
+        self._stop.set()
+        thread = getattr(self, "_thread", None)
+        if thread is not None and thread.is_alive():
+            thread.join(timeout=2.0)
+        self._capture.release()
