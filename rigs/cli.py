@@ -152,12 +152,15 @@ def length(
     flip: Annotated[
         bool, typer.Option("--flip/--no-flip", help="Macro: flip horizontally.")
     ] = True,
+    count: Annotated[int, typer.Option(help="Frames to take from a live camera.")] = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Measure lengths in pictures."""
     from rigs.commands import length_command
 
-    length_command(frames, method, calibration, preview, threshold, roi, flip, as_json)
+    raise typer.Exit(
+        length_command(frames, method, calibration, preview, threshold, roi, flip, as_json, count)
+    )
 
 
 @runs_app.command("list")
@@ -205,6 +208,43 @@ def runs_rebuild(
     from rigs.runs_commands import rebuild_command
 
     rebuild_command(run, runs, as_json)
+
+
+@calibrate_app.command("camera")
+def calibrate_camera(
+    out: Annotated[Path, typer.Option("--out", help="Calibration file to write.")],
+    gauges: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(help="Table of gauge-block pictures: file,length_mm,u_mm."),
+    ] = None,
+    board: Annotated[Optional[Path], typer.Option(help="Picture of a chessboard.")] = None,  # noqa: UP045
+    squares: Annotated[str, typer.Option(help="Inner corners of the board: COLUMNSxROWS.")] = "9x6",
+    square_mm: Annotated[float, typer.Option(help="Side of a square of the board.")] = 5.0,
+    offset_mm: Annotated[float, typer.Option(help="Length at zero gap (board only).")] = 0.0,
+    u_offset_mm: Annotated[float, typer.Option(help="Its standard uncertainty.")] = 0.0,
+    domain_mm: Annotated[str, typer.Option(help="Lengths it holds for: LOW,HIGH (board).")] = "",
+    nearer: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(help="The board again, nearer to the camera by --nearer-mm."),
+    ] = None,
+    nearer_mm: Annotated[float, typer.Option(help="How much nearer.")] = 0.0,
+    distance_mm: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(help="From the lens to the plane of the marks (gauges only)."),
+    ] = None,
+    u_off_plane_mm: Annotated[
+        float, typer.Option(help="How well the marks stand in the calibrated plane.")
+    ] = 0.0,
+    identity: Annotated[str, typer.Option("--id", help="Name of this calibration.")] = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Pixels to millimetres: gauge-block pictures, or a chessboard in the plane of the marks."""
+    from rigs.commands import calibrate_camera_command
+
+    calibrate_camera_command(
+        out, gauges, board, squares, square_mm, offset_mm, u_offset_mm, domain_mm, nearer,
+        nearer_mm, distance_mm, u_off_plane_mm, identity, as_json,
+    )  # fmt: skip
 
 
 @import_app.command("thesis")

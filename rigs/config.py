@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from math import hypot
+from pathlib import Path
 from typing import Any
 
 from daq.calibration import Calibration
@@ -82,7 +84,8 @@ class CameraSync:
 class CameraDevice:
     """The camera: "virtual", "uvc:INDEX" or "tcp://host:port" of a virtual bench.
 
-    ``region`` is where the marks are looked for (None: the whole picture).
+    ``region`` is where the marks are looked for (None: the whole picture); ``lens`` the
+    distortion that the camera's calibration file holds, as its plain values.
     """
 
     source: str
@@ -90,6 +93,7 @@ class CameraDevice:
     jpeg_quality: int
     region: Box | None = None
     sync: CameraSync | None = None
+    lens: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -148,7 +152,9 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
     text, _ = find_config(name, "rigs")
     root = load_toml(name, "rigs")
     limits = _limits(root.table("limits"))
-    calibrations = _calibrations(root.table("calibrations"))
+    camera_table = root.table("camera")
+    camera, length = _camera(camera_table)
+    calibrations = _calibrations(root.table("calibrations"), length)
     rig = RigConfig(
         name=root.text("name"),
         description=root.text("description", ""),
@@ -160,7 +166,7 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
         valve=_valve(root.table("valve")),
         balance=_device(root.table("balance")),
         stage=_stage(root.table("stage")),
-        camera=_camera(root.table("camera")),
+        camera=camera,
         calibrations=calibrations,
         virtual=_virtual(root, seed),
     )
@@ -272,13 +278,16 @@ def _sync(t: Table) -> CameraSync:
     return out
 
 
-def _camera(t: Table) -> CameraDevice:
+def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
+    """The camera, and the calibration of lengths where it names a file of its own."""
+    length, lens = _camera_calibration(t) if "calibration" in t else (None, None)
     out = CameraDevice(
         source=t.text("source"),
         serial=t.text("serial", ""),
         jpeg_quality=t.integer("jpeg_quality", 50, 100, 95),
         region=_box(t, "region") if "region" in t else None,
         sync=_sync(t.table("sync")) if "sync" in t else None,
+        lens=lens,
     )
     scheme = out.source.split(":")[0]
     if scheme not in (VIRTUAL, "uvc", "tcp"):
@@ -286,13 +295,30 @@ def _camera(t: Table) -> CameraDevice:
             "source", f"{out.source!r} is no camera", 'use "virtual", "uvc:0" or "tcp://host:port"'
         )
     t.finish()
-    return out
+    return out, length
 
 
-def _calibrations(t: Table) -> dict[str, Calibration]:
+def _camera_calibration(t: Table) -> tuple[Calibration, dict[str, float] | None]:
+    """What ``pamrig calibrate camera`` wrote; leaving the plane widens the gain's part."""
+    from rigs.calibrate_camera import load_camera_calibration
+
+    path = Path(t.source).parent / t.text("calibration")
+    found = load_camera_calibration(path)
+    straight = found.calibration
+    off = found.off_plane_per_mm * found.u_off_plane_mm
+    lens = None if found.lens is None else {k: float(v) for k, v in vars(found.lens).items()}
+    return replace(straight, u_gain=hypot(straight.u_gain, off)), lens
+
+
+def _calibrations(t: Table, length: Calibration | None) -> dict[str, Calibration]:
     units = {"pressure_kpa": ("kPa", "count"), "force_n": ("N", "g"), "length_mm": ("mm", "pixel")}
     out = {}
     for quantity, (unit, raw_unit) in units.items():
+        if quantity == "length_mm" and length is not None:
+            if quantity in t:
+                raise t.fail(quantity, "camera.calibration names a file for it as well", "keep one")
+            out[quantity] = length
+            continue
         c = t.table(quantity)
         low, high = c.numbers("domain", -1e6, 1e6, least=2)[:2]
         scale = c.number("scale", -1e6, 1e6)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -16,6 +16,7 @@ from daq.record import RecordWriter
 from rigs.camera import Frame
 from rigs.rig import Rig
 from vision.edge import GapMeasurement, measure_gap
+from vision.lens import Lens
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,19 @@ def decode(jpeg: bytes) -> npt.NDArray[np.uint8] | None:
 def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> GapMeasurement:
     """Measure a decoded picture as the run's rig says (``camera`` of run.json).
 
-    The live test, the reduction and the view all come through here.
+    The live test, the reduction and the view all come through here. The gap is freed of the
+    lens's distortion where the camera's calibration knows it.
     """
-    region, sync = camera.get("region"), camera.get("sync")
-    return measure_gap(
+    region, sync, lens = (camera.get(key) for key in ("region", "sync", "lens"))
+    gap = measure_gap(
         gray,
         tuple(region) if region else None,
         exclude=(tuple(sync["patch"]),) if sync else (),
     )
+    if lens and gap.left is not None and gap.right is not None:
+        pixels, u_pixels = Lens(**lens).gap(gap)
+        gap = replace(gap, pixels=pixels, u_pixels=u_pixels)
+    return gap
 
 
 def store(rig: Rig, record: RecordWriter, frame: Frame, **meta: Any) -> tuple[int, bytes]:

@@ -100,6 +100,7 @@ def camera_values(config: RigConfig) -> dict[str, Any]:
     return {
         "region": list(camera.region) if camera.region else None,
         "sync": {**vars(camera.sync), "patch": list(camera.sync.patch)} if camera.sync else None,
+        "lens": camera.lens,
     }
 
 

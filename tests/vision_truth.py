@@ -78,21 +78,34 @@ def _cover(scene: Scene, edge: float, side: int, width, rows, smear: float):
         ]
         return np.mean(parts, axis=0)
     u = x[None, :] * c - y[:, None] * s
+    reach = 8.5 * scene.blur + 2.0  # beyond it the normal distribution is 0 or 1 to 1e-16
     if width is None and rows is None:
-        return half_plane((u - edge) * side, tilt, scene.blur)
+        d = (u - edge) * side
+        out = (d > 0).astype(np.float64)
+        near = np.abs(d) < reach
+        out[near] = half_plane(d[near], tilt, scene.blur)
+        return out
     nodes, weights = np.polynomial.legendre.leggauss(5)
     width = 4000.0 if width is None else width
     v0, v1 = (-4000.0, 4000.0) if rows is None else (r - scene.height / 2 for r in rows)
-    out = np.zeros((scene.height, scene.width))
     blur = max(scene.blur, 1e-6)
+    d = (u - edge) * side
+    v = x[None, :] * s + y[:, None] * c
+    out = ((d > 0) & (d < width) & (v > v0) & (v < v1)).astype(np.float64)
+    near = (np.abs(d) < reach) | (np.abs(d - width) < reach)
+    near |= (np.abs(v - v0) < reach) | (np.abs(v - v1) < reach)
+    near &= (d > -reach) & (d < width + reach) & (v > v0 - reach) & (v < v1 + reach)
+    d, v = d[near], v[near]
+    total = np.zeros(d.shape)
     for p, wp in zip(nodes / 2, weights / 2, strict=True):
         for q, wq in zip(nodes / 2, weights / 2, strict=True):
-            uu = ((x[None, :] + p) * c - (y[:, None] + q) * s - edge) * side
-            vv = (x[None, :] + p) * s + (y[:, None] + q) * c
+            uu = d + (p * c - q * s) * side
+            vv = v + p * s + q * c
             part = (ndtr(uu / blur) - ndtr((uu - width) / blur)) * (
                 ndtr((vv - v0) / blur) - ndtr((vv - v1) / blur)
             )
-            out += wp * wq * part
+            total += wp * wq * part
+    out[near] = total
     return out
 
 

@@ -17,7 +17,7 @@ from vision.jpegerror import find_quantiser, position_variance
 F64 = npt.NDArray[np.float64]
 
 LEAST_NOISE = 0.3  # grey levels: rounding to whole ones
-DRAWN_SCALE = 0.02  # of the contrast: what a model without noise may be off by
+DRAWN_SCALE = 0.03  # of the contrast: what a model without noise may be off by
 OVEREXPOSED = 254.5
 COLUMNS_ALIKE = 2.5  # the same for sums over all rows
 LOPSIDED = 6.0  # even misfit in common to all rows, against noise, that noise cannot explain
@@ -58,6 +58,10 @@ def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
         fit = _fit_edge(gray, box, edge, exclude)
         if fit is None:
             reason = f"the {side} edge of the gap is not one straight edge"
+            first, last = int(guess.left.x_mid) + 4, int(guess.right.x_mid) - 4
+            lit = gray[box[1] : box[1] + box[3], box[0] + first : box[0] + max(first + 1, last)]
+            if np.median(lit) >= OVEREXPOSED:
+                reason = f"over-exposed at the {side} edge: less light or a shorter exposure"
             return GapMeasurement(math.nan, math.nan, False, reason, region=box)
         fits.append(fit)
     extra = [0.0, 0.0]
