@@ -54,8 +54,8 @@ def measure_camera_delay(rig: Rig, record: RecordWriter, sync: CameraSync) -> bo
         begin_ns = valve.clock_fit.to_host_ns(begin_us)
         origin = stamps[0]
         found = find_delay(
-            np.array(levels),
-            (np.array(stamps, dtype=np.int64) - origin) * 1e-9,
+            np.array(levels, dtype=np.float64),
+            np.array([(s - origin) * 1e-9 for s in stamps], dtype=np.float64),
             (begin_ns - origin) * 1e-9,
             SEED,
             sync.bit_ms,

@@ -196,7 +196,10 @@ def run_isometric(
             if live is not None:
                 live.close()
             _finish(rig, record, outcome, error)
-    not_derived = _derive(record.folder) if derive else ""
+    if isinstance(error, RecordError):
+        not_derived = "the disk would not take it"
+    else:
+        not_derived = _derive(record.folder) if derive else ""
     return Result(record.folder, outcome, error, runner.progress.done, not_derived)
 
 

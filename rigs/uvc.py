@@ -57,7 +57,7 @@ class UvcCamera:
 
             # its own complaint on standard error says less than the DeviceError does
             with contextlib.suppress(AttributeError):
-                cv2.setLogLevel(0)
+                cv2.setLogLevel(0)  # type: ignore[attr-defined, unused-ignore]
             capture = cv2.VideoCapture(index_or_url)
         self._capture = capture
         if not capture.isOpened():

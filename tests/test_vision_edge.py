@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2
-from vision_defects import glare, jpeg, missing_rows, specks
-from vision_truth import Scene, clean, cramer_rao, digitise, half_plane, picture
 
 from vision.edge import measure_gap
 from vision.gray import FrameError, RegionError
+from vision_defects import glare, jpeg, missing_rows, specks
+from vision_truth import Scene, clean, cramer_rao, digitise, half_plane, picture
 
 CLEAN = {
     "ordinary": {},

@@ -125,7 +125,7 @@ def find_edges(img: Image, box: Box, exclude: tuple[Box, ...] = ()) -> Guess:
     bands = _bands(img, top, left, width, count, band)
     steps = _steps(bands, STEP_HALF, FLANK)
     mid = (height - 1) / 2.0
-    rows = (np.arange(count) + 0.5) * band - 0.5 - mid
+    rows = ((np.arange(count) + 0.5) * band - 0.5 - mid).astype(np.float64)
     for e_left, e_top, e_width, e_height in exclude:
         hit = (rows + mid + band / 2 + top >= e_top) & (
             rows + mid - band / 2 + top <= e_top + e_height
@@ -139,7 +139,7 @@ def find_edges(img: Image, box: Box, exclude: tuple[Box, ...] = ()) -> Guess:
     if cap < max(6.0, 3.0 * noise):
         return Guess(None, None, "no edge stands out from the noise in the region")
     lines = max(9, 2 * int(np.ceil(MAX_SLOPE * height / 2 / 1.2)) + 1)
-    slopes = np.linspace(-MAX_SLOPE, MAX_SLOPE, lines)
+    slopes = np.linspace(-MAX_SLOPE, MAX_SLOPE, lines).astype(np.float64)
     offsets = np.rint(0.5 * slopes[:, None] * rows[None, :]).astype(np.int64)
     dead = np.float32(max(3.0 * noise, 0.2 * cap))
     pad = int(np.abs(offsets).max()) + 1
@@ -153,7 +153,8 @@ def find_edges(img: Image, box: Box, exclude: tuple[Box, ...] = ()) -> Guess:
 
 
 def _peaks(
-    votes: npt.NDArray[np.int16], slopes: npt.NDArray[np.float64], half: float, rising: bool, least: float
+    votes: npt.NDArray[np.int16], slopes: npt.NDArray[np.float64], half: float, rising: bool,
+    least: float,
 ) -> list[EdgeGuess]:
     found: list[EdgeGuess] = []
     rest = votes.copy()

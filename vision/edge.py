@@ -5,7 +5,6 @@ See docs/length.md for the edge model, the bound it is held to and its measured 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -10,7 +10,9 @@ import numpy.typing as npt
 
 from vision.coarse import EdgeGuess, Image, find_edges
 from vision.edge import EdgeLine, GapMeasurement
-from vision.edgefit import CORE_MAX, GROUP, refine, start_line
+from vision.edgefit import refine
+from vision.edgestart import start_line
+from vision.edgesweep import CORE_MAX, GROUP
 from vision.gray import Box
 from vision.jpegerror import find_quantiser, position_variance
 

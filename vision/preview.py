@@ -57,7 +57,7 @@ def draw(
     )
     upper.set_title(_wrap(title), fontsize=10)
     upper.set_ylabel("row")
-    columns = left + np.arange(wide) + 0.5
+    columns = np.arange(left, left + wide, dtype=np.float64) + 0.5
     part = gray[top : top + high, left : left + wide]
     if method == "macro":
         _draw_macro(upper, lower, part, columns, threshold, flip, (top, high))

@@ -8,6 +8,7 @@ shift of the pattern along the frames' time stamps that explains the levels best
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -84,7 +85,7 @@ def count_dropped(frame_s: F64, period_s: float) -> int:
 def count_repeated(frames: list[npt.NDArray[Any]]) -> int:
     """Frames identical to the one before: a sensor's noise never repeats."""
     return sum(
-        bool(np.array_equal(a, b)) for a, b in zip(frames[:-1], frames[1:], strict=True)
+        bool(np.array_equal(a, b)) for a, b in itertools.pairwise(frames)
     )
 
 
@@ -127,7 +128,7 @@ def find_delay(
     if int(use.sum()) < 20:
         raise SyncError(f"{int(use.sum())} frames see the sync pattern; at least 20 are needed")
     value, stamp = levels[use], frame_s[use]
-    bits = int(math.ceil((stamp.max() + longest_s - start_s + exposure_s) / bit_s)) + 4
+    bits = math.ceil((stamp.max() + longest_s - start_s + exposure_s) / bit_s) + 4
     lit = np.concatenate([[0.0], np.cumsum(pattern(seed, bits)) * bit_s])
     knots = np.arange(bits + 1) * bit_s
 

@@ -7,6 +7,7 @@ and, with the thesis's own region (10, 300, 500, 70), by the macro.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -83,23 +84,23 @@ def render(
         exposure_gain: factor on all light (an exposure change).
     """
     m = model or CameraModel()
-    rows = np.arange(m.height) + 0.5
+    rows: FloatArray = np.arange(m.height, dtype=np.float64) + 0.5
     length = length_mm + rate_mm_s * m.readout_s * (rows - 0.5) / m.height
     gap = (length - m.offset_mm) / m.mm_per_pixel
-    slope = np.tan(np.radians(m.tilt_deg))
+    slope = math.tan(math.radians(m.tilt_deg))
     reference = m.reference_x + slope * (rows - m.height / 2)
-    marker = reference - gap / np.cos(np.radians(m.tilt_deg))
+    marker = reference - gap / math.cos(math.radians(m.tilt_deg))
     smear = abs(rate_mm_s) * m.exposure_s / m.mm_per_pixel
     cover = _cover(m, reference, marker, smear)
     ground, darker = _scene(m)
-    frame = ground - darker * cover
+    frame: npt.NDArray[np.float32] = ground - darker * cover
     if m.led is not None and np.any(led):
         left, upper, width, height = m.led_patch or (0, 0, 0, 0)
         lit = np.broadcast_to(np.asarray(led, dtype=np.float64), (m.height,))
         part = slice(upper, upper + height), slice(left, left + width)
         frame[part] += (m.led_light * _led_spot(m) * lit[part[0], None]).astype(np.float32)
     if exposure_gain != 1.0:
-        frame *= np.float32(exposure_gain)
+        frame = frame * np.float32(exposure_gain)
     if m.noise > 0:
         noise = rng.standard_normal(frame.shape, dtype=np.float32)
         noise *= np.float32(m.noise)
@@ -141,7 +142,7 @@ def led_exposure(
         return np.where(index < 0, float(lit_first) * (t - times[0]), after)
 
     share: FloatArray = (lit_until(end) - lit_until(begin)) / m.exposure_s
-    return np.clip(share, 0.0, 1.0)
+    return np.asarray(np.clip(share, 0.0, 1.0))
 
 
 def _step(d: FloatArray, blur: float, smear: float) -> FloatArray:
@@ -193,7 +194,7 @@ def _scene(m: CameraModel) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.floa
     x = (np.arange(m.width) + 0.5) / m.width - 0.5
     y = (np.arange(m.height) + 0.5) / m.height - 0.5
     light = 1.0 + m.light_x * x[None, :] + m.light_y * y[:, None]
-    rows = np.arange(m.height) + 0.5
+    rows: FloatArray = np.arange(m.height, dtype=np.float64) + 0.5
     top, bottom = m.mark_rows
     height = _step(rows - top, m.blur_px, 0.0) - _step(rows - bottom, m.blur_px, 0.0)
     ground = (light * m.ground).astype(np.float32)
@@ -206,5 +207,5 @@ def _led_spot(m: CameraModel) -> FloatArray:
     x0, y0, radius = m.led or (0.0, 0.0, 1.0)
     x = np.arange(left, left + width) + 0.5 - x0
     y = np.arange(top, top + height) + 0.5 - y0
-    r = np.hypot(x[None, :], y[:, None])
+    r = np.asarray(np.hypot(x[None, :], y[:, None]), dtype=np.float64)
     return 1.0 - _step(r - radius, m.blur_px, 0.0)
