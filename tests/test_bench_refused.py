@@ -169,8 +169,8 @@ def wait_for(condition: object, seconds: float = 40.0) -> None:
 
 
 def test_a_full_disk_ends_the_run_in_good_order(tmp_path: Path) -> None:
-    """Files may not grow past 200 kB: the record fails, the run faults and vents."""
-    size = 200_000
+    """Files may not grow past 6 MB: after some two minutes the record fails, the run faults and vents."""
+    size = 6_000_000
 
     def limit() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -184,7 +184,7 @@ def test_a_full_disk_ends_the_run_in_good_order(tmp_path: Path) -> None:
     assert str(folder) in said + told
     run = open_run(folder)
     assert run.outcome in ("faulted", "aborted")
-    assert len(run.samples("valve")["seq"]) > 1000, "what came before the fault is readable"
+    assert len(run.samples("valve")["seq"]) > 100_000, "what came before the fault is readable"
 
 
 def test_too_little_room_is_told_before_the_start(

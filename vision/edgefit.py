@@ -7,7 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from vision.edgesweep import CORE_MAX, HIST, PARAMETERS, TABLE, median_from, shift_levels, sweep
+from vision.edgeprofile import TABLE
+from vision.edgesweep import CORE_MAX, HIST, PARAMETERS, median_from, shift_levels, sweep
 
 
 @njit(cache=True, nogil=True)
@@ -97,8 +98,8 @@ def refine(  # type: ignore[no-untyped-def]
     out: 0..2 covariance aa, ab, bb (white noise), 3 noise sd near the edge, 4 share of
     outlier pixels near it, 5 rows used, 6 rows refused, 7 mean contrast, 8 over-exposed
     rows, 9 share of outliers in the flat parts, 10 groups refused, 11 kappa was freed, 12
-    variance of sums over 8 image rows against that of white noise, 13 the same for sums over all rows,
-    14 the variance (grey levels squared) that the covariance is scaled by.
+    variance of sums over 8 image rows against that of white noise, 13 the same for sums over
+    all rows, 14 the variance (grey levels squared) that the covariance is scaled by.
     ``hot_from`` is the grey level that counts as over-exposed.
     ``may_bend`` False: p and levels come from an earlier fit, kappa stays 0.
     Returns True when it converged on enough rows.

@@ -139,7 +139,7 @@ def led_exposure(
         index = np.searchsorted(times, t, side="right") - 1
         inside = np.clip(index, 0, None)
         after = total[inside] + lit[inside] * (t - times[inside])
-        return np.where(index < 0, float(lit_first) * (t - times[0]), after)
+        return np.asarray(np.where(index < 0, float(lit_first) * (t - times[0]), after))
 
     share: FloatArray = (lit_until(end) - lit_until(begin)) / m.exposure_s
     return np.asarray(np.clip(share, 0.0, 1.0))
