@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.errors import ConfigError, PamrigError
-from rigs.calibrate_camera import CameraCalibration, load_camera_calibration
+from rigs.camera_calibration import CameraCalibration, load_camera_calibration
 from rigs.frames import FramesError, SourceFrame, open_frames
 
 METHODS = ("edge", "macro")

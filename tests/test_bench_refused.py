@@ -169,7 +169,7 @@ def wait_for(condition: object, seconds: float = 40.0) -> None:
 
 
 def test_a_full_disk_ends_the_run_in_good_order(tmp_path: Path) -> None:
-    """Files may not grow past 6 MB: after some two minutes the record fails, the run faults and vents."""
+    """No file may grow past 6 MB: some two minutes on the record fails; the run faults, vents."""
     size = 6_000_000
 
     def limit() -> None:

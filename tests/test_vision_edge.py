@@ -26,7 +26,10 @@ CLEAN = {
     "light gradient 40 %": {"gradient": 0.4, "gradient_deg": (0, 360)},
     "tilt to 5 degrees": {"tilt_deg": (-5, 5)},
     "tilt, blur 3, gradient": {
-        "tilt_deg": (-5, 5), "blur": 3.0, "gradient": 0.4, "gradient_deg": (0, 360),
+        "tilt_deg": (-5, 5),
+        "blur": 3.0,
+        "gradient": 0.4,
+        "gradient_deg": (0, 360),
     },
 }
 PRESSED = {
@@ -130,9 +133,7 @@ def test_no_bias_at_any_phase_full():
 
 def check_pressed(name, count):
     seed = 100 + list(PRESSED).index(name)
-    errors, stated, scenes, flagged = sample(
-        seed, count, PRESSED[name], lambda f, rng: jpeg(f, 75)
-    )
+    errors, stated, scenes, flagged = sample(seed, count, PRESSED[name], lambda f, rng: jpeg(f, 75))
     report(f"JPEG 75, {name}", errors, stated, scenes, flagged)
     assert flagged <= 0.05 * count
     assert abs(errors.mean()) < 0.03
@@ -168,8 +169,13 @@ def spoiled(frame, rng):
 
 
 def check_spoiled(count, seed):
-    base = {"tilt_deg": (-5, 5), "blur": (0.5, 2.0), "noise": (1.0, 5.0),
-            "gradient": (0.0, 0.2), "gradient_deg": (0, 360)}
+    base = {
+        "tilt_deg": (-5, 5),
+        "blur": (0.5, 2.0),
+        "noise": (1.0, 5.0),
+        "gradient": (0.0, 0.2),
+        "gradient_deg": (0, 360),
+    }
     errors, stated, scenes, flagged = sample(seed, count, base, spoiled)
     report("spoiled", errors, stated, scenes, flagged)
     wrong = int(np.sum(np.abs(errors) > 0.05))
@@ -210,11 +216,19 @@ def bars(rng):
     (left_width, left_rows), (right_width, right_rows) = mark(), mark()
     gradient = rng.uniform(0, 0.4)
     return Scene(
-        gap=gap, x=rng.uniform(60 + gap / 2, 580 - gap / 2), tilt_deg=rng.uniform(-5, 5),
-        blur=rng.uniform(0.5, 2.5), noise=rng.uniform(1, 6), dark=rng.uniform(15, 60),
-        light=min(rng.uniform(140, 220), 225 / (1 + gradient / 2)), gradient=gradient,
-        gradient_deg=rng.uniform(0, 360), left_width=left_width, left_rows=left_rows,
-        right_width=right_width, right_rows=right_rows,
+        gap=gap,
+        x=rng.uniform(60 + gap / 2, 580 - gap / 2),
+        tilt_deg=rng.uniform(-5, 5),
+        blur=rng.uniform(0.5, 2.5),
+        noise=rng.uniform(1, 6),
+        dark=rng.uniform(15, 60),
+        light=min(rng.uniform(140, 220), 225 / (1 + gradient / 2)),
+        gradient=gradient,
+        gradient_deg=rng.uniform(0, 360),
+        left_width=left_width,
+        left_rows=left_rows,
+        right_width=right_width,
+        right_rows=right_rows,
     )
 
 
@@ -353,8 +367,16 @@ def test_bad_region_is_an_error_that_says_the_frame_size(region, what):
     assert "640 x 480" in str(error.value)
 
 
-@pytest.mark.parametrize("frame", [np.zeros((0, 5)), np.zeros(7), np.zeros((4, 4, 9)),
-                                   np.zeros((9, 9), complex), np.full((50, 60), np.nan)])
+@pytest.mark.parametrize(
+    "frame",
+    [
+        np.zeros((0, 5)),
+        np.zeros(7),
+        np.zeros((4, 4, 9)),
+        np.zeros((9, 9), complex),
+        np.full((50, 60), np.nan),
+    ],
+)
 def test_arrays_that_are_no_frames(frame):
     with pytest.raises(FrameError):
         measure_gap(frame)

@@ -290,7 +290,11 @@ def test_board_gives_scale_and_off_plane_sensitivity(tmp_path):
     near_px = board_picture(tmp_path / "plane.png", 45.0)
     far_px = board_picture(tmp_path / "nearer.png", 46.5)
     camera = calibrate_from_board(
-        tmp_path / "plane.png", (8, 6), 5.0, offset_mm=40.0, nearer=tmp_path / "nearer.png",
+        tmp_path / "plane.png",
+        (8, 6),
+        5.0,
+        offset_mm=40.0,
+        nearer=tmp_path / "nearer.png",
         nearer_mm=10.0,
     )
     straight = camera.calibration
@@ -360,6 +364,15 @@ def test_source_frames_are_decoded_as_the_run_stored_them(tmp_path, frames):
 
 def test_plain_calibration_table_is_taken_too(tmp_path):
     path = tmp_path / "c.json"
-    path.write_text(json.dumps({"quantity": "length_mm", "unit": "mm", "raw_unit": "pixel",
-                                "offset": 40.0, "scale": 0.11}))
+    path.write_text(
+        json.dumps(
+            {
+                "quantity": "length_mm",
+                "unit": "mm",
+                "raw_unit": "pixel",
+                "offset": 40.0,
+                "scale": 0.11,
+            }
+        )
+    )
     assert isinstance(load_camera_calibration(path), CameraCalibration)

@@ -32,8 +32,10 @@ def random_case(rng):
     height, width = int(rng.integers(20, 60)), int(rng.integers(30, 90))
     roi_width, roi_height = int(rng.integers(1, width + 1)), int(rng.integers(1, height + 1))
     roi = (
-        int(rng.integers(0, width - roi_width + 1)), int(rng.integers(0, height - roi_height + 1)),
-        roi_width, roi_height,
+        int(rng.integers(0, width - roi_width + 1)),
+        int(rng.integers(0, height - roi_height + 1)),
+        roi_width,
+        roi_height,
     )
     threshold = int(rng.choice([130, 130, 1, 255, rng.integers(2, 255)]))
     kind = rng.integers(0, 5)

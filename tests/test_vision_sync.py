@@ -42,14 +42,20 @@ def check(shutter, trials, seed):
     errors = []
     for k in range(trials):
         model = CameraModel(
-            exposure_s=float(rng.uniform(0.002, 0.01)), readout_s=readout,
+            exposure_s=float(rng.uniform(0.002, 0.01)),
+            readout_s=readout,
             led=(60.0, float(rng.uniform(30, 440)), 9.0),
         )
         delay = 0.08 * k / max(1, trials - 1)
         lfsr = int(rng.integers(1, 65536))
         levels, stamps = seen(delay, lfsr, model, rng)
         got = find_delay(
-            levels, stamps, START_S, lfsr, 13.0, exposure_s=model.exposure_s,
+            levels,
+            stamps,
+            START_S,
+            lfsr,
+            13.0,
+            exposure_s=model.exposure_s,
             row_shift_s=patch_row_shift(model.led_patch, model.height, readout),
         )
         errors.append(got.delay_s - delay)
@@ -89,9 +95,7 @@ def test_repeated_frames_are_counted_and_left_out():
     stale = np.zeros(len(levels), dtype=bool)
     stale[30:33] = True
     levels[30:33] = levels[29]
-    got = find_delay(
-        levels, stamps, START_S, 99, 13.0, exposure_s=model.exposure_s, repeated=stale
-    )
+    got = find_delay(levels, stamps, START_S, 99, 13.0, exposure_s=model.exposure_s, repeated=stale)
     assert got.repeated == 3
     assert abs(got.delay_s - 0.02) < 1e-3
 

@@ -153,7 +153,10 @@ def find_edges(img: Image, box: Box, exclude: tuple[Box, ...] = ()) -> Guess:
 
 
 def _peaks(
-    votes: npt.NDArray[np.int16], slopes: npt.NDArray[np.float64], half: float, rising: bool,
+    votes: npt.NDArray[np.int16],
+    slopes: npt.NDArray[np.float64],
+    half: float,
+    rising: bool,
     least: float,
 ) -> list[EdgeGuess]:
     found: list[EdgeGuess] = []

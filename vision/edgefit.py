@@ -90,8 +90,22 @@ def drop_misfits(misfit, used, levels):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def refine(  # type: ignore[no-untyped-def]
-    img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right,
-    least_scale, may_bend, hot_from, resid, keep, out,
+    img,
+    rows,
+    group_of,
+    y_mid,
+    p,
+    levels,
+    used,
+    room,
+    box_left,
+    box_right,
+    least_scale,
+    may_bend,
+    hot_from,
+    resid,
+    keep,
+    out,
 ):
     """Iterate ``sweep`` to convergence; fills p, levels, resid, keep and out.
 
@@ -138,13 +152,52 @@ def refine(  # type: ignore[no-untyped-def]
         full = it >= coarse
         if full:
             sweep(
-                img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right, scale,
-                free, hot_from, table, hist, normal, right, blocks, misfit, keep, resid, stats,
+                img,
+                rows,
+                group_of,
+                y_mid,
+                p,
+                levels,
+                used,
+                room,
+                box_left,
+                box_right,
+                scale,
+                free,
+                hot_from,
+                table,
+                hist,
+                normal,
+                right,
+                blocks,
+                misfit,
+                keep,
+                resid,
+                stats,
             )
         else:
             sweep(
-                img, some, some_group, y_mid, p, levels, used, room, box_left, box_right,
-                scale, free, hot_from, table, hist, normal, right, blocks, misfit, some_keep, none,
+                img,
+                some,
+                some_group,
+                y_mid,
+                p,
+                levels,
+                used,
+                room,
+                box_left,
+                box_right,
+                scale,
+                free,
+                hot_from,
+                table,
+                hist,
+                normal,
+                right,
+                blocks,
+                misfit,
+                some_keep,
+                none,
                 stats,
             )
         if stats[1] < 4 or (full and stats[1] < 8):

@@ -38,8 +38,6 @@ CORE_MAX = 64  # widest stored residual window
 F64 = npt.NDArray[np.float64]
 
 
-
-
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def _flat(line, x_from, x_to, x0, level, slope, inv2):  # type: ignore[no-untyped-def]
     """Weighted sums of 1, d, d^2, r, r d over pixels of one level."""
@@ -98,16 +96,34 @@ def _eliminate(u, v, c, arm, block, normal, right):  # type: ignore[no-untyped-d
         right[m] += factor[m] * v[km] - e * block[0, PARAMETERS] - f * block[1, PARAMETERS]
         for n in range(m, PARAMETERS):
             kn = kinds[n]
-            normal[m, n] += (
-                factor[m] * factor[n] * u[km, kn] - e * block[0, n] - f * block[1, n]
-            )
+            normal[m, n] += factor[m] * factor[n] * u[km, kn] - e * block[0, n] - f * block[1, n]
     return True
 
 
 @njit(cache=True, nogil=True)
 def sweep(  # type: ignore[no-untyped-def]
-    img, rows, group_of, y_mid, p, levels, used, room, box_left, box_right,
-    scale, near_only, hot_from, table, hist, normal, right, blocks, misfit, keep, resid, stats,
+    img,
+    rows,
+    group_of,
+    y_mid,
+    p,
+    levels,
+    used,
+    room,
+    box_left,
+    box_right,
+    scale,
+    near_only,
+    hot_from,
+    table,
+    hist,
+    normal,
+    right,
+    blocks,
+    misfit,
+    keep,
+    resid,
+    stats,
 ):
     """One pass over the pixels: normal equations, residual histogram, statistics.
 

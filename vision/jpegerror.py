@@ -134,9 +134,12 @@ def _undither(variance: float) -> float:
 
 
 def position_variance(
-    quantiser: JpegQuantiser, x0: float, slope: float, rows: int, sigma: float, levels: tuple[
-        float, float
-    ]
+    quantiser: JpegQuantiser,
+    x0: float,
+    slope: float,
+    rows: int,
+    sigma: float,
+    levels: tuple[float, float],
 ) -> float:
     """Variance (px^2) that rounding of coefficients adds to an edge's position.
 
@@ -162,7 +165,7 @@ def position_variance(
         return d, f, ndtr(near) - ndtr(far)
 
     d, f, g = profile(x0)
-    width = (np.exp(-0.5 * ((d + 0.5) / sigma) ** 2) - np.exp(-0.5 * ((d - 0.5) / sigma) ** 2))
+    width = np.exp(-0.5 * ((d + 0.5) / sigma) ** 2) - np.exp(-0.5 * ((d - 0.5) / sigma) ** 2)
     light = low * (1 - f) + high * f
     design = np.stack([-(high - low) * g, width, 1 - f, f, d * light], axis=1)
     inside = np.abs(d) <= reach

@@ -36,8 +36,12 @@ def macro_profile(
     gray = to_gray(frame)
     left, top, width, height = roi
     if (
-        width < 1 or height < 1 or left < 0 or top < 0
-        or left + width > gray.shape[1] or top + height > gray.shape[0]
+        width < 1
+        or height < 1
+        or left < 0
+        or top < 0
+        or left + width > gray.shape[1]
+        or top + height > gray.shape[0]
     ):
         raise RegionError(
             f"the macro's region {tuple(roi)} (left, top, width, height) does not lie inside the "

@@ -145,8 +145,22 @@ def _refit(gray: Image, box: Box, fit: Fit, guess: EdgeGuess, least_scale: float
     p[4] = 0.0
     resid, keep = np.zeros_like(fit.resid), np.zeros_like(fit.keep)
     if not refine(
-        gray, fit.rows, fit.group_of, fit.y_mid, p, levels, on, _room(guess), box[0],
-        box[0] + box[2], least_scale, False, OVEREXPOSED, resid, keep, out,
+        gray,
+        fit.rows,
+        fit.group_of,
+        fit.y_mid,
+        p,
+        levels,
+        on,
+        _room(guess),
+        box[0],
+        box[0] + box[2],
+        least_scale,
+        False,
+        OVEREXPOSED,
+        resid,
+        keep,
+        out,
     ):
         return None
     cov = np.array([[out[0], out[1]], [out[1], out[2]]])
@@ -181,9 +195,7 @@ def _doubt(fits: list[Fit]) -> str:
     return ""
 
 
-def _fit_edge(
-    gray: Image, box: Box, guess: EdgeGuess, exclude: tuple[Box, ...]
-) -> Fit | None:
+def _fit_edge(gray: Image, box: Box, guess: EdgeGuess, exclude: tuple[Box, ...]) -> Fit | None:
     left, top, width, height = box
     y_mid = top + (height - 1) / 2
     group = max(2, min(8, height // 8))
@@ -215,9 +227,7 @@ def _fit_edge(
     # a group that stands out only by its neighbours starts from the nearest marked levels
     known = np.flatnonzero(marked)
     nearest = known[np.argmin(np.abs(np.arange(len(used))[:, None] - known[None, :]), axis=1)]
-    _, first, group_of = np.unique(
-        (rows - top) // GROUP, return_index=True, return_inverse=True
-    )
+    _, first, group_of = np.unique((rows - top) // GROUP, return_index=True, return_inverse=True)
     source = nearest[block[first]]
     levels = np.stack([lows[source], highs[source]], axis=1)
     on = np.ones(len(levels), dtype=np.uint8)
@@ -233,8 +243,22 @@ def _fit_edge(
     keep = np.zeros(len(rows), dtype=np.uint8)
     out = np.zeros(16)
     if not refine(
-        gray, rows, group_of, own_mid, p, levels, on, _room(guess), left, left + width,
-        least, True, hot_from, resid, keep, out,
+        gray,
+        rows,
+        group_of,
+        own_mid,
+        p,
+        levels,
+        on,
+        _room(guess),
+        left,
+        left + width,
+        least,
+        True,
+        hot_from,
+        resid,
+        keep,
+        out,
     ):
         return None
     cov = np.array([[out[0], out[1]], [out[1], out[2]]])
@@ -248,9 +272,7 @@ def _room(guess: EdgeGuess) -> F64:
     return np.array([max(3.0, 0.55 * guess.room_left), max(3.0, 0.55 * guess.room_right)])
 
 
-def _combine(
-    left: Fit, right: Fit, extra: list[float], box: Box, doubt: str
-) -> GapMeasurement:
+def _combine(left: Fit, right: Fit, extra: list[float], box: Box, doubt: str) -> GapMeasurement:
     y = 0.5 * (left.y_mid + right.y_mid)
     weight_l, weight_r = 1 / left.cov[1, 1], 1 / right.cov[1, 1]
     slope = (left.b * weight_l + right.b * weight_r) / (weight_l + weight_r)

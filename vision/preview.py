@@ -52,7 +52,12 @@ def draw(
         Rectangle((left, top), wide, high, fill=False, edgecolor=ORANGE, lw=1.6, ls="--")
     )
     upper.text(
-        left + 4, top + 4, "region", color=ORANGE, va="top", fontsize=9,
+        left + 4,
+        top + 4,
+        "region",
+        color=ORANGE,
+        va="top",
+        fontsize=9,
         bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.5},
     )
     upper.set_title(_wrap(title), fontsize=10)
@@ -73,8 +78,13 @@ def draw(
 
 
 def _draw_macro(
-    upper: Any, lower: Any, part: npt.NDArray[np.float64], columns: npt.NDArray[np.float64],
-    threshold: int, flip: bool, rows: tuple[int, int],
+    upper: Any,
+    lower: Any,
+    part: npt.NDArray[np.float64],
+    columns: npt.NDArray[np.float64],
+    threshold: int,
+    flip: bool,
+    rows: tuple[int, int],
 ) -> None:
     profile = (255.0 - part >= threshold).mean(axis=0) * 255.0
     lower.step(columns, profile, where="mid", color=BLUE, label="marked pixels\n(column mean)")
@@ -86,15 +96,21 @@ def _draw_macro(
         end = start - hit[0] if flip else start + hit[0]
         middle = rows[0] + rows[1] / 2
         upper.annotate(
-            "", xy=(end, middle), xytext=(start, middle),
+            "",
+            xy=(end, middle),
+            xytext=(start, middle),
             arrowprops={"arrowstyle": "->", "color": BLUE, "lw": 2},
         )
         lower.axvline(end, color=ORANGE, ls="--", label=f"first marked\ncolumn: {hit[0]}")
 
 
 def _draw_edges(
-    upper: Any, lower: Any, gray: npt.NDArray[np.float64], box: Box,
-    columns: npt.NDArray[np.float64], measured: GapMeasurement | None,
+    upper: Any,
+    lower: Any,
+    gray: npt.NDArray[np.float64],
+    box: Box,
+    columns: npt.NDArray[np.float64],
+    measured: GapMeasurement | None,
 ) -> None:
     left, top, wide, high = box
     lines = [] if measured is None else [x for x in (measured.left, measured.right) if x]
@@ -121,13 +137,20 @@ def _draw_edges(
     for line, style, name in zip(lines, ("-", "--"), ("left edge", "right edge"), strict=False):
         rows = np.array([line.top, line.bottom + 1.0])
         upper.plot([line.x_at(y) for y in rows], rows, color=ORANGE, lw=2, ls=style)
-        lower.axvline(line.x_at(middle), color=ORANGE, ls=style, lw=1.4,
-                      label=f"{name}\n{line.x_at(middle):.2f} px")
+        lower.axvline(
+            line.x_at(middle),
+            color=ORANGE,
+            ls=style,
+            lw=1.4,
+            label=f"{name}\n{line.x_at(middle):.2f} px",
+        )
     if len(lines) == 2:
         x0 = lines[0].x_at(middle)
         x1 = x0 + (lines[1].x_at(middle) - x0) / (1 + slope * slope)
         upper.annotate(
-            "", xy=(x1, middle - slope * (x1 - x0)), xytext=(x0, middle),
+            "",
+            xy=(x1, middle - slope * (x1 - x0)),
+            xytext=(x0, middle),
             arrowprops={"arrowstyle": "<->", "color": BLUE, "lw": 2},
         )
 

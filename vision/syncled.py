@@ -84,9 +84,7 @@ def count_dropped(frame_s: F64, period_s: float) -> int:
 
 def count_repeated(frames: list[npt.NDArray[Any]]) -> int:
     """Frames identical to the one before: a sensor's noise never repeats."""
-    return sum(
-        bool(np.array_equal(a, b)) for a, b in itertools.pairwise(frames)
-    )
+    return sum(bool(np.array_equal(a, b)) for a, b in itertools.pairwise(frames))
 
 
 def find_delay(
@@ -187,6 +185,12 @@ def find_delay(
     u = math.hypot(u, 0.01 * exposure_s)  # the patch's rows are not exposed at one moment
     step = float(np.median(np.diff(frame_s))) if period_s is None else period_s
     return SyncDelay(
-        delay, u, contrast, noise, len(value), count_dropped(frame_s, step), int(stale.sum()),
+        delay,
+        u,
+        contrast,
+        noise,
+        len(value),
+        count_dropped(frame_s, step),
+        int(stale.sum()),
         ambiguity,
     )
