@@ -192,18 +192,33 @@ class Scene:
             )
 
     def image(self, path: str, time_s: float, jpeg: bytes, lines: list[Line]) -> None:
-        """A camera frame as it was stored, with the measured edges drawn over it."""
+        """A camera frame as it was stored, with what was measured drawn over it.
+
+        Lines with a name come first and stand out; nameless ones (a profile, a region) are
+        drawn thin.
+        """
         rr = self._rr
         self._at(time_s)
         self._rec.log(f"{path}/frame", rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
         if not lines:
             self._rec.log(f"{path}/edges", rr.Clear(recursive=True))
             return
-        colours = [(ORANGE, PALETTE[0], GREY)[min(k, 2)] for k in range(len(lines))]
+        named = [line for line in lines if line[2]]
+        plain = [line for line in lines if not line[2]]
+        colours = [(ORANGE, PALETTE[0], GREY)[min(k, 2)] for k in range(len(named))]
+        self._rec.log(
+            f"{path}/profile",
+            rr.LineStrips2D(
+                [np.array([a, b], dtype=float) for a, b, _ in plain],
+                colors=[PALETTE[2]],
+                radii=rr.Radius.ui_points(0.6),
+                draw_order=49.0,
+            ),
+        )
         self._rec.log(
             f"{path}/edges",
             rr.LineStrips2D(
-                [np.array([a, b], dtype=float) for a, b, _ in lines],
+                [np.array([a, b], dtype=float) for a, b, _ in named],
                 colors=colours,
                 radii=rr.Radius.ui_points(1.2),
                 draw_order=50.0,
@@ -212,10 +227,10 @@ class Scene:
         self._rec.log(
             f"{path}/edges/names",
             rr.Points2D(
-                [_label_place(a, b) for a, b, _ in lines],
+                [_label_place(a, b) for a, b, _ in named],
                 radii=0.1,
                 colors=colours,
-                labels=[text for _, _, text in lines],
+                labels=[text for _, _, text in named],
                 show_labels=True,
                 draw_order=51.0,
             ),

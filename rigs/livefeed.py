@@ -14,7 +14,8 @@ from daq.layout import Feed
 from daq.live import LiveView
 from daq.record import RecordWriter
 from rigs import liveview as paths
-from rigs.liveview import edge_lines, isometric_layout
+from rigs.liveview import edge_lines, isometric_layout, profile_lines
+from rigs.pictures import decode
 from rigs.rig import Rig
 from rigs.runner import Watch
 from rigs.steps import Measure
@@ -70,7 +71,11 @@ class LiveFeed:
             inner.picture(host_ns, jpeg, gap)
             time_s = (host_ns - self._start_ns) / NS_PER_S
             length_mm = float(length.apply(gap.pixels)) if gap.trusted else None
-            self.view.image(paths.CAMERA, time_s, jpeg, lines=edge_lines(gap, length_mm))
+            lines = edge_lines(gap, length_mm)
+            gray = decode(jpeg)
+            if gray is not None and gap.region[2] > 0:
+                lines += profile_lines(gray, gap.region)
+            self.view.image(paths.CAMERA, time_s, jpeg, lines=lines)
             if length_mm is not None:
                 self.view.series(paths.LENGTH, [time_s], [length_mm])
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import numpy as np
+import numpy.typing as npt
+
 from daq.layout import (
     BLUE,
     GREEN,
@@ -27,6 +30,9 @@ if TYPE_CHECKING:
     from daq.liveview_scene import Line
     from daq.run import Run
     from vision.edge import GapMeasurement
+
+Box = tuple[int, int, int, int]
+PROFILE_POINTS = 120
 
 SET_POINT = "pressure/set_point_kpa"
 PRESSURE = "pressure/measured_kpa"
@@ -180,6 +186,34 @@ def edge_lines(gap: GapMeasurement, length_mm: float | None = None) -> list[Line
     return lines
 
 
+def profile_lines(gray: npt.NDArray[np.uint8], region: Box) -> list[Line]:
+    """Region, column profile and the columns the macro's threshold marks, as nameless lines.
+
+    The profile stands on the region's lower border, a quarter of its height for the whole
+    grey scale; a bar below it runs under marked columns.
+    """
+    left, top, width, height = region
+    right, bottom = left + width, top + height
+    box = [(left, top), (right, top), (right, bottom), (left, bottom)]
+    lines: list[Line] = [(_point(box[k]), _point(box[(k + 1) % 4]), "") for k in range(4)]
+    levels = gray[top:bottom, left:right].mean(axis=0)
+    step = max(1, width // PROFILE_POINTS)
+    x = left + np.arange(0, width, step)
+    y = bottom - 4 - levels[::step] * (height / 4 / 255)
+    lines += [
+        ((float(x[k]), float(y[k])), (float(x[k + 1]), float(y[k + 1])), "")
+        for k in range(len(x) - 1)
+    ]
+    marked = np.flatnonzero(np.diff(np.concatenate(([0], 255 - levels >= 130, [0]))))
+    for first, last in zip(marked[::2], marked[1::2], strict=True):
+        lines.append(((float(left + first), bottom - 2.0), (float(left + last), bottom - 2.0), ""))
+    return lines
+
+
+def _point(corner: tuple[int, int]) -> tuple[float, float]:
+    return float(corner[0]), float(corner[1])
+
+
 def measured_edges(run: Run) -> Callable[[bytes], list[Line]]:
     """Measures stored frames of a run again, for its view file."""
     from rigs.pictures import decode, measure_stored
@@ -188,6 +222,9 @@ def measured_edges(run: Run) -> Callable[[bytes], list[Line]]:
 
     def lines(jpeg: bytes) -> list[Line]:
         gray = decode(jpeg)
-        return [] if gray is None else edge_lines(measure_stored(gray, camera))
+        if gray is None:
+            return []
+        gap = measure_stored(gray, camera)
+        return [*edge_lines(gap), *profile_lines(gray, gap.region)]
 
     return lines
