@@ -101,9 +101,7 @@ def test_damping_takes_the_energy_it_should() -> None:
 
 def test_what_cannot_be_integrated_is_refused() -> None:
     arm = load_arm("finger")
-    with pytest.raises(
-        LinkError, match=r"cannot follow the motion after .* steps of 1 s"
-    ):
+    with pytest.raises(LinkError, match=r"cannot follow the motion after .* steps of 1 s"):
         swing(arm, *start(arm), 10.0, step_s=1.0)
     with pytest.raises(LinkError, match="choose one of gauss6, rk4"):
         swing(arm, *start(arm), 1.0, method="euler")
