@@ -1,4 +1,4 @@
-"""Inverse dynamics side by side, in one run: `python -m benchmarks.links`.
+"""Link dynamics side by side, in one run: agreement, drift of energy, speed.
 
 The same 1,000 random states of the same arm to each; rounds take turns, so that a busy machine is
 busy for all; the best round counts. The tools' arms are built by the tests' own builders.
@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
@@ -77,6 +78,46 @@ def ways_of(arm_name: str) -> dict[str, Callable[[], object]]:
     }
 
 
+def agreement(arm_name: str) -> None:
+    """Largest differences from the compiled kernel, as shares of each state's largest torque."""
+    import sympy
+
+    from links_oracles import mujoco_torque, pinocchio_torque
+    from plant.links import dynamics as dyn
+    from plant.links import load_arm
+    from plant.links.generated import generated
+    from plant.links.lagrange import derive
+    from plant.links.motion import swing
+    from plant.links.newton_euler import newton_euler
+
+    arm = load_arm(arm_name)
+    r = np.random.default_rng(2)
+    q, qd, qdd = (r.uniform(-top, top, (STATES, arm.degrees)) for top in (np.pi, 20.0, 500.0))
+    ours = dyn.inverse_dynamics(arm, q, qd, qdd)
+    damping = np.array([link.damping_n_m_s for link in arm.links])
+    plain = [newton_euler(arm, *row) for row in zip(q, qd, qdd, strict=True)]
+    others = {
+        "symbolic": generated(arm).inverse_dynamics(q, qd, qdd),
+        "plain": np.array(plain),
+        "Pinocchio": pinocchio_torque(arm, q, qd, qdd) + damping * qd,
+        "MuJoCo": mujoco_torque(arm, q, qd, qdd),
+    }
+    size = np.abs(ours).max(axis=1)
+    for name, theirs in others.items():
+        print(f"  {name:10s} {(np.abs(theirs - ours).max(axis=1) / size).max():.1e}")
+    e = derive(arm)
+    arguments = [*e.q, *e.qd, *map(sympy.Symbol, e.parameters)]
+    rate = sympy.lambdify(arguments, sympy.Matrix(e.inertia_rate()), cse=True)
+    worst = 0.0
+    for row, speed, c in zip(q, qd, dyn.coriolis_matrix(arm, q, qd), strict=True):
+        skew = rate(*row, *speed, *e.parameters.values()) - 2.0 * c
+        worst = max(worst, float(np.abs(skew + skew.T).max() / np.abs(c).max()))
+    print(f"  D' - 2C, symmetric part  {worst:.1e} of C")
+    n = arm.degrees
+    motion = swing(arm.without_damping(), np.full(n, 0.5), np.linspace(1.0, 3.0, n), 10.0)
+    print(f"  drift over 10 s          {motion.drift:.1e}")
+
+
 def derivation_s() -> float:
     from plant.links import load_arm
     from plant.links.lagrange import derive
@@ -92,8 +133,10 @@ def main() -> None:
     versions = [f"{n} {importlib.metadata.version(n)}" for n in ("pin", "mujoco", "numba", "numpy")]
     print(f"Python {platform.python_version()}, {', '.join(versions)}")
     print(f"{os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["PAMRIG_CACHE"] = folder
+    with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, PAMRIG_CACHE=folder):
+        for arm in ("planar2", "planar3", "finger"):
+            print(f"\n{arm}: {STATES} random states, largest difference from the compiled kernel")
+            agreement(arm)
         for arm in ("planar3", "finger"):
             best = measured(ways_of(arm))
             ours = best["pamrig, compiled, batch"]
