@@ -175,3 +175,13 @@ def test_a_joint_that_moves_nothing_has_no_acceleration_to_tell() -> None:
 def test_states_of_the_wrong_shape_are_refused() -> None:
     with pytest.raises(LinkError, match=r"qd has shape \(2,\); expected \(3,\)"):
         dyn.inverse_dynamics(ARMS["planar3"], [0, 0, 0], [0, 0], [0, 0, 0])
+
+
+@pytest.mark.campaign
+def test_batches_are_faster_than_a_call_of_pinocchio_or_mujoco() -> None:
+    from benchmarks.links import measured, ways_of
+
+    best = measured(ways_of("planar3"))
+    ours = best["pamrig, compiled, batch"]
+    assert ours < best["Pinocchio rnea, Python call"]
+    assert ours < best["MuJoCo mj_inverse, Python call"]

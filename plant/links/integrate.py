@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Callable
 from importlib import resources
 
 import numpy as np
@@ -115,38 +116,46 @@ def _gauss6(
     return settled
 
 
-@entry_point(
-    "int64(float64[:,::1],float64[::1],float64[::1],float64[::1],float64,int64,int64,float64[:,::1])"
-)
-def swing_states(
-    table: Array,
-    gravity: Array,
-    start: Array,
-    torque: Array,
-    h: float,
-    every: int,
-    method: int,
-    out: Array,
-) -> int:
-    """Fill `out` (samples, 2 n) with states `every` steps apart; how many were reached.
+def _build(content: int) -> Callable[..., int]:
+    """Compile the entry point around the content's CRC, which makes it part of the cache's key."""
 
-    Fewer than asked for means that the step was too long for the motion.
-    """
-    _ = _CONTENT
-    n = table.shape[0]
-    x, trial, lost = start.copy(), np.zeros(2 * n), np.zeros(2 * n)
-    k, work, d = np.zeros((4, 2 * n)), np.zeros((n, WORK)), np.zeros((n, n))
-    for sample in range(out.shape[0]):
-        if sample > 0:
-            for _step in range(every):
-                if method == 0:
-                    fine = _gauss6(table, gravity, x, torque, h, k, trial, work, d, lost)
-                else:
-                    fine = _rk4(table, gravity, x, torque, h, k, trial, work, d)
-                if not fine:
+    @entry_point(
+        "int64(float64[:,::1],float64[::1],float64[::1],float64[::1],float64,int64,int64,float64[:,::1])"
+    )
+    def swing_states(
+        table: Array,
+        gravity: Array,
+        start: Array,
+        torque: Array,
+        h: float,
+        every: int,
+        method: int,
+        out: Array,
+    ) -> int:
+        """Fill `out` (samples, 2 n) with states `every` steps apart; how many were reached.
+
+        Fewer than asked for means that the step was too long for the motion.
+        """
+        _ = content
+        n = table.shape[0]
+        x, trial, lost = start.copy(), np.zeros(2 * n), np.zeros(2 * n)
+        k, work, d = np.zeros((4, 2 * n)), np.zeros((n, WORK)), np.zeros((n, n))
+        for sample in range(out.shape[0]):
+            if sample > 0:
+                for _step in range(every):
+                    if method == 0:
+                        fine = _gauss6(table, gravity, x, torque, h, k, trial, work, d, lost)
+                    else:
+                        fine = _rk4(table, gravity, x, torque, h, k, trial, work, d)
+                    if not fine:
+                        return sample
+            for i in range(2 * n):
+                if not math.isfinite(x[i]):
                     return sample
-        for i in range(2 * n):
-            if not math.isfinite(x[i]):
-                return sample
-            out[sample, i] = x[i]
-    return int(out.shape[0])
+                out[sample, i] = x[i]
+        return int(out.shape[0])
+
+    return swing_states
+
+
+swing_states = _build(_CONTENT)
