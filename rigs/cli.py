@@ -163,6 +163,17 @@ def length(
     )
 
 
+@app.command()
+def links(
+    arm: Annotated[str, typer.Argument(help="Arm file, or the name of a shipped one.")],
+    form: Annotated[str, typer.Option("--print", help="text, latex or python.")] = "text",
+) -> None:
+    """Derive an arm's equations of motion and print them."""
+    from rigs.links_commands import links_command
+
+    links_command(arm, form)
+
+
 @runs_app.command("list")
 def runs_list(
     runs: Annotated[Path, typer.Option("--runs", help="Folder of runs.")] = RUNS,

@@ -1,0 +1,51 @@
+"""Newton-Euler as chapter 2 of the thesis writes it, in base coordinates and plain numpy.
+
+Slow and short, to be read beside equations 2-4 to 2-13 and to check the compiled kernel, which
+works in link coordinates. What is printed differently there: joint i turns about the z axis of
+frame i-1, as in its own Lagrange-Euler section; 2-6 and 2-7 turn with omega(i) throughout; and
+2-12 has to read n(i) = n(i+1) + p(i) x f(i+1) + (p(i) + s(i)) x F(i) + N(i).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from plant.links.arm import Arm
+from plant.links.inertia import tensor
+from plant.links.kinematics import link_frames
+
+Array = npt.NDArray[np.float64]
+
+
+def newton_euler(arm: Arm, q: Array, qd: Array, qdd: Array) -> Array:
+    """Torques (n) for one state: D q'' + h + c + b q'; rad, rad/s, rad/s2, N m."""
+    frames = link_frames(arm, q)
+    n = arm.degrees
+    rate, push = np.zeros(3), np.zeros(3)
+    # Gravity enters as an upward acceleration of the base.
+    accel = -arm.gravity
+    force, moment = np.empty((n, 3)), np.empty((n, 3))
+    for i, link in enumerate(arm.links):
+        axis = frames[i][:3, 2]
+        rotation = frames[i + 1][:3, :3]
+        push = push + axis * qdd[i] + np.cross(rate, axis * qd[i])
+        rate = rate + axis * qd[i]
+        step = frames[i + 1][:3, 3] - frames[i][:3, 3]
+        accel = accel + np.cross(push, step) + np.cross(rate, np.cross(rate, step))
+        com = rotation @ np.array(link.com_m)
+        body = rotation @ tensor(link.inertia_kg_m2) @ rotation.T
+        force[i] = link.mass_kg * (
+            accel + np.cross(push, com) + np.cross(rate, np.cross(rate, com))
+        )
+        moment[i] = body @ push + np.cross(rate, body @ rate)
+    torque = np.empty(n)
+    f, m = np.zeros(3), np.zeros(3)
+    for i in reversed(range(n)):
+        link = arm.links[i]
+        step = frames[i + 1][:3, 3] - frames[i][:3, 3]
+        arm_to_com = step + frames[i + 1][:3, :3] @ np.array(link.com_m)
+        m = m + np.cross(step, f) + np.cross(arm_to_com, force[i]) + moment[i]
+        f = f + force[i]
+        torque[i] = frames[i][:3, 2] @ m + link.damping_n_m_s * qd[i]
+    return torque

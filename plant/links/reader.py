@@ -1,0 +1,188 @@
+"""Read an arm from TOML: every key known, every number with a range, every complaint with both."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from plant.links.arm import Arm, Link
+from plant.links.errors import LinkError
+from plant.links.inertia import Six, Three, rod_inertia
+
+MOST_LINKS = 100
+
+_DEG = math.pi / 180.0
+# Key: conversion to SI, lowest, highest; in the key's own unit.
+_NUMBERS: dict[str, tuple[float, float, float]] = {
+    "a_mm": (1e-3, -10_000.0, 10_000.0),
+    "alpha_deg": (_DEG, -360.0, 360.0),
+    "d_mm": (1e-3, -10_000.0, 10_000.0),
+    "offset_deg": (_DEG, -360.0, 360.0),
+    "mass_g": (1e-3, 0.0, 1e6),
+    "damping_n_m_s": (1.0, 0.0, 1e4),
+    "rod_diameter_mm": (1e-3, 0.0, 1e4),
+}
+_LISTS: dict[str, tuple[int, float, float]] = {
+    "com_mm": (3, -10_000.0, 10_000.0),
+    "inertia_g_mm2": (6, -1e15, 1e15),
+    "range_deg": (2, -36_000.0, 36_000.0),
+}
+_LINK_KEYS = ("joint", *_NUMBERS, *_LISTS)
+_ARM_KEYS = ("name", "gravity_m_s2", "link")
+
+
+def load_arm(source: str | Path | Mapping[str, Any]) -> Arm:
+    """Read an arm from a TOML file, from a parsed table, or by the name of a shipped one.
+
+    Raises:
+        LinkError: names file, link and key, says what was expected and what came.
+    """
+    if isinstance(source, Mapping):
+        return _arm(source, "arm table")
+    path = Path(source)
+    if path.suffix != ".toml" and not path.exists():
+        return _shipped(str(source))
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise LinkError(f"arm file {path}: cannot be read ({error}); check the path") from error
+    return _parsed(text, f"arm file {path}")
+
+
+def shipped_arms() -> list[str]:
+    """Names of the arms that come with the package."""
+    folder = resources.files("configs").joinpath("plant", "links")
+    return sorted(e.name.removesuffix(".toml") for e in folder.iterdir() if e.name[-5:] == ".toml")
+
+
+def _shipped(name: str) -> Arm:
+    known = shipped_arms()
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]}?" if near else "give a .toml file or one of these"
+        raise LinkError(f"arm {name!r}: neither a file nor shipped; {hint} ({', '.join(known)})")
+    entry = resources.files("configs").joinpath("plant", "links", f"{name}.toml")
+    return _parsed(entry.read_text(encoding="utf-8"), f"shipped arm {name}.toml")
+
+
+def _parsed(text: str, origin: str) -> Arm:
+    try:
+        return _arm(tomllib.loads(text), origin)
+    except tomllib.TOMLDecodeError as error:
+        raise LinkError(f"{origin}: not valid TOML ({error}); correct that line") from error
+
+
+def _arm(table: Mapping[str, Any], origin: str) -> Arm:
+    _known(table, _ARM_KEYS, origin)
+    name = table.get("name")
+    if not isinstance(name, str) or not name.isidentifier():
+        raise LinkError(f'{origin}: name = {name!r}; expected a plain word, e.g. name = "finger"')
+    rows = table.get("link")
+    if not isinstance(rows, list) or not 1 <= len(rows) <= MOST_LINKS:
+        raise LinkError(f"{origin}: expected 1 to {MOST_LINKS} tables [[link]], got {rows!r:.40}")
+    gravity = table.get("gravity_m_s2")
+    if gravity is None:
+        raise LinkError(f"{origin}: gravity_m_s2 is missing; state it, [0, 0, 0] for none")
+    x, y, z = _list(gravity, "gravity_m_s2", 3, -100.0, 100.0, origin)
+    links = tuple(_link(row, f"{origin}, link {i + 1}") for i, row in enumerate(rows))
+    try:
+        return Arm(name, links, (x, y, z))
+    except LinkError as error:
+        raise LinkError(f"{origin}: {error}") from None
+
+
+def _link(row: object, origin: str) -> Link:
+    if not isinstance(row, Mapping):
+        raise LinkError(f"{origin}: expected a table, got {row!r}")
+    joint = row.get("joint")
+    if not isinstance(joint, str) or not joint:
+        raise LinkError(f'{origin}: joint = {joint!r}; expected a name, e.g. joint = "flexion"')
+    origin = f"{origin} ({joint})"
+    _known(row, _LINK_KEYS, origin)
+    for key in ("a_mm", "mass_g"):
+        if key not in row:
+            raise LinkError(f"{origin}: {key} is missing; every link states its length and mass")
+    value = {key: _number(row[key], key, origin) for key in _NUMBERS if key in row}
+    length, mass = value["a_mm"], value["mass_g"]
+    com, inertia = _body(row, length, mass, value, origin)
+    low, high = -math.inf, math.inf
+    if "range_deg" in row:
+        ends = _list(row["range_deg"], "range_deg", *_LISTS["range_deg"], origin)
+        low, high = ends[0] * _DEG, ends[1] * _DEG
+    try:
+        return Link(
+            joint,
+            length,
+            value.get("alpha_deg", 0.0),
+            value.get("d_mm", 0.0),
+            value.get("offset_deg", 0.0),
+            mass,
+            com,
+            inertia,
+            value.get("damping_n_m_s", 0.0),
+            low,
+            high,
+        )
+    except LinkError as error:
+        raise LinkError(f"{origin}: {error}") from None
+
+
+def _body(
+    row: Mapping[str, Any], length: float, mass: float, value: Mapping[str, float], origin: str
+) -> tuple[Three, Six]:
+    """Centre of mass and tensor, from a rod's diameter or as stated."""
+    stated = [key for key in ("com_mm", "inertia_g_mm2") if key in row]
+    if "rod_diameter_mm" in value:
+        if stated:
+            raise LinkError(
+                f"{origin}: {' and '.join(stated)} contradict rod_diameter_mm; state either the "
+                "rod or the body"
+            )
+        return (-length / 2.0, 0.0, 0.0), rod_inertia(mass, length, value["rod_diameter_mm"])
+    if mass == 0.0 and not stated:
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    if len(stated) < 2:
+        raise LinkError(
+            f"{origin}: a link with mass needs rod_diameter_mm, or com_mm = [x, y, z] and "
+            "inertia_g_mm2 = [xx, yy, zz, xy, xz, yz] about the centre of mass"
+        )
+    com = _list(row["com_mm"], "com_mm", *_LISTS["com_mm"], origin)
+    six = _list(row["inertia_g_mm2"], "inertia_g_mm2", *_LISTS["inertia_g_mm2"], origin)
+    return (com[0] * 1e-3, com[1] * 1e-3, com[2] * 1e-3), tuple(v * 1e-9 for v in six)  # type: ignore[return-value]
+
+
+def _known(table: Mapping[str, Any], known: tuple[str, ...], origin: str) -> None:
+    for key in table:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}"
+            raise LinkError(f"{origin}: unknown key {key!r}; {hint}")
+
+
+def _number(value: object, key: str, origin: str) -> float:
+    to_si, low, high = _NUMBERS[key]
+    if key == "mass_g" and isinstance(value, (int, float)) and value < 0:
+        raise LinkError(f"{origin}: negative mass, mass_g = {value!r}; a link has mass 0 or more")
+    return _bounded(value, key, low, high, origin) * to_si
+
+
+def _list(
+    value: object, key: str, count: int, low: float, high: float, origin: str
+) -> tuple[float, ...]:
+    if not isinstance(value, (list, tuple)) or len(value) != count:
+        raise LinkError(f"{origin}: {key} = {value!r}; expected a list of {count} numbers")
+    return tuple(_bounded(v, f"{key}[{i}]", low, high, origin) for i, v in enumerate(value))
+
+
+def _bounded(value: object, key: str, low: float, high: float, origin: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise LinkError(f"{origin}: {key} = {value!r}; expected a number from {low:g} to {high:g}")
+    # NaN fails this comparison too.
+    if not low <= value <= high:
+        raise LinkError(f"{origin}: {key} = {value!r} is out of range; allowed {low:g} to {high:g}")
+    return float(value)
