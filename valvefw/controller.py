@@ -6,13 +6,19 @@ Every tick drives the valves anew; nothing else does.
 
 from valvefw import VERSION, config
 from valvefw.board import Board
+from valvefw.bothduty import BothDuty
+from valvefw.burst import Burst
 from valvefw.commands import Commands
+from valvefw.inletduty import InletDuty
 from valvefw.openloop import OpenLoop
 from valvefw.pwm import Pwm
+from valvefw.ram import Ram
 from valvefw.regulated import Regulated
 from valvefw.safety import Safety
 from valvefw.scheme import Scheme
+from valvefw.sliding import Sliding
 from valvefw.telemetry import Telemetry
+from valvefw.twoposition import TwoPosition
 from valvefw.valves import VENT_HOLD_US, Valves
 from valvefw.wire import EVENT, REPLY, REQUEST, TICK_US, Decoder, encode_frame, lfsr_next
 
@@ -39,7 +45,17 @@ class Controller:
         self.openloop = OpenLoop()
         self.regulated = Regulated()
         self.schemes: dict[str, Scheme] = {}
-        for scheme in (self.pwm, self.openloop, self.regulated):
+        for scheme in (
+            self.pwm,
+            self.openloop,
+            self.regulated,
+            TwoPosition(),
+            InletDuty(),
+            BothDuty(),
+            Sliding(),
+            Ram(),
+            Burst(),
+        ):
             self.schemes[scheme.name] = scheme
         self.scheme: Scheme | None = None  # None: vented
         self.setpoint_x16 = 0
@@ -79,8 +95,10 @@ class Controller:
             self.decoder.push(data)
             self._obey()
         scheme = self.scheme
+        prox = board.prox()
         if scheme is not None:
             valves = self.valves
+            valves.prox = prox
             inlet_us = valves.inlet_us
             if inlet_us:
                 valves.inlet_us = inlet_us - dt_us if inlet_us > dt_us else 0
@@ -115,7 +133,7 @@ class Controller:
             | (8 if safety.faults else 0)
             | (16 if self._led else 0)
             | (32 if safety.heartbeat_seen else 0)
-            | (board.prox() << 6)
+            | (prox << 6)
         )
         telemetry = self.telemetry
         if telemetry.add(
