@@ -35,7 +35,7 @@ class Board:
         raise NotImplementedError
 
     def adc(self) -> int:
-        """Newest pressure reading, 12 bits."""
+        """Newest pressure reading, 12 bits; below 0 if none came since the last call."""
         raise NotImplementedError
 
     def drive(self, inlet_us: int, vent_us: int) -> None:

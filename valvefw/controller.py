@@ -16,6 +16,7 @@ from valvefw.ram import Ram
 from valvefw.regulated import Regulated
 from valvefw.safety import Safety
 from valvefw.scheme import Scheme
+from valvefw.sensorwatch import SensorWatch
 from valvefw.sliding import Sliding
 from valvefw.telemetry import Telemetry
 from valvefw.twoposition import TwoPosition
@@ -71,6 +72,11 @@ class Controller:
         self._vent_left_us = 0
         self._vent_since_us = 0
         self._vented_run = 0
+        self._vent_lost_at = 0
+        self._lost_run = 0
+        self._watch = SensorWatch()
+        self._driven_inlet_us = 0
+        self._driven_vent_us = 0
         self._last_us = board.ticks_us()
         self._confirm_vent()
         board.regulator(0)
@@ -85,9 +91,18 @@ class Controller:
         dt_us = (now_us - self._last_us) & 0xFFFFFFFF
         self._last_us = now_us
         counts = board.adc()
-        self.counts = counts
         safety = self.safety
-        cause = safety.check(counts, dt_us)
+        if counts < 0:  # no reading: go on with the last one
+            counts = self.counts
+            cause = safety.check_silent(dt_us)
+        else:
+            self.counts = counts
+            cause = safety.check(counts, dt_us)
+        scheme = self.scheme
+        if scheme is not None and not cause:
+            cause = self._watch.check(
+                counts, dt_us, self._driven_inlet_us, self._driven_vent_us, scheme.renews
+            )
         if cause:
             self.trip(cause)
         data = board.rx()
@@ -123,6 +138,12 @@ class Controller:
                 safety.bound_inlet(0, TICK_US)
             if self._vent_left_us:
                 self._watch_vent(counts, dt_us)
+            elif counts >= self._vent_lost_at:
+                self._watch_vented()
+            elif self._lost_run:
+                self._lost_run = 0
+        self._driven_inlet_us = inlet_us
+        self._driven_vent_us = vent_us
         board.drive(inlet_us, vent_us)
         if self._led_bit_us:
             self._blink(dt_us)
@@ -191,6 +212,7 @@ class Controller:
         self.valves.shut()
         scheme = self.schemes[name]
         scheme.start(self.values)
+        self._watch.start(self.values, self.counts)
         self.scheme = scheme
         self._vent_left_us = 0
 
@@ -214,6 +236,8 @@ class Controller:
         self._vent_left_us = self.values["vent_ms"] * 1000
         self._vent_since_us = self._last_us
         self._vented_run = 0
+        self._vent_lost_at = 2 * self.values["vent_below"]
+        self._lost_run = 0
 
     def _watch_vent(self, counts: int, dt_us: int) -> None:
         if counts < self.values["vent_below"]:
@@ -228,6 +252,12 @@ class Controller:
         if self._vent_left_us <= 0:
             self._vent_left_us = 0
             self.trip("vent_failed")
+
+    def _watch_vented(self) -> None:
+        """The vent was confirmed, or has failed, and the reading is high."""
+        self._lost_run += 1
+        if self._lost_run == VENTED_READINGS:
+            self.trip("vent_lost")
 
     def light(self, on: int) -> None:
         """Sync LED steady on or off."""

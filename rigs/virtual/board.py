@@ -121,7 +121,12 @@ class SimBoard(Board):
         self.vent_commanded_us = 0
         """Bench time of the last change from anything else to steady venting."""
         self.sensor_override: int | None = None
-        """Counts the converter returns whatever the pressure: a broken wire, a stuck sensor."""
+        """Counts the converter returns whatever the pressure: a broken wire, a stuck sensor.
+        Below 0 it returns nothing at all."""
+        self.inlet_jammed = False
+        """The inlet does not shut any more, whatever its solenoid does."""
+        self.outlet_jammed = False
+        """The outlet does not shut any more."""
         self.truth_us = array("q")
         self.truth_kpa = array("d")
         self._truth_every = truth_every
@@ -244,6 +249,10 @@ class SimBoard(Board):
         while now_us + TICK_US <= until_us:
             inlet_us = self._inlet_us
             vent_us = self._vent_us
+            if self.inlet_jammed:
+                inlet_us = TICK_US
+            if self.outlet_jammed:
+                vent_us = TICK_US
             advance(
                 state,
                 params,
@@ -288,8 +297,8 @@ class SimBoard(Board):
             self.plant.state,
             self.plant.params,
             TICK_S,
-            min(self._inlet_us, TICK_US) * 1e-6,
-            min(self._vent_us, TICK_US) * 1e-6,
+            TICK_S if self.inlet_jammed else min(self._inlet_us, TICK_US) * 1e-6,
+            TICK_S if self.outlet_jammed else min(self._vent_us, TICK_US) * 1e-6,
         )
         self._inlet_us = max(0, self._inlet_us - TICK_US)
         self._vent_us = max(0, self._vent_us - TICK_US)
@@ -380,6 +389,5 @@ class SimBoard(Board):
         value = float(self.plant.state[PRESSURE_SLOT]) * self._counts_per_pa
         counts = int(value + self._noise[self._noise_at])
         self._noise_at += 1
-        if self.sensor_override is not None:
-            counts = self.sensor_override
-        self._counts = min(max(counts, 0), ADC_TOP)
+        counts = min(max(counts, 0), ADC_TOP)
+        self._counts = counts if self.sensor_override is None else self.sensor_override
