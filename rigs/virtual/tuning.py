@@ -52,3 +52,12 @@ def burst_parameters(
         "gas_rate_out": ppm_per_ms(c.outlet_conductance_m3_s_pa),
         "burst_dead_x16": round(dead * c.supply_pa * 1e-3 * per_kpa * 16),
     }
+
+
+def safety_parameters(c: PlantConstants, full_scale_kpa: float = FULL_SCALE_KPA) -> dict[str, int]:
+    """``slew`` for the smallest chamber this muscle makes, a third above its fastest change."""
+    smallest = float(braid_volume(c.length_max_m, c.braid_length_m, c.turns)) + c.dead_volume_m3
+    fastest = max(c.inlet_conductance_m3_s_pa, c.outlet_conductance_m3_s_pa)
+    bar_pa = GAS_CONSTANT_J_KG_K * c.gas_temperature_k * REFERENCE_DENSITY_KG_M3
+    kpa_per_ms = fastest * bar_pa / smallest * (c.supply_pa + c.atmosphere_pa) * 1e-6
+    return {"slew": max(4, round(1.33 * kpa_per_ms * TOP / full_scale_kpa))}
