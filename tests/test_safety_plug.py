@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_valvefw_safety import Bench, thesis, virtual
 
 from daq.clock import VirtualClock
 from daq.errors import LinkLost
@@ -23,6 +22,7 @@ from rigs.pump import Pump
 from rigs.valve import ValveController
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.tuning import burst_parameters, safety_parameters
+from test_valvefw_safety import Bench, thesis, virtual
 from valvefw.wire import encode_frame
 
 COMMANDED_US = 350_000

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from test_valvefw_pwm import Held
-from test_valvefw_safety import thesis, virtual
 
 from plant.constants import PlantConstants
 from rigs.virtual.tuning import burst_parameters
+from test_valvefw_pwm import Held
+from test_valvefw_safety import thesis, virtual
 
 BENCHES = {"virtual": virtual, "thesis": thesis}
 LIMIT = {"virtual": 0.5, "thesis": 3.0}  # % of supply

@@ -13,9 +13,9 @@ import struct
 import time
 from collections.abc import Callable, Iterator
 
-import micropython_host
 import pytest
 
+import micropython_host
 from daq.clock import RealClock
 from daq.transport import SerialLink
 from valvefw.config import PARAMETERS, config_crc, defaults
@@ -319,6 +319,25 @@ def test_a_pulse_train_is_in_the_telemetry_to_the_last_5_us(host: Host) -> None:
     assert [b - a for a, b in itertools.pairwise(starts)] == [20, 20]
     assert [u for u in inlet if u] == [200, 200, 69] * 3
     assert all(bool(r[3] & 1) == bool(r[4]) for r in rows)
+
+
+def test_a_capture_is_read_in_blocks_of_100(host: Host) -> None:
+    assert host.ask("block 0").startswith("err busy ")
+    host.arm("open")
+    assert host.ask("capture inlet 9000 1").startswith("err board ")
+    assert host.ask("capture inlet 9000 0") == "ok n=800 period_us=50"
+    assert host.ask("pulse inlet 9000").startswith("err busy ")
+    assert host.ask("block 0").startswith("err busy ")
+    host.telemetry.clear()
+    host.run(60)
+    samples: list[int] = []
+    while len(samples) < 800:
+        part = host.fields(f"block {len(samples)}")
+        assert part["lead_us"] == "5000"
+        data = part["data"]
+        samples += [int(data[k : k + 3], 16) for k in range(0, len(data), 3)]
+    assert samples == list(range(800))
+    assert sum(r[4] for r in host.samples()) == 9000 // 5
 
 
 def test_frames_hold_as_many_samples_as_asked_and_one_set_point_each(host: Host) -> None:

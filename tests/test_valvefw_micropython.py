@@ -6,9 +6,9 @@ import random
 import subprocess
 from pathlib import Path
 
-import micropython_host
 import pytest
 
+import micropython_host
 from valvefw.deskboard import DeskBoard
 from valvefw.wire import encode_frame
 
@@ -110,7 +110,7 @@ def test_a_campaign_of_requests_gets_identical_bytes_from_both_interpreters() ->
         conf = ask("id").split(b"conf=")[1][:4].decode()
         ask(f"arm {conf} 4660")
         ask(f"scheme {name}")
-        ask("telemetry %d" % rng.randrange(1, 33))
+        ask(f"telemetry {rng.randrange(1, 33)}")
         for _ in range(8):
             ask(f"hb {rng.randrange(65536)}")
             ask(f"sp {rng.randrange(40000)}", 60)

@@ -5,13 +5,12 @@ Errors here are in 10-bit counts, as in the thesis; one of them is four counts o
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_valvefw_pwm import Held
-from test_valvefw_safety import thesis
 
 from rigs.virtual.asprinted import (
     BothDutyAsPrinted,
@@ -22,6 +21,8 @@ from rigs.virtual.asprinted import (
     install_as_printed,
     int16,
 )
+from test_valvefw_pwm import Held
+from test_valvefw_safety import thesis
 from valvefw.bothduty import BothDuty
 from valvefw.config import defaults
 from valvefw.gas import Gas
@@ -85,7 +86,7 @@ def test_inlet_pulse_is_a_hundred_seven_hundredths_of_the_error_in_a_period_of_1
 ) -> None:
     pulses = Desk(InletDuty()).train(error, 1000)
     assert [p[2] for p in pulses] == [on * 1000] * (10 if on else 0)
-    assert all(b[0] - a[0] == 101 for a, b in zip(pulses, pulses[1:], strict=False))
+    assert all(b[0] - a[0] == 101 for a, b in itertools.pairwise(pulses))
 
 
 @pytest.mark.parametrize("scheme", [InletDuty, BothDuty])

@@ -8,6 +8,7 @@ from valvefw import VERSION, config
 from valvefw.board import Board
 from valvefw.bothduty import BothDuty
 from valvefw.burst import Burst
+from valvefw.capture import Capture
 from valvefw.commands import Commands
 from valvefw.inletduty import InletDuty
 from valvefw.openloop import OpenLoop
@@ -62,6 +63,7 @@ class Controller:
         self.setpoint_x16 = 0
         self.counts = 0
         self.decoder = Decoder()
+        self.capture = Capture(board)
         self._commands = Commands(self)
         self._black_box_due = False
         self._regulator = 0
@@ -145,6 +147,8 @@ class Controller:
         self._driven_inlet_us = inlet_us
         self._driven_vent_us = vent_us
         board.drive(inlet_us, vent_us)
+        if self.capture.waiting:
+            self.capture.driven(inlet_us, vent_us)
         if self._led_bit_us:
             self._blink(dt_us)
         flags = (

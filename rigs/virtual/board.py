@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from rigs.virtual.fastcapture import FastCapture
 from valvefw.board import DRIVE_SILENCE_US, Board
 from valvefw.controller import Controller
 from valvefw.valves import VENT_HOLD_US
@@ -137,6 +138,7 @@ class SimBoard(Board):
         self._regulator_gain = regulator_gain
         self._noise: list[float] = []
         self._noise_at = NOISE_BLOCK
+        self._fast: FastCapture | None = None
         self._rx = bytearray()
         self._tx: list[tuple[int, bytes]] = []
         self._inlet_us = 0
@@ -205,6 +207,15 @@ class SimBoard(Board):
         else:
             self._tx.append((self.bench_us, data))
 
+    def capture(self, source: int) -> bool:
+        """Fast samples from the present tick on."""
+        self._fast = FastCapture(self, source, self._rng)
+        return True
+
+    def captured(self) -> bytes:
+        """The last block, once complete."""
+        return self._fast.block if self._fast is not None else b""
+
     def wdt_feed(self) -> None:
         """Nothing to do: while the firmware ticks it also feeds."""
 
@@ -253,13 +264,16 @@ class SimBoard(Board):
                 inlet_us = TICK_US
             if self.outlet_jammed:
                 vent_us = TICK_US
-            advance(
-                state,
-                params,
-                TICK_S,
-                TICK_S if inlet_us >= TICK_US else inlet_us * 1e-6,
-                TICK_S if vent_us >= TICK_US else vent_us * 1e-6,
-            )
+            if self._fast is None or self._fast.block:
+                advance(
+                    state,
+                    params,
+                    TICK_S,
+                    TICK_S if inlet_us >= TICK_US else inlet_us * 1e-6,
+                    TICK_S if vent_us >= TICK_US else vent_us * 1e-6,
+                )
+            else:
+                self._fast.tick(advance, inlet_us, vent_us)
             now_us += TICK_US
             self.bench_us = now_us
             self._device_us = (self._device_us + TICK_US) & 0xFFFFFFFF
@@ -332,6 +346,7 @@ class SimBoard(Board):
     def _boot(self) -> None:
         self._boot_at_us = None
         self._halted = False
+        self._fast = None
         self._device_us = 0
         self._rx.clear()
         self.controller = Controller(self)
