@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from test_valvefw_safety import thesis, virtual
 
 from daq.clock import VirtualClock
 from daq.errors import DeviceError
@@ -17,6 +16,7 @@ from rigs.pump import Pump
 from rigs.switching import Block, air_delay_ms, capture_block, switching_times
 from rigs.valve import ValveController
 from rigs.virtual.bench import VirtualBench
+from test_valvefw_safety import thesis, virtual
 from valvefw.wire import CAPTURE_LEAD_US, CAPTURE_N, CAPTURE_US
 
 RIG = {"virtual": virtual, "virtual-thesis": thesis}

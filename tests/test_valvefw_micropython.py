@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import micropython_host
+from benchmarks import firmware as firmware_benchmark
 from valvefw.deskboard import DeskBoard
 from valvefw.wire import encode_frame
 
@@ -119,6 +120,12 @@ def test_a_campaign_of_requests_gets_identical_bytes_from_both_interpreters() ->
         ask("stop", 3000)
         ask("clear")
     assert "safety.faults" not in ask("faults").decode("latin1")
+
+
+def test_telemetry_holds_1_khz_by_the_wall_clock() -> None:
+    figures = firmware_benchmark.real_time(2.0)
+    assert figures["gaps"] == 0
+    assert figures["samples_per_s"] == pytest.approx(1000, rel=0.02)
 
 
 def test_every_file_compiles_for_the_rp2040(tmp_path: Path) -> None:
