@@ -77,6 +77,13 @@ class Comparison:
         """Whether the board holds exactly this firmware."""
         return not self.wrong and self.version_here == self.version_there
 
+    def as_text(self) -> str:
+        """For people."""
+        if self.equal:
+            return f"firmware {self.version_there} is on the board, every file as it is here"
+        lines = [f"firmware {self.version_there} on the board, {self.version_here} here"]
+        return "\n".join([*lines, *self.wrong, "install it with `pamrig firmware install`"])
+
     def as_json(self) -> str:
         """For programs."""
         return json.dumps(

@@ -140,7 +140,7 @@ def test_the_outlet_of_the_hybrid_follows_the_same_rule(error: int) -> None:
 def test_sliding_mode_fills_below_the_boundary_of_50_and_vents_above(
     error: int, rise: int, state: str
 ) -> None:
-    desk = Desk(Sliding())
+    desk = Desk(Sliding(), slide_ms=20)
     desk.tick(error + rise)
     for _ in range(19):
         desk.tick(error)

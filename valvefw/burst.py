@@ -11,7 +11,8 @@ Reading: both valves shut, the mean of a window of samples. Then one of three.
   Found by bisection over the model, one trial a tick; the shorter opening lies in the middle of the
   longer, so that the excursion is shared between both sides.
 
-Within the dead zone nothing moves. Each pair that did not end there widens it by a quarter: a
+Within the dead zone nothing moves, and once there it is half as wide again, so that noise at its
+edge does not ask for a cure that is worse. Each pair that did not end there widens it by a quarter: a
 model that is wrong by more than the zone must not become a limit cycle.
 """
 
@@ -59,6 +60,7 @@ class Burst(Scheme):
         self._target = 0
         self._setpoint_x16 = 0
         self._wider = 0
+        self._quiet = False
         self._since = 0
         self._delay = 0
         self._trial = 0
@@ -114,6 +116,7 @@ class Burst(Scheme):
             self._setpoint_x16 = setpoint_x16
             self._target = (setpoint_x16 << 4) + (self._atm << 8)
             self._wider = 0
+            self._quiet = False
         if setpoint_x16 == 0:
             valves.inlet_us = 0
             valves.vent_us = VENT_HOLD_US
@@ -146,7 +149,10 @@ class Burst(Scheme):
         error = self._target - p
         dead = self._dead_x16 << 4
         dead += dead * self._wider >> 2
-        if -dead <= error <= dead:
+        if self._quiet:
+            dead += dead >> 1
+        self._quiet = -dead <= error <= dead
+        if self._quiet:
             return
         self._since = -1
         if error > 0:

@@ -54,7 +54,7 @@ PARAMETERS = (
     ("duty_unit_us", 1000, 5, 1000, "length of a unit, multiple of 5"),
     ("slide_dead", 5, 0, 1023, "slide: dead zone, 10-bit counts"),
     ("slide_bound", 50, 1, 1023, "fastest approach, 10-bit counts per 100 ms"),
-    ("slide_ms", 20, 1, 200, "time of one pass"),
+    ("slide_ms", 5, 1, 200, "time of one pass"),
     ("ram_dead", 5, 0, 1023, "ram: dead zone, 10-bit counts"),
     ("valve_on_in_us", 2000, 0, 30000, "inlet opens so long after the command"),
     ("valve_off_in_us", 1500, 0, 30000, "inlet shuts so long after its end"),
