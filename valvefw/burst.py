@@ -12,8 +12,8 @@ Reading: both valves shut, the mean of a window of samples. Then one of three.
   longer, so that the excursion is shared between both sides.
 
 Within the dead zone nothing moves, and once there it is half as wide again, so that noise at its
-edge does not ask for a cure that is worse. Each pair that did not end there widens it by a quarter: a
-model that is wrong by more than the zone must not become a limit cycle.
+edge does not ask for a cure that is worse. Each pair that did not end there widens it by a quarter:
+a model that is wrong by more than the zone must not become a limit cycle.
 """
 
 from valvefw.gas import Gas
