@@ -6,6 +6,7 @@ the muscle was below 20 kPa. Time is virtual, except where a process is killed.
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,6 +31,7 @@ OVER_PRESSURE_US = 10_000
 EMPTY_S = {"virtual": 1.5, "thesis": 0.3}
 EMPTY_KPA = 20.0
 CONSTANTS: dict[str, Callable[[], PlantConstants]] = {"virtual": virtual, "thesis": thesis}
+SOAK_S = 1800.0 if os.environ.get("PAMRIG_CAMPAIGN") else 60.0
 RIG = {"virtual": "virtual", "thesis": "virtual-thesis"}
 
 
@@ -238,6 +240,29 @@ def test_pressure_that_comes_back_after_the_vent_is_told(name: str) -> None:
     bench.board.inlet_jammed = True
     bench.run(1.0)
     assert "vent_lost" in bench.latched()
+
+
+@pytest.mark.parametrize("rate_mm_s", [-10.0, 10.0])
+def test_a_stage_at_full_speed_is_no_stuck_valve(name: str, rate_mm_s: float) -> None:
+    """Both valves shut, the muscle squeezed or drawn by the stage: no false alarm."""
+    bench = Plugged(name)
+    bench.plant.set_length(68.0 if rate_mm_s < 0 else 53.0)
+    bench.hold(0.6)
+    bench.plant.set_length_rate(rate_mm_s)
+    bench.run(1.4)
+    bench.plant.set_length_rate(0.0)
+    bench.run(1.0)
+    assert bench.latched() == []
+
+
+def test_an_hour_of_standing_pressure_raises_no_alarm(name: str) -> None:
+    """Two minutes here; the whole hour is the campaign's."""
+    bench = Plugged(name)
+    bench.hold(0.3)
+    bench.run(SOAK_S)
+    assert bench.ask(f"sp {round(0.8 * bench.supply_kpa * 4.095 * 16)}").startswith("ok")
+    bench.run(SOAK_S)
+    assert bench.latched() == []
 
 
 # With the host's own driver in between.

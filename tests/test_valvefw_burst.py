@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from plant.constants import PlantConstants
-from rigs.virtual.tuning import burst_parameters
+from plant.constants import PlantConstants, nominal
+from rigs.config import load_rig
+from rigs.virtual.tuning import burst_parameters, safety_parameters
 from test_valvefw_pwm import Held
 from test_valvefw_safety import thesis, virtual
+from valvefw.config import defaults
 
 BENCHES = {"virtual": virtual, "thesis": thesis}
 LIMIT = {"virtual": 0.5, "thesis": 3.0}  # % of supply
@@ -141,6 +143,16 @@ def test_another_length_is_another_volume(length_mm: float) -> None:
     for step in run(thesis(), [0.3, 0.6, 0.85, 0.5], length_mm=length_mm):
         assert step.error < 3.0, step
         assert step.ripple < 0.05, step
+
+
+@pytest.mark.parametrize("rig", ["virtual", "virtual-thesis"])
+def test_the_shipped_rigs_carry_the_parameters_of_their_valves(rig: str) -> None:
+    config = load_rig(rig)
+    assert config.virtual is not None
+    c = nominal().with_overrides(config.virtual.plant)
+    told = {**defaults(), **config.valve.parameters}
+    for key, value in {**burst_parameters(c), **safety_parameters(c)}.items():
+        assert told[key] == pytest.approx(value, rel=0.005), key
 
 
 def test_set_point_0_vents_and_the_next_starts_from_there() -> None:
