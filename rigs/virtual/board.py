@@ -10,13 +10,14 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from rigs.virtual.fastcapture import FastCapture
+from rigs.virtual.pressuresensor import ADC_TOP
+from rigs.virtual.pressuresensor import PressureSensor as PressureSensor
 from valvefw.board import DRIVE_SILENCE_US, Board
 from valvefw.controller import Controller
 from valvefw.valves import VENT_HOLD_US
@@ -24,7 +25,6 @@ from valvefw.wire import TICK_US
 
 TICK_S = TICK_US * 1e-6
 NOISE_BLOCK = 4096
-ADC_TOP = 4095
 BOOT_US = 50_000
 WATCHDOG_US = 200_000
 PRESSURE_SLOT = 1
@@ -38,31 +38,6 @@ class SimulatedPlant(Protocol):
 
     state: npt.NDArray[np.float64]
     params: npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class PressureSensor:
-    """Pressure transducer and 12-bit converter.
-
-    ``zero_kpa`` and ``gain`` (relative) are this sensor's own errors, drawn by the caller: the
-    reading is of ``pressure * (1 + gain) + zero + noise``, rounded and clipped to 0..4095 over
-    ``low_kpa``..``high_kpa``. Noise is white, ``noise_kpa`` is one standard deviation.
-    """
-
-    low_kpa: float = 0.0
-    high_kpa: float = 1000.0
-    noise_kpa: float = 0.5
-    zero_kpa: float = 0.0
-    gain: float = 0.0
-
-    @property
-    def counts_per_kpa(self) -> float:
-        """Nominal sensitivity."""
-        return ADC_TOP / (self.high_kpa - self.low_kpa)
-
-    def nominal_counts(self, pressure_kpa: float) -> float:
-        """Reading of a sensor without errors, unrounded."""
-        return (pressure_kpa - self.low_kpa) * self.counts_per_kpa
 
 
 class SimBoard(Board):
