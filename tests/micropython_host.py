@@ -6,6 +6,7 @@ The interpreter is fetched once, by the ordinary npm client that the Node wheel 
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import subprocess
@@ -99,6 +100,9 @@ def close_shared() -> None:
     """End the session's interpreter."""
     while _shared:
         _shared.pop().close()
+
+
+atexit.register(close_shared)
 
 
 def desk_device() -> Callable[[bytes, int], bytes]:
