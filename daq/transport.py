@@ -300,6 +300,56 @@ class SerialLink:
         return lost
 
 
+class ModemLines:
+    """The four control lines of a plain RS-232 port: DTR and RTS out, CTS and DSR in.
+
+    Both outputs are off from the moment the port opens; the system lowers them when the process
+    that holds the port ends.
+
+    Raises:
+        PortError: the port is missing, in use, or has no such lines.
+    """
+
+    def __init__(self, path: str, port: Any = None) -> None:
+        import serial
+
+        self.name = path
+        self._failures = _port_failures()
+        try:
+            if port is None:
+                port = serial.Serial(exclusive=True)
+                port.port = path
+                port.dtr = port.rts = False  # before it opens
+                port.open()
+            self._port = port
+            self.set(False, False)
+            self.get()
+        except self._failures as error:
+            raise _not_opened(path, error) from error
+
+    def set(self, dtr: bool, rts: bool) -> None:
+        """Switch both outputs. Raises LinkLost."""
+        try:
+            self._port.dtr = dtr
+            self._port.rts = rts
+        except self._failures as error:
+            raise LinkLost(self.name, f"control lines are gone: {error}", UNPLUGGED) from error
+
+    def get(self) -> tuple[bool, bool]:
+        """CTS and DSR. Raises LinkLost."""
+        try:
+            return bool(self._port.cts), bool(self._port.dsr)
+        except self._failures as error:
+            raise LinkLost(self.name, f"control lines are gone: {error}", UNPLUGGED) from error
+
+    def close(self) -> None:
+        """Both outputs off, then close; may be repeated."""
+        with contextlib.suppress(*self._failures):
+            self._port.dtr = self._port.rts = False
+        with contextlib.suppress(*self._failures):
+            self._port.close()
+
+
 def list_ports() -> list[str]:
     """Serial ports this machine has, best effort."""
     try:

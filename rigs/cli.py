@@ -285,6 +285,42 @@ def import_points(
     import_command("points", source, out, False, as_json)
 
 
+@app.command()
+def console(
+    rig: RigOption = "virtual",
+    beat: Annotated[bool, typer.Option("--beat", help="Send heartbeats from the start.")] = False,
+) -> None:
+    """Talk to a valve controller by hand; vents and disarms at the end."""
+    from rigs.config import load_rig
+    from rigs.console import converse
+
+    raise typer.Exit(converse(load_rig(rig), beat=beat))
+
+
+firmware_app = typer.Typer(help="Put the firmware on a board, and check it.", no_args_is_help=True)
+app.add_typer(firmware_app, name="firmware")
+PortOption = Annotated[str, typer.Option("--port", help="The board's own USB port.")]
+
+
+@firmware_app.command("install")
+def firmware_install(port: PortOption, as_json: JsonOption = False) -> None:
+    """Copy the firmware to an RP2040 board, compare, and restart it."""
+    from rigs.firmware import install
+
+    found = install(port)
+    typer.echo(found.as_json() if as_json else found.as_text())
+
+
+@firmware_app.command("check")
+def firmware_check(port: PortOption, as_json: JsonOption = False) -> None:
+    """Compare version and CRC of every file on a board; exit status 1 if they differ."""
+    from rigs.firmware import check
+
+    found = check(port)
+    typer.echo(found.as_json() if as_json else found.as_text())
+    raise typer.Exit(0 if found.equal else 1)
+
+
 def main() -> None:
     """Entry point of the console script: user errors become one line and exit status 2."""
     from daq.errors import PamrigError

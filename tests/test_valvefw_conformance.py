@@ -7,12 +7,17 @@ else is used, so that the same suite runs against another interpreter or a port.
 from __future__ import annotations
 
 import itertools
+import os
 import re
 import struct
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 
 import pytest
 
+import micropython_host
+from daq.clock import RealClock
+from daq.transport import SerialLink
 from valvefw.config import PARAMETERS, config_crc, defaults
 from valvefw.deskboard import DeskBoard
 from valvefw.wire import cobs_encode, decode_frame, encode_frame, lfsr_next
@@ -30,7 +35,59 @@ def desk_device() -> Talk:
     return talk
 
 
-DEVICES = [pytest.param(desk_device, id="cpython")]
+def pty_device() -> Talk:
+    """The same with every byte through a pseudo-terminal and the host's own serial link."""
+    import tty
+
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    link = SerialLink(os.ttyname(slave), 115200, RealClock())
+    board = DeskBoard()
+    _open.append(lambda: (link.close(), os.close(master), os.close(slave)))
+
+    def device_reads() -> bytes:
+        try:
+            return os.read(master, 4096)
+        except BlockingIOError:
+            return b""
+
+    def carried(data: bytes, write: Callable[[bytes], object], read: Callable[[], bytes]) -> bytes:
+        got = b""
+        end = time.monotonic() + 5.0
+        for at in range(0, len(data), 512):
+            write(data[at : at + 512])
+            while len(got) < min(at + 512, len(data)):
+                part = read()
+                got += part
+                if not part:
+                    assert time.monotonic() < end, "bytes were lost on the way"
+                    time.sleep(0.0002)
+        return got
+
+    def host_reads() -> bytes:
+        return b"".join(chunk.data for chunk in link.read())
+
+    def talk(data: bytes, ms: int) -> bytes:
+        arrived = carried(data, link.write, device_reads)
+        return carried(board.run(ms, arrived), lambda d: os.write(master, d), host_reads)
+
+    return talk
+
+
+_open: list[Callable[[], object]] = []
+
+DEVICES = [
+    pytest.param(desk_device, id="cpython"),
+    pytest.param(pty_device, id="pty", marks=pytest.mark.skipif(os.name == "nt", reason="no pty")),
+    pytest.param(micropython_host.desk_device, id="micropython"),
+]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _end_the_interpreter() -> Iterator[None]:
+    yield
+    micropython_host.close_shared()
 
 
 class Host:
@@ -100,8 +157,10 @@ class Host:
 
 
 @pytest.fixture(params=DEVICES)
-def host(request: pytest.FixtureRequest) -> Host:
-    return Host(request.param())
+def host(request: pytest.FixtureRequest) -> Iterator[Host]:
+    yield Host(request.param())
+    while _open:
+        _open.pop()()
 
 
 def test_identity_names_everything_a_host_checks(host: Host) -> None:
@@ -260,6 +319,25 @@ def test_a_pulse_train_is_in_the_telemetry_to_the_last_5_us(host: Host) -> None:
     assert [b - a for a, b in itertools.pairwise(starts)] == [20, 20]
     assert [u for u in inlet if u] == [200, 200, 69] * 3
     assert all(bool(r[3] & 1) == bool(r[4]) for r in rows)
+
+
+def test_a_capture_is_read_in_blocks_of_100(host: Host) -> None:
+    assert host.ask("block 0").startswith("err busy ")
+    host.arm("open")
+    assert host.ask("capture inlet 9000 1").startswith("err board ")
+    assert host.ask("capture inlet 9000 0") == "ok n=800 period_us=50"
+    assert host.ask("pulse inlet 9000").startswith("err busy ")
+    assert host.ask("block 0").startswith("err busy ")
+    host.telemetry.clear()
+    host.run(60)
+    samples: list[int] = []
+    while len(samples) < 800:
+        part = host.fields(f"block {len(samples)}")
+        assert part["lead_us"] == "5000"
+        data = part["data"]
+        samples += [int(data[k : k + 3], 16) for k in range(0, len(data), 3)]
+    assert samples == list(range(800))
+    assert sum(r[4] for r in host.samples()) == 9000 // 5
 
 
 def test_frames_hold_as_many_samples_as_asked_and_one_set_point_each(host: Host) -> None:

@@ -184,7 +184,7 @@ def test_a_reading_that_can_be_no_pressure_trips(counts: int, low: int) -> None:
     at_us = bench.board.bench_us
     bench.run(0.05)
     assert bench.board.vent_commanded_us <= at_us + 10_000
-    assert bench.cause() in ("sensor_saturated", "over_pressure")
+    assert bench.cause() in ("sensor_saturated", "sensor_jump", "over_pressure")
     bench.run(1.0)
     assert bench.ask("clear").startswith("err pressure")
 
@@ -201,6 +201,7 @@ def test_a_vent_that_does_not_empty_the_muscle_is_a_fault(bench: Bench) -> None:
 
 def test_scheme_open_cannot_be_renewed_past_the_bound() -> None:
     board = DeskBoard()
+    board.controller.values["stuck_ms"] = 0
     crc = board.run(1, encode_frame(b"Q1 id"))
     conf = decode_frame(crc.split(b"\x00")[1])
     assert conf is not None
@@ -377,31 +378,48 @@ def test_no_ten_million_bytes_open_the_inlet_before_arm() -> None:
     _fuzz(10_000_000, 99)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_no_bytes_keep_the_inlet_open_past_its_bound_once_armed(seed: int) -> None:
+def _fuzz_armed(total: int, seed: int) -> None:
+    """Every scheme in turn, pulses asked for without end, and noise around it."""
     rng = random.Random(seed)
     board = DeskBoard(boot_id=4660)
     c = board.controller
     c.values["hb_ms"] = 1000
     bound_us = c.values["inlet_max_ms"] * 1000
-    opened = run = shut = 0
-    for tick in range(12_000):
+    opened = run = shut = tick = done = 0
+    while done < total:
+        tick += 1
         if not c.safety.armed:
             c.safety.faults = []
             c.safety.arm(c.values)
-            c.choose(rng.choice(["pwm", "open"]))
-            if c.scheme is c.pwm:
+            c.choose(rng.choice(sorted(c.schemes)))
+            if c.scheme is not c.openloop:
                 c.set_setpoint(rng.randrange(1, 40_000))
         data = _noise_frames(rng) + encode_frame(
             b"Q1 pulse inlet %d" % (5 * rng.randrange(200_000))
         )
+        done += len(data)
         board.run(1, data + encode_frame(b"Q1 hb %d" % (tick & 0xFFFF)))
+        if c.scheme is c.regulated:
+            # Held open by the renewals of a living host; the bound is on what is left of them.
+            assert board.inlet_us <= 20_000
+            run = shut = 0
+            continue
         on_us = min(board.inlet_us, 1000)
         opened += on_us
         shut = 0 if on_us else shut + 1000
         run = 0 if shut >= 10_000 else run + on_us
         assert run <= bound_us
     assert opened > 100_000
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_no_bytes_keep_the_inlet_open_past_its_bound_once_armed(seed: int) -> None:
+    _fuzz_armed(100_000, seed)
+
+
+@pytest.mark.campaign
+def test_no_ten_million_bytes_keep_the_inlet_open_past_its_bound() -> None:
+    _fuzz_armed(10_000_000, 98)
 
 
 def test_garbage_at_full_rate_does_not_keep_the_host_alive(bench: Bench) -> None:

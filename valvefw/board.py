@@ -35,7 +35,7 @@ class Board:
         raise NotImplementedError
 
     def adc(self) -> int:
-        """Newest pressure reading, 12 bits."""
+        """Newest pressure reading, 12 bits; below 0 if none came since the last call."""
         raise NotImplementedError
 
     def drive(self, inlet_us: int, vent_us: int) -> None:
@@ -62,6 +62,17 @@ class Board:
 
     def tx(self, data: bytes) -> None:
         """Send; must not wait, what does not fit is dropped whole."""
+
+    def capture(self, source: int) -> bool:
+        """Sample ``CAPTURE_N`` times every ``CAPTURE_US`` from now on, without the firmware.
+
+        Source 0 is the pressure, 1 the second sensor. False if the board cannot.
+        """
+        return False
+
+    def captured(self) -> bytes:
+        """The block, two bytes a sample, low byte first; empty until it is complete."""
+        return b""
 
     def wdt_feed(self) -> None:
         """Feed the hardware watchdog."""

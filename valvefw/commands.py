@@ -5,6 +5,9 @@ Every argument is checked and refused, never clipped. All verbs: docs/wire-forma
 
 from valvefw import config
 from valvefw.wire import (
+    CAPTURE_LEAD_US,
+    CAPTURE_N,
+    CAPTURE_US,
     MAX_REQUEST,
     MAX_SAMPLES,
     PROTO,
@@ -17,6 +20,8 @@ PULSE_VENT_MAX_US = 500000
 PULSE_COUNT_MAX = 10000
 PULSE_PERIOD_MAX_US = 60000000
 BLACK_BOX_ROWS = 8
+BLOCK_ROWS = 100
+CAPTURE_PULSE_MAX_US = 30000
 
 _DIGITS = "0123456789"
 _HEX_DIGITS = "0123456789abcdefABCDEF"
@@ -66,6 +71,8 @@ class Commands:
             "sp": (1, 1, self._sp),
             "scheme": (1, 1, self._scheme),
             "pulse": (2, 4, self._pulse),
+            "capture": (3, 3, self._capture),
+            "block": (1, 1, self._block),
             "vent": (0, 0, self._vent),
             "stop": (0, 0, self._stop),
             "faults": (0, 0, self._faults),
@@ -256,6 +263,35 @@ class Commands:
             raise Refused("busy", "pulses are still running, wait or vent")
         c.openloop.begin(inlet, width, count, period)
         return ""
+
+    def _capture(self, args: list[str]) -> str:
+        c = self._c
+        if args[0] not in ("inlet", "vent"):
+            raise Refused("range", "valve is inlet or vent")
+        longest = min(CAPTURE_PULSE_MAX_US, c.values["inlet_max_ms"] * 1000)
+        width = _number(args[1], PULSE_UNIT_US, longest, "us")
+        if width % PULSE_UNIT_US:
+            raise Refused("range", "us must be a multiple of %d" % PULSE_UNIT_US)
+        source = _number(args[2], 0, 1, "source")
+        self._need_armed()
+        if c.scheme is not c.openloop:
+            raise Refused("scheme", "choose scheme open first")
+        if c.openloop.busy():
+            raise Refused("busy", "pulses are still running, wait or vent")
+        if not c.capture.begin(source):
+            raise Refused("board", "this board cannot capture from source %d" % source)
+        rest = c.values["inlet_rest_ms"] * 1000
+        # The step of this very tick already counts one tick down.
+        c.openloop.begin(args[0] == "inlet", width, 1, width + rest, CAPTURE_LEAD_US + TICK_US)
+        return "n=%d period_us=%d" % (CAPTURE_N, CAPTURE_US)
+
+    def _block(self, args: list[str]) -> str:
+        capture = self._c.capture
+        first = _number(args[0], 0, CAPTURE_N - 1, "first")
+        data = capture.part(first, BLOCK_ROWS)
+        if not data or capture.lead_us < 0:
+            raise Refused("busy", "no block yet, capture and wait 50 ms")
+        return "first=%d n=%d lead_us=%d data=%s" % (first, len(data) // 3, capture.lead_us, data)
 
     def _vent(self, args: list[str]) -> str:
         self._c.vent()

@@ -14,6 +14,18 @@ PARAMETERS = (
     ("sat_high", 4095, 1, 4096, "readings at or above are no readings; 4096 = off"),
     ("sat_low", 0, 0, 4095, "readings below are no readings; 0 = off"),
     ("sat_n", 5, 1, 10, "so many in a row trip"),
+    ("stuck_ms", 200, 0, 10000, "one and the same reading for so long is a stuck sensor; 0 = off"),
+    ("slew", 60, 1, 4095, "fastest change of the pressure, counts per ms"),
+    ("jump", 40, 1, 4095, "further off than slew allows by so many counts is a jump"),
+    ("rise_ms", 60, 0, 2000, "inlet open so long without a rise is no sensor; 0 = off"),
+    ("rise_counts", 20, 1, 4095, "a rise is a reading from here on"),
+    (
+        "leak_counts",
+        24,
+        0,
+        4095,
+        "change in 50 ms with both valves shut that is a stuck valve; 0 = off",
+    ),
     ("hb_ms", 300, 50, 1000, "heartbeat deadline"),
     ("inlet_max_ms", 1000, 1, 2000, "longest inlet opening, renewals added up"),
     ("inlet_rest_ms", 10, 1, 100, "shut for so long counts as a closing"),
@@ -34,6 +46,30 @@ PARAMETERS = (
     ("pwm_max_out_us", 100000, 5, 500000, "longest outlet pulse"),
     ("pwm_settle_us", 4000, 0, 100000, "wait after a pulse before reading"),
     ("pwm_window", 16, 1, 64, "samples averaged for a reading"),
+    ("two_dead", 5, 0, 1023, "two: half the differential gap, 10-bit counts"),
+    ("duty_dead", 2, 0, 1023, "duty, duty_in: dead zone, 10-bit counts"),
+    ("duty_gain", 100, 0, 1000, "units of pulse at duty_full"),
+    ("duty_full", 700, 1, 1023, "error from which the pulse is the whole period"),
+    ("duty_period", 101, 1, 1000, "units of one pass"),
+    ("duty_unit_us", 1000, 5, 1000, "length of a unit, multiple of 5"),
+    ("slide_dead", 5, 0, 1023, "slide: dead zone, 10-bit counts"),
+    ("slide_bound", 50, 1, 1023, "fastest approach, 10-bit counts per 100 ms"),
+    ("slide_ms", 5, 1, 200, "time of one pass"),
+    ("ram_dead", 5, 0, 1023, "ram: dead zone, 10-bit counts"),
+    ("valve_on_in_us", 2000, 0, 30000, "inlet opens so long after the command"),
+    ("valve_off_in_us", 1500, 0, 30000, "inlet shuts so long after its end"),
+    ("valve_on_out_us", 2000, 0, 30000, "the same for the outlet at 0 counts"),
+    ("valve_on_out_top_us", 2000, 0, 30000, "and at 4095 counts"),
+    ("valve_off_out_us", 1500, 0, 30000, "outlet shuts, at 0 counts"),
+    ("valve_off_out_top_us", 1500, 0, 30000, "and at 4095 counts"),
+    ("gas_supply", 2867, 1, 4095, "supply, gauge counts"),
+    ("gas_atm", 415, 1, 4095, "atmosphere, counts"),
+    ("gas_rate_in", 1727, 1, 50000, "inlet: share of supply per ms when choked, millionths"),
+    ("gas_rate_out", 1727, 1, 50000, "outlet: share of the pressure per ms, millionths"),
+    ("burst_margin_us", 150, 0, 5000, "shortest pulse is the on-delay and so much"),
+    ("burst_dead_x16", 64, 1, 65535, "burst: dead zone each side"),
+    ("burst_settle_us", 3000, 0, 100000, "from shut to reading"),
+    ("burst_window", 16, 1, 64, "samples averaged for a reading"),
 )
 
 
@@ -80,6 +116,8 @@ def problem(values: dict[str, int]) -> str:
             return "%s %d is above %s %d" % (low, values[low], high, values[high])
     if values["pwm_max_in_us"] > values["inlet_max_ms"] * 1000:
         return "pwm_max_in_us %d is above inlet_max_ms" % values["pwm_max_in_us"]
+    if values["duty_unit_us"] % 5:
+        return "duty_unit_us %d is no multiple of 5" % values["duty_unit_us"]
     # Between two inlet pulses the valve must count as closed, or the pulses add up to a fault.
     if values["pwm_settle_us"] + values["pwm_window"] * 1000 < values["inlet_rest_ms"] * 1000:
         return "pwm_settle_us + pwm_window is below inlet_rest_ms"

@@ -6,13 +6,21 @@ Every tick drives the valves anew; nothing else does.
 
 from valvefw import VERSION, config
 from valvefw.board import Board
+from valvefw.bothduty import BothDuty
+from valvefw.burst import Burst
+from valvefw.capture import Capture
 from valvefw.commands import Commands
+from valvefw.inletduty import InletDuty
 from valvefw.openloop import OpenLoop
 from valvefw.pwm import Pwm
+from valvefw.ram import Ram
 from valvefw.regulated import Regulated
 from valvefw.safety import Safety
 from valvefw.scheme import Scheme
+from valvefw.sensorwatch import SensorWatch
+from valvefw.sliding import Sliding
 from valvefw.telemetry import Telemetry
+from valvefw.twoposition import TwoPosition
 from valvefw.valves import VENT_HOLD_US, Valves
 from valvefw.wire import EVENT, REPLY, REQUEST, TICK_US, Decoder, encode_frame, lfsr_next
 
@@ -39,12 +47,23 @@ class Controller:
         self.openloop = OpenLoop()
         self.regulated = Regulated()
         self.schemes: dict[str, Scheme] = {}
-        for scheme in (self.pwm, self.openloop, self.regulated):
+        for scheme in (
+            self.pwm,
+            self.openloop,
+            self.regulated,
+            TwoPosition(),
+            InletDuty(),
+            BothDuty(),
+            Sliding(),
+            Ram(),
+            Burst(),
+        ):
             self.schemes[scheme.name] = scheme
         self.scheme: Scheme | None = None  # None: vented
         self.setpoint_x16 = 0
         self.counts = 0
         self.decoder = Decoder()
+        self.capture = Capture(board)
         self._commands = Commands(self)
         self._black_box_due = False
         self._regulator = 0
@@ -55,6 +74,11 @@ class Controller:
         self._vent_left_us = 0
         self._vent_since_us = 0
         self._vented_run = 0
+        self._vent_lost_at = 0
+        self._lost_run = 0
+        self._watch = SensorWatch()
+        self._driven_inlet_us = 0
+        self._driven_vent_us = 0
         self._last_us = board.ticks_us()
         self._confirm_vent()
         board.regulator(0)
@@ -69,9 +93,18 @@ class Controller:
         dt_us = (now_us - self._last_us) & 0xFFFFFFFF
         self._last_us = now_us
         counts = board.adc()
-        self.counts = counts
         safety = self.safety
-        cause = safety.check(counts, dt_us)
+        if counts < 0:  # no reading: go on with the last one
+            counts = self.counts
+            cause = safety.check_silent(dt_us)
+        else:
+            self.counts = counts
+            cause = safety.check(counts, dt_us)
+        scheme = self.scheme
+        if scheme is not None and not cause:
+            cause = self._watch.check(
+                counts, dt_us, self._driven_inlet_us, self._driven_vent_us, scheme.renews
+            )
         if cause:
             self.trip(cause)
         data = board.rx()
@@ -79,8 +112,10 @@ class Controller:
             self.decoder.push(data)
             self._obey()
         scheme = self.scheme
+        prox = board.prox()
         if scheme is not None:
             valves = self.valves
+            valves.prox = prox
             inlet_us = valves.inlet_us
             if inlet_us:
                 valves.inlet_us = inlet_us - dt_us if inlet_us > dt_us else 0
@@ -105,7 +140,15 @@ class Controller:
                 safety.bound_inlet(0, TICK_US)
             if self._vent_left_us:
                 self._watch_vent(counts, dt_us)
+            elif counts >= self._vent_lost_at:
+                self._watch_vented()
+            elif self._lost_run:
+                self._lost_run = 0
+        self._driven_inlet_us = inlet_us
+        self._driven_vent_us = vent_us
         board.drive(inlet_us, vent_us)
+        if self.capture.waiting:
+            self.capture.driven(inlet_us, vent_us)
         if self._led_bit_us:
             self._blink(dt_us)
         flags = (
@@ -115,7 +158,7 @@ class Controller:
             | (8 if safety.faults else 0)
             | (16 if self._led else 0)
             | (32 if safety.heartbeat_seen else 0)
-            | (board.prox() << 6)
+            | (prox << 6)
         )
         telemetry = self.telemetry
         if telemetry.add(
@@ -173,6 +216,7 @@ class Controller:
         self.valves.shut()
         scheme = self.schemes[name]
         scheme.start(self.values)
+        self._watch.start(self.values, self.counts)
         self.scheme = scheme
         self._vent_left_us = 0
 
@@ -196,6 +240,8 @@ class Controller:
         self._vent_left_us = self.values["vent_ms"] * 1000
         self._vent_since_us = self._last_us
         self._vented_run = 0
+        self._vent_lost_at = 2 * self.values["vent_below"]
+        self._lost_run = 0
 
     def _watch_vent(self, counts: int, dt_us: int) -> None:
         if counts < self.values["vent_below"]:
@@ -210,6 +256,12 @@ class Controller:
         if self._vent_left_us <= 0:
             self._vent_left_us = 0
             self.trip("vent_failed")
+
+    def _watch_vented(self) -> None:
+        """The vent was confirmed, or has failed, and the reading is high."""
+        self._lost_run += 1
+        if self._lost_run == VENTED_READINGS:
+            self.trip("vent_lost")
 
     def light(self, on: int) -> None:
         """Sync LED steady on or off."""

@@ -1,12 +1,13 @@
 """A board without hardware: a crude chamber in integers, the same on every interpreter.
 
 The wire-conformance tests run the firmware on it, under CPython and MicroPython alike; it is
-also the shortest complete example of a ``Board``. There is no noise: two runs are equal.
+also the shortest complete example of a ``Board``. Its only noise is the last bit of the reading,
+which alternates as that of a live converter wanders: two runs are equal.
 """
 
 from valvefw.board import Board
 from valvefw.controller import Controller
-from valvefw.wire import TICK_US
+from valvefw.wire import CAPTURE_N, CAPTURE_US, TICK_US
 
 FILL_X16_PER_MS = 96  # 1.5 kPa/ms where 1000 kPa are 4095 counts
 VENT_SHARE = 500  # per ms one part in so many of the pressure, and one sixteenth of a count
@@ -29,6 +30,7 @@ class DeskBoard(Board):
         self.led_on = 0
         self.override = -1
         self._boot_id = boot_id
+        self._block_us = -1
         self._rx = b""
         self._tx: list[bytes] = []
         self.controller = Controller(self)
@@ -61,7 +63,9 @@ class DeskBoard(Board):
 
     def adc(self) -> int:
         """The chamber's pressure, or whatever a test put in its place."""
-        return self.override if self.override >= 0 else self.pressure_x16 >> 4
+        if self.override >= 0:
+            return self.override
+        return (self.pressure_x16 >> 4) ^ ((self.now_us // TICK_US) & 1)
 
     def drive(self, inlet_us: int, vent_us: int) -> None:
         """Takes effect until the next tick."""
@@ -85,6 +89,17 @@ class DeskBoard(Board):
     def tx(self, data: bytes) -> None:
         """What ``run`` returns."""
         self._tx.append(data)
+
+    def capture(self, source: int) -> bool:
+        """A ramp, so that whoever reads the block can tell every sample."""
+        self._block_us = self.now_us
+        return source == 0
+
+    def captured(self) -> bytes:
+        """Complete when its time is over."""
+        if self._block_us < 0 or self.now_us - self._block_us < CAPTURE_N * CAPTURE_US:
+            return b""
+        return b"".join([bytes((k & 255, k >> 8)) for k in range(CAPTURE_N)])
 
     def random16(self) -> int:
         """The boot id a test chose."""

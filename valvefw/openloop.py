@@ -25,13 +25,15 @@ class OpenLoop(Scheme):
         """True until the last pulse of the train has ended and its period is over."""
         return self._left > 0 or self._wait > 0
 
-    def begin(self, inlet: bool, width_us: int, count: int, period_us: int) -> None:
-        """Start a train at the next step; the caller has checked the bounds."""
+    def begin(
+        self, inlet: bool, width_us: int, count: int, period_us: int, lead_us: int = 0
+    ) -> None:
+        """Start a train at the next step, or later; the caller has checked the bounds."""
         self._inlet = inlet
         self._width_us = width_us
         self._period_us = period_us
         self._left = count
-        self._wait = 0
+        self._wait = lead_us
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
         """Begin the next pulse when its time has come."""

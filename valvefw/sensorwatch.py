@@ -1,0 +1,121 @@
+"""Does the pressure reading behave as a pressure behind these valves must? Raw counts only.
+
+The converter has no live zero: a broken wire may read 0, which is also a pressure. So beside the
+rails (``safety``) it is judged by what physics allows. Causes:
+
+    sensor_stuck    one and the same reading for ``stuck_ms``: a live one has noise. 0 does not
+                    count, where a small negative zero hides the noise
+    sensor_jump     for four samples away from where ``slew`` lets a pressure go
+    sensor_no_rise  the inlet open for ``rise_ms`` in all, and still below ``rise_counts``
+    inlet_stuck     both valves told to be shut, yet the pressure rises by ``leak_counts``
+    outlet_stuck    the same, but it falls
+
+Checked while a scheme runs. Vented, the only question is whether the pressure goes and stays away.
+"""
+
+JUMP_N = 4
+LEAK_N = 3
+LEAK_SPAN_US = 50000
+
+
+class SensorWatch:
+    """One sample at a time, with what the valves were told during the tick that it ends."""
+
+    def __init__(self) -> None:
+        self._stuck_us = 0
+        self._slew = 1
+        self._jump = 0
+        self._rise_us = 0
+        self._rise_counts = 0
+        self._leak = 0
+        self._rest_us = 0
+        self._on_in_us = 0
+        self._last = -1
+        self._same_us = 0
+        self._track = 0
+        self._away = 0
+        self._filling_us = 0
+        self._filled_us = 0
+        self._shut_us = 0
+        self._reference = 0
+        self._leaks = 0
+
+    def start(self, values: dict[str, int], counts: int) -> None:
+        """Copy parameters when a scheme begins at this reading."""
+        self._stuck_us = values["stuck_ms"] * 1000
+        self._slew = values["slew"]
+        self._jump = values["jump"]
+        self._rise_us = values["rise_ms"] * 1000
+        self._rise_counts = values["rise_counts"]
+        self._leak = values["leak_counts"]
+        self._rest_us = values["inlet_rest_ms"] * 1000
+        self._on_in_us = values["valve_on_in_us"]
+        self._last = -1
+        self._same_us = 0
+        self._track = counts
+        self._away = 0
+        self._filling_us = 0
+        self._filled_us = 0
+        self._shut_us = 0
+        self._leaks = 0
+
+    def check(self, counts: int, dt_us: int, inlet_us: int, vent_us: int, renews: bool) -> str:
+        """Judge one sample: a cause, or an empty text.
+
+        ``inlet_us`` and ``vent_us`` are what was driven when the tick began; ``renews`` tells of a
+        regulator, behind which an open inlet need not raise the pressure.
+        """
+        if counts != self._last:
+            self._last = counts
+            self._same_us = 0
+        elif counts and self._stuck_us:
+            self._same_us += dt_us
+            if self._same_us >= self._stuck_us:
+                return "sensor_stuck"
+        track = self._track
+        slew = self._slew
+        if counts > track + slew:
+            track += slew
+        elif counts < track - slew:
+            track -= slew
+        else:
+            track = counts
+        self._track = track
+        if track - self._jump <= counts <= track + self._jump:
+            self._away = 0
+        else:
+            self._away += 1
+            self._shut_us = 0  # no reading to compare with
+            if self._away >= JUMP_N:
+                return "sensor_jump"
+        if inlet_us:
+            if counts >= self._rise_counts or renews:
+                self._filled_us = 0
+            elif self._rise_us and not vent_us:
+                self._filling_us += inlet_us if inlet_us < dt_us else dt_us
+                if self._filling_us > self._on_in_us:
+                    self._filled_us += dt_us
+                    if self._filled_us >= self._rise_us:
+                        return "sensor_no_rise"
+            self._shut_us = 0
+            return ""
+        self._filling_us = 0
+        if vent_us or not self._leak:
+            self._shut_us = 0
+            return ""
+        shut_us = self._shut_us + dt_us
+        rest_us = self._rest_us
+        if shut_us <= rest_us or shut_us > rest_us + LEAK_SPAN_US:
+            self._shut_us = shut_us if shut_us <= rest_us else rest_us
+            self._reference = counts
+            self._leaks = 0
+            return ""
+        self._shut_us = shut_us
+        change = counts - self._reference
+        if -self._leak < change < self._leak:
+            self._leaks = 0
+            return ""
+        self._leaks += 1
+        if self._leaks < LEAK_N:
+            return ""
+        return "inlet_stuck" if change > 0 else "outlet_stuck"
