@@ -226,7 +226,8 @@ class BenchServer:
             data = port.read()
             if data:
                 if name == "valve" and b" hb " in data:
-                    self._heartbeat_ns = now_ns
+                    # The firmware reads it at its next tick: bench time, as its deadline is.
+                    self._heartbeat_ns = self.bench.host_ns(self.bench.board.bench_us * 1000)
                 self.bench.feed(name, data)
         before = self.bench.board.bench_us
         self.bench.advance_to(now_ns)
