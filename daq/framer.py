@@ -102,3 +102,16 @@ class LineFramer:
             tail = tail[len(tail) - keep :] if keep and len(tail) > keep else tail * (keep > 0)
         self._tail = tail
         return lines
+
+    @property
+    def partial(self) -> bytes:
+        """What has come of a line whose end has not."""
+        return self._tail
+
+    def discard(self) -> int:
+        """Throw away the beginning of a line whose end will not come; how many bytes it had."""
+        lost = len(self._tail)
+        self.dropped_bytes += lost
+        self._tail = b""
+        self._skipping = False
+        return lost

@@ -1,0 +1,1 @@
+"""Drivers of the instruments beside the muscle: text, Modbus and SCPI."""
