@@ -98,7 +98,8 @@ def engineering(run: Run, stream: str) -> tuple[Columns, dict[str, str]]:
         start_ns = int(run.manifest["started"]["monotonic_ns"])
         columns["time_s"] = time_s(sample_host_ns(run, stream, raw), start_ns)
         units["time_s"] = "s"
-    more, more_units = scaled(stream, raw, run.calibrations, run.schema(stream).units)
+    calibrations = {**run.calibrations, **run.instrument_calibrations}
+    more, more_units = scaled(stream, raw, calibrations, run.schema(stream).units)
     return {**columns, **more}, {**units, **more_units}
 
 
@@ -110,12 +111,13 @@ def scaled(
 ) -> tuple[Columns, dict[str, str]]:
     """A stream's raw columns in engineering units, without their times; units by column.
 
-    The live view and the derived files go through here, so they cannot disagree.
+    The live view and the derived files go through here, so they cannot disagree. The column
+    ``reading`` of an instrument's own stream takes the calibration of the stream's name.
     """
     columns: Columns = {}
     units: dict[str, str] = {}
     for name, values in raw.items():
-        quantity = CALIBRATED.get((stream, name))
+        quantity = stream if name == "reading" else CALIBRATED.get((stream, name))
         calibration = calibrations.get(quantity) if quantity else None
         if name in ("host_ns", "device_us"):
             continue

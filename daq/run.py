@@ -133,6 +133,13 @@ class Run:
         found = [Calibration.from_dict(g, str(self.folder / "run.json")) for g in listed]
         return {c.quantity: c for c in found}
 
+    @cached_property
+    def instrument_calibrations(self) -> dict[str, Calibration]:
+        """Calibrations of instruments with a stream of their own, by the stream's name."""
+        where = str(self.folder / "run.json")
+        given = self.manifest.get("instrument_calibrations", {})
+        return {name: Calibration.from_dict(c, where) for name, c in given.items()}
+
     # -- samples -------------------------------------------------------------
 
     @cached_property

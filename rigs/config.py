@@ -9,6 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from daq.calibration import Calibration
+from rigs.calibration_file import load_calibration, read_fields
+from rigs.device import Device as Device
+from rigs.instruments.load_cell import GRAMS
+from rigs.instruments.settings import InstrumentSettings, read_instruments
 from rigs.toml_reader import Table, find_config, load_toml
 
 VIRTUAL = "virtual"
@@ -36,15 +40,6 @@ class Conditions:
 
 
 @dataclass(frozen=True)
-class Device:
-    """One instrument on a serial port: where it is and who it must say it is."""
-
-    port: str
-    baud: int
-    serial: str
-
-
-@dataclass(frozen=True)
 class ValveDevice(Device):
     """The valve controller, its firmware settings and how it makes a static pressure."""
 
@@ -56,9 +51,11 @@ class ValveDevice(Device):
 
 @dataclass(frozen=True)
 class StageDevice(Device):
-    """The linear stage that sets the muscle's length."""
+    """What sets the muscle's length: a GRBL stage, or a person (kind "manual")."""
 
     speed_mm_s: float
+    kind: str = "grbl"
+    tolerance_mm: float = 0.2
 
 
 Box = tuple[int, int, int, int]
@@ -117,6 +114,7 @@ class RigConfig:
     """A whole rig file, checked.
 
     ``crc32`` is over the text of the file, so that a run tells which version it used.
+    ``force_source`` is "balance" or "load_cell"; ``balance`` is meaningless when there is none.
     """
 
     name: str
@@ -132,6 +130,8 @@ class RigConfig:
     camera: CameraDevice
     calibrations: dict[str, Calibration]
     virtual: VirtualBenchConfig | None
+    instruments: InstrumentSettings = field(default_factory=InstrumentSettings)
+    force_source: str = "balance"
 
     @property
     def is_virtual(self) -> bool:
@@ -152,9 +152,14 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
     text, _ = find_config(name, "rigs")
     root = load_toml(name, "rigs")
     limits = _limits(root.table("limits"))
-    camera_table = root.table("camera")
-    camera, length = _camera(camera_table)
-    calibrations = _calibrations(root.table("calibrations"), length)
+    camera, length = _camera(root.table("camera"))
+    instruments = read_instruments(root)
+    known = "load_cell" if "load_cell" in root and "balance" not in root else "balance"
+    force_source = root.text("force_source", known, choices=("balance", "load_cell"))
+    if force_source not in root:
+        raise root.fail("force_source", f"there is no table [{force_source}]", "add it")
+    files = {"length_mm": length, "force_n": _cell(instruments, force_source)}
+    calibrations = _calibrations(root.table("calibrations"), files)
     rig = RigConfig(
         name=root.text("name"),
         description=root.text("description", ""),
@@ -164,11 +169,13 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
         limits=limits,
         conditions=_conditions(root.table("conditions")),
         valve=_valve(root.table("valve")),
-        balance=_device(root.table("balance")),
+        balance=_device(root.table("balance")) if "balance" in root else Device("", 9600, ""),
         stage=_stage(root.table("stage")),
         camera=camera,
         calibrations=calibrations,
         virtual=_virtual(root, seed),
+        instruments=instruments,
+        force_source=force_source,
     )
     root.finish()
     _check_whole(rig, root)
@@ -179,10 +186,13 @@ def _check_whole(rig: RigConfig, root: Table) -> None:
     """What no single key can tell: mixed rigs, and limits beyond a sensor's range."""
     ports = {
         "valve": rig.valve.port == VIRTUAL,
-        "balance": rig.balance.port == VIRTUAL,
-        "stage": rig.stage.port == VIRTUAL,
         "camera": rig.camera.source == VIRTUAL,
+        **{k: d.port == VIRTUAL for k, d in rig.instruments.ports().items()},
     }
+    if rig.balance.port:
+        ports["balance"] = rig.balance.port == VIRTUAL
+    if rig.stage.kind == "grbl":
+        ports["stage"] = rig.stage.port == VIRTUAL
     if len(set(ports.values())) > 1:
         real = sorted(k for k, virtual in ports.items() if not virtual)
         raise root.fail(
@@ -252,6 +262,11 @@ def _valve(t: Table) -> ValveDevice:
 
 
 def _stage(t: Table) -> StageDevice:
+    kind = t.text("kind", "grbl", choices=("grbl", "manual"))
+    if kind == "manual":
+        tolerance = t.number("tolerance_mm", 0.001, 100, 0.2, unit="mm")
+        t.finish()
+        return StageDevice("", 0, "", 0.0, kind, tolerance)
     port, baud, serial = _port(t)
     out = StageDevice(port, baud, serial, t.number("speed_mm_s", 0.1, 100, 10.0, unit="mm/s"))
     t.finish()
@@ -310,33 +325,37 @@ def _camera_calibration(t: Table) -> tuple[Calibration, dict[str, float] | None]
     return replace(straight, u_gain=hypot(straight.u_gain, off)), lens
 
 
-def _calibrations(t: Table, length: Calibration | None) -> dict[str, Calibration]:
+def _cell(instruments: InstrumentSettings, force_source: str) -> Calibration | None:
+    """The load cell's calibration file in net grams, where the cell is the force source.
+
+    A test tares it, so that only its scale counts; what is uncertain about zero stays.
+    """
+    cell = instruments.text.get("load_cell") if force_source == "load_cell" else None
+    if cell is None or cell.form.unit not in GRAMS or not cell.calibration.date:
+        return None
+    scale = cell.calibration.scale / GRAMS[cell.form.unit]
+    return replace(cell.calibration, raw_unit="g", offset=0.0, scale=scale)
+
+
+def _calibrations(t: Table, files: dict[str, Calibration | None]) -> dict[str, Calibration]:
+    """The three that every rig has; ``files`` are those that an instrument's table names."""
     units = {"pressure_kpa": ("kPa", "count"), "force_n": ("N", "g"), "length_mm": ("mm", "pixel")}
     out = {}
     for quantity, (unit, raw_unit) in units.items():
-        if quantity == "length_mm" and length is not None:
+        named = files.get(quantity)
+        if named is not None:
             if quantity in t:
-                raise t.fail(quantity, "camera.calibration names a file for it as well", "keep one")
-            out[quantity] = length
+                table = "camera" if quantity == "length_mm" else "load_cell"
+                what = f"{table}.calibration names a file for it as well"
+                raise t.fail(quantity, what, "keep one")
+            out[quantity] = named
             continue
         c = t.table(quantity)
-        low, high = c.numbers("domain", -1e6, 1e6, least=2)[:2]
-        scale = c.number("scale", -1e6, 1e6)
-        if scale == 0:
-            raise c.fail("scale", "a scale of 0 makes every reading the same")
-        out[quantity] = Calibration(
-            quantity=quantity,
-            unit=c.text("unit", choices=(unit,)),
-            raw_unit=c.text("raw_unit", choices=(raw_unit,)),
-            offset=c.number("offset", -1e6, 1e6),
-            scale=scale,
-            u_offset=c.number("u_offset", 0, 1e6, unit=unit),
-            u_gain=c.number("u_gain", 0, 1),
-            domain=(low, high),
-            id=c.text("id"),
-            date=c.text("date"),
-            note=c.text("note", ""),
-        )
+        if "calibration" in c:
+            name = c.text("calibration")
+            out[quantity] = load_calibration(name, t.source, quantity, raw_unit).calibration
+        else:
+            out[quantity] = read_fields(c, quantity, unit, raw_unit)
         c.finish()
     t.finish()
     return out

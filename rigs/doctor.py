@@ -90,7 +90,7 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         f"{v.get('board')} {v.get('serial')}, firmware {v.get('fw')}, config CRC {v.get('conf')}, "
         f"boot {v.get('boot')} ({v.get('cause')})",
     )
-    for name in ("balance", "stage", "camera"):
+    for name in [n for n in rig.identities if n != "valve"]:
         words = ", ".join(f"{k} {x}" for k, x in rig.identities[name].items())
         yield Finding(name, "ok", words)
     rig.valve.progress(LISTEN_S + ALIVE_S)
@@ -118,6 +118,7 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         spread = float(np.std(grams)) * newton
         mark = "ok" if stable.all() else "warn"
         yield Finding("balance readings", mark, f"noise {spread:.3f} N, stable {stable.mean():.0%}")
+    yield from _instruments(rig)
     fit = rig.valve.clock_fit
     if fit.ready:
         mark = "ok" if fit.error_ns < 2e6 else "warn"
@@ -129,6 +130,34 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         yield Finding(
             "fault", "warn", f"latched: {', '.join(rig.valve.faults) or 'see pamrig vent'}"
         )
+
+
+def _instruments(rig: Rig) -> Iterator[Finding]:
+    """The optional instruments after the listen: what they read and what went wrong."""
+    for name, instrument in rig.instruments.items():
+        readings, _ = instrument.recent(20)
+        if not len(readings):
+            yield Finding(f"{name} readings", "stop", instrument.last_problem or "none came")
+            continue
+        values = instrument.apply(readings)
+        cal = instrument.calibration
+        detail = f"{instrument.quantity} {values.mean():.4g}, noise {values.std():.2g}"
+        if cal is not None and bool(cal.outside(values).any()):
+            low, high = cal.domain
+            detail += f": outside the calibrated {low:g} to {high:g} {cal.unit}"
+            yield Finding(f"{name} readings", "warn", detail)
+        elif instrument.faults.total:
+            words = f"{instrument.faults.total} faults, last: {instrument.faults.last}"
+            yield Finding(f"{name} readings", "warn", f"{detail}; {words}")
+        else:
+            yield Finding(f"{name} readings", "ok", detail)
+    if rig.supply is not None:
+        volts, amps = rig.supply.measure()
+        mark = "ok" if abs(volts - rig.supply.set_v) <= rig.supply.settle_v else "warn"
+        yield Finding("supply", mark, f"gives {volts:.3f} V, {amps:.3f} A to the solenoids")
+    for name, axis in rig.config.instruments.manual.items():
+        looked = f"checked by {axis.check}" if axis.check else "not checked by any sensor"
+        yield Finding(f"manual {name}", "ok", f"set by hand in {axis.unit}, {looked}")
 
 
 def _camera(rig: Rig) -> Finding:

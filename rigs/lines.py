@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from daq.errors import DeviceTimeout
+from daq.errors import DeviceTimeout, LinkLost
 from daq.framer import LineFramer
 from daq.transport import Link
 from rigs.pump import Pump
@@ -26,6 +26,7 @@ class LineDevice:
         self._lines: deque[str] = deque(maxlen=256)
         self.kind = kind
         self.bad_lines = 0
+        self._lost = False
         self.on_bytes: Callable[[int, bytes], None] | None = None
 
     @property
@@ -39,8 +40,20 @@ class LineDevice:
         return False
 
     def poll(self) -> None:
-        """Read what has come."""
-        for chunk in self._link.read():
+        """Read what has come.
+
+        Raises:
+            LinkLost: once; the other devices go on being read after that (a bench that lost
+                its balance must still see its pressure fall).
+        """
+        if self._lost:
+            return
+        try:
+            chunks = self._link.read()
+        except LinkLost:
+            self._lost = True
+            raise
+        for chunk in chunks:
             if self.on_bytes is not None:
                 self.on_bytes(chunk.host_ns, chunk.data)
             for raw in self._framer.feed(chunk.data):

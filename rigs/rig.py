@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import nan
 from typing import TYPE_CHECKING
 
 from daq.clock import Clock, RealClock, VirtualClock
 from daq.errors import ConfigError, PamrigError
-from daq.transport import Link, SerialLink
+from daq.transport import Link
 from rigs.balance import Balance
 from rigs.camera import CallCamera, Camera, open_camera
-from rigs.config import Device, RigConfig
+from rigs.config import RigConfig
+from rigs.instruments.instrument import Instrument
+from rigs.instruments.load_cell import LoadCell
+from rigs.instruments.supply import Supply
+from rigs.instruments.text import TextInstrument
+from rigs.operator import ManualAxis, ManualStage, Operator
+from rigs.ports import (
+    Ports,
+    default_operator,
+    manual_stage,
+    open_axes,
+    open_readers,
+    open_supply,
+)
 from rigs.pump import Pump
 from rigs.stage import Stage
 from rigs.valve import ValveController
@@ -35,11 +49,15 @@ class Rig:
     clock: Clock
     pump: Pump
     valve: ValveController
-    balance: Balance
-    stage: Stage
+    balance: Balance | LoadCell
+    stage: Stage | ManualStage
     camera: Camera
     bench: VirtualBench | None
     identities: dict[str, dict[str, str]]
+    operator: Operator
+    instruments: dict[str, Instrument] = field(default_factory=dict)
+    supply: Supply | None = None
+    axes: dict[str, ManualAxis] = field(default_factory=dict)
 
     @property
     def pressure_kpa(self) -> float:
@@ -47,7 +65,10 @@ class Rig:
         return pressure_kpa(self.valve, self.config)
 
     def vent(self) -> float:
-        """Vent and confirm it; see :func:`vent`."""
+        """Vent and confirm it; see :func:`vent`. The solenoids get their normal voltage back."""
+        if self.supply is not None:
+            with contextlib.suppress(PamrigError):  # the valve is told to vent in any case
+                self.supply.safe()
         return vent(self.valve, self.pump, self.config)
 
 
@@ -106,7 +127,7 @@ def open_valve(
             link = bench.links["valve"]
         else:
             clock = RealClock() if clock is None else clock
-            link = _open_port(config, "valve", clock, stack)
+            link = Ports(config, clock, stack).open("valve", config.valve)
         pump = Pump(clock, VIRTUAL_PERIOD_S if clock.virtual else REAL_PERIOD_S)
         valve = ValveController(link, clock, pump)
         pump.add(valve.poll)
@@ -116,12 +137,16 @@ def open_valve(
 
 
 @contextmanager
-def open_rig(config: RigConfig, clock: Clock | None = None) -> Iterator[Rig]:
+def open_rig(
+    config: RigConfig, clock: Clock | None = None, operator: Operator | None = None
+) -> Iterator[Rig]:
     """Open every instrument of a rig and check who they are; vent and close on the way out.
 
     Args:
         config: the rig file.
         clock: time; made to fit the rig when none is given.
+        operator: who sets manual axes; the person at the terminal, or a simulated one on a
+            virtual rig, when none is given.
 
     Raises:
         PortError, DeviceError, ConfigError: names device, key and remedy; whatever had been
@@ -130,37 +155,42 @@ def open_rig(config: RigConfig, clock: Clock | None = None) -> Iterator[Rig]:
     with open_valve(config, clock) as (valve, pump, stack, bench):
         clock = pump.clock
         valve.configure(firmware_parameters(config))
+        ports = Ports(config, clock, stack, bench)
+        identities = {"valve": valve.identity}
+        supply = open_supply(ports, pump, identities)
         camera: Camera
         if bench is not None:
-            links: dict[str, Link] = dict(bench.links)
             camera = CallCamera(bench.expose, config.camera.serial)
         else:
-            links = {n: _open_port(config, n, clock, stack) for n in ("balance", "stage")}
             camera = open_camera(config.camera, clock)
             stack.callback(camera.close)
-        balance = Balance(links["balance"], pump)
-        stage = Stage(links["stage"], pump, config.stage.speed_mm_s)
-        pump.add(balance.poll)
-        pump.add(stage.poll)
-        identities = {
-            "valve": valve.identity,
-            "balance": balance.connect(config.balance.serial),
-            "stage": stage.connect(config.stage.serial),
-            "camera": camera.identity,
-        }
-        yield Rig(config, clock, pump, valve, balance, stage, camera, bench, identities)
-
-
-def _open_port(config: RigConfig, name: str, clock: Clock, stack: ExitStack) -> Link:
-    """Open one serial port of the rig; an error names the key it came from."""
-    device: Device = getattr(config, name)
-    try:
-        link = SerialLink(device.port, device.baud, clock)
-    except PamrigError as error:
-        where = f"{name} ({config.source}: {name}.port = {device.port!r})"
-        raise type(error)(where, error.what, error.remedy) from None
-    stack.callback(link.close)
-    return link
+        person = operator or default_operator(bench)
+        instruments = open_readers(ports, pump)
+        balance: Balance | LoadCell
+        if config.force_source == "load_cell":
+            cell = instruments["load_cell"]
+            assert isinstance(cell, TextInstrument)
+            balance = LoadCell(cell)
+        else:
+            balance = Balance(ports.open("balance", config.balance), pump)
+            pump.add(balance.poll)
+            identities["balance"] = balance.connect(config.balance.serial)
+        for name, reader in instruments.items():
+            identities[name] = reader.connect(config.instruments.readers()[name].serial)
+        stage: Stage | ManualStage
+        if config.stage.kind == "manual":
+            stage = manual_stage(config, person, pump, camera)
+            identities["stage"] = stage.identity
+        else:
+            stage = Stage(ports.open("stage", config.stage), pump, config.stage.speed_mm_s)
+            pump.add(stage.poll)
+            identities["stage"] = stage.connect(config.stage.serial)
+        identities["camera"] = camera.identity
+        axes = open_axes(config, person, pump, instruments, lambda: pressure_kpa(valve, config))
+        yield Rig(
+            config, clock, pump, valve, balance, stage, camera, bench, identities, person,
+            instruments, supply, axes,
+        )  # fmt: skip
 
 
 def _last_words(valve: ValveController) -> None:

@@ -17,6 +17,11 @@ from daq.errors import DeviceError, PamrigError, RecordError
 from daq.record import RecordWriter
 from daq.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
 from rigs.config import RigConfig
+from rigs.instruments.recording import (
+    instrument_counters,
+    instrument_manifest,
+    record_instruments,
+)
 from rigs.interrupt import StopFlag, Stopped
 from rigs.isometric import Isometric, steps
 from rigs.rig import Rig, open_rig
@@ -89,6 +94,7 @@ def manifest(
         "devices": rig.identities,
         "software": software(),
     }  # fmt: skip
+    out.update(instrument_manifest(rig))
     if config.virtual is not None:
         out["virtual"] = {"seed": config.virtual.seed}
     return out
@@ -259,6 +265,7 @@ def _connect(rig: Rig, record: RecordWriter) -> None:
     rig.valve.on_batch.append(valve_batch)
     rig.balance.on_rows.append(balance_rows)
     rig.valve.on_event = event
+    record_instruments(rig, record)
 
 
 def _record_bytes(rig: Rig, record: RecordWriter) -> None:
@@ -270,6 +277,10 @@ def _record_bytes(rig: Rig, record: RecordWriter) -> None:
     rig.valve.on_bytes = listener("valve")
     rig.balance.on_bytes = listener("balance")
     rig.stage.on_bytes = listener("stage")
+    for name, instrument in rig.instruments.items():
+        instrument.on_bytes = listener(name)
+    if rig.supply is not None:
+        rig.supply.on_bytes = listener("supply")
 
 
 def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException | None) -> None:
@@ -285,7 +296,11 @@ def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException |
             outcome,
             reason=str(error) if error is not None else "",
             clock_fit=fit,
-            counters={"valve": rig.valve.counters(), "balance": rig.balance.counters()},
+            counters={
+                "valve": rig.valve.counters(),
+                "balance": rig.balance.counters(),
+                **instrument_counters(rig),
+            },
             duration_s=(rig.clock.now_ns() - record.start_ns) / NS_PER_S,
         )
     except RecordError:

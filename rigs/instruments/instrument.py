@@ -138,8 +138,9 @@ class Instrument:
             LinkLost: the link is gone and this instrument may not come back by itself.
         """
         if self._link is None:
-            self._find_again()
-            return
+            if self._reopen is not None:
+                self._find_again(self._reopen)
+            return  # a loss for good was said once: what follows (venting) must go on
         try:
             for chunk in self._link.read():
                 if self.on_bytes is not None:
@@ -312,16 +313,14 @@ class Instrument:
         if self._reopen is None:
             raise LinkLost(self.name, error.what, error.remedy) from None
 
-    def _find_again(self) -> None:
+    def _find_again(self, reopen: Callable[[], Link]) -> None:
         """Try the port once a second; whoever answers must be who was there before."""
         now_ns = self._pump.clock.now_ns()
-        if self._reopen is None:
-            raise LinkLost(self.name, "the link is lost", "check cable and power")
         if now_ns < self._due_ns:
             return
         self._due_ns = now_ns + round(REOPEN_S * NS_PER_S)
         try:
-            self._link = self._reopen()
+            self._link = reopen()
             self._begin(now_ns)
         except PamrigError:
             self._link = None
@@ -379,7 +378,9 @@ class Instrument:
                 + (f"; last: {self.faults.last}" if self.faults.last else ""),
                 "check port, cable, baud rate, power and the instrument's output settings",
             )
-        self.identity.setdefault("serial", serial)
+        if "serial" not in self.identity:
+            self.identity["serial"] = serial
+            self.identity["checked"] = "no, it cannot say who it is"
         return self.identity
 
     @property

@@ -43,6 +43,15 @@ class LoadCell:
         return self.indicator.name
 
     @property
+    def on_bytes(self) -> Callable[[int, bytes], None] | None:
+        """Told every byte as it comes."""
+        return self.indicator.on_bytes
+
+    @on_bytes.setter
+    def on_bytes(self, listener: Callable[[int, bytes], None] | None) -> None:
+        self.indicator.on_bytes = listener
+
+    @property
     def rows(self) -> int:
         """Readings so far."""
         return self.indicator.rows

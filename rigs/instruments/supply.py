@@ -73,6 +73,7 @@ class Supply(LineDevice):
         self._serial = ""
         self._nonce = 0
         self._gone = False
+        self._restoring = False
 
     def poll(self) -> None:
         """Read what came; a lost link is counted and found again at the next command."""
@@ -171,12 +172,8 @@ class Supply(LineDevice):
     def _command(self, text: str) -> None:
         """A command that answers nothing; its error queue says whether it was taken."""
         for _ in range(TRIES):
-            try:
-                self._restore()
-                self.send(text)
+            if self._say(text):
                 break
-            except LinkLost as error:
-                self._lose(error)
         error_text = self._query("SYST:ERR?", re.compile(r'[-+]?\d+,".*"'))
         if int(error_text.split(",")[0]) != 0:
             self.faults.add("refused", error_text)
@@ -199,17 +196,14 @@ class Supply(LineDevice):
         in order, and the question is asked again.
         """
         for _ in range(TRIES):
-            try:
-                self._restore()
-                self._lines.clear()
-                if self._framer.discard():
-                    self.faults.add("half")
-                self.send(text)
-                self._pump.until(lambda: bool(self._lines), ANSWER_S)
-                self._pump.for_seconds(0.03)  # a second answer makes both worthless
-            except LinkLost as error:
-                self._lose(error)
+            self._restore()
+            self._lines.clear()
+            if self._framer.discard():
+                self.faults.add("half")
+            if not self._say(text):
                 continue
+            self._pump.until(lambda: bool(self._lines), ANSWER_S)
+            self._pump.for_seconds(0.03)  # a second answer makes both worthless
             lines = list(self._lines)
             if len(lines) == 1 and pattern.fullmatch(lines[0]):
                 return lines[0]
@@ -238,31 +232,32 @@ class Supply(LineDevice):
             self._nonce = self._nonce % 250 + 1
             expected = str(self._nonce)
             self._framer.discard()
-            try:
-                self._restore()
-                self.send(f"*ESE {self._nonce}")
-                self.send("*ESE?")
+            if not (self._say(f"*ESE {self._nonce}") and self._say("*ESE?")):
+                continue
 
-                def came(expected: str = expected) -> bool:
-                    while self._lines:
-                        line = self._lines.popleft()
-                        if line.lstrip("+") == expected:
-                            return True
-                        self.faults.add("late", repr(line))
-                    return self._gone
+            def came(expected: str = expected) -> bool:
+                while self._lines:
+                    line = self._lines.popleft()
+                    if line.lstrip("+") == expected:
+                        return True
+                    self.faults.add("late", repr(line))
+                return self._gone
 
-                if self._pump.until(came, 4 * ANSWER_S) and not self._gone:
-                    return
-            except LinkLost as error:
-                self._lose(error)
+            if self._pump.until(came, 4 * ANSWER_S) and not self._gone:
+                return
         raise DeviceTimeout(
             self.name, "does not answer *ESE?", "check port, cable, baud rate and power"
         )
 
-    def _lose(self, error: LinkLost) -> None:
-        if not self._gone:
+    def _say(self, text: str) -> bool:
+        """Send a line, over a port found again if need be; False when it was lost just now."""
+        self._restore()
+        try:
+            self.send(text)
+        except LinkLost as error:
             self._gone = True
             self.faults.add("unplugged", error.what)
+        return not self._gone
 
     def _restore(self) -> None:
         """Find a lost port again; who answers must be who was there before.
@@ -273,7 +268,7 @@ class Supply(LineDevice):
         if not self._gone:
             return
         reopen = self._reopen
-        if reopen is None:
+        if reopen is None or self._restoring:
             raise LinkLost(self.name, "the link is lost", "check cable and power")
 
         def found() -> bool:
@@ -287,12 +282,16 @@ class Supply(LineDevice):
             raise LinkLost(
                 self.name, f"was unplugged, and not back in {REOPEN_S:g} s", "plug it in again"
             )
-        self._gone = False
+        self._gone = self._lost = False
         self._framer.discard()
         self._lines.clear()
         self.faults.add("replugged")
-        if self.identity:
-            self.connect(self._serial or self.identity["serial"])
+        self._restoring = True
+        try:
+            if self.identity:
+                self.connect(self._serial or self.identity["serial"])
+        finally:
+            self._restoring = False
 
     def counters(self) -> dict[str, int]:
         """Rows and faults by kind."""

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.clock import VirtualClock
-from daq.errors import ConfigError, LinkLost
+from daq.errors import ConfigError, LinkLost, PortError
 from daq.transport import Link, memory_pair
 from plant.bench import BenchSim
 from plant.constants import nominal
@@ -18,11 +18,12 @@ from plant.effects import Effects
 from plant.errors import PlantError
 from rigs.config import RigConfig
 from rigs.virtual.balance import VirtualBalance
-from rigs.virtual.board import PressureSensor, SimBoard
+from rigs.virtual.board import Advance, PressureSensor, SimBoard
 from rigs.virtual.camera import CameraModel, led_exposure, render
+from rigs.virtual.extras import Extras
+from rigs.virtual.solenoids import Solenoids
 from rigs.virtual.stage import VirtualStage
 
-DEVICES = ("valve", "balance", "stage")
 DRIFT = 25e-6
 """The controller's crystal is slower than the host's by this much: a clock fit has work."""
 
@@ -52,15 +53,19 @@ class VirtualBench:
             raise ConfigError(config.source, "has no [virtual] table", "see configs/rigs")
         self.config = config
         self._v = config.virtual
-        self._clock = clock
+        self._clock = self.clock = clock
         self._origin_ns = clock.now_ns() if clock is not None else origin_ns
         self._now_ns = 0
         self.send: dict[str, Send] = {}
         self.links: dict[str, Link] = {}
         self._device_ends: dict[str, Link] = {}
+        self._unplugged: set[str] = set()
         self._frames = 0
         streams = [np.random.default_rng([self._v.seed, k]) for k in range(5)]
         self.plant = self._make_plant()
+        self.extras = Extras(self)
+        self.devices = ("valve", "balance", "stage", *self.extras.devices)
+        """Names of everything that has a port."""
         if clock is not None:
             self._make_links(clock)
         self._errors = self._draw_errors(streams[4])
@@ -108,16 +113,41 @@ class VirtualBench:
             raise ConfigError(f"{source}: virtual.plant / effects", str(error)) from None
 
     def _make_links(self, clock: VirtualClock) -> None:
-        for name in DEVICES:
-            self.links[name], end = memory_pair(clock, name)
-            self._device_ends[name] = end
+        for name in self.devices:
+            self._plug_in(name, clock)
 
-            def send(host_ns: int, data: bytes, end: Link = end) -> None:
-                clock.set_now_ns(host_ns)
+    def _plug_in(self, name: str, clock: VirtualClock) -> Link:
+        self.links[name], end = memory_pair(clock, name)
+        self._device_ends[name] = end
+
+        def send(host_ns: int, data: bytes) -> None:
+            clock.set_now_ns(host_ns)
+            if self._device_ends.get(name) is end:
                 with contextlib.suppress(LinkLost):  # a device does not notice a pulled cable
                     end.write(data)
 
-            self.send[name] = send
+        self.send[name] = send
+        return self.links[name]
+
+    def unplug(self, name: str) -> None:
+        """Pull a device's cable; :meth:`reopen` fails until :meth:`replug`."""
+        end = self._device_ends.pop(name)
+        self._unplugged.add(name)
+        end.close()
+
+    def replug(self, name: str) -> None:
+        """Put the cable back; the host must open the port anew."""
+        self._unplugged.discard(name)
+
+    def reopen(self, name: str) -> Link:
+        """Open a device's port anew, as a host does after it was lost.
+
+        Raises:
+            PortError: it is still unplugged.
+        """
+        if name in self._unplugged or self._clock is None:
+            raise PortError(name, "no such port", "plug the device in")
+        return self._plug_in(name, self._clock)
 
     def _draw_errors(self, rng: np.random.Generator) -> dict[str, tuple[float, float]]:
         """Zero and gain error of each sensor, as its calibration allows (k = 1)."""
@@ -146,13 +176,24 @@ class VirtualBench:
             outlet_normally_open=self.config.valve.outlet_normally == "open",
             has_regulator=self._v.source == "regulator",
             sink=lambda bench_us, data: self._send("valve", data, bench_us * 1000),
+            advance=self._make_step(),
         )
+
+    def _make_step(self) -> Advance | None:
+        """With a bench supply the solenoids need its voltage; without, they always have it."""
+        if "supply" not in self.extras.devices:
+            return None
+        return Solenoids(self.plant.constants, self.extras.solenoid_volts).advance
+
+    def _lift_n(self) -> float:
+        """What is taken off the balance: the muscle's pull; a dead weight on the pan adds."""
+        return self.plant.force_n if self.extras.hung_kg is None else -self.extras.pull_n()
 
     def _make_balance(self, rng: np.random.Generator) -> VirtualBalance:
         on = self._v.draw_calibration_errors
         cal = self.config.calibrations["force_n"]
         return VirtualBalance(
-            lambda: self.plant.force_n,
+            self._lift_n,
             lambda data: self._send("balance", data),
             rng,
             self.config.balance.serial,
@@ -177,27 +218,46 @@ class VirtualBench:
         if send is not None:
             send(self.host_ns(self._now_ns if bench_ns is None else bench_ns), data)
 
+    def transmit(self, device: str, data: bytes) -> None:
+        """Bytes from a device go to the host, now."""
+        self._send(device, data)
+
+    @property
+    def time_s(self) -> float:
+        """Bench time since power-on."""
+        return self._now_ns * 1e-9
+
     def feed(self, device: str, data: bytes) -> None:
         """Bytes from the host reach a device."""
-        getattr(self, "board" if device == "valve" else device).feed(data)
+        if device in self.extras.devices:
+            self.extras.devices[device].feed(data)
+        else:
+            getattr(self, "board" if device == "valve" else device).feed(data)
 
     def advance_to(self, host_ns: int) -> None:
         """Bring the bench to a host time, stopping wherever a device has something to do."""
-        for name, end in self._device_ends.items():
-            with contextlib.suppress(LinkLost):
+        for name, end in list(self._device_ends.items()):
+            try:
                 for chunk in end.read():
                     self.feed(name, chunk.data)
+            except LinkLost:  # the host closed the port
+                self._device_ends.pop(name)
         target_us = self.bench_us(host_ns)
         board = self.board
         while True:
             due_ns = self.balance.next_ns
             if self.stage.next_ns is not None:
                 due_ns = min(due_ns, self.stage.next_ns)
+            for device in self.extras.devices.values():
+                if device.next_ns is not None:
+                    due_ns = min(due_ns, device.next_ns)
             stop_us = min(target_us, -(-due_ns // 1000))
             board.run_until_us(stop_us)
             self._now_ns = max(self._now_ns, min(stop_us, target_us) * 1000)
             self.stage.advance(self._now_ns)
             self.balance.advance(self._now_ns)
+            for device in self.extras.devices.values():
+                device.advance(self._now_ns)
             if stop_us >= target_us:
                 return
 

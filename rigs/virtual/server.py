@@ -23,7 +23,7 @@ import numpy as np
 from daq.errors import ConfigError, PamrigError
 from rigs.config import RigConfig, load_rig
 from rigs.interrupt import stop_on_signals
-from rigs.virtual.bench import DEVICES, VirtualBench
+from rigs.virtual.bench import VirtualBench
 
 TICK_NS = 1_000_000
 TRUTH_NS = 10_000_000
@@ -192,7 +192,7 @@ class BenchServer:
         self.bench = VirtualBench(config, origin_ns=self._start_ns)
         use_tcp = tcp or not hasattr(os, "openpty")
         self.ports: dict[str, Port] = {}
-        for name in DEVICES:
+        for name in self.bench.devices:
             port: Port = TcpPort() if use_tcp else PtyPort(folder / name)
             self.ports[name] = port
             self.bench.send[name] = lambda _, data, port=port: port.write(data)  # type: ignore[misc]
@@ -210,14 +210,22 @@ class BenchServer:
             if table.startswith(("virtual", "effects")):
                 continue
             key = word.split("=")[0].strip()
-            if key == "port" and table in self.ports:
-                line = f"port = {json.dumps(self.ports[table].address)}"
+            device = table.removeprefix("instruments.")
+            if key == "port" and device in self.ports:
+                line = f"port = {json.dumps(self.ports[device].address)}"
+            elif key in ("calibration", "form"):
+                line = self._from_here(key, word)
             elif key == "source" and table == "camera":
                 line = f"source = {json.dumps(self.camera.address)}"
             out.append(line)
         text = "\n".join(out) + "\n"
         tomllib.loads(text)
         return text
+
+    def _from_here(self, key: str, line: str) -> str:
+        """A file that stands beside the rig file is named so that the client finds it."""
+        beside = Path(self.config.source).parent / str(tomllib.loads(line)[key])
+        return f"{key} = {json.dumps(str(beside.resolve()))}" if beside.is_file() else line
 
     def step(self) -> None:
         """Bring the bench to now and move bytes."""

@@ -1,0 +1,112 @@
+"""Zero, span and linearity: a straight line through readings against a reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.errors import ConfigError
+
+Floats = npt.NDArray[np.float64]
+LEAST_POINTS = 3
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a calibration is made against, and how well it is known (standard uncertainty).
+
+    Attributes:
+        name: kind and identity, such as "gauge G-12, certificate 4711".
+        u_each: of each value, independent from point to point (reading a dial), in the unit.
+        u_offset: common to all values: its zero, in the unit.
+        u_gain: common to all values: its scale (of a set of weights: their class; g), relative.
+    """
+
+    name: str
+    u_each: float = 0.0
+    u_offset: float = 0.0
+    u_gain: float = 0.0
+
+
+@dataclass(frozen=True)
+class LineFit:
+    """``value = offset + scale * raw`` with standard uncertainties.
+
+    ``hypot(u_offset, u_gain * (value - offset))`` is nowhere between the calibration's ends
+    below what fit and reference leave unknown. ``linearity`` is the largest residual.
+    """
+
+    offset: float
+    scale: float
+    u_offset: float
+    u_gain: float
+    linearity: float
+    residuals: Floats
+
+
+def fit_line(
+    raw: Sequence[float] | Floats,
+    u_raw: Sequence[float] | Floats,
+    value: Sequence[float] | Floats,
+    reference: Reference,
+    where: str = "calibration",
+) -> LineFit:
+    """Weighted least squares, with what the reference itself leaves open.
+
+    Args:
+        raw: mean readings, shape (n,).
+        u_raw: their standard uncertainties (repeatability), in raw units.
+        value: what the reference says, in the calibrated unit.
+        reference: its uncertainty.
+        where: for messages.
+
+    Returns:
+        The line. Its offset's uncertainty holds the fit's, the reference's zero and the
+        largest residual taken as the half-width of a rectangle (linearity); its gain's the
+        fit's and the reference's scale.
+
+    Raises:
+        ConfigError: too few points, or all at the same reading.
+    """
+    x, ux = np.asarray(raw, dtype=np.float64), np.asarray(u_raw, dtype=np.float64)
+    y = np.asarray(value, dtype=np.float64)
+    if len(x) < LEAST_POINTS:
+        raise ConfigError(
+            where, f"{len(x)} points, at least {LEAST_POINTS} are needed", "add points"
+        )
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise ConfigError(where, "a point has no reading", "repeat it")
+    if np.ptp(x) <= 1e-12 * max(1.0, float(np.abs(x).max())) or np.ptp(y) == 0.0:
+        raise ConfigError(where, "all points are the same", "spread them over the range")
+    scale = float(np.ptp(y) / np.ptp(x))
+    design = np.column_stack([np.ones_like(x), x])
+    beta = np.zeros(2)
+    normal: Floats = np.eye(2)
+    for _ in range(5):
+        variance = reference.u_each**2 + (scale * ux) ** 2
+        floor = max(float(variance.max()), (1e-9 * float(np.ptp(y))) ** 2) * 1e-6
+        weight = 1.0 / np.maximum(variance, floor)
+        normal = np.asarray(np.linalg.inv(design.T @ (weight[:, None] * design)), dtype=np.float64)
+        beta = normal @ (design.T @ (weight * y))
+        scale = float(beta[1])
+    residuals = y - design @ beta
+    # What scatters more than it was said to is believed; what scatters less is not.
+    chi2 = float((weight * residuals**2).sum()) / (len(x) - 2)
+    covariance = normal * max(1.0, chi2)
+    linearity = float(np.abs(residuals).max())
+    u_gain = float(np.hypot(np.sqrt(covariance[1, 1]) / abs(scale), reference.u_gain))
+    u_offset = float(
+        np.sqrt(covariance[0, 0] + reference.u_offset**2 + (linearity / np.sqrt(3.0)) ** 2)
+    )
+    # Offset and scale of a fit are correlated; the two numbers that a calibration has are not.
+    # Where the correlation would count (readings of both signs), the offset covers it.
+    grid = np.linspace(x.min(), x.max(), 21)
+    true = covariance[0, 0] + 2 * grid * covariance[0, 1] + grid**2 * covariance[1, 1]
+    true += reference.u_offset**2 + (reference.u_gain * scale * grid) ** 2 + linearity**2 / 3
+    short = float((true - u_offset**2 - (u_gain * scale * grid) ** 2).max())
+    if short > 0:
+        u_offset = float(np.sqrt(u_offset**2 + short))
+    return LineFit(float(beta[0]), scale, u_offset, u_gain, linearity, residuals)

@@ -1,0 +1,183 @@
+"""The optional instruments of the virtual bench: which emulator reads what of the plant."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.calibration import Calibration
+from plant.bench import PRESSURE
+from plant.constants import GAS_CONSTANT_J_KG_K
+from plant.layout import MASS_OUT
+from rigs.instruments.settings import TextDevice
+from rigs.virtual.modbus import VirtualModbus
+from rigs.virtual.operator import VirtualOperator
+from rigs.virtual.supply import VirtualSupply
+from rigs.virtual.text import VirtualText
+
+if TYPE_CHECKING:
+    from rigs.virtual.bench import VirtualBench
+
+CELL_NOISE_N = 0.05
+CELL_SLOW_N = 0.2
+CELL_SLOW_S = 2.0
+THERMOMETER_NOISE_C = 0.05
+TRANSMITTER_NOISE_KPA = 0.02
+VELOCITY_NOISE = 0.002
+SUPPLY_NOISE_V = 0.002
+HAND = {"length": 0.03, "pressure": 1.0}
+"""How exactly a person sets a length (mm) and turns a regulator (kPa)."""
+
+
+class Extras:
+    """Makes the emulators that a rig file asks for and joins them to the plant.
+
+    Attributes:
+        devices: emulators by name.
+        temperature_c: of the bench now; set it to warm the bench.
+        hung_kg: dead weight on the force sensor in place of the muscle, None for the muscle.
+    """
+
+    def __init__(self, bench: VirtualBench) -> None:
+        self._bench = bench
+        self._config = bench.config
+        settings = self._config.instruments
+        self.temperature_c = self._config.conditions.temperature_c
+        self.hung_kg: float | None = None
+        self.devices: dict[str, Any] = {}
+        for name, text in settings.text.items():
+            read = self._sensor(name, self._truth(name, text), text.calibration)
+            self.devices[name] = VirtualText(
+                text.form, read, self._sender(name), text.serial or name, text.rate_hz
+            )
+        for name, modbus in settings.modbus.items():
+            read = self._sensor(name, lambda: bench.plant.pressure_kpa, modbus.calibration)
+            self.devices[name] = VirtualModbus(modbus.form, read, self._sender(name))
+        if settings.supply is not None:
+            rng = self._rng("supply")
+            self.devices["supply"] = VirtualSupply(
+                self._sender("supply"),
+                settings.supply.serial or "supply",
+                max_v=settings.supply.max_v,
+                noise_v=lambda: float(rng.normal(0.0, SUPPLY_NOISE_V)),
+            )
+
+    def _rng(self, name: str) -> np.random.Generator:
+        seed = self._config.virtual.seed if self._config.virtual is not None else 0
+        return np.random.default_rng([seed, 50, zlib.crc32(name.encode())])
+
+    def _sender(self, name: str) -> Callable[[bytes], None]:
+        return lambda data: self._bench.transmit(name, data)
+
+    def _sensor(
+        self, name: str, truth: Callable[[], float], calibration: Calibration
+    ) -> Callable[[], float]:
+        """The truth with this sensor's zero and gain error and noise, in its own unit."""
+        rng = self._rng(name)
+        drawn = self._config.virtual is not None and self._config.virtual.draw_calibration_errors
+        zero, gain = rng.standard_normal(2) if drawn else (0.0, 0.0)
+        noise = self._noise(calibration.quantity, rng)
+
+        def read() -> float:
+            value = truth()
+            value += zero * calibration.u_offset + gain * calibration.u_gain * value + noise(value)
+            return float(calibration.raw(value))
+
+        return read
+
+    def _noise(self, quantity: str, rng: np.random.Generator) -> Callable[[float], float]:
+        if quantity == "force_n":
+            slow = {"n": 0.0, "t": 0.0}
+
+            def cell(value: float) -> float:
+                del value
+                now_s = self._bench.time_s
+                keep = math.exp(-(now_s - slow["t"]) / CELL_SLOW_S)
+                slow["t"] = now_s
+                step = CELL_SLOW_N * math.sqrt(1.0 - keep * keep)
+                slow["n"] = keep * slow["n"] + float(rng.normal(0.0, step))
+                return slow["n"] + float(rng.normal(0.0, CELL_NOISE_N))
+
+            return cell
+        share = {"temperature_c": THERMOMETER_NOISE_C, "pressure_kpa": TRANSMITTER_NOISE_KPA}
+        if quantity == "velocity_m_s":
+            return lambda value: float(rng.normal(0.0, VELOCITY_NOISE * max(abs(value), 0.1)))
+        return lambda value: float(rng.normal(0.0, share.get(quantity, 0.0)))
+
+    def _truth(self, name: str, text: TextDevice) -> Callable[[], float]:
+        match text.form.quantity:
+            case "temperature_c":
+                return lambda: self.temperature_c
+            case "force_n":
+                return self.pull_n
+            case "pressure_kpa":
+                return lambda: self._bench.plant.pressure_kpa
+            case "length_mm":
+                return lambda: self._bench.plant.length_mm
+            case "velocity_m_s":
+                return self._velocity(text.bore_mm)
+        return lambda: text.virtual_value
+
+    def pull_n(self) -> float:
+        """Pull on the load cell: the muscle's, or a dead weight's in its place."""
+        if self.hung_kg is not None:
+            return self.hung_kg * self._config.conditions.gravity_m_s2
+        return self._bench.plant.force_n
+
+    def _velocity(self, bore_mm: float) -> Callable[[], float]:
+        """Mean velocity of the air in the outlet line since the last reading, in m/s."""
+        area_m2 = math.pi / 4 * (bore_mm * 1e-3) ** 2
+        constants = self._bench.plant.constants
+        density = constants.atmosphere_pa / (GAS_CONSTANT_J_KG_K * constants.gas_temperature_k)
+        last = {"kg": 0.0, "s": 0.0, "v": 0.0}
+
+        def read() -> float:
+            kg, now_s = float(self._bench.plant.state[MASS_OUT]), self._bench.time_s
+            if now_s > last["s"]:
+                last["v"] = (kg - last["kg"]) / (density * area_m2 * (now_s - last["s"]))
+                last["kg"], last["s"] = kg, now_s
+            return last["v"]
+
+        return read
+
+    def solenoid_volts(self) -> float:
+        """What the supply gives the solenoids now."""
+        return float(self.devices["supply"].volts)
+
+    def operator(self) -> VirtualOperator | None:
+        """A person at this bench, where it runs on a virtual clock."""
+        clock = self._bench.clock
+        if clock is None:
+            return None
+        plant = self._bench.plant
+
+        def weigh(kg: float) -> None:
+            self.hung_kg = kg
+
+        def unhang(value: float) -> None:
+            del value
+            self.hung_kg = None
+
+        def warm(value: float) -> None:
+            self.temperature_c = value
+
+        return VirtualOperator(
+            clock,
+            acts={
+                "length": plant.set_length,
+                "pressure": plant.set_regulator,
+                "dead weight": weigh,
+                "muscle": unhang,
+                "temperature": warm,
+            },
+            reads={
+                "reference pressure": lambda: float(plant.state[PRESSURE]) * 1e-3,
+                "temperature": lambda: self.temperature_c,
+            },
+            rng=self._rng("operator"),
+            spread=HAND,
+        )
