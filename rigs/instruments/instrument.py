@@ -10,20 +10,15 @@ identity, a Modbus loop-back) where the instrument knows such a thing, by silenc
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from math import nan
-
-import numpy as np
-import numpy.typing as npt
 
 from daq.calibration import Calibration
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError, DeviceTimeout, LinkLost, PamrigError
 from daq.transport import Chunk, Link
-from rigs.instruments.faults import Faults
 from rigs.instruments.form import Parsed
+from rigs.instruments.readings import Readings
 from rigs.pump import Pump
 
-KEEP_ROWS = 4096
 HOLD_S = 0.05
 """An answer is held this long (or half a period, if less) in case a second one comes."""
 SLOW_NS = 40_000_000
@@ -33,11 +28,8 @@ CONNECT_S = 3.0
 QUIET_TIMEOUTS = 4
 """Without a sentinel the line must be silent for so many time-outs before the next question."""
 
-Batch = dict[str, npt.NDArray[np.generic]]
-COLUMNS = {"row": "int64", "host_ns": "int64", "reading": "float64", "stable": "uint8"}
 
-
-class Instrument:
+class Instrument(Readings):
     """Shared life of every instrument with readings; subclasses know the bytes.
 
     Args:
@@ -68,18 +60,13 @@ class Instrument:
         calibration: Calibration | None = None,
         reopen: Callable[[], Link] | None = None,
     ) -> None:
+        super().__init__(quantity, unit, calibration)
         self._link: Link | None = link
         self._pump = pump
         self._port = link.name
         self.key = name
-        self.quantity = quantity
-        self.unit = unit
         self.rate_hz = rate_hz
-        self.calibration = calibration
-        self.faults = Faults()
         self.identity: dict[str, str] = {}
-        self.rows = 0
-        self.on_rows: list[Callable[[Batch], None]] = []
         self.on_bytes: Callable[[int, bytes], None] | None = None
         self._expected_serial = ""
         self._reopen = reopen
@@ -87,9 +74,6 @@ class Instrument:
         self._period_ns = round(NS_PER_S / rate_hz)
         self._timeout_ns = round(timeout_s * NS_PER_S)
         self._hold_ns = min(round(HOLD_S * NS_PER_S), self._period_ns // 2)
-        self._readings = np.zeros(KEEP_ROWS)
-        self._stable = np.zeros(KEEP_ROWS, dtype=bool)
-        self._pending: list[tuple[int, int, float, bool]] = []
         self._state = "idle"  # idle, waiting, holding, drain
         self._until_ns = 0
         self._due_ns = 0
@@ -99,7 +83,6 @@ class Instrument:
         self._burst = False
         self._paused = False
         self._skip_first = not polled
-        self._was_outside = False
         self._said_silent = False
 
     # ---- what a subclass knows --------------------------------------------------------
@@ -266,37 +249,6 @@ class Instrument:
             held, self._held = self._held, None
             self._take(*held)
 
-    def _take(self, host_ns: int, item: Parsed) -> None:
-        """A message that stands: a fault or a row."""
-        if item.fault:
-            self.faults.add(item.fault, item.detail)
-            return
-        slot = self.rows % KEEP_ROWS
-        self._readings[slot] = item.value
-        self._stable[slot] = item.stable
-        self._pending.append((self.rows, host_ns, item.value, item.stable))
-        self.rows += 1
-        if self.calibration is not None:
-            value = self.calibration.apply(item.value)
-            outside = bool(self.calibration.outside(value))
-            if outside and not self._was_outside:
-                low, high = self.calibration.domain
-                self.faults.add("outside", f"{value:g} is not within {low:g} to {high:g}")
-            self._was_outside = outside
-
-    def _hand_on(self) -> None:
-        if not self._pending:
-            return
-        batch: Batch = {
-            name: np.array(column, dtype=dtype)
-            for (name, dtype), column in zip(
-                COLUMNS.items(), zip(*self._pending, strict=True), strict=True
-            )
-        }
-        self._pending.clear()
-        for listener in self.on_rows:
-            listener(batch)
-
     # ---- the link ---------------------------------------------------------------------
 
     def _write(self, data: bytes) -> None:
@@ -388,28 +340,6 @@ class Instrument:
         got = self.identity.get("serial")
         return bool(self._expected_serial) and got is not None and got != self._expected_serial
 
-    @property
-    def last_problem(self) -> str:
-        """Words of the last fault."""
-        return self.faults.last
-
-    def recent(self, n: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-        """The newest ``n`` readings as they came, oldest first: (readings (n,), stable (n,))."""
-        n = min(n, self.rows, KEEP_ROWS)
-        index = np.arange(self.rows - n, self.rows) % KEEP_ROWS
-        return self._readings[index], self._stable[index]
-
-    def apply(self, reading: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Readings in ``quantity``, by the calibration where there is one."""
-        if self.calibration is None:
-            return np.asarray(reading, dtype=np.float64)
-        return self.calibration.apply(reading)
-
-    def mean(self, n: int) -> float:
-        """Mean of the newest ``n`` readings in ``quantity``; nan before the first."""
-        readings, _ = self.recent(n)
-        return float(self.apply(readings).mean()) if len(readings) else nan
-
     def next_mean(self, n: int) -> float:
         """Wait for ``n`` new readings and return their mean in ``quantity``.
 
@@ -425,7 +355,3 @@ class Instrument:
                 self.faults.last or "check cable and power",
             )
         return self.mean(n)
-
-    def counters(self) -> dict[str, int]:
-        """Rows and faults by kind."""
-        return {"rows": self.rows, **self.faults.counts}

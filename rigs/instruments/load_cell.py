@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.errors import ConfigError
-from rigs.instruments.instrument import Batch
+from rigs.instruments.readings import Batch
 from rigs.instruments.text import TextInstrument
 
 STANDARD_GRAVITY_M_S2 = 9.80665

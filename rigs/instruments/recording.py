@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rigs.instruments import supply
-from rigs.instruments.instrument import COLUMNS, Batch
+from rigs.instruments.readings import COLUMNS, Batch
 from rigs.operator import ManualSetting
 
 if TYPE_CHECKING:
