@@ -15,6 +15,10 @@ from rigs.instruments.load_cell import GRAMS
 from rigs.instruments.settings import InstrumentSettings, read_instruments
 from rigs.toml_reader import Table, find_config, load_toml
 
+SENSORS = {"pressure_kpa": "valve", "force_n": "balance"}
+"""Whose serial number a calibration file of this quantity must be of."""
+TOP_COUNT = 4095
+"""The controller's converter has 12 bits; a calibration's domain may be narrower."""
 VIRTUAL = "virtual"
 """The port of a device that is simulated in this process."""
 
@@ -159,7 +163,8 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
     if force_source not in root:
         raise root.fail("force_source", f"there is no table [{force_source}]", "add it")
     files = {"length_mm": length, "force_n": _cell(instruments, force_source)}
-    calibrations = _calibrations(root.table("calibrations"), files)
+    serials = {q: root.raw(t, {}).get("serial", "") for q, t in SENSORS.items()}
+    calibrations = _calibrations(root.table("calibrations"), files, serials)
     rig = RigConfig(
         name=root.text("name"),
         description=root.text("description", ""),
@@ -202,7 +207,7 @@ def _check_whole(rig: RigConfig, root: Table) -> None:
         )
     if rig.is_virtual and rig.virtual is None:
         raise root.fail("virtual", "a virtual rig needs a [virtual] table", "see configs/rigs")
-    high = rig.calibrations["pressure_kpa"].domain[1]
+    high = float(rig.calibrations["pressure_kpa"].apply(TOP_COUNT))
     if rig.limits.trip_kpa > high:
         raise root.fail(
             "limits.trip_kpa",
@@ -337,7 +342,9 @@ def _cell(instruments: InstrumentSettings, force_source: str) -> Calibration | N
     return replace(cell.calibration, raw_unit="g", offset=0.0, scale=scale)
 
 
-def _calibrations(t: Table, files: dict[str, Calibration | None]) -> dict[str, Calibration]:
+def _calibrations(
+    t: Table, files: dict[str, Calibration | None], serials: dict[str, str]
+) -> dict[str, Calibration]:
     """The three that every rig has; ``files`` are those that an instrument's table names."""
     units = {"pressure_kpa": ("kPa", "count"), "force_n": ("N", "g"), "length_mm": ("mm", "pixel")}
     out = {}
@@ -353,7 +360,8 @@ def _calibrations(t: Table, files: dict[str, Calibration | None]) -> dict[str, C
         c = t.table(quantity)
         if "calibration" in c:
             name = c.text("calibration")
-            out[quantity] = load_calibration(name, t.source, quantity, raw_unit).calibration
+            serial = serials.get(quantity, "")
+            out[quantity] = load_calibration(name, t.source, quantity, raw_unit, serial).calibration
         else:
             out[quantity] = read_fields(c, quantity, unit, raw_unit)
         c.finish()

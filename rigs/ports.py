@@ -141,9 +141,11 @@ def camera_length(config: RigConfig, camera: Camera) -> float:
     Raises:
         DeviceError: no trusted length in any of them.
     """
-    from vision.edge import measure_gap
+    from rigs.pictures import measure_stored
+    from rigs.session import camera_values
 
-    gaps = [measure_gap(camera.trigger().gray) for _ in range(CHECK_FRAMES)]
+    how = camera_values(config)
+    gaps = [measure_stored(camera.trigger().gray, how) for _ in range(CHECK_FRAMES)]
     pixels = [g.pixels for g in gaps if g.trusted]
     if not pixels:
         raise DeviceError("camera", f"no length: {gaps[-1].reason}", "check marks, light and lens")

@@ -172,6 +172,7 @@ class Extras:
                 "pressure": plant.set_regulator,
                 "dead weight": weigh,
                 "muscle": unhang,
+                "muscle off": lambda _: weigh(0.0),
                 "temperature": warm,
             },
             reads={
