@@ -258,6 +258,61 @@ def calibrate_camera(
     )  # fmt: skip
 
 
+@calibrate_app.command("pressure")
+def calibrate_pressure(
+    out: Annotated[Path, typer.Option("--out", help="Calibration file to write.")],
+    rig: RigOption = "virtual",
+    pressures: Annotated[str, typer.Option(help="To stop at, in kPa.")] = "0,100,200,300,400,500",
+    gauge: Annotated[
+        str, typer.Option(help="A gauge that you read; without: the rig's pressure_transmitter.")
+    ] = "",
+    u_each: Annotated[float, typer.Option(help="Of one gauge reading, in kPa.")] = 0.0,
+    u_zero: Annotated[float, typer.Option(help="Of the gauge's zero, in kPa.")] = 0.0,
+    u_gain: Annotated[float, typer.Option(help="Of the gauge's scale, relative.")] = 0.0,
+    records: Annotated[Path, typer.Option(help="Folder for the record.")] = Path("calibrations"),
+    operator: Annotated[str, typer.Option(help="Who calibrates.")] = "",
+    replace: Annotated[bool, typer.Option("--replace", help="Replace an existing file.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Counts to kPa: the bench's own pressures, up and down, against a reference."""
+    from rigs.calibrate_commands import pressure_command
+
+    pressure_command(
+        rig, out, pressures, gauge, u_each, u_zero, u_gain, records, operator, replace, as_json
+    )
+
+
+@calibrate_app.command("force")
+def calibrate_force(
+    out: Annotated[Path, typer.Option("--out", help="Calibration file to write.")],
+    rig: RigOption = "virtual",
+    masses: Annotated[str, typer.Option(help="Dead weights, in kg.")] = "0,1,2,5",
+    weights: Annotated[str, typer.Option(help="Which set of weights.")] = "dead weights",
+    u_each: Annotated[float, typer.Option(help="Of a single weight, in N.")] = 0.0,
+    u_gain: Annotated[float, typer.Option(help="Of the set and of local g, relative.")] = 1e-4,
+    records: Annotated[Path, typer.Option(help="Folder for the record.")] = Path("calibrations"),
+    operator: Annotated[str, typer.Option(help="Who calibrates.")] = "",
+    replace: Annotated[bool, typer.Option("--replace", help="Replace an existing file.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Grams (or a load cell's reading) to newtons: dead weights, up and down."""
+    from rigs.calibrate_commands import force_command
+
+    force_command(rig, out, masses, weights, u_each, u_gain, records, operator, replace, as_json)
+
+
+@app.command()
+def read(
+    rig: RigOption = "virtual",
+    seconds: Annotated[float, typer.Option(help="How long to listen.")] = 3.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Listen to every optional instrument of a rig: what it reads, and its faults."""
+    from rigs.calibrate_commands import read_command
+
+    read_command(rig, seconds, as_json)
+
+
 @import_app.command("thesis")
 def import_thesis(
     table: Annotated[str, typer.Argument(help="Thesis table: c01 (isometric).")],

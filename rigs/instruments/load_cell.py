@@ -32,7 +32,7 @@ class LoadCell:
                 f"known: {', '.join(GRAMS)}",
             )
         self.indicator = indicator
-        self._factor = GRAMS[indicator.unit]
+        self.factor = GRAMS[indicator.unit]
         self._tare = 0.0
         self.on_rows: list[Callable[[Batch], None]] = []
         indicator.on_rows.append(self._forward)
@@ -68,7 +68,7 @@ class LoadCell:
 
     def grams(self, reading: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Net grams of readings as printed."""
-        return (np.asarray(reading, dtype=np.float64) - self._tare) * self._factor
+        return (np.asarray(reading, dtype=np.float64) - self._tare) * self.factor
 
     def _forward(self, batch: Batch) -> None:
         rows: Batch = {
@@ -95,9 +95,9 @@ class LoadCell:
             before = self.indicator.at_rest(seconds)
             self.indicator.tare(seconds)
             self._tare = 0.0
-            return before * self._factor
+            return before * self.factor
         self._tare = self.indicator.at_rest(seconds)
-        return self._tare * self._factor
+        return self._tare * self.factor
 
     def poll(self) -> None:
         """Read what has come and hand new rows on."""
