@@ -17,8 +17,14 @@ from daq.transport import Link
 from rigs.lines import LineDevice
 from rigs.pump import Pump
 
-_READING = re.compile(r"^S ([SD]) +(-?\d+(?:\.\d+)?) (\S+)$")
+# The value is right-aligned in ten characters: a lost or doubled one shows by the length.
+_READING = re.compile(r"^S ([SD]) (?=.{10} \S+$) *(-?\d+(?:\.\d+)?) (\S+)$")
 KEEP_ROWS = 4096
+CLOSE_NS = 10_000_000
+"""No balance makes two readings so soon after each other: one was repeated or held up, or the
+computer was busy."""
+PAUSE_NS = 300_000_000
+"""A balance makes ten readings a second or more: after this they were held up on the way."""
 
 
 class Balance(LineDevice):
@@ -35,6 +41,9 @@ class Balance(LineDevice):
         self._grams = np.zeros(KEEP_ROWS)
         self._stable = np.zeros(KEEP_ROWS, dtype=bool)
         self._pending: list[tuple[int, int, float, bool]] = []
+        self._held: tuple[int, float, bool] | None = None
+        self._heard_ns = 0
+        self._burst = self._paused = False
         self.identity: dict[str, str] = {}
         self.on_rows: list[Callable[[dict[str, npt.NDArray[np.generic]]], None]] = []
         self.last_problem = ""
@@ -44,7 +53,7 @@ class Balance(LineDevice):
         match = _READING.match(line)
         if match:
             if match[3] != "g":
-                self._bad(f"unit changed to {match[3]!r}: {line!r}")
+                self._bad("unit", f"unit changed to {match[3]!r}: {line!r}")
             else:
                 self._row(host_ns, float(match[2]), match[1] == "S")
             return True
@@ -53,18 +62,46 @@ class Balance(LineDevice):
             self._bad("overload" if line == "S +" else "underload")
             return True
         if line == "S I":
-            self._bad("not ready (S I)")
+            self._bad("refused", "not ready (S I)")
             return True
         if line.startswith("S "):
-            self._bad(f"reading that does not parse: {line!r}")
+            dotted = _READING.match(line.replace(",", "."))
+            kind = "comma" if "," in line and dotted else "damaged"
+            self._bad(kind, f"reading that does not parse: {line!r}")
             return True
         return False
 
-    def _bad(self, what: str) -> None:
+    def _bad(self, kind: str, what: str = "") -> None:
         self.bad_lines += 1
-        self.last_problem = what
+        self.faults.add(kind, what)
+        self.last_problem = what or kind
 
     def _row(self, host_ns: int, grams: float, stable: bool) -> None:
+        """A whole reading; it stands once no other has come on its heels."""
+        gap_ns, self._heard_ns = host_ns - self._heard_ns, host_ns
+        if gap_ns < CLOSE_NS and (self._burst or self._odd(grams)):
+            for _ in range(1 + (self._held is not None)):
+                self._bad("stale", "two readings at once: repeated, or held up on the way")
+            self._held = None
+            self._burst = True
+            return
+        self._burst = False
+        self._paused = gap_ns > PAUSE_NS
+        self._release()
+        self._held = (host_ns, grams, stable)
+
+    def _odd(self, grams: float) -> bool:
+        """Whether the held reading and this one, at once, cannot both stand."""
+        if self._held is None:
+            return False
+        last = self._grams[(self.rows - 1) % KEEP_ROWS] if self.rows else None
+        return self._paused or grams == self._held[1] or self._held[1] == last
+
+    def _release(self) -> None:
+        if self._held is None:
+            return
+        host_ns, grams, stable = self._held
+        self._held = None
         slot = self.rows % KEEP_ROWS
         self._grams[slot] = grams
         self._stable[slot] = stable
@@ -74,6 +111,8 @@ class Balance(LineDevice):
     def poll(self) -> None:
         """Read what has come and hand new rows on."""
         super().poll()
+        if self._held is not None and self._pump.clock.now_ns() - self._held[0] >= CLOSE_NS:
+            self._release()
         if self._pending:
             row, host_ns, grams, stable = zip(*self._pending, strict=True)
             batch: dict[str, npt.NDArray[np.generic]] = {

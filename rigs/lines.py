@@ -8,6 +8,7 @@ from collections.abc import Callable
 from daq.errors import DeviceTimeout, LinkLost
 from daq.framer import LineFramer
 from daq.transport import Link
+from rigs.instruments.faults import Faults
 from rigs.pump import Pump
 
 
@@ -26,6 +27,7 @@ class LineDevice:
         self._lines: deque[str] = deque(maxlen=256)
         self.kind = kind
         self.bad_lines = 0
+        self.faults = Faults()
         self._lost = False
         self.on_bytes: Callable[[int, bytes], None] | None = None
 
@@ -50,8 +52,8 @@ class LineDevice:
             return
         try:
             chunks = self._link.read()
-        except LinkLost:
-            self._lost = True
+        except LinkLost as error:
+            self._count_loss(error)
             raise
         for chunk in chunks:
             if self.on_bytes is not None:
@@ -61,17 +63,27 @@ class LineDevice:
                     line = raw.decode("ascii").strip()
                 except UnicodeDecodeError:
                     self.bad_lines += 1
+                    self.faults.add("damaged", repr(raw))
                     continue
                 if line and not self.on_line(line, chunk.host_ns):
                     self._lines.append(line)
 
+    def _count_loss(self, error: LinkLost) -> None:
+        if not self._lost:
+            self._lost = True
+            self.faults.add("unplugged", error.what)
+
     def send(self, text: str) -> None:
         """Send one line."""
-        self._link.write(text.encode("ascii") + self._end)
+        self.send_raw(text.encode("ascii") + self._end)
 
     def send_raw(self, data: bytes) -> None:
         """Send bytes as they are (single-character commands)."""
-        self._link.write(data)
+        try:
+            self._link.write(data)
+        except LinkLost as error:
+            self._count_loss(error)
+            raise
 
     def ask(self, text: str, accept: Callable[[str], bool], seconds: float = 1.0) -> str:
         """Send ``text`` and return the first line that ``accept`` takes as its answer.
@@ -116,4 +128,5 @@ class LineDevice:
             "bad_lines": self.bad_lines,
             "oversize": framer.oversize,
             "dropped_bytes": framer.dropped_bytes,
+            **self.faults.counts,
         }

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import re
 
-from daq.errors import DeviceError
+from daq.errors import DeviceError, DeviceTimeout
 from daq.transport import Link
 from rigs.lines import LineDevice
 from rigs.pump import Pump
 
-_STATUS = re.compile(r"^<(\w+)(?::\d)?\|MPos:(-?\d+\.\d+),")
+# The whole report, so that half of one or two in one are none.
+_STATUS = re.compile(
+    r"<(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep)(?::\d)?"
+    r"\|MPos:(-?\d+\.\d{3}),-?\d+\.\d{3},-?\d+\.\d{3}(?:\|[^<>]*)?>"
+)
+CLOSE_MM = 0.01
+TRIES = 3
 
 
 class Stage(LineDevice):
@@ -19,6 +25,33 @@ class Stage(LineDevice):
         super().__init__(link, pump, "stage", end=b"\n")
         self.speed_mm_s = speed_mm_s
         self.identity: dict[str, str] = {}
+        self._ready = False
+        self._stopped = ""
+
+    def on_line(self, line: str, host_ns: int) -> bool:
+        """Claim what the stage says unasked: a restart or an alarm in mid-run."""
+        if line.startswith("Grbl ") and self._ready:
+            self.faults.add("restarted", line)
+            self._stopped = f"it restarted ({line})"
+            return True
+        if line.startswith("ALARM:") and self._ready:
+            self._stopped = f"it raised {line}"
+            self.faults.add("refused", line)
+            return False  # who waits for an answer shall have it
+        if line.startswith("<") and not _STATUS.fullmatch(line):
+            if "WPos:" in line:
+                self._stopped = "it reports work positions: send $10=1 once, and restart it"
+            dotted = re.sub(r"(\d),(\d{3})(?=[,|])", r"\1.\2", line)
+            self.faults.add("comma" if _STATUS.fullmatch(dotted) else "damaged", repr(line))
+            return True
+        return False
+
+    def _check(self) -> None:
+        """A stage that restarted or raised an alarm does not know where it is."""
+        if self._stopped:
+            raise DeviceError(
+                self.name, self._stopped, "home it, unlock it ($X), and start a new run"
+            )
 
     def connect(self, serial: str) -> dict[str, str]:
         """Ask who it is and set millimetres and absolute positions.
@@ -36,6 +69,10 @@ class Stage(LineDevice):
                 "connect the right stage, or change stage.serial in the rig file",
             )
         self.command("G21 G90")
+        state, _ = self.status()
+        if state == "Alarm":
+            raise DeviceError(self.name, "is in alarm", "home it ($H) or unlock it ($X)")
+        self._ready = True
         return self.identity
 
     def command(self, text: str, seconds: float = 2.0) -> None:
@@ -51,13 +88,26 @@ class Stage(LineDevice):
             raise DeviceError(self.name, f"refused {text!r}: {answer}", "see the GRBL error list")
 
     def status(self) -> tuple[str, float]:
-        """(state, position in mm)."""
-        self._lines.clear()
-        self.send_raw(b"?")
-        line = self.wait_line(lambda s: _STATUS.match(s) is not None, "?", 1.0)
-        match = _STATUS.match(line)
-        assert match is not None
-        return match[1], float(match[2])
+        """(state, position in mm).
+
+        Raises:
+            DeviceTimeout: no whole report in three tries.
+        """
+        for attempt in range(TRIES):
+            self._check()
+            self._lines.clear()
+            self.send_raw(b"?")
+            try:
+                line = self.wait_line(lambda s: _STATUS.fullmatch(s) is not None, "?", 0.5)
+            except DeviceTimeout:
+                self.faults.add("no_answer", "?")
+                if attempt == TRIES - 1:
+                    raise
+                continue
+            match = _STATUS.fullmatch(line)
+            assert match is not None
+            return match[1], float(match[2])
+        raise AssertionError("unreachable")
 
     def move(self, length_mm: float) -> float:
         """Go to a length and wait until the stage is at rest there; returns the position.
@@ -71,12 +121,20 @@ class Stage(LineDevice):
         state = {"at": ("Run", start)}
 
         def at_rest() -> bool:
-            state["at"] = self.status()
-            return state["at"][0] in ("Idle", "Alarm")
+            # Twice the same: a report that was late or came twice is not of now.
+            before, state["at"] = state["at"], self.status()
+            return state["at"][0] == "Alarm" or (
+                before == state["at"] and before[0] == "Idle" and now_there(before[1])
+            )
 
+        def now_there(position: float) -> bool:
+            return abs(position - length_mm) <= CLOSE_MM or self._pump.clock.now_ns() > end_ns
+
+        end_ns = self._pump.clock.now_ns() + round((seconds - 1.0) * 1e9)
         self._pump.until(at_rest, seconds)
+        self._check()
         name, position = state["at"]
-        if name != "Idle" or abs(position - length_mm) > 0.01:
+        if name != "Idle" or abs(position - length_mm) > CLOSE_MM:
             raise DeviceError(
                 self.name,
                 f"was sent to {length_mm:.3f} mm, is at {position:.3f} mm ({name})",

@@ -77,11 +77,11 @@ class Desk:
     def replug(self) -> None:
         self.plugged = True
 
-    def watch(self, driver: Any) -> None:
+    def watch(self, driver: Any, column: str = "reading") -> None:
         """Collect every row that the driver hands on."""
         driver.on_rows.append(
             lambda batch: self.rows.extend(
-                zip(batch["host_ns"].tolist(), batch["reading"].tolist(), strict=True)
+                zip(batch["host_ns"].tolist(), batch[column].tolist(), strict=True)
             )
         )
 

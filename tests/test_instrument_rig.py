@@ -256,7 +256,13 @@ def test_the_same_bytes_over_ports_in_real_time(tmp_path: Path) -> None:
                 assert rig.supply.measure()[0] == pytest.approx(12.0, abs=0.02)
                 for name, instrument in rig.instruments.items():
                     assert instrument.rows >= 2, name
-                    wrong = set(instrument.faults.counts) - {"no_answer", "late", "silent", "half"}
+                    wrong = set(instrument.faults.counts) - {
+                        "no_answer",
+                        "late",
+                        "silent",
+                        "half",
+                        "stale",
+                    }
                     assert not wrong, f"{name}: {instrument.faults.counts}"
                 assert rig.instruments["thermometer"].mean(2) == pytest.approx(21.0, abs=1.0)
         finally:

@@ -21,6 +21,7 @@ KINDS = {
     "unplugged": "link lost",
     "replugged": "link found again",
     "stranger": "another instrument answered after the link was found again",
+    "restarted": "the instrument restarted by itself",
     "outside": "reading outside the calibrated range (kept, and said)",
 }
 """Every kind of fault and its meaning; none of them ever becomes a value."""

@@ -162,9 +162,10 @@ class Instrument(Readings):
     def _streamed(self, item: Parsed, host_ns: int) -> None:
         """A message of an instrument that sends by itself.
 
-        Two messages much closer than the rate allows cannot both be of their time: one was
-        repeated, or both were held up on the way. They are dropped, and so is what follows
-        as closely. Instruments too fast to tell (an adapter collects bytes for 16 ms) are
+        Two messages much closer than the rate allows were held up on the way if they follow a
+        pause, and one was repeated if it says the same as the one before. Then they are
+        dropped, and so is what follows as closely. Two that differ, without a pause, are a
+        busy computer's. Instruments too fast to tell (an adapter collects bytes for 16 ms) are
         only held to that after a pause.
         """
         gap_ns, self._last_ns = host_ns - self._last_ns, host_ns
@@ -175,7 +176,8 @@ class Instrument(Readings):
             self._skip_first = False
             return
         close = gap_ns < 0.3 * self._period_ns
-        if close and (self._held is not None or self._burst):
+        held = self._held[1] if self._held is not None else None
+        if close and (self._burst or (held is not None and self._odd(held, item))):
             kind = "late" if self._paused else "stale"
             if self._held is not None:
                 self.faults.add(kind, self._held[1].detail)
@@ -191,6 +193,13 @@ class Instrument(Readings):
             self._until_ns = host_ns + round(0.3 * self._period_ns)
         else:
             self._take(host_ns, item)
+
+    def _odd(self, held: Parsed, item: Parsed) -> bool:
+        """Whether two messages at once cannot both stand."""
+        repeated = item.value == held.value or (
+            self.rows > 0 and held.value == float(self.recent(1)[0][0])
+        )
+        return self._paused or repeated or bool(held.fault or item.fault)
 
     def _turn(self, now_ns: int) -> None:
         """What time itself brings about."""

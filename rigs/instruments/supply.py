@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from daq.errors import DeviceError, DeviceTimeout, LinkLost, PamrigError
 from daq.transport import Link
-from rigs.instruments.faults import Faults
 from rigs.lines import LineDevice
 from rigs.pump import Pump
 
@@ -63,7 +62,6 @@ class Supply(LineDevice):
         self.voltage_v = voltage_v
         self.max_v = max_v
         self.settle_v = settle_v
-        self.faults = Faults()
         self.identity: dict[str, str] = {}
         self.rows = 0
         self.set_v = 0.0
@@ -81,9 +79,8 @@ class Supply(LineDevice):
             return
         try:
             super().poll()
-        except LinkLost as error:
+        except LinkLost:
             self._gone = True
-            self.faults.add("unplugged", error.what)
 
     def connect(self, serial: str) -> dict[str, str]:
         """Clear it, ask who it is and put the line in order.
@@ -254,9 +251,8 @@ class Supply(LineDevice):
         self._restore()
         try:
             self.send(text)
-        except LinkLost as error:
+        except LinkLost:
             self._gone = True
-            self.faults.add("unplugged", error.what)
         return not self._gone
 
     def _restore(self) -> None:

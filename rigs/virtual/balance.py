@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from rigs.virtual.mishap import Wire
+
 SAMPLE_NS = 100_000_000
 STABLE_READINGS = 5
 STABLE_G = 5.0
@@ -26,6 +28,12 @@ class VirtualBalance:
         zero_n: standard deviation of the residual zero that each tare leaves, in N
             (hose pull, pan friction); 0 for none.
         noise_n: standard deviation of a reading, in N.
+
+    Attributes:
+        unit: unit set at the keypad.
+        comma: True prints decimal commas.
+        flag: "overload" or "underload" is printed in place of a reading.
+        wire: arranges mishaps.
     """
 
     def __init__(
@@ -40,7 +48,6 @@ class VirtualBalance:
         noise_n: float = 0.005,
     ) -> None:
         self._force_n = force_n
-        self._send = send
         self._rng = rng
         self._serial = serial
         self._grams_per_n = 1000.0 / gravity_m_s2
@@ -52,7 +59,12 @@ class VirtualBalance:
         self._history: deque[float] = deque(maxlen=STABLE_READINGS)
         self._streaming = False
         self._pending: str | None = None
-        self.next_ns = SAMPLE_NS
+        self.unit = "g"
+        self.comma = False
+        self.flag = ""
+        self.wire = Wire(send)
+        self._now_ns = 0
+        self._sample_ns = SAMPLE_NS
 
     def feed(self, data: bytes) -> None:
         """Bytes from the host."""
@@ -65,7 +77,7 @@ class VirtualBalance:
         del self._buffer[:-256]
 
     def _say(self, line: str) -> None:
-        self._send(line.encode("ascii") + b"\r\n")
+        self.wire.send(line.encode("ascii") + b"\r\n", self._now_ns)
 
     def _command(self, line: str) -> None:
         if line in ("S", "SI", "@", "SIR", "SR"):
@@ -84,11 +96,20 @@ class VirtualBalance:
         else:
             self._say("ES")
 
+    @property
+    def next_ns(self) -> int:
+        """When it next has something to do."""
+        held = self.wire.next_ns
+        return self._sample_ns if held is None else min(held, self._sample_ns)
+
     def advance(self, now_ns: int) -> None:
         """Take every sample that is due by ``now_ns`` (bench time)."""
-        while self.next_ns <= now_ns:
-            self.next_ns += SAMPLE_NS
+        while self._sample_ns <= now_ns:
+            self._now_ns = self._sample_ns
+            self._sample_ns += SAMPLE_NS
             self._sample()
+        self._now_ns = now_ns
+        self.wire.advance(now_ns)
 
     def _sample(self) -> None:
         pull = self._force_n() * (1.0 + self._gain) * self._grams_per_n
@@ -120,7 +141,9 @@ class VirtualBalance:
             self._say("S I")
             return
         grams = self._history[-1] - self._tare_g
-        if abs(grams) > CAPACITY_G:
-            self._say("S +" if grams > 0 else "S -")
+        if self.flag or abs(grams) > CAPACITY_G:
+            over = self.flag == "overload" or (not self.flag and grams > 0)
+            self._say("S +" if over else "S -")
         else:
-            self._say(f"S {'S' if self._stable else 'D'} {grams:10.3f} g")
+            line = f"S {'S' if self._stable else 'D'} {grams:10.3f} {self.unit}"
+            self._say(line.replace(".", ",") if self.comma else line)

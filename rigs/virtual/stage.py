@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
+from rigs.virtual.mishap import Wire
+
 _WORD = re.compile(r"([A-Z])(-?\d+(?:\.\d*)?)")
 
 
@@ -29,7 +31,8 @@ class VirtualStage:
         high_mm: float,
     ) -> None:
         self._set_motion = set_motion
-        self._send = send
+        self.comma = False
+        self.wire = Wire(send)
         self._serial = serial
         self._low, self._high = low_mm, high_mm
         self._position = self._from = self._target = start_mm
@@ -38,7 +41,18 @@ class VirtualStage:
         self._now_ns = 0
         self._feed_mm_min = 600.0
         self._buffer = bytearray()
-        self.next_ns: int | None = None
+        self._end_ns: int | None = None
+        self._say("Grbl 1.1h ['$' for help]")
+
+    @property
+    def next_ns(self) -> int | None:
+        """When it next has something to do."""
+        times = [t for t in (self._end_ns, self.wire.next_ns) if t is not None]
+        return min(times) if times else None
+
+    def restart(self) -> None:
+        """A brown-out: it stops where it is and greets as after power-up."""
+        self._halt()
         self._say("Grbl 1.1h ['$' for help]")
 
     def feed(self, data: bytes) -> None:
@@ -59,20 +73,23 @@ class VirtualStage:
                 self._buffer.append(byte)
 
     def _say(self, line: str) -> None:
-        self._send(line.encode("ascii") + b"\r\n")
+        self.wire.send(line.encode("ascii") + b"\r\n", self._now_ns)
 
     def _where(self) -> float:
-        if self.next_ns is None:
+        if self._end_ns is None:
             return self._position
         return self._from + self._rate * (self._now_ns - self._started_ns) * 1e-9
 
     def _status(self) -> None:
-        state = "Idle" if self.next_ns is None else "Run"
-        self._say(f"<{state}|MPos:{self._where():.3f},0.000,0.000|FS:{abs(self._rate) * 60:.0f},0>")
+        state = "Idle" if self._end_ns is None else "Run"
+        where = f"{self._where():.3f},0.000,0.000"
+        if self.comma:
+            where = where.replace(".", ",")
+        self._say(f"<{state}|MPos:{where}|FS:{abs(self._rate) * 60:.0f},0>")
 
     def _halt(self) -> None:
         self._position = self._where()
-        self.next_ns = None
+        self._end_ns = None
         self._rate = 0.0
         self._set_motion(self._position, 0.0)
 
@@ -104,14 +121,15 @@ class VirtualStage:
             return
         self._rate = speed if distance > 0 else -speed
         self._started_ns = self._now_ns
-        self.next_ns = self._now_ns + round(abs(distance) / speed * 1e9)
+        self._end_ns = self._now_ns + round(abs(distance) / speed * 1e9)
         self._set_motion(self._from, self._rate)
 
     def advance(self, now_ns: int) -> None:
         """Let time pass to ``now_ns``; a move that is due ends there exactly."""
-        if self.next_ns is not None and now_ns >= self.next_ns:
+        if self._end_ns is not None and now_ns >= self._end_ns:
             self._position = self._target
             self._rate = 0.0
-            self.next_ns = None
+            self._end_ns = None
             self._set_motion(self._position, 0.0)
         self._now_ns = now_ns
+        self.wire.advance(now_ns)

@@ -1,0 +1,109 @@
+"""The MT-SICS balance under mishaps: each counted, none of them a wrong weight."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.errors import LinkLost
+from instrument_desk import Desk
+from rigs.balance import Balance
+from rigs.virtual.balance import VirtualBalance
+
+G = 9.80665
+
+
+class Scales(Desk):
+    """The pull grows steadily; the balance is tared at the start."""
+
+    def truth(self, now_ns: int) -> float:
+        """Grams that the balance should show."""
+        return -100.0 - now_ns * 1e-9 * 2.0
+
+
+def scales() -> tuple[Scales, Balance]:
+    def make(read: Any, send: Any) -> VirtualBalance:
+        rng = np.random.default_rng(1)
+        pull = lambda: -read() * G / 1000  # noqa: E731
+        return VirtualBalance(pull, send, rng, "BAL-1", G, noise_n=0.0)
+
+    desk = Scales(make)
+    desk.device._tare_g = 0.0
+    balance = Balance(desk.host, desk.pump)
+    desk.pump.add(balance.poll)
+    desk.watch(balance, "grams")
+    balance.connect("BAL-1")
+    desk.pump.for_seconds(1.0)
+    return desk, balance
+
+
+def test_readings_are_right_and_nothing_is_counted() -> None:
+    desk, balance = scales()
+    desk.pump.for_seconds(5.0)
+    assert len(desk.rows) == pytest.approx(59, abs=3)
+    assert balance.faults.counts == {}
+    assert desk.worst() < 0.001
+
+
+@pytest.mark.parametrize(
+    ("mishap", "kinds"),
+    [("half", {"damaged"}), ("double", {"stale"}), ("stale", {"stale"}), ("late", {"stale"}),
+     ("garbage", {"damaged"})],
+)  # fmt: skip
+def test_a_mishap_on_the_wire(mishap: str, kinds: set[str]) -> None:
+    desk, balance = scales()
+    for _ in range(5):
+        desk.device.wire.arrange(mishap)
+        desk.pump.for_seconds(2.0)
+    assert balance.faults.total >= 5
+    assert set(balance.faults.counts) <= kinds
+    assert desk.worst() < 0.001
+    assert set(balance.counters()) > kinds
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["S S   -123.45 g", "S S    -123.4566 g", "S S     -12.345 kg", "S S    -123,456 g",
+     "S S S S    -123.456 g", "S S    -123.456", "S S    --23.456 g"],
+)  # fmt: skip
+def test_a_line_that_is_not_as_the_standard_has_it_is_no_reading(line: str) -> None:
+    desk, balance = scales()
+    rows = balance.rows
+    balance.on_line(line, 0)
+    balance._release()
+    assert balance.rows <= rows + 1  # one was held already
+    assert balance.faults.total == 1
+    desk.pump.for_seconds(0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "kind"),
+    [({"unit": "oz"}, "unit"), ({"comma": True}, "comma"), ({"flag": "overload"}, "overload"),
+     ({"flag": "underload"}, "underload")],
+)  # fmt: skip
+def test_keypad_and_flags(change: dict[str, object], kind: str) -> None:
+    desk, balance = scales()
+    for key, value in change.items():
+        setattr(desk.device, key, value)
+    rows = balance.rows
+    desk.pump.for_seconds(2.0)
+    assert balance.rows <= rows + 1
+    assert balance.faults.counts[kind] >= 18
+    assert desk.worst() < 0.001
+
+
+def test_unplugged_it_says_so_once_and_the_bench_goes_on() -> None:
+    desk, balance = scales()
+    desk.unplug()
+    with pytest.raises(LinkLost):
+        desk.pump.for_seconds(1.0)
+    desk.pump.for_seconds(1.0)
+    assert balance.faults.counts["unplugged"] == 1
+    desk.replug()
+    again = Balance(desk.reopen(), desk.pump)
+    desk.pump.add(again.poll)
+    assert again.connect("BAL-1")["serial"] == "BAL-1"
+    desk.pump.for_seconds(1.0)
+    assert again.rows >= 8
