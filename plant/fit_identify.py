@@ -77,7 +77,7 @@ def examine(
         names: of the parameters.
     """
     norm = np.sqrt(np.sum(design**2, axis=0))
-    size = np.where(value != 0, np.abs(value), 1.0)
+    size = np.maximum(np.abs(value), 1.0)
     biggest = float(np.max(norm * size)) if norm.size else 0.0
     alive = norm * size > 1e-12 * biggest if biggest > 0 else np.zeros(norm.size, dtype=bool)
     dead = tuple(n for n, a in zip(names, alive, strict=True) if not a)
@@ -86,7 +86,8 @@ def examine(
 
     _, s, vt = np.linalg.svd(design[:, alive] / norm[alive], full_matrices=False)
     strength = s / s[0] if s.size else s
-    shares = vt / (norm * size)[alive]
+    relative = np.where(value != 0, np.abs(value), 1.0)
+    shares = vt / (norm * relative)[alive]
     kept = [n for n, a in zip(names, alive, strict=True) if a]
     flat = tuple(_direction(shares[i], strength[i], kept) for i in np.flatnonzero(strength < FLAT))
     between = (strength >= FLAT) & (strength < WEAK)
