@@ -140,11 +140,10 @@ def table() -> list[Cell]:
                 for points, residual in zip((c1, c2), residuals[model], strict=True)
             ]
             line = printed(name, model)
-            rows = on[0].n  # C-41 prints n = 154 for 224 points (A74)
             cells.append(
                 Cell(model, name, region, temperatures,
                      printed_in_4_3(model, region, temperatures), line,
-                     line.semean * math.sqrt(rows), on[0], on[1])
+                     line.semean * math.sqrt(line.n), on[0], on[1])
             )  # fmt: skip
     return cells
 

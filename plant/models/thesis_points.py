@@ -38,7 +38,8 @@ def thesis_points(name: str, warm: bool = False) -> Points:
     order = np.flatnonzero(use)
     if "direction" in columns:
         order, start = _cycles(columns, use)
-    picked = [np.asarray(a[order], dtype=np.float64) for a in (pressure, length, temperature, force)]
+    given = (pressure, length, temperature, force)
+    picked = [np.asarray(a[order], dtype=np.float64) for a in given]
     cells = [f"{p:g} kPa {x:g} mm {t:g} degC" for p, x, t, _ in zip(*picked, strict=True)]
     source = f"thesis table {name[0].upper()}-{int(name[1:])}"
     if name in ("c01", "c02"):
