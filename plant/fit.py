@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from plant.errors import PlantError
 from plant.fit_data import Points
@@ -180,7 +179,12 @@ class _Problem:
         readings = {"pressure": x.pressure_pa, "length": x.length_m, "force": x.force_n}
         slopes = {"pressure": by_p, "length": by_l, "force": np.ones(n)}
         for name, sensor in x.sensors.items():
-            columns.append(slopes[name] * sensor.zero)
+            zero = slopes[name] * sensor.zero
+            if sensor.zero_per_trial:
+                trial = x.trials()
+                columns += [zero * (trial == k) for k in np.unique(trial)]
+            else:
+                columns.append(zero)
             columns.append(slopes[name] * sensor.gain * (readings[name] - sensor.origin))
         return noise, np.column_stack(columns) if columns else np.zeros((n, 0))
 
@@ -376,6 +380,3 @@ def _robust_variance(whitened: Array, weights: Array, dof: int) -> float:
         if np.any(weights < 1.0)
         else float(whitened @ whitened / dof)
     )
-
-
-Floats = npt.NDArray[np.float64]

@@ -21,11 +21,13 @@ class SensorErrors:
     """Zero and gain uncertainty (1 sd) of one sensor, common to all points of a run.
 
     A reading is value + zero + gain (value - origin); `zero` and `origin` in SI (Pa, m, N).
+    `zero_per_trial`: the zero is drawn anew at the start of each trial, as by a tare.
     """
 
     zero: float
     gain: float
     origin: float = 0.0
+    zero_per_trial: bool = False
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,12 @@ class Points:
         if kind == "mounting":
             return np.full(len(self), "m1")
         raise PlantError(f"cannot hold out {kind!r}; choose length, temperature or mounting")
+
+    def trials(self) -> npt.NDArray[np.int64]:
+        """Number of the trial of each point; all 0 where nothing says where trials begin."""
+        if self.path is None or self.path.start is None:
+            return np.zeros(len(self), dtype=np.int64)
+        return np.cumsum(self.path.start)
 
     def sha256(self) -> str:
         """Hash of the readings, the same on every machine."""
