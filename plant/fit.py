@@ -8,6 +8,7 @@ the residuals. With V the covariance of the residuals that follows, the fit mini
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,6 +104,11 @@ def fit(
         raise PlantError(
             f"model {model.name} has {len(names)} free parameters and {points.source or 'the data'}"
             f" {len(points)} points; give more points, or fix parameters"
+        )
+    if model.law.memory and points.path is None:
+        raise PlantError(
+            f"model {model.name} remembers how a point was reached, and {points.source} does not "
+            "say in which order its points were taken; use a run or Table C-4"
         )
     problem = _Problem(model, points, [model.law.parameters.index(n) for n in names])
     theta = problem.start()
@@ -265,7 +271,10 @@ class _Problem:
         target = self.residual(theta) + design @ theta
         columns = np.sqrt(np.mean(design**2, axis=0))
         columns = np.where(columns > 0, columns, 1.0)
-        solved = sm.OLS(whiten(target), whiten(design / columns)).fit()
+        with warnings.catch_warnings():
+            # Flat directions are looked for, and named, once the fit is done.
+            warnings.simplefilter("ignore")
+            solved = sm.OLS(whiten(target), whiten(design / columns)).fit()
         found = np.asarray(solved.params, dtype=np.float64) / columns
         # A dead column says nothing: leave that parameter where it was.
         dead = np.all(design == 0, axis=0)

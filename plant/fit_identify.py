@@ -89,7 +89,8 @@ def examine(
     relative = np.where(value != 0, np.abs(value), 1.0)
     shares = vt / (norm * relative)[alive]
     kept = [n for n, a in zip(names, alive, strict=True) if a]
-    flat = tuple(_direction(shares[i], strength[i], kept) for i in np.flatnonzero(strength < FLAT))
+    worst = float(strength[-1]) if strength.size else 1.0
+    flat = tuple(_direction(row, worst, kept) for row in _sparse(shares[strength < FLAT]))
     between = (strength >= FLAT) & (strength < WEAK)
     weak = tuple(_direction(shares[i], strength[i], kept) for i in np.flatnonzero(between))
 
@@ -110,6 +111,20 @@ def examine(
     condition = float(1.0 / strength[-1]) if complete and s.size else float("inf")
     bounded = tuple(n for n, b in zip(names, at_bound, strict=True) if b)
     return Identifiability(tuple(states), dead, flat, weak, bounded, covariance, condition)
+
+
+def _sparse(rows: Array) -> Array:
+    """The same flat directions, combined so that each holds as few parameters as can be."""
+    reduced = rows.copy()
+    for k in range(len(reduced)):
+        rest = np.abs(reduced[k:])
+        row, column = divmod(int(np.argmax(rest)), rest.shape[1])
+        reduced[[k, k + row]] = reduced[[k + row, k]]
+        reduced[k] /= reduced[k, column]
+        for other in range(len(reduced)):
+            if other != k:
+                reduced[other] -= reduced[other, column] * reduced[k]
+    return reduced
 
 
 def _direction(shares: Array, strength: float, names: list[str]) -> Direction:

@@ -13,7 +13,10 @@ from typing import Any
 import numpy as np
 
 from plant.errors import PlantError
+from plant.fit_data import Points
 from plant.models.law import Array
+from plant.models.model import Model
+from plant.models.terms import Term, TermLaw
 
 
 @dataclass(frozen=True)
@@ -158,3 +161,26 @@ def subsets_text(rows: list[Subset], candidates: list[str]) -> str:
             line += f"{'X' if c in row.names else '':>{w}}"
         lines.append(line)
     return "\n".join(lines)
+
+
+def regression_of(model: Model, points: Points) -> tuple[FullRegression, dict[str, Array]]:
+    """The full regression behind a model that is a sum of terms, in its parameters' units.
+
+    Returns the regression and the columns it was made of (for best subsets). Raises `PlantError`
+    for a model that is no such sum, or has no constant.
+    """
+    if not isinstance(model.law, TermLaw):
+        raise PlantError(
+            f"model {model.name} is no sum of terms: regression tables are for the single black "
+            "boxes and quasi-static models (such as black-box-high)"
+        )
+    rows = model.law.jacobian(model.q, points.pressure_pa, points.length_m, points.temperature_c)
+    columns, constant = {}, ""
+    for parameter, term, row in zip(model.parameters, model.law.terms, rows, strict=True):
+        if term == Term():
+            constant = parameter.name
+        else:
+            columns[parameter.name] = np.asarray(row * parameter.to_si)
+    if not constant:
+        raise PlantError(f"model {model.name} has no constant term")
+    return full_regression("force_n", points.force_n, columns), columns
