@@ -20,7 +20,9 @@ from plant.fit_data import Points
 from plant.models.law import Array
 from plant.models.model import Model
 
-HOLDOUTS = ("length", "temperature", "mounting")
+HOLDOUTS = ("length", "temperature", "mounting", "load")
+LEAST_GROUP = 2.0
+"""Points a group has on average at least; below, holding out groups is holding out rows."""
 REGIONS = {"0-125 kPa": (0.0, 125.5e3), "150-600 kPa": (149.5e3, np.inf)}
 RESAMPLES = 4000
 EXACT_GROUPS = 14
@@ -96,15 +98,21 @@ class Comparison:
 
 
 def compare(
-    models: Sequence[Model], points: Points, holdout: str = "length", nested: bool = False
+    models: Sequence[Model],
+    points: Points,
+    holdout: str = "length",
+    nested: bool = False,
+    train: Points | None = None,
 ) -> Comparison:
     """Fit each model to all groups but one, score it on that one, and so on round.
 
     Args:
         models: their free parameters are fitted anew in every fold.
         points: at least three groups.
-        holdout: "length", "temperature" or "mounting".
+        holdout: "length", "temperature", "mounting" or "load".
         nested: also measure what choosing the best of the models costs.
+        train: fit to these instead, once, and score on all of `points`: another day, another
+            test. The groups then only say what is resampled.
 
     Raises:
         PlantError: too few groups, an unknown way to hold out, or no models.
@@ -116,9 +124,14 @@ def compare(
             f"{points.source}: {len(groups)} {holdout} group(s); whole groups are held out, so at "
             "least three are needed: measure more, or hold out something else"
         )
+    if len(points) / len(groups) < LEAST_GROUP:
+        raise PlantError(
+            f"{points.source}: {len(points)} points in {len(groups)} {holdout} groups: that would "
+            "hold out single rows; hold out loads (isotonic tests) or mountings instead"
+        )
     if not models:
         raise PlantError("no model to compare; name at least one")
-    found = [_held_out(m, points, labels, groups) for m in models]
+    found = [_held_out(m, points, labels, groups, train) for m in models]
     order = sorted(range(len(models)), key=lambda k: _rms(found[k][0]))
     squares = np.array([_by_group(found[k][0], labels, groups) for k in order])
     sizes = np.array([np.sum(labels == g) for g in groups], dtype=np.float64)
@@ -128,7 +141,7 @@ def compare(
     means = np.sqrt(squares[:, drawn].sum(axis=2) / sizes[drawn].sum(axis=1))
     scores = []
     for rank, k in enumerate(order):
-        residual, train, trouble = found[k]
+        residual, train_rmse, trouble = found[k]
         low, high = _interval(means[rank])
         excess = _interval(means[rank] - means[0])
         scores.append(
@@ -141,7 +154,7 @@ def compare(
                 rmse_low_n=low,
                 rmse_high_n=high,
                 regions=_regions(residual, points),
-                train_rmse_n=train,
+                train_rmse_n=train_rmse,
                 excess_n=_rms(residual) - _rms(found[order[0]][0]),
                 excess_low_n=excess[0],
                 excess_high_n=excess[1],
@@ -151,10 +164,12 @@ def compare(
                 trouble=trouble,
             )
         )
-    nested_rmse, choices = (np.nan, ()) if not nested else _nested(models, points, labels, groups)
+    nested_rmse, choices = (
+        (np.nan, ()) if not nested or train else _nested(models, points, labels, groups)
+    )
     return Comparison(
         tuple(scores), holdout, groups, len(points), floors(points), nested_rmse, choices,
-        points.source,
+        points.source if train is None else f"{points.source}, fitted to {train.source}",
     )  # fmt: skip
 
 
@@ -184,14 +199,20 @@ def floors(points: Points) -> Floors:
 
 
 def _held_out(
-    model: Model, points: Points, labels: npt.NDArray[np.str_], groups: tuple[str, ...]
+    model: Model,
+    points: Points,
+    labels: npt.NDArray[np.str_],
+    groups: tuple[str, ...],
+    train: Points | None,
 ) -> tuple[Array, float, str]:
     """Held-out residuals, rmse of the fit to everything, and what went wrong."""
     residual = np.full(len(points), np.inf)
     trouble = ""
     try:
-        train = fit(model, points).rmse_n
-        for group in groups:
+        whole = fit(model, points if train is None else train)
+        if train is not None:
+            residual = _residual(whole.model, points)
+        for group in groups if train is None else ():
             out = labels == group
             fitted = fit(model, points.take(~out)).model
             residual[out] = _residual(fitted, points.take(out))
@@ -200,7 +221,7 @@ def _held_out(
     if not np.all(np.isfinite(residual)):
         trouble = "no value for some held-out points: the fitted geometry does not reach them"
         residual = np.where(np.isfinite(residual), residual, np.inf)
-    return residual, train, trouble
+    return residual, whole.rmse_n, trouble
 
 
 def _residual(model: Model, points: Points) -> Array:
@@ -278,7 +299,8 @@ def _regions(residual: Array, points: Points) -> dict[str, float]:
 
 
 def _ordered(labels: npt.NDArray[np.str_], points: Points, holdout: str) -> tuple[str, ...]:
-    by = {"length": points.length_m, "temperature": points.temperature_c}.get(holdout)
+    known = {"length": points.length_m, "temperature": points.temperature_c}
+    by = (known | {"load": points.force_n}).get(holdout)
     names = np.unique(labels)
     if by is None:
         return tuple(str(n) for n in names)

@@ -85,7 +85,7 @@ class Points:
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
     def labels(self, kind: str) -> Labels:
-        """Group names by "length", "temperature" or "mounting"; from the values if not given."""
+        """Names of groups: "length", "temperature", "mounting" or "load" (isotonic tests)."""
         given = getattr(self, f"{kind}_label", None)
         if given is not None:
             return np.asarray(given)
@@ -95,7 +95,9 @@ class Points:
             return np.array([f"{x:.0f} degC" for x in self.temperature_c])
         if kind == "mounting":
             return np.full(len(self), "m1")
-        raise PlantError(f"cannot hold out {kind!r}; choose length, temperature or mounting")
+        if kind == "load":
+            return np.array([f"{x:.2f} N" for x in self.force_n])
+        raise PlantError(f"cannot hold out {kind!r}; choose length, temperature, mounting or load")
 
     def trials(self) -> npt.NDArray[np.int64]:
         """Number of the trial of each point; all 0 where nothing says where trials begin."""

@@ -365,7 +365,10 @@ def models_list(as_json: JsonOption = False) -> None:
 def models_compare(
     data: Annotated[Optional[list[str]], typer.Argument(help="Runs or thesis tables.")] = None,  # noqa: UP045
     models: Annotated[str, typer.Option(help="Models by commas; else all that fit the data.")] = "",
-    holdout: Annotated[str, typer.Option(help="length, temperature or mounting.")] = "length",
+    holdout: Annotated[
+        str, typer.Option(help="Groups: length, temperature, mounting or load.")
+    ] = "length",
+    train: Annotated[str, typer.Option(help="Fit to this run or table, score on DATA.")] = "",
     region: Annotated[str, typer.Option(help="Only pressures LOW-HIGH in kPa.")] = "",
     nested: Annotated[bool, typer.Option("--nested", help="Also what choosing costs.")] = False,
     warm: Annotated[
@@ -380,8 +383,8 @@ def models_compare(
     from rigs.models_commands import compare_command
 
     compare_command(
-        data or [], models, holdout, runs, region=region, nested=nested, warm=warm, preset=preset,
-        figure=figure, as_json=as_json,
+        data or [], models, holdout, runs, region=region, nested=nested, train=train, warm=warm,
+        preset=preset, figure=figure, as_json=as_json,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rigs.drawing import INK, MEASURED, QUIET, SET, labels_at_right, new_figure, sequence, style
+from rigs.drawing import INK, MEASURED, QUIET, SET, new_figure, sequence, spread, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -111,10 +111,15 @@ def _curves(ax: Axes, fit: Fit, points: Points) -> None:
         ends.append(
             (float(p[top]), float(points.force_n[near][top]), f"{length * 1e3:.1f}", colour)
         )
-    labels_at_right(ax, ends, "mm")
+    low, high = ax.get_ylim()
+    ends.sort(key=lambda end: end[1])
+    places = spread([end[1] for end in ends], 0.06 * (high - low))
+    for (x, _, label, _), place in zip(ends, places, strict=True):
+        ax.annotate(label, (x, place), xytext=(5, 0), textcoords="offset points", fontsize=8,
+                    color=INK, va="center", annotation_clip=False)  # fmt: skip
     ax.set_xlabel("pressure in kPa")
     ax.set_ylabel("force in N")
-    ax.set_title("points and model (lines)", fontsize=9, loc="left")
+    ax.set_title("points and model (lines), length in mm", fontsize=9, loc="left")
 
 
 def _surface(ax: Axes, fit: Fit, points: Points) -> None:
@@ -140,11 +145,16 @@ def _surface(ax: Axes, fit: Fit, points: Points) -> None:
 
 def _residual_map(ax: Axes, fit: Fit, points: Points) -> None:
     """Residuals in place: where the model pulls too little (up) or too much (down)."""
-    r = fit.residual_n
-    limit = float(np.percentile(np.abs(r), 98)) or 1.0
+    cells: dict[tuple[float, float], list[float]] = {}
+    for p, x, r in zip(points.pressure_pa, points.length_m, fit.residual_n, strict=True):
+        cells.setdefault((round(p / 1e3, 0), round(x * 1e3, 1)), []).append(float(r))
+    where = np.array(list(cells))
+    # The mean of a cell: points at several temperatures or directions lie on each other.
+    mean = np.array([np.mean(values) for values in cells.values()])
+    limit = float(np.percentile(np.abs(mean), 98)) or 1.0
     drawn = ax.scatter(
-        points.pressure_pa / 1e3, points.length_m * 1e3, c=r, cmap="PuOr", vmin=-limit, vmax=limit,
-        s=60 if r.size <= FEW else 22, marker="s", edgecolors=QUIET, linewidths=0.3,
+        where[:, 0], where[:, 1], c=mean, cmap="PuOr", vmin=-limit, vmax=limit,
+        s=60 if mean.size <= FEW else 22, marker="s", edgecolors=QUIET, linewidths=0.3,
     )  # fmt: skip
     figure: Any = ax.figure
     figure.colorbar(drawn, ax=ax, extend="both").ax.tick_params(labelsize=7.5)

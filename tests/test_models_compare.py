@@ -126,3 +126,21 @@ def test_mountings_are_groups_too() -> None:
     )
     assert found.groups == ("a", "b", "c", "d")
     assert found.scores[0].rmse_n < 1.6
+
+
+def test_isotonic_points_are_held_out_by_load_not_by_row() -> None:
+    models = [catalogue.get(n) for n in ("quasi-static", "chou-hannaford")]
+    with pytest.raises(PlantError, match="single rows"):
+        compare(models, thesis_points("c03"))
+    found = compare(models, thesis_points("c03"), holdout="load")
+    assert found.scores[0].model == "quasi-static"
+
+
+def test_fitted_to_one_test_and_scored_on_another() -> None:
+    c1, c3 = thesis_points("c01"), thesis_points("c03")
+    model = catalogue.get("chou-hannaford")
+    found = compare([model], c3, holdout="load", train=c1)
+    fitted = fit(model, c1).model
+    expected = c3.force_n - fitted.force(c3.pressure_pa, c3.length_m, outside="ignore")
+    assert np.allclose(found.scores[0].residual_n, expected)
+    assert "fitted to" in found.source

@@ -49,7 +49,8 @@ def thesis_points(name: str, warm: bool = False) -> Points:
         length_m=picked[1] * 1e-3,
         temperature_c=picked[2],
         force_n=picked[3],
-        cell=np.array(cells),
+        # At a set load the force is no reading: nothing repeats there.
+        cell=np.array(cells) if name in ("c01", "c02", "c04") else None,
         path=None if start is None else History(None, start),
         source=source,
     )
