@@ -38,12 +38,10 @@ def lively(name: str) -> Model:
     return model.with_values(on)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [n for n in NAMES if not catalogue.get(n).law.memory])
 def test_slopes_by_pressure_length_and_temperature_are_the_derivatives(name: str) -> None:
     model = lively(name)
     p, length, t, path = points()
-    if name in ("maxwell-slip", "prandtl-ishlinskii", "creep"):
-        pytest.skip("slopes of a law with memory are one-sided: see test_models_memory")
     found = model.law.slopes(model.q, p, length, t, path)
     for k, step in enumerate((200.0, 2e-6, 1e-3)):
         up = [p, length, t]
@@ -52,6 +50,36 @@ def test_slopes_by_pressure_length_and_temperature_are_the_derivatives(name: str
         difference = model.law.force(model.q, *up, path) - model.law.force(model.q, *down, path)
         scale = np.max(np.abs(found[k])) + 1e-12
         assert np.allclose(found[k] / scale, difference / (2 * step) / scale, atol=2e-4)
+
+
+@pytest.mark.parametrize("name", ["prandtl-ishlinskii", "maxwell-slip"])
+def test_slopes_with_memory_are_those_onward_in_the_same_direction(name: str) -> None:
+    model = lively(name)
+    up = np.linspace(160e3, 590e3, 40)
+    p = np.r_[up, up[::-1]]
+    length = 1e-3 * np.r_[np.linspace(66, 56, 40), np.linspace(56, 66, 40)]
+    t = np.full(80, 21.0)
+    by_p, by_l, _ = model.law.slopes(model.q, p, length, t)
+    for at in (3, 20, 39, 45, 60, 78):
+        head = slice(0, at + 1)
+        for k, (step, slope) in enumerate(((1.0, by_p), (1e-8, by_l))):
+            # One more step of the same kind as the last: signs of the way so far are kept.
+            path = [p[head], length[head], t[head]]
+            onward = np.sign(path[k][-1] - path[k][-2])
+            further = [np.append(a, a[-1]) for a in path]
+            further[k][-1] += onward * step
+            ahead = model.law.force(model.q, *further)[-1] - model.law.force(model.q, *path)[-1]
+            assert ahead / (onward * step) == pytest.approx(slope[at], rel=1e-4, abs=1e-9)
+
+
+def test_creep_s_slopes_are_those_of_a_change_at_once() -> None:
+    model = lively("creep")
+    p, length, t = np.array([2e5, 2e5, 4e5]), np.full(3, 60e-3), np.full(3, 21.0)
+    path = History(time_s=np.array([0.0, 1.0, 1.0]))
+    by_p, _, _ = model.law.slopes(model.q, p, length, t, path)
+    jump = model.law.force(model.q, p, length, t, path)
+    more = model.law.force(model.q, p + np.array([0, 0, 10.0]), length, t, path)
+    assert (more - jump)[2] / 10.0 == pytest.approx(by_p[2], rel=1e-6)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -91,18 +91,31 @@ def _add_stops(out: Any, x: Any, start: Any, travel: Any, weight: Any) -> None: 
 
 
 @_compiled
-def _lag(x: Any, time_s: Any, start: Any, tau_s: float) -> Any:  # pragma: no cover
-    """First-order lag of a signal that is straight between its samples, exactly."""
-    y = np.empty_like(x)
+def _late(x: Any, time_s: Any, start: Any, tau_s: Any, share: Any) -> Any:  # pragma: no cover
+    """X + sum of share (lag(x) - x): first-order lags of a signal straight between its samples."""
+    out = np.empty_like(x)
+    count = tau_s.size
+    lag, decay, ramp = np.empty(count), np.empty(count), np.empty(count)
+    last_step = -1.0
     for i in range(x.size):
         if start[i]:
-            y[i] = x[i]
+            lag[:] = x[i]
+            out[i] = x[i]
             continue
-        a = (time_s[i] - time_s[i - 1]) / tau_s
-        decay = np.exp(-a)
-        ramp = 1.0 - (1.0 - decay) / a if a > 0.0 else 0.0
-        y[i] = y[i - 1] * decay + x[i - 1] * (1.0 - decay - ramp) + x[i] * ramp
-    return y
+        step = time_s[i] - time_s[i - 1]
+        # Even sampling, but for the last bits of its times, needs its exponentials once.
+        if abs(step - last_step) > 1e-9 * step:
+            for k in range(count):
+                a = step / tau_s[k]
+                decay[k] = np.exp(-a)
+                ramp[k] = 1.0 - (1.0 - decay[k]) / a if a > 0.0 else 0.0
+            last_step = step
+        total = x[i]
+        for k in range(count):
+            lag[k] = lag[k] * decay[k] + x[i - 1] * (1.0 - decay[k] - ramp[k]) + x[i] * ramp[k]
+            total += share[k] * (lag[k] - x[i])
+        out[i] = total
+    return out
 
 
 def _starts(n: int, path: History | None) -> Bools:
@@ -237,19 +250,16 @@ class Creep(Law):
             raise PlantError("creep needs the time of every point; give History(time_s=...)")
         return path.time_s
 
-    def _late(self, q: Array, signal: Array, path: History | None) -> Array:
-        time_s, starts = self._time(path), _starts(signal.size, path)
-        out = signal
-        for share, tau in zip(q[len(self.base.parameters) :], CREEP_S, strict=True):
-            out = out + share * (_lag(signal, time_s, starts, tau) - signal)
-        return np.asarray(out)
+    def _late(self, share: Array, signal: Array, path: History | None) -> Array:
+        starts = _starts(signal.size, path)
+        return np.asarray(_late(signal, self._time(path), starts, np.array(CREEP_S), share))
 
     def force(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Array:
         """The late force."""
         k = len(self.base.parameters)
-        return self._late(q, static_force(self.base, q[:k], p, length, t), path)
+        return self._late(q[k:], static_force(self.base, q[:k], p, length, t), path)
 
     def slopes(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
@@ -265,8 +275,8 @@ class Creep(Law):
     ) -> Array:
         """The lag is linear, so the static sensitivities pass through it."""
         k = len(self.base.parameters)
-        rows = [self._late(q, row, path) for row in self.base.jacobian(q[:k], p, length, t)]
+        rows = [self._late(q[k:], row, path) for row in self.base.jacobian(q[:k], p, length, t)]
         static = self.base.force(q[:k], p, length, t)
-        time_s, starts = self._time(path), _starts(p.size, path)
-        rows += [_lag(static, time_s, starts, tau) - static for tau in CREEP_S]
+        for unit in np.eye(len(CREEP_S)):
+            rows.append(self._late(unit, static, path) - static)
         return np.stack(rows)
