@@ -114,14 +114,16 @@ def fit(
     theta = problem.start()
     scale = 1.0
     weights = np.ones(len(points))
-    for _ in range(MAX_ROUNDS):
+    for _ in range(5 * MAX_ROUNDS if robust else MAX_ROUNDS):
         whiten = problem.whitener(theta, scale, weights)
         new = problem.minimise(theta, whiten)
         residual = problem.residual(new)
         new_scale = problem.noise_scale(new, residual)
-        if robust:
-            weights = _huber(whiten(residual))
         moved = np.max(np.abs(new - theta) / problem.size) + abs(new_scale / scale - 1.0)
+        if robust:
+            plain = problem.whitener(new, new_scale, np.ones(len(points)))
+            before, weights = weights, _huber(plain(residual))
+            moved += np.max(np.abs(weights - before))
         theta, scale = new, new_scale
         if moved < 1e-7 or (problem.plain and not robust):
             break
@@ -376,7 +378,7 @@ def _finite(values: Array) -> Array:
 
 def _huber(whitened: Array) -> Array:
     """Weights: 1 within HUBER robust standard deviations, falling beyond."""
-    spread = float(np.median(np.abs(whitened - np.median(whitened)))) / 0.6745 or 1.0
+    spread = float(np.median(np.abs(whitened))) / 0.6745 or 1.0
     z = np.abs(whitened) / spread
     return np.asarray(np.where(z <= HUBER, 1.0, HUBER / np.maximum(z, HUBER)))
 

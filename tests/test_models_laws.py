@@ -135,6 +135,37 @@ def _periodic_derivative(x: np.ndarray) -> np.ndarray:
     return np.fft.irfft(np.fft.rfft(x) * 1j * np.fft.rfftfreq(n, 1.0 / n), n)
 
 
+@pytest.mark.parametrize("name", SEPARABLE)
+def test_volume_slope_is_minus_the_force_per_pressure(name: str) -> None:
+    model = catalogue.get(name)
+    length, step = np.linspace(53e-3, 66e-3, 9), 1e-6
+    ahead = model.volume(length + step, 60e-3, 6e-6) - model.volume(length - step, 60e-3, 6e-6)
+    scale = np.max(np.abs(model.dvolume_dl(length)))
+    assert np.allclose(model.dvolume_dl(length) / scale, ahead / (2 * step) / scale, atol=1e-6)
+    high = model.domain.pressure_kpa[1] * 1e3
+    per_pressure = model.dforce_dp(high, length)
+    assert np.allclose(model.dvolume_dl(length), -per_pressure, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("name", SEPARABLE)
+def test_a_sealed_muscle_simulated_with_any_such_model_keeps_its_gas_and_its_energy(name) -> None:
+    """Drop-in: the plant's chamber equation (isothermal, valves shut) on the model's own volume."""
+    model = catalogue.get(name)
+    dead, atmosphere = 0.5e-6, 101325.0
+    start = 0.5 * sum(model.domain.pressure_kpa) * 1e3 + atmosphere
+    at = np.linspace(57e-3, 61e-3, 4001)
+    volume = model.volume(at, 57e-3, 6e-6) + dead
+    absolute = [start]
+    for k in range(at.size - 1):  # dP/dL = -P V'/V, by the midpoint rule
+        h = at[k + 1] - at[k]
+        middle = absolute[-1] * (1 - 0.5 * h * model.dvolume_dl(at[k]) / volume[k])
+        centre = at[k] + h / 2
+        v = model.volume(centre, 57e-3, 6e-6) + dead
+        absolute.append(absolute[-1] - h * middle * float(model.dvolume_dl(centre) / v))
+    pv = np.array(absolute) * volume
+    assert np.max(np.abs(pv / pv[0] - 1)) < 1e-6
+
+
 def test_piecewise_models_have_no_volume_and_say_so() -> None:
     with pytest.raises(PlantError, match="chou-hannaford"):
         catalogue.get("quasi-static").volume(60e-3, 60e-3, 6e-6)

@@ -174,6 +174,10 @@ class Model:
         zero = self.law.swept(q, np.array([at_length_m]))[0]
         return np.asarray(self.law.swept(q, length) - zero + at_volume_m3)
 
+    def dvolume_dl(self, length_m: npt.ArrayLike) -> Array:
+        """dV/dL = -f in m2, what a chamber needs beside `volume`. Raises as `volume` does."""
+        return np.asarray(-self.law.arm(self.q, np.asarray(length_m, dtype=np.float64)))
+
     def outside(
         self,
         pressure_pa: npt.ArrayLike,
