@@ -9,6 +9,8 @@ from typing import Annotated, Any, Optional
 
 import typer
 
+from rigs.models_cli import fit, models_app
+
 app = typer.Typer(
     name="pamrig",
     help="Test bench for pneumatic artificial muscles: run tests, view, reduce, report.",
@@ -20,9 +22,9 @@ app = typer.Typer(
 runs_app = typer.Typer(help="List, show, verify and rebuild recorded runs.", no_args_is_help=True)
 import_app = typer.Typer(help="Make a run of data from elsewhere.", no_args_is_help=True)
 calibrate_app = typer.Typer(help="Calibrate an instrument.", no_args_is_help=True)
-models_app = typer.Typer(help="Models of the muscle: list, compare, audit.", no_args_is_help=True)
 app.add_typer(runs_app, name="runs")
 app.add_typer(models_app, name="models")
+app.command()(fit)
 app.add_typer(import_app, name="import")
 app.add_typer(calibrate_app, name="calibrate")
 
@@ -321,79 +323,6 @@ def firmware_check(port: PortOption, as_json: JsonOption = False) -> None:
     found = check(port)
     typer.echo(found.as_json() if as_json else found.as_text())
     raise typer.Exit(0 if found.equal else 1)
-
-
-@app.command()
-def fit(
-    run: Annotated[str, typer.Argument(help="Run folder, run id, 'last', or a thesis table: c01.")],
-    model: Annotated[str, typer.Option("--model", help="Model name, or a model file.")],
-    free: Annotated[
-        str, typer.Option(help="Parameters to fit, by commas; else all not fixed.")
-    ] = "",
-    start: Annotated[str, typer.Option(help="Values to start from or hold: a=1,b=2.")] = "",
-    region: Annotated[str, typer.Option(help="Only pressures LOW-HIGH in kPa.")] = "",
-    robust: Annotated[bool, typer.Option("--robust", help="Outliers count less.")] = False,
-    warm: Annotated[
-        bool, typer.Option("--warm", help="Also a thesis table's warm columns.")
-    ] = False,
-    tables: Annotated[
-        bool, typer.Option("--tables", help="Regression tables of a sum of terms.")
-    ] = False,
-    out: Annotated[Optional[Path], typer.Option("--out", help="Model file to write.")] = None,  # noqa: UP045
-    figure: Annotated[Optional[Path], typer.Option(help="Figure to write, .png or .svg.")] = None,  # noqa: UP045
-    runs: Annotated[Path, typer.Option("--runs", help="Folder of runs.")] = RUNS,
-    as_json: JsonOption = False,
-) -> None:
-    """Fit a muscle model to a run: values, intervals, what the data cannot tell."""
-    from rigs.models_commands import fit_command
-
-    fit_command(
-        run, model, runs, free=free, start=start, region=region, robust=robust, warm=warm,
-        tables=tables, out=out, figure=figure, as_json=as_json,
-    )  # fmt: skip
-
-
-@models_app.command("list")
-def models_list(as_json: JsonOption = False) -> None:
-    """All models, their parameters and where they hold."""
-    from rigs.models_commands import list_command
-
-    list_command(as_json)
-
-
-@models_app.command("compare")
-def models_compare(
-    data: Annotated[Optional[list[str]], typer.Argument(help="Runs or thesis tables.")] = None,  # noqa: UP045
-    models: Annotated[str, typer.Option(help="Models by commas; else all that fit the data.")] = "",
-    holdout: Annotated[
-        str, typer.Option(help="Groups: length, temperature, mounting or load.")
-    ] = "length",
-    train: Annotated[str, typer.Option(help="Fit to this run or table, score on DATA.")] = "",
-    region: Annotated[str, typer.Option(help="Only pressures LOW-HIGH in kPa.")] = "",
-    nested: Annotated[bool, typer.Option("--nested", help="Also what choosing costs.")] = False,
-    warm: Annotated[
-        bool, typer.Option("--warm", help="Also a thesis table's warm columns.")
-    ] = False,
-    preset: Annotated[str, typer.Option(help="A published comparison: table-4-3.")] = "",
-    figure: Annotated[Optional[Path], typer.Option(help="Figure to write, .png or .svg.")] = None,  # noqa: UP045
-    runs: Annotated[Path, typer.Option("--runs", help="Folder of runs.")] = RUNS,
-    as_json: JsonOption = False,
-) -> None:
-    """Rank models on data none of them has seen; whole groups are held out in turn."""
-    from rigs.models_commands import compare_command
-
-    compare_command(
-        data or [], models, holdout, runs, region=region, nested=nested, train=train, warm=warm,
-        preset=preset, figure=figure, as_json=as_json,
-    )  # fmt: skip
-
-
-@models_app.command("audit-thesis")
-def models_audit(as_json: JsonOption = False) -> None:
-    """Every published figure of the thesis beside what its own tables give, and why."""
-    from rigs.models_commands import audit_command
-
-    audit_command(as_json)
 
 
 def main() -> None:
