@@ -9,6 +9,8 @@ from typing import Annotated, Any, Optional
 
 import typer
 
+from rigs.models_cli import fit, models_app
+
 app = typer.Typer(
     name="pamrig",
     help="Test bench for pneumatic artificial muscles: run tests, view, reduce, report.",
@@ -21,6 +23,8 @@ runs_app = typer.Typer(help="List, show, verify and rebuild recorded runs.", no_
 import_app = typer.Typer(help="Make a run of data from elsewhere.", no_args_is_help=True)
 calibrate_app = typer.Typer(help="Calibrate an instrument.", no_args_is_help=True)
 app.add_typer(runs_app, name="runs")
+app.add_typer(models_app, name="models")
+app.command()(fit)
 app.add_typer(import_app, name="import")
 app.add_typer(calibrate_app, name="calibrate")
 

@@ -1,0 +1,182 @@
+"""All models by name, and model files: TOML with values, units, bounds, domain and data hash."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from plant.errors import PlantError
+from plant.models import terms
+from plant.models.braid import ChouHannaford, Hasselroth, TonduLopez, TonduLopezPressure
+from plant.models.caldwell import Caldwell
+from plant.models.law import Law
+from plant.models.memory import Creep, MaxwellSlip, PrandtlIshlinskii
+from plant.models.model import Domain, Model, Parameter
+from plant.models.rubber import BraidBladder, LinerBraid, Sarosi
+from plant.models.units import to_si
+
+VERSION = 1
+LAWS: dict[str, Law] = {
+    "chou-hannaford": ChouHannaford(),
+    "caldwell": Caldwell(),
+    "hasselroth": Hasselroth(),
+    "black-box-low": terms.BLACK_BOX_LOW,
+    "black-box-high": terms.BLACK_BOX_HIGH,
+    "black-box": terms.BLACK_BOX,
+    "black-box-low-t": terms.BLACK_BOX_LOW_T,
+    "black-box-high-t": terms.BLACK_BOX_HIGH_T,
+    "black-box-t": terms.BLACK_BOX_T,
+    "quasi-static-low": terms.QUASI_STATIC_LOW,
+    "quasi-static-high": terms.QUASI_STATIC_HIGH,
+    "quasi-static": terms.QUASI_STATIC,
+    "tondu-lopez": TonduLopez(),
+    "tondu-lopez-kp": TonduLopezPressure(),
+    "sarosi": Sarosi(),
+    "braid-bladder": BraidBladder(),
+    "liner-braid": LinerBraid(),
+    "prandtl-ishlinskii": PrandtlIshlinskii(terms.QUASI_STATIC),
+    "maxwell-slip": MaxwellSlip(terms.QUASI_STATIC),
+    "creep": Creep(terms.QUASI_STATIC),
+}
+"""Every law; a model file names one of these."""
+
+_NUMBERS = ("value", "low", "high")
+
+
+def names() -> tuple[str, ...]:
+    """Names of the shipped models: simple first, laws with memory last."""
+    return tuple(LAWS)
+
+
+def get(name: str) -> Model:
+    """A shipped model with the values it was shipped with. Raises `PlantError` if unknown."""
+    if name not in LAWS:
+        from difflib import get_close_matches
+
+        near = get_close_matches(name, LAWS, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(LAWS)}"
+        raise PlantError(f"no model {name!r}; {hint}")
+    file = resources.files("configs").joinpath("plant", "models", f"{name}.toml")
+    return _model(_parse(file.read_text(encoding="utf-8"), file.name), f"shipped {file.name}")
+
+
+def load(source: str | Path) -> Model:
+    """A shipped model by name, or a model file by path. Raises `PlantError` naming the key."""
+    text = str(source)
+    if not text.endswith(".toml"):
+        return get(text)
+    path = Path(source)
+    try:
+        raw = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise PlantError(f"model file {path}: cannot be read ({error})") from error
+    return _model(_parse(raw, str(path)), f"model file {path}")
+
+
+def to_toml(model: Model, heading: str = "") -> str:
+    """The model file of a model; `load` reads back an equal one."""
+    law = next(name for name, law in LAWS.items() if law is model.law)
+    lines = [f"# {line}" for line in heading.splitlines()]
+    lines += [f"name = {_text(model.name)}", f"title = {_text(model.title)}", f"law = {_text(law)}"]
+    lines += [f"equations = [{', '.join(_text(e) for e in model.equations)}]"]
+    lines += [f"source = {_text(model.source)}", f"version = {model.version}"]
+    lines += [f"data = {_text(model.data)}", f"data_sha256 = {_text(model.data_sha256)}"]
+    lines += ["notes = [", *(f"    {_text(note)}," for note in model.notes), "]", "", "[domain]"]
+    for axis in ("pressure_kpa", "length_mm", "temperature_c"):
+        low, high = getattr(model.domain, axis)
+        lines.append(f"{axis} = [{_number(low)}, {_number(high)}]")
+    for p in model.parameters:
+        lines += ["", f"[parameters.{p.name}]"]
+        lines += [f"value = {_number(p.value)}", f"unit = {_text(p.unit)}"]
+        lines += [f"low = {_number(p.low)}", f"high = {_number(p.high)}"]
+        if p.sd is not None:
+            lines.append(f"sd = {_number(p.sd)}")
+        if p.fixed:
+            lines.append("fixed = true")
+        lines.append(f"meaning = {_text(p.meaning)}")
+    return "\n".join(lines) + "\n"
+
+
+def _text(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _number(value: float) -> str:
+    text = repr(float(value))
+    return text if any(c in text for c in ".enia") else text + ".0"
+
+
+def _parse(text: str, origin: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise PlantError(f"{origin}: not valid TOML ({error})") from error
+
+
+def _model(table: Mapping[str, Any], origin: str) -> Model:
+    law_name = table.get("law")
+    if law_name not in LAWS:
+        raise PlantError(f"{origin}: law = {law_name!r}; known: {', '.join(LAWS)}")
+    if table.get("version") != VERSION:
+        raise PlantError(
+            f"{origin}: version = {table.get('version')!r}, this program reads {VERSION}; "
+            "fit the model anew"
+        )
+    law = LAWS[law_name]
+    given = table.get("parameters", {})
+    if set(given) != set(law.parameters):
+        missing = [n for n in law.parameters if n not in given]
+        extra = [n for n in given if n not in law.parameters]
+        raise PlantError(
+            f"{origin}: parameters of {law_name} are {', '.join(law.parameters)}"
+            f"{'; missing ' + ', '.join(missing) if missing else ''}"
+            f"{'; unknown ' + ', '.join(extra) if extra else ''}"
+        )
+    domain = table.get("domain", {})
+    pressure, length, temperature = (
+        _range(domain, axis, origin) for axis in ("pressure_kpa", "length_mm", "temperature_c")
+    )
+    return Model(
+        name=str(table.get("name", law_name)),
+        title=str(table.get("title", "")),
+        law=law,
+        parameters=tuple(_parameter(n, given[n], origin) for n in law.parameters),
+        domain=Domain(pressure, length, temperature),
+        equations=tuple(str(e) for e in table.get("equations", [])),
+        source=str(table.get("source", "")),
+        data=str(table.get("data", "")),
+        data_sha256=str(table.get("data_sha256", "")),
+        notes=tuple(str(n) for n in table.get("notes", [])),
+    )
+
+
+def _parameter(name: str, table: Mapping[str, Any], origin: str) -> Parameter:
+    where = f"{origin} [parameters.{name}]"
+    numbers = []
+    for key in _NUMBERS:
+        value = table.get(key)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or math.isnan(value):
+            raise PlantError(f"{where}: {key} = {value!r}; expected a number")
+        numbers.append(float(value))
+    value, low, high = numbers
+    if not low <= value <= high:
+        raise PlantError(f"{where}: value = {value:g} is outside low = {low:g} to high = {high:g}")
+    unit = str(table.get("unit", ""))
+    to_si(unit)
+    sd = table.get("sd")
+    return Parameter(
+        name, unit, value, low, high, str(table.get("meaning", "")),
+        bool(table.get("fixed", False)), None if sd is None else float(sd),
+    )  # fmt: skip
+
+
+def _range(table: Mapping[str, Any], key: str, origin: str) -> tuple[float, float]:
+    pair = table.get(key)
+    if not isinstance(pair, list) or len(pair) != 2 or not pair[0] <= pair[1]:
+        raise PlantError(f"{origin} [domain]: {key} = {pair!r}; expected [lowest, highest]")
+    return float(pair[0]), float(pair[1])

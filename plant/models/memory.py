@@ -1,0 +1,282 @@
+"""Laws that remember: Prandtl-Ishlinskii in pressure, Maxwell-slip in length, creep in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numba import njit
+
+from plant.errors import PlantError
+from plant.models.law import Array, Bools, History, Law, Slopes, static_force
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+PLAY_KPA = (25.0, 50.0, 100.0, 200.0)
+"""Half-widths of the play operators: the pressure steps of a typical test, doubled."""
+SLIP_UM = (100.0, 300.0, 1000.0)
+"""Travels after which the Maxwell elements slip."""
+CREEP_S = (2.0, 20.0, 200.0)
+"""Time constants of creep."""
+
+
+def _compiled(function: F) -> F:
+    return cast(F, njit(cache=True)(function))
+
+
+@_compiled
+def _play(x: Any, start: Any, half_width: float) -> tuple[Any, Any]:  # pragma: no cover
+    """Play operator, at rest at 0 where a trial starts, and its slope dy/dx (0 or 1)."""
+    y, slope = np.empty_like(x), np.zeros_like(x)
+    last = 0.0
+    for i in range(x.size):
+        if start[i]:
+            last = 0.0
+        if last < x[i] - half_width:
+            last, slope[i] = x[i] - half_width, 1.0
+        elif last > x[i] + half_width:
+            last, slope[i] = x[i] + half_width, 1.0
+        y[i] = last
+    return y, slope
+
+
+@_compiled
+def _stop(x: Any, start: Any, travel: float) -> tuple[Any, Any]:  # pragma: no cover
+    """Stop operator (elastic until `travel`), relaxed where a trial starts, and its slope."""
+    y, slope = np.empty_like(x), np.ones_like(x)
+    last = 0.0
+    for i in range(x.size):
+        if start[i]:
+            last = 0.0
+        else:
+            last += x[i] - x[i - 1]
+        if last > travel:
+            last, slope[i] = travel, 0.0
+        elif last < -travel:
+            last, slope[i] = -travel, 0.0
+        y[i] = last
+    return y, slope
+
+
+@_compiled
+def _add_plays(
+    out: Any, x: Any, start: Any, half_width: Any, weight: Any
+) -> None:  # pragma: no cover
+    """Add sum of weight (play(x) - x) to `out`, all operators in one pass."""
+    last = np.zeros(half_width.size)
+    for i in range(x.size):
+        if start[i]:
+            last[:] = 0.0
+        total = 0.0
+        for k in range(half_width.size):
+            last[k] = max(x[i] - half_width[k], min(x[i] + half_width[k], last[k]))
+            total += weight[k] * (last[k] - x[i])
+        out[i] += total
+
+
+@_compiled
+def _add_stops(out: Any, x: Any, start: Any, travel: Any, weight: Any) -> None:  # pragma: no cover
+    """Add sum of weight stop(x) to `out`, all elements in one pass."""
+    last = np.zeros(travel.size)
+    for i in range(x.size):
+        if start[i]:
+            last[:] = 0.0
+            continue
+        total = 0.0
+        for k in range(travel.size):
+            last[k] = max(-travel[k], min(travel[k], last[k] + x[i] - x[i - 1]))
+            total += weight[k] * last[k]
+        out[i] += total
+
+
+@_compiled
+def _late(x: Any, time_s: Any, start: Any, tau_s: Any, share: Any) -> Any:  # pragma: no cover
+    """X + sum of share (lag(x) - x): first-order lags of a signal straight between its samples."""
+    out = np.empty_like(x)
+    count = tau_s.size
+    lag, decay, ramp = np.empty(count), np.empty(count), np.empty(count)
+    last_step = -1.0
+    for i in range(x.size):
+        if start[i]:
+            lag[:] = x[i]
+            out[i] = x[i]
+            continue
+        step = time_s[i] - time_s[i - 1]
+        # Even sampling, but for the last bits of its times, needs its exponentials once.
+        if abs(step - last_step) > 1e-9 * step:
+            for k in range(count):
+                a = step / tau_s[k]
+                decay[k] = np.exp(-a)
+                ramp[k] = 1.0 - (1.0 - decay[k]) / a if a > 0.0 else 0.0
+            last_step = step
+        total = x[i]
+        for k in range(count):
+            lag[k] = lag[k] * decay[k] + x[i - 1] * (1.0 - decay[k] - ramp[k]) + x[i] * ramp[k]
+            total += share[k] * (lag[k] - x[i])
+        out[i] = total
+    return out
+
+
+def _starts(n: int, path: History | None) -> Bools:
+    starts = np.zeros(n, dtype=np.bool_)
+    if path is not None and path.start is not None:
+        starts |= path.start
+    if n:
+        starts[0] = True
+    return starts
+
+
+class PrandtlIshlinskii(Law):
+    """Static law plus sum of w_i (play_i(p) - p): the force lags the pressure, up against down.
+
+    play_i has the half-width of PLAY_KPA[i]; at w_i > 0 the force is lower on the way up by w_i
+    times the half-width, once that much pressure has been travelled, and higher on the way down.
+    Rate-independent. Holds between rise and fall of pressure at held length.
+    """
+
+    memory = True
+
+    def __init__(self, base: Law) -> None:
+        self.base = base
+        names = [f"play_{width:g}_kpa" for width in PLAY_KPA]
+        self.parameters = (*base.parameters, *names)  # type: ignore[misc]
+        self.linear = base.linear  # type: ignore[misc]
+        self.uses_temperature = base.uses_temperature  # type: ignore[misc]
+
+    def _operators(self, p: Array, path: History | None) -> tuple[list[Array], list[Array]]:
+        starts = _starts(p.size, path)
+        pairs = [_play(p, starts, width * 1e3) for width in PLAY_KPA]
+        return [y - p for y, _ in pairs], [s - 1.0 for _, s in pairs]
+
+    def force(
+        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
+    ) -> Array:
+        """Static force and all plays."""
+        k = len(self.base.parameters)
+        out = static_force(self.base, q[:k], p, length, t)
+        _add_plays(out, p, _starts(p.size, path), np.array(PLAY_KPA) * 1e3, q[k:])
+        return out
+
+    def slopes(
+        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
+    ) -> Slopes:
+        """Slopes onward in the direction in which the point was reached."""
+        k = len(self.base.parameters)
+        _, slopes = self._operators(p, path)
+        by_p, by_l, by_t = self.base.slopes(q[:k], p, length, t)
+        for weight, slope in zip(q[k:], slopes, strict=True):
+            by_p = by_p + weight * slope
+        return by_p, by_l, by_t
+
+    def jacobian(
+        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
+    ) -> Array:
+        """Of the static law, then the plays."""
+        k = len(self.base.parameters)
+        lags, _ = self._operators(p, path)
+        return np.concatenate([self.base.jacobian(q[:k], p, length, t), np.stack(lags)])
+
+
+class MaxwellSlip(Law):
+    """Static law plus sum of k_i stop_i(L): springs that slip after SLIP_UM[i] of travel.
+
+    The friction of the braid as a function of length: a muscle that shortens pulls less than one
+    that lengthens, by the sum of k_i SLIP_UM[i] at most. Rate-independent, with minor loops.
+    Nothing of it shows at held length: an isometric test leaves every k_i undetermined.
+    """
+
+    memory = True
+
+    def __init__(self, base: Law) -> None:
+        self.base = base
+        names = [f"slip_{travel:g}_um" for travel in SLIP_UM]
+        self.parameters = (*base.parameters, *names)  # type: ignore[misc]
+        self.linear = base.linear  # type: ignore[misc]
+        self.uses_temperature = base.uses_temperature  # type: ignore[misc]
+
+    def _operators(self, length: Array, path: History | None) -> tuple[list[Array], list[Array]]:
+        starts = _starts(length.size, path)
+        pairs = [_stop(length, starts, travel * 1e-6) for travel in SLIP_UM]
+        return [y for y, _ in pairs], [s for _, s in pairs]
+
+    def force(
+        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
+    ) -> Array:
+        """Static force and all elements."""
+        k = len(self.base.parameters)
+        out = static_force(self.base, q[:k], p, length, t)
+        _add_stops(out, length, _starts(p.size, path), np.array(SLIP_UM) * 1e-6, q[k:])
+        return out
+
+    def slopes(
+        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
+    ) -> Slopes:
+        """Slopes onward in the direction in which the point was reached."""
+        k = len(self.base.parameters)
+        _, slopes = self._operators(length, path)
+        by_p, by_l, by_t = self.base.slopes(q[:k], p, length, t)
+        for stiffness, slope in zip(q[k:], slopes, strict=True):
+            by_l = by_l + stiffness * slope
+        return by_p, by_l, by_t
+
+    def jacobian(
+        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
+    ) -> Array:
+        """Of the static law, then the elements."""
+        k = len(self.base.parameters)
+        stops, _ = self._operators(length, path)
+        return np.concatenate([self.base.jacobian(q[:k], p, length, t), np.stack(stops)])
+
+
+class Creep(Law):
+    """Part of every change comes late: F = F_0 + sum of c_i (lag_i(F_0) - F_0).
+
+    F_0 is the static law, lag_i a first-order lag with the time constant CREEP_S[i]. After a step
+    the share 1 - sum of c_i is there at once. Needs times; at the first point of a trial the muscle
+    is taken to be at rest. Settled points far apart in time leave the c_i undetermined.
+    """
+
+    memory = True
+
+    def __init__(self, base: Law) -> None:
+        self.base = base
+        names = [f"late_{tau:g}_s" for tau in CREEP_S]
+        self.parameters = (*base.parameters, *names)  # type: ignore[misc]
+        self.uses_temperature = base.uses_temperature  # type: ignore[misc]
+
+    def _time(self, path: History | None) -> Array:
+        if path is None or path.time_s is None:
+            raise PlantError("creep needs the time of every point; give History(time_s=...)")
+        return path.time_s
+
+    def _late(self, share: Array, signal: Array, path: History | None) -> Array:
+        starts = _starts(signal.size, path)
+        return np.asarray(_late(signal, self._time(path), starts, np.array(CREEP_S), share))
+
+    def force(
+        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
+    ) -> Array:
+        """The late force."""
+        k = len(self.base.parameters)
+        return self._late(q[k:], static_force(self.base, q[:k], p, length, t), path)
+
+    def slopes(
+        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
+    ) -> Slopes:
+        """Slopes to a change at once: what comes late is left out."""
+        k = len(self.base.parameters)
+        share = 1.0 - float(np.sum(q[k:]))
+        by_p, by_l, by_t = self.base.slopes(q[:k], p, length, t)
+        return share * by_p, share * by_l, share * by_t
+
+    def jacobian(
+        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
+    ) -> Array:
+        """The lag is linear, so the static sensitivities pass through it."""
+        k = len(self.base.parameters)
+        rows = [self._late(q[k:], row, path) for row in self.base.jacobian(q[:k], p, length, t)]
+        static = self.base.force(q[:k], p, length, t)
+        for unit in np.eye(len(CREEP_S)):
+            rows.append(self._late(unit, static, path) - static)
+        return np.stack(rows)

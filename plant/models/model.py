@@ -1,0 +1,226 @@
+"""A model: a force law with values, units, bounds and a domain in which it may be believed."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from plant.errors import PlantError
+from plant.models.law import Array, History, Law, static_force
+from plant.models.units import to_si
+
+AXES = (("pressure_kpa", 1e3), ("length_mm", 1e-3), ("temperature_c", 1.0))
+Outside = Literal["warn", "raise", "ignore"]
+
+
+class OutsideDomain(UserWarning):
+    """A model was asked for something that it was never compared with."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter in its own unit; `sd` is the standard uncertainty a fit gave it, if any."""
+
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    meaning: str = ""
+    fixed: bool = False
+    sd: float | None = None
+
+    @property
+    def to_si(self) -> float:
+        """Factor from the parameter's unit into SI."""
+        return to_si(self.unit)
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Ranges, both ends included, of the data behind the values."""
+
+    pressure_kpa: tuple[float, float]
+    length_mm: tuple[float, float]
+    temperature_c: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A law and what is known of it; immutable.
+
+    Attributes:
+        name: as the command line calls it.
+        title: one line for people.
+        equations: numbers in the thesis, or none.
+        source: paper or section.
+        parameters: in the law's order.
+        domain: of the data that the values come from.
+        version: of the model file's form and law; a change of meaning raises it.
+        data: what the values were fitted to; `data_sha256` its hash.
+        notes: what a user must know.
+    """
+
+    name: str
+    title: str
+    law: Law
+    parameters: tuple[Parameter, ...]
+    domain: Domain
+    equations: tuple[str, ...] = ()
+    source: str = ""
+    version: int = 1
+    data: str = ""
+    data_sha256: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def q(self) -> Array:
+        """Values in SI, in the law's order."""
+        return np.array([p.value * p.to_si for p in self.parameters], dtype=np.float64)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values in the parameters' own units."""
+        return {p.name: p.value for p in self.parameters}
+
+    def parameter(self, name: str) -> Parameter:
+        """One parameter. Raises `PlantError` if there is none of that name."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise PlantError(
+            f"model {self.name}: no parameter {name!r}; "
+            f"it has {', '.join(p.name for p in self.parameters)}"
+        )
+
+    def with_values(self, values: Mapping[str, float]) -> Model:
+        """A copy with some values replaced, in the parameters' own units.
+
+        Raises `PlantError` for an unknown name or a value that is no number.
+        """
+        for name, value in values.items():
+            self.parameter(name)
+            if not np.isfinite(value):
+                raise PlantError(f"model {self.name}: {name} = {value!r} is not a number")
+        changed = tuple(
+            dataclasses.replace(p, value=float(values.get(p.name, p.value)), sd=None)
+            for p in self.parameters
+        )
+        return dataclasses.replace(self, parameters=changed)
+
+    def with_q(self, q: Array) -> Model:
+        """A copy with all values replaced, in SI."""
+        pairs = zip(self.parameters, q, strict=True)
+        return self.with_values({p.name: float(v) / p.to_si for p, v in pairs})
+
+    def force(
+        self,
+        pressure_pa: npt.ArrayLike,
+        length_m: npt.ArrayLike,
+        temperature_c: npt.ArrayLike = 21.0,
+        path: History | None = None,
+        outside: Outside = "warn",
+    ) -> Array:
+        """Force in N; arguments broadcast against each other.
+
+        For a law with memory the order of the points is their history.
+        Raises `PlantError` where the law has no value (such as a length beyond the braid), and
+        outside the domain if `outside` is "raise"; "warn" issues `OutsideDomain`.
+        """
+        p, length, t = self._inputs(pressure_pa, length_m, temperature_c, outside)
+        q, shape = self.q, p.shape
+        p, length, t = p.ravel(), length.ravel(), t.ravel()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            if self.law.memory:
+                out = self.law.force(q, p, length, t, path)
+            else:
+                out = static_force(self.law, q, p, length, t)
+        if not np.isfinite(np.sum(out)):
+            self._refuse(p, length, out)
+        return out.reshape(shape)
+
+    def dforce_dp(
+        self,
+        pressure_pa: npt.ArrayLike,
+        length_m: npt.ArrayLike,
+        temperature_c: npt.ArrayLike = 21.0,
+    ) -> Array:
+        """Partial derivative by pressure in N/Pa."""
+        return self._slopes(pressure_pa, length_m, temperature_c)[0]
+
+    def dforce_dl(
+        self,
+        pressure_pa: npt.ArrayLike,
+        length_m: npt.ArrayLike,
+        temperature_c: npt.ArrayLike = 21.0,
+    ) -> Array:
+        """Partial derivative by length in N/m: the stiffness at constant pressure."""
+        return self._slopes(pressure_pa, length_m, temperature_c)[1]
+
+    def volume(self, length_m: npt.ArrayLike, at_length_m: float, at_volume_m3: float) -> Array:
+        """Gas volume in m3 that agrees with the force: V = V_0 - integral of f dL.
+
+        `at_volume_m3` is the volume at the length `at_length_m`. Raises `PlantError` for a model
+        that is not of the form F = p f(L) + g(L).
+        """
+        length = np.asarray(length_m, dtype=np.float64)
+        q = self.q
+        zero = self.law.swept(q, np.array([at_length_m]))[0]
+        return np.asarray(self.law.swept(q, length) - zero + at_volume_m3)
+
+    def dvolume_dl(self, length_m: npt.ArrayLike) -> Array:
+        """dV/dL = -f in m2, what a chamber needs beside `volume`. Raises as `volume` does."""
+        return np.asarray(-self.law.arm(self.q, np.asarray(length_m, dtype=np.float64)))
+
+    def outside(
+        self,
+        pressure_pa: npt.ArrayLike,
+        length_m: npt.ArrayLike,
+        temperature_c: npt.ArrayLike = 21.0,
+    ) -> str:
+        """What lies outside the domain, in words; empty if nothing does."""
+        said = []
+        values = (pressure_pa, length_m, temperature_c)
+        for (axis, factor), given in zip(AXES, values, strict=True):
+            low, high = getattr(self.domain, axis)
+            array = np.asarray(given, dtype=np.float64)
+            if not array.size:
+                continue
+            least, most = float(array.min()) / factor, float(array.max()) / factor
+            slack = 1e-9 * max(abs(low), abs(high))
+            if least < low - slack or most > high + slack:
+                said.append(f"{axis} {least:g} to {most:g}, known {low:g} to {high:g}")
+        return "; ".join(said)
+
+    def _inputs(
+        self, p: npt.ArrayLike, length: npt.ArrayLike, t: npt.ArrayLike, outside: Outside
+    ) -> tuple[Array, Array, Array]:
+        if outside != "ignore" and (said := self.outside(p, length, t)):
+            text = f"model {self.name} is used outside its domain: {said}"
+            if outside == "raise":
+                raise PlantError(text + "; fit it to data from there first")
+            warnings.warn(text, OutsideDomain, stacklevel=4)
+        arrays = [np.asarray(a, dtype=np.float64) for a in (p, length, t)]
+        shaped = np.broadcast_arrays(*arrays)
+        return shaped[0], shaped[1], shaped[2]
+
+    def _slopes(
+        self, pressure_pa: npt.ArrayLike, length_m: npt.ArrayLike, temperature_c: npt.ArrayLike
+    ) -> tuple[Array, Array, Array]:
+        p, length, t = self._inputs(pressure_pa, length_m, temperature_c, "warn")
+        found = self.law.slopes(self.q, p.ravel(), length.ravel(), t.ravel())
+        return found[0].reshape(p.shape), found[1].reshape(p.shape), found[2].reshape(p.shape)
+
+    def _refuse(self, p: Array, length: Array, out: Array) -> None:
+        bad = int(np.flatnonzero(~np.isfinite(out))[0])
+        raise PlantError(
+            f"model {self.name} has no value at {p[bad] / 1e3:g} kPa and {length[bad] * 1e3:g} mm "
+            f"with {', '.join(f'{k} = {v:g}' for k, v in self.values.items())}: "
+            "the geometry does not exist there, or an input is not a number"
+        )
