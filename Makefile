@@ -41,7 +41,7 @@ wheel: $(READY)
 	$(BIN)/python -m build --wheel --outdir dist .
 
 lock:   ## pin anew after changing dependencies (needs uv)
-	uv pip compile --quiet pyproject.toml --extra test --extra dev --extra bench --extra symbolic --universal --no-header --no-annotate --no-emit-index-url --upgrade --output-file requirements.lock
+	uv pip compile --quiet pyproject.toml --extra test --extra dev --extra bench --extra symbolic --universal --no-header --no-annotate --upgrade --output-file requirements.lock
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache
