@@ -28,6 +28,8 @@ from rigs.steps import (
 )
 from rigs.toml_reader import load_toml
 
+BREATH_KPA = 20.0
+BREATH_S = 0.5
 VENTED_KPA = 5.0
 """Below this a set-point means "vented", not regulated: no valve holds 0 kPa gauge."""
 
@@ -131,7 +133,7 @@ def load_isometric(name: str, limits: Limits) -> Isometric:
 def steps(p: Isometric) -> Steps:
     """The method.
 
-    Precondition; then for each trial: slacken, vent, tare, hold the length, read the
+    Precondition; then for each trial: slacken, breathe, vent, tare, hold the length, read the
     vented zero, step the pressures (each settled, then measured), vent, read zero again.
     """
     yield State("precondition")
@@ -147,6 +149,11 @@ def steps(p: Isometric) -> Steps:
         yield State(f"trial {trial}: {length:g} mm, replicate {replicate}")
         yield Vent()
         yield SetLength(p.slack_length_mm)
+        # Shortening draws a slight vacuum that an outlet need not let go; a breath of air
+        # does away with it, so that the tare is one at no pressure.
+        yield SetPressure(BREATH_KPA)
+        yield Dwell(BREATH_S)
+        yield Vent()
         yield Tare()
         yield SetLength(length)
         yield Zero(trial, "before", p.zero_s)
