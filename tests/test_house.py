@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 HOUSE = Path(__file__).resolve().parent.parent
-PACKAGES = ("valvefw", "plant", "vision", "daq", "rigs", "gap", "pamrig")
+PACKAGES = ("valvefw", "plant", "vision", "blind", "daq", "rigs", "gap", "pamrig")
 # Where each of these may be imported, and nowhere else.
 ONLY_IN = {
     "serial": ("daq/transport.py",),
