@@ -1,8 +1,7 @@
-"""The report of an isometric run: one HTML file that stands alone, or the same as JSON."""
+"""The report of a run: one HTML file that stands alone, or the same as JSON."""
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import math
 from dataclasses import asdict
@@ -10,7 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rigs.reduction import Reduction, reduce_isometric
+from rigs.protocols.registry import procedure_of
+from rigs.reduction import Reduction
 from rigs.regression import (
     THESIS_DIGITS,
     THESIS_REGION_KPA,
@@ -19,6 +19,7 @@ from rigs.regression import (
     against_length,
     per_length,
 )
+from rigs.report_sections import data_address, section_parts
 from rigs.wording import headline, outcome_sentence, signed, value_cell, with_u
 
 if TYPE_CHECKING:
@@ -37,6 +38,10 @@ QUIET_EVENTS = (
     "clockfit",
     "armed",
     "controller",
+    "trial",
+    "marker",
+    "lowered",
+    "manual",
 )
 """Events of a run as it should be; any other kind is shown among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")
@@ -54,10 +59,15 @@ def report_json(
         reduction: its reduction if already made.
         region_kpa: pressures over which the straight lines are fitted.
     """
-    reduction = reduction or reduce_isometric(run)
-    lines = per_length(reduction.table, region_kpa, reduction.calibrations)
+    kind = procedure_of(run.manifest.get("protocol"))
+    reduction = reduction or kind.reduce(run)
+    found = kind.findings(run, reduction) if kind.findings is not None else None
+    lines: list[LengthLine] = []
+    if found is None:
+        lines = per_length(reduction.table, region_kpa, reduction.calibrations)
     laws = [(group, against_length(group)) for group in _by_temperature(lines)]
     manifest, final = run.manifest, run.final or {}
+    sentence = headline(lines, laws[0][1] if laws else None, len(reduction.table), region_kpa)
     data: dict[str, Any] = {
         "schema": SCHEMA,
         "run_id": manifest.get("run_id"),
@@ -72,13 +82,20 @@ def report_json(
         "labels": list(manifest.get("labels") or []),
         "outcome": run.outcome,
         "reason": final.get("reason") or None,
-        "headline": headline(lines, laws[0][1] if laws else None, len(reduction.table), region_kpa),
+        "title": kind.title,
+        "headline": found.headline if found is not None else sentence,
         "outcome_sentence": outcome_sentence(run.outcome, final.get("reason") or ""),
         "notes": list(reduction.notes),
         "region_kpa": list(region_kpa),
         "lengths": [asdict(line) for line in lines],
         "laws": [_law(group, law) for group, law in laws if law is not None],
+        "results": found.data if found is not None else None,
         "points": reduction.table.to_dict("records"),
+        "markers": [
+            {"t_s": event["t_ns"] / 1e9, "text": event["text"], "state": event.get("state")}
+            for event in run.events
+            if event.get("kind") == "marker"
+        ],
         "zeros": list(reduction.zeros),
         "calibrations": [
             {"quantity": name, **calibration.to_dict()}
@@ -126,14 +143,17 @@ def write_report(
         region_kpa: pressures over which the straight lines are fitted.
     """
     out = out or Path(run.folder) / "derived" / "report.html"
-    reduction = reduction or reduce_isometric(run)
+    kind = procedure_of(run.manifest.get("protocol"))
+    reduction = reduction or kind.reduce(run)
     data = report_json(run, reduction, region_kpa)
+    found = kind.findings(run, reduction) if kind.findings is not None else None
     html = (
         _environment()
         .get_template("report.html.j2")
         .render(
             r=data,
             figures=_figures(run, reduction, data, region_kpa),
+            sections=[section_parts(section) for section in found.sections] if found else [],
             provenance=_flat({k: data[k] for k in _APPENDIX if data.get(k) is not None}),
         )
     )
@@ -204,23 +224,24 @@ def _figures(
     from rigs.timeline import timeline_figure
 
     made = dict.fromkeys(("force", "regression", "residual", "timeline"), "")
-    table = _coldest(reduction.table)
-    lines = per_length(table, region_kpa, reduction.calibrations)
-    if len(table):
-        made["force"] = _data_address(as_svg(figures.force_figure(table)))
+    isometric = data["results"] is None
+    table = _coldest(reduction.table) if isometric else reduction.table
+    lines = per_length(table, region_kpa, reduction.calibrations) if isometric else []
+    if len(table) and isometric:
+        made["force"] = data_address(as_svg(figures.force_figure(table)))
     groups = _by_temperature(lines)
     if groups and len(groups[0]) >= 3:
         cold = groups[0]
         digits = THESIS_DIGITS if data["thesis"] else None
         printed = (printed_law("4-34"), printed_law("4-35")) if data["thesis"] else None
         figure = figures.regression_figure(cold, against_length(cold, digits), printed)
-        made["regression"] = _data_address(as_svg(figure))
+        made["regression"] = data_address(as_svg(figure))
         figure = figures.residual_figure(table, lines, region_kpa)
-        made["residual"] = _data_address(as_svg(figure))
+        made["residual"] = data_address(as_svg(figure))
     if not data["imported"]:
         timeline = timeline_figure(run)
         if timeline is not None:
-            made["timeline"] = _data_address(as_svg(timeline))
+            made["timeline"] = data_address(as_svg(timeline))
     return made
 
 
@@ -230,10 +251,6 @@ def _coldest(table: pd.DataFrame) -> pd.DataFrame:
     if not temperature.max() - temperature.min() > 2.0:
         return table
     return table[temperature < temperature.min() + 2.0]
-
-
-def _data_address(svg: bytes) -> str:
-    return "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
 
 
 def _environment() -> Any:

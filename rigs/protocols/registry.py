@@ -1,0 +1,27 @@
+"""The protocols by name; none is imported before it is asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from daq.errors import ConfigError
+from rigs.protocols.names import PROTOCOLS
+from rigs.protocols.procedure import Procedure
+
+
+def procedure(name: str) -> Procedure:
+    """The protocol of that name.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if name not in PROTOCOLS:
+        raise ConfigError(name, "is no protocol", f"one of: {', '.join(PROTOCOLS)}")
+    found = import_module(f"rigs.protocols.{name.replace('-', '_')}").PROCEDURE
+    assert isinstance(found, Procedure)
+    return found
+
+
+def procedure_of(name: object) -> Procedure:
+    """The protocol of a record; the isometric one for records of a protocol unknown here."""
+    return procedure(name if isinstance(name, str) and name in PROTOCOLS else "isometric")
