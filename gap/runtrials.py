@@ -1,7 +1,8 @@
 """The trials of a recorded run: when each began and ended, what was held, and its channels.
 
-A trial is what lies between its `trial` events; in runs without them, what lies between the two
-vented readings around the points of one trial. Times count from the start of the trial, on the
+A trial is what lies between the two vented readings around its points: before the first of them the
+force is still being tared and the length set. Where there are none it is what lies between its
+`trial` events, from the last tare on. Times count from the start of the trial, on the
 controller's clock where the run has fitted it; pictures are put back by the camera's delay, where
 the run has measured it.
 """
@@ -43,6 +44,7 @@ class _Span:
     begin_s: float
     end_s: float
     facts: dict[str, Any] = field(default_factory=dict)
+    zeros: int = 0
 
 
 def run_trials(run: Run) -> Iterator[RunTrial]:
@@ -79,25 +81,41 @@ def run_trials(run: Run) -> Iterator[RunTrial]:
 
 
 def _spans(run: Run) -> list[_Span]:
-    marked = [e for e in run.events if e["kind"] == "trial"]
-    return _marked(marked) if marked else _around_points(run)
+    around = _around_points(run)
+    marked = _marked(run.events)
+    if not marked:
+        return [span for span in around.values() if "slot" in span.facts]
+    for span in marked:
+        read = around.get(span.facts["trial"])
+        if read is not None and read.zeros == 2:
+            span.begin_s, span.end_s = read.begin_s, read.end_s
+    return marked
 
 
 def _marked(events: list[dict[str, Any]]) -> list[_Span]:
+    """Spans between `trial` events, from the last tare in each that no point precedes."""
     open_trial: dict[str, Any] | None = None
+    begin_s, measured = 0.0, False
     spans = []
     for event in events:
-        if event.get("phase") == "begin":
-            open_trial = event
+        at_s = event["t_ns"] * 1e-9
+        if event["kind"] == "tare" and not measured:
+            begin_s = at_s
+        elif event["kind"] == "point":
+            measured = True
+        elif event["kind"] != "trial":
+            continue
+        elif event.get("phase") == "begin":
+            open_trial, begin_s, measured = event, at_s, False
         elif open_trial is not None and event["trial"] == open_trial["trial"]:
             facts = {k: v for k, v in open_trial.items() if k not in ("n", "t_ns", "kind", "phase")}
-            spans.append(_Span(open_trial["t_ns"] * 1e-9, event["t_ns"] * 1e-9, facts))
+            spans.append(_Span(begin_s, at_s, facts))
             open_trial = None
     return spans
 
 
-def _around_points(run: Run) -> list[_Span]:
-    """Trials of a run that only marks its points and the vented readings around them."""
+def _around_points(run: Run) -> dict[Any, _Span]:
+    """Spans from the first to the last vented reading or point of each trial."""
     columns, _ = engineering(run, VALVE_STREAM)
     seq, time_s = columns["seq"], np.asarray(columns["time_s"], dtype=np.float64)
 
@@ -111,11 +129,13 @@ def _around_points(run: Run) -> list[_Span]:
         low, high = (at(number) for number in event["valve_seq"])
         span = found.setdefault(event["trial"], _Span(low, high, {"trial": event["trial"]}))
         span.begin_s, span.end_s = min(span.begin_s, low), max(span.end_s, high)
-        if event["kind"] == "point":
-            span.facts.update({k: event[k] for k in ("slot", "replicate", "mounting")})
+        if event["kind"] == "zero":
+            span.zeros += 1
+        else:
+            span.facts.update({k: event.get(k, "") for k in ("slot", "replicate", "mounting")})
             span.facts["held_length_mm"] = event.get("set_length_mm")
             span.facts["load_kg"] = event.get("mass_kg")
-    return [span for span in found.values() if "slot" in span.facts]
+    return found
 
 
 class _Channels:
