@@ -18,12 +18,12 @@ from plant import layout as at
 from plant import scene_layout as sc
 from plant.compiled import called, entry_point, fingerprint, inlined
 from plant.kernel import SAME_INSTANT_S, _act, _command, _due
-from plant.rates import lagged, power
+from plant.rates import lagged, lasting, power
 from plant.scene_events import cut, log, pass_switches, settle
 from plant.scene_layout import Array, Ints, World
 from plant.scene_rates import gas_volume, remember, unit_force
 from plant.scene_stepping import length_at, substep, touches, trial
-from plant.stepping import _accept, _book_regulated
+from plant.stepping import _accept, _book_regulated, _remember
 
 _SOURCES = (
     ("scene_events.py",),
@@ -64,7 +64,12 @@ def _take(w: World, begin: float, step: float) -> None:
             state[at.MASS_OUT] += w.work[sc.OUT, k]
         if w.shape[k, sc.MEMORY_KIND] != sc.NO_MEMORY:
             remember(w, k, p, length, step)
+        follows = params[at.REMEMBERS] != 0.0
+        p0 = state[at.PRESSURE]
+        pull0 = lasting(state, params, p0, state[at.LENGTH]) if follows else 0.0
         _accept(state, params, p, length)
+        if follows:
+            _remember(state, params, p0, pull0, step)
     for j in range(n):
         w.motion[sc.PLACE, j] = w.work[sc.Q, j]
         w.motion[sc.RATE, j] = w.work[sc.QD, j]
@@ -85,7 +90,8 @@ def _integrate(w: World, begin: float, duration: float) -> None:
             idle = True
             for k in range(w.units.shape[0]):
                 how = w.work[sc.OPEN, k]
-                idle = idle and (how == sc.SEALED or how == sc.LEVEL)
+                still = how == sc.SEALED or how == sc.LEVEL
+                idle = idle and still and w.params[k, at.REMEMBERS] == 0.0
             if idle:
                 return
         for _ in range(_TRIES):
@@ -130,11 +136,11 @@ def _measure(w: World) -> None:
     """Bring each unit's force and speed up to date."""
     for k in range(w.units.shape[0]):
         state = w.units[k]
-        state[at.FORCE] = unit_force(w, k, state[at.PRESSURE], state[at.LENGTH])
         speed = 0.0
         for j in range(w.coords.shape[0]):
             speed += w.reach[k, j] * w.motion[sc.RATE, j]
         state[at.LENGTH_RATE] = speed
+        state[at.FORCE] = unit_force(w, k, state[at.PRESSURE], state[at.LENGTH], speed)
 
 
 @inlined

@@ -12,7 +12,14 @@ from plant import layout as at
 from plant import muscle
 from plant import scene_layout as sc
 from plant.compiled import inlined
-from plant.rates import chamber, slip_after, tension
+from plant.rates import (
+    _added_damping,
+    _added_stiffness,
+    chamber,
+    link_slip,
+    slip_after,
+    tension,
+)
 from plant.scene_layout import Array
 
 _braid_slope = inlined(muscle.braid_force_slope)
@@ -95,7 +102,7 @@ def _memory(w: sc.World, k: int, p: float, length: float, base: float) -> float:
 
 
 @inlined
-def unit_force(w: sc.World, k: int, p: float, length: float) -> float:
+def unit_force(w: sc.World, k: int, p: float, length: float, rate: float) -> float:
     """Pull of unit `k` in N at gauge pressure `p`, from its accepted state onward.
 
     A cylinder pushes: its force is negative. A tendon never pushes: it is slack.
@@ -103,7 +110,7 @@ def unit_force(w: sc.World, k: int, p: float, length: float) -> float:
     state, params = w.units[k], w.params[k]
     if w.kinds[k] == sc.BRAID:
         slip = slip_after(state, params, p - state[at.PRESSURE], length - state[at.LENGTH])
-        pull = tension(params, p, length, slip)
+        pull = tension(state, params, p, length, rate, slip)
     elif w.kinds[k] == sc.TABLE:
         pull = _table_force(w.tables, w.axes, int(w.shape[k, sc.TABLE_ROW]), p, length)
         if w.shape[k, sc.MEMORY_KIND] != sc.NO_MEMORY:
@@ -113,6 +120,26 @@ def unit_force(w: sc.World, k: int, p: float, length: float) -> float:
     if w.shape[k, sc.PULLS_ONLY] != 0.0:
         return max(pull, 0.0)
     return pull
+
+
+@inlined
+def link_drag(w: sc.World, k: int, length: float) -> float:
+    """Friction in the joint or slide that unit `k` pulls on, as a force along the unit, N."""
+    params = w.params[k]
+    if params[at.LINK_FRICTION] == 0.0:
+        return 0.0
+    return float(
+        params[at.LINK_FRICTION] * link_slip(w.units[k], params, length - w.units[k, at.LENGTH])
+    )
+
+
+@inlined
+def unit_damping(w: sc.World, k: int) -> float:
+    """How steeply the force of unit `k` may change with its speed, N s/m."""
+    params = w.params[k]
+    if w.kinds[k] != sc.BRAID or params[at.MUSCLE_ADDITIONS] == 0.0:
+        return 0.0
+    return _added_damping(params, w.units[k, at.PRESSURE], w.units[k, at.LENGTH_RATE])
 
 
 @inlined
@@ -127,6 +154,8 @@ def unit_stiffness(w: sc.World, k: int, absolute: float, volume: float) -> float
         if params[at.FRICTION_FORCE] != 0.0:
             first = params[at.FRICTION_TRAVEL_LENGTH] * 2.0 ** (1 - at.SLIP_ELEMENTS)
             stiffness += abs(params[at.FRICTION_FORCE] * state[at.PRESSURE]) / 300e3 / first
+        if params[at.MUSCLE_ADDITIONS] != 0.0:
+            stiffness += _added_stiffness(params, state[at.PRESSURE], length)
     elif w.kinds[k] == sc.TABLE:
         p, row = state[at.PRESSURE], int(w.shape[k, sc.TABLE_ROW])
         span = 1e-4

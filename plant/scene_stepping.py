@@ -18,10 +18,26 @@ from plant import scene_layout as sc
 from plant.compiled import inlined
 from plant.constants import GAS_CONSTANT_J_KG_K, REFERENCE_DENSITY_KG_M3
 from plant.links import kernel as links
-from plant.rates import fastest_gas, flows, lagged, outward, power, regulated, sealed
+from plant.rates import (
+    fastest_gas,
+    flows,
+    inlet_pressure,
+    lagged,
+    outward,
+    power,
+    regulated,
+    sealed,
+)
 from plant.scene_events import let_go
 from plant.scene_layout import World
-from plant.scene_rates import gas_volume, unit_force, unit_stiffness, volume_slope
+from plant.scene_rates import (
+    gas_volume,
+    link_drag,
+    unit_damping,
+    unit_force,
+    unit_stiffness,
+    volume_slope,
+)
 
 _STAGE = np.array([0.0, 0.5, 0.5, 1.0])
 _WEIGHT = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
@@ -98,7 +114,10 @@ def slopes(w: World, after: float) -> None:
                 w.work[sc.FLOW_IN, k] = flow_in
                 w.work[sc.FLOW_OUT, k] = flow_out
         if n > 0:
-            pull = unit_force(w, k, p, length)
+            rate = 0.0
+            for j in range(n):
+                rate += w.reach[k, j] * w.work[sc.QD, j]
+            pull = unit_force(w, k, p, length, rate) + link_drag(w, k, length)
             for j in range(n):
                 w.work[sc.TORQUE, j] -= w.reach[k, j] * pull
     if w.arm.shape[0] > 0:
@@ -187,10 +206,11 @@ def _way_of_gas(w: World, k: int, absolute: float, length: float) -> float:
         return sc.SEALED
     out = outward(state, params)
     inlet = state[at.INLET_OPEN] > 0.0
-    if inlet and out > 0.0:
+    # A leak alone is too small a way to be steep.
+    if (inlet and out > 0.0) or not (inlet or state[at.OUTLET_OPEN] > 0.0):
         return sc.FLOWING
     if inlet:
-        beyond = state[at.SUPPLY] + params[at.ATMOSPHERE]
+        beyond = inlet_pressure(state, params, absolute)
         conductance = params[at.INLET_CONDUCTANCE]
     else:
         beyond = params[at.ATMOSPHERE]
@@ -239,8 +259,10 @@ def _longest(w: World) -> float:
     for k in range(w.units.shape[0]):
         absolute = w.units[k, at.PRESSURE] + w.params[k, at.ATMOSPHERE]
         stiff = unit_stiffness(w, k, absolute, gas_volume(w, k, w.units[k, at.LENGTH]))
+        damping = unit_damping(w, k)
         for j in range(n):
             w.work[sc.STIFF, j] += stiff * w.reach[k, j] * w.reach[k, j]
+            w.work[sc.TORQUE, j] += damping * w.reach[k, j] * w.reach[k, j]
     square = damped = 0.0
     if w.arm.shape[0] == 0:
         for j in range(n):

@@ -11,6 +11,7 @@ from plant import layout as at
 from plant import scene_kernel
 from plant.bench import BenchSim
 from plant.constants import nominal
+from plant.effects import NONE, Effects
 from plant.errors import PlantError
 from plant.links.reader import load_arm
 from plant.ram import Ram, RamConstants, ram_scene
@@ -19,7 +20,9 @@ from plant.scene import Coordinate, Scene, Switch, Unit
 C = nominal()
 
 
-def hung(mass_kg: float = 3.0, start_m: float = 0.066, step_share: float = 1.0) -> Scene:
+def hung(
+    mass_kg: float = 3.0, start_m: float = 0.066, step_share: float = 1.0, effects: Effects = NONE
+) -> Scene:
     load = Coordinate(
         "load",
         mass=mass_kg,
@@ -31,7 +34,7 @@ def hung(mass_kg: float = 3.0, start_m: float = 0.066, step_share: float = 1.0) 
         stop_damping=C.stop_damping_n_s_m,
         start=start_m,
     )
-    return Scene([Unit("muscle", C, reach={"load": 1.0})], [load], step_share=step_share)
+    return Scene([Unit("muscle", C, effects, reach={"load": 1.0})], [load], step_share=step_share)
 
 
 def finger(step_share: float = 1.0, pressure_pa: float = 200e3) -> Scene:
@@ -78,6 +81,35 @@ def test_one_muscle_and_a_hung_mass_are_the_single_bench(mass: float) -> None:
         there.append([bench.pressure_kpa, bench.length_mm])
     assert np.ptp(here[:, 0]) > 100.0
     assert np.abs(here[:, :2] - there).max() < 5e-3
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"viscosity": {"damping_n_s_mm": 0.05}},
+        {"creep": {"relaxation_percent": 8.0}},
+        {"link_friction": {"friction_n": 3.0}},
+        {"braid_friction": {"friction_n": 4.0}},
+        {"supply_droop": {"droop_kpa": 40.0}, "leak": {"conductance_m3_s_pa": 2e-11}},
+    ],
+)
+def test_effects_act_in_the_scene_as_on_the_single_bench(
+    effect: dict[str, dict[str, float]],
+) -> None:
+    effects = Effects.from_config(effect)
+    valves = pulses(np.random.default_rng(5), 1, 600)
+    # At a quarter of the step: neither ends a step where an elasto-slip element yields.
+    scene = hung(effects=effects, step_share=0.25)
+    bench = BenchSim(C, effects, load="isotonic", length_m=0.066, mass_kg=3.0)
+    bench.params[[at.STEP_MAX, at.STEP_SAFETY]] *= 0.25
+    plain = run(hung(), valves)
+    here = run(scene, valves)
+    there = []
+    for fill, vent in valves:
+        bench.advance(1e-3, fill[0], vent[0])
+        there.append([bench.pressure_kpa, bench.length_mm])
+    assert np.abs(here[:, :2] - plain[:, :2]).max() > 0.05
+    assert np.abs(here[:, :2] - there).max() < 1e-2
 
 
 def test_a_held_muscle_passes_the_pulse_ladder() -> None:
