@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,12 +64,14 @@ class Reduction:
         notes: sentences; the first says why where the table is empty.
         calibrations: those that were applied, by quantity.
         zeros: vented readings, one row each: trial, when, pressure_kpa, u_pressure_kpa.
+        excluded: points left out afterwards: order, reason and what they read.
     """
 
     table: pd.DataFrame
     notes: tuple[str, ...]
     calibrations: dict[str, Calibration]
     zeros: tuple[dict[str, Any], ...] = ()
+    excluded: tuple[dict[str, Any], ...] = ()
 
 
 def reduce_isometric(run: Run, measure: MeasureGap | None = None) -> Reduction:
@@ -86,8 +88,36 @@ def reduce_isometric(run: Run, measure: MeasureGap | None = None) -> Reduction:
             why += f" (it is {run.outcome}: it ended before the first one)"
         return Reduction(_frame([]), (why,), {})
     if points[0].get("row") is not None:
-        return _imported(run, points)
-    return _Bench(run, measure).reduce(points)
+        return without_excluded(run, _imported(run, points))
+    return without_excluded(run, _Bench(run, measure).reduce(points))
+
+
+def without_excluded(run: Run, reduction: Reduction) -> Reduction:
+    """The reduction without the points that were excluded afterwards, which it lists.
+
+    Raises:
+        RecordError: the file of exclusions is damaged.
+    """
+    from daq.annotations import excluded_points
+
+    reasons = excluded_points(run.folder)
+    table = reduction.table
+    if not reasons or "order" not in table:
+        return reduction
+    out = table["order"].isin(list(reasons))
+    rows = table[out].to_dict("records")
+    listed = tuple({"reason": reasons[int(row["order"])], **row} for row in rows)
+    unknown = sorted(set(reasons) - {int(order) for order in table["order"]})
+    notes = [f"{len(rows)} points are excluded, each with a reason (see the list)"] if rows else []
+    if unknown:
+        some = ", ".join(str(order) for order in unknown)
+        notes.append(f"excluded, but not among the points of this run: {some}")
+    return replace(
+        reduction,
+        table=table[~out].reset_index(drop=True),
+        notes=(*reduction.notes, *notes),
+        excluded=listed,
+    )
 
 
 class _Bench:

@@ -1,28 +1,23 @@
-"""The report of an isometric run: one HTML file that stands alone, or the same as JSON."""
+"""The report of a run: one HTML file that stands alone, or the same as JSON."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 import math
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.annotations import ANNOTATIONS, read_annotations
+from rigs.analysis import Analysis, Section, analyse
 from rigs.reduction import Reduction, reduce_isometric
-from rigs.regression import (
-    THESIS_DIGITS,
-    THESIS_REGION_KPA,
-    LengthLaw,
-    LengthLine,
-    against_length,
-    per_length,
-)
-from rigs.wording import headline, outcome_sentence, signed, value_cell, with_u
+from rigs.regression import THESIS_REGION_KPA
+from rigs.report_isometric import isometric_figures, isometric_json, timeline
+from rigs.wording import outcome_sentence, signed, value_cell, with_u
 
 if TYPE_CHECKING:
-    import pandas as pd
+    from matplotlib.figure import Figure
 
     from daq.run import Run
 
@@ -37,6 +32,10 @@ QUIET_EVENTS = (
     "clockfit",
     "armed",
     "controller",
+    "supply",
+    "capture",
+    "trial",
+    "step",
 )
 """Events of a run as it should be; any other kind is shown among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")
@@ -46,19 +45,35 @@ def report_json(
     run: Run,
     reduction: Reduction | None = None,
     region_kpa: tuple[float, float] = THESIS_REGION_KPA,
+    analysis: Analysis | None = None,
 ) -> dict[str, Any]:
     """Everything the report says, as plain values: null for what is unknown, never NaN.
 
     Args:
         run: an opened run, finished or not.
         reduction: its reduction if already made.
-        region_kpa: pressures over which the straight lines are fitted.
+        region_kpa: pressures over which the straight lines of an isometric test are fitted.
+        analysis: what its protocol makes of it, if already made.
     """
-    reduction = reduction or reduce_isometric(run)
-    lines = per_length(reduction.table, region_kpa, reduction.calibrations)
-    laws = [(group, against_length(group)) for group in _by_temperature(lines)]
+    analysis = analysis or analyse(run, reduction)
+    if analysis is not None:
+        reduction = analysis.reduction
+        parts = {
+            "headline": analysis.headline,
+            "results": analysis.results,
+            "sections": [_section_json(section) for section in analysis.sections],
+        }
+    else:
+        reduction = reduction or reduce_isometric(run)
+        parts = isometric_json(run, reduction, region_kpa)
+    plain: dict[str, Any] = _plain({**_common(run, reduction), **parts})
+    return plain
+
+
+def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
+    """What a report says of any run: who, when, on what, how it went, and its points."""
     manifest, final = run.manifest, run.final or {}
-    data: dict[str, Any] = {
+    return {
         "schema": SCHEMA,
         "run_id": manifest.get("run_id"),
         "protocol": manifest.get("protocol"),
@@ -70,15 +85,14 @@ def report_json(
         "duration_s": final.get("duration_s"),
         "imported": bool(manifest.get("imported")),
         "labels": list(manifest.get("labels") or []),
+        "continues": manifest.get("continues"),
         "outcome": run.outcome,
         "reason": final.get("reason") or None,
-        "headline": headline(lines, laws[0][1] if laws else None, len(reduction.table), region_kpa),
         "outcome_sentence": outcome_sentence(run.outcome, final.get("reason") or ""),
         "notes": list(reduction.notes),
-        "region_kpa": list(region_kpa),
-        "lengths": [asdict(line) for line in lines],
-        "laws": [_law(group, law) for group, law in laws if law is not None],
         "points": reduction.table.to_dict("records"),
+        "excluded": list(reduction.excluded),
+        "annotations": [vars(a) for a in read_annotations(run.folder)],
         "zeros": list(reduction.zeros),
         "calibrations": [
             {"quantity": name, **calibration.to_dict()}
@@ -105,10 +119,7 @@ def report_json(
             "rig_config_crc32": (manifest.get("rig") or {}).get("crc32"),
             "record_sha256": record_hash(Path(run.folder)),
         },
-        "thesis": _thesis(manifest, reduction, lines, region_kpa),
     }
-    plain: dict[str, Any] = _plain(data)
-    return plain
 
 
 def write_report(
@@ -116,6 +127,7 @@ def write_report(
     out: Path | None = None,
     reduction: Reduction | None = None,
     region_kpa: tuple[float, float] = THESIS_REGION_KPA,
+    analysis: Analysis | None = None,
 ) -> Path:
     """Write the report; it needs no other file and no network.
 
@@ -123,17 +135,23 @@ def write_report(
         run: an opened run, finished or not.
         out: the HTML file; ``derived/report.html`` of the run if not given.
         reduction: its reduction if already made.
-        region_kpa: pressures over which the straight lines are fitted.
+        region_kpa: pressures over which the straight lines of an isometric test are fitted.
+        analysis: what its protocol makes of it, if already made.
     """
     out = out or Path(run.folder) / "derived" / "report.html"
-    reduction = reduction or reduce_isometric(run)
-    data = report_json(run, reduction, region_kpa)
+    analysis = analysis or analyse(run, reduction)
+    reduction = analysis.reduction if analysis else reduction or reduce_isometric(run)
+    data = report_json(run, reduction, region_kpa, analysis)
+    figures = {"timeline": timeline(run)}
+    if analysis is None:
+        figures = {**isometric_figures(reduction, data, region_kpa), **figures}
     html = (
         _environment()
         .get_template("report.html.j2")
         .render(
             r=data,
-            figures=_figures(run, reduction, data, region_kpa),
+            figures={name: _data_address(figure) for name, figure in figures.items()},
+            sections=None if analysis is None else [_section_html(s) for s in analysis.sections],
             provenance=_flat({k: data[k] for k in _APPENDIX if data.get(k) is not None}),
         )
     )
@@ -142,35 +160,48 @@ def write_report(
     return out
 
 
+def _section_json(section: Section) -> dict[str, Any]:
+    """A section as plain values: title, words and the rows of its table."""
+    keys = [k for c in section.columns for k in (c.key, c.u) if k]
+    rows = [{k: row.get(k) for k in keys} for row in section.rows]
+    return {"title": section.title, "text": list(section.text), "rows": rows}
+
+
+def _section_html(section: Section) -> dict[str, Any]:
+    """A section as the template wants it: every cell a text, the figure an address."""
+    cells = [
+        {
+            "off": bool(section.off) and bool(row.get(section.off)),
+            "cells": [{"text": c.text, "value": _cell(row, c)} for c in section.columns],
+        }
+        for row in (_plain(dict(row)) for row in section.rows)
+    ]
+    figure = _data_address(section.figure()) if section.figure is not None else ""
+    return {**vars(section), "cells": cells, "figure": figure}
+
+
+def _cell(row: dict[str, Any], column: Any) -> str:
+    value = row.get(column.key)
+    if value is None or isinstance(value, (str, bool)):
+        return value_cell(value)
+    if column.u:
+        return with_u(value, row.get(column.u))
+    return value_cell(value) if column.decimals is None else _fixed(value, column.decimals)
+
+
 _APPENDIX = ("rig", "devices", "conditions", "source", "parameters", "provenance")
 
 
 def record_hash(folder: Path) -> str:
-    """SHA-256 over the names and contents of the record's files; what is derived is left out."""
+    """SHA-256 over names and contents of the record; what is derived or said later is left out."""
     total = hashlib.sha256()
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if path.is_file() and not name.startswith("derived/"):
+        if path.is_file() and not name.startswith("derived/") and name != ANNOTATIONS:
             with open(path, "rb") as file:
                 digest = hashlib.file_digest(file, "sha256")
             total.update(f"{name}\n{digest.hexdigest()}\n".encode())
     return total.hexdigest()
-
-
-def _by_temperature(lines: list[LengthLine]) -> list[list[LengthLine]]:
-    """The lines of one temperature (to 2 degC) together, coldest first."""
-    groups: list[list[LengthLine]] = []
-    for line in sorted(lines, key=lambda line: (_or(line.temperature_c, 0.0), line.length_mm)):
-        last = groups[-1][0].temperature_c if groups else math.nan
-        if groups and not abs(_or(line.temperature_c, 0.0) - _or(last, 0.0)) > 2.0:
-            groups[-1].append(line)
-        else:
-            groups.append([line])
-    return groups
-
-
-def _law(lines: list[LengthLine], law: LengthLaw) -> dict[str, Any]:
-    return {"temperature_c": lines[0].temperature_c, **asdict(law)}
 
 
 def _last(run: Run, kind: str) -> dict[str, Any] | None:
@@ -178,62 +209,13 @@ def _last(run: Run, kind: str) -> dict[str, Any] | None:
     return {k: v for k, v in found[-1].items() if k not in ("n", "kind")} if found else None
 
 
-def _thesis(
-    manifest: dict[str, Any],
-    reduction: Reduction,
-    lines: list[LengthLine],
-    region_kpa: tuple[float, float],
-) -> dict[str, Any] | None:
-    """Table C-9 beside what was recomputed, for an import of Table C-1."""
-    if (manifest.get("source") or {}).get("table") != "C-1" or region_kpa != THESIS_REGION_KPA:
-        return None
-    from rigs.thesis_check import compare_c9
-
-    cold = [line for line in lines if abs(line.temperature_c - 21.0) < 0.5]
-    table = reduction.table[reduction.table["temperature_c"].sub(21.0).abs() < 0.5]
-    return compare_c9(cold, table) if cold else None
-
-
-def _figures(
-    run: Run, reduction: Reduction, data: dict[str, Any], region_kpa: tuple[float, float]
-) -> dict[str, str]:
-    """Each figure as a data address, by name."""
-    from rigs import figures
+def _data_address(figure: Figure | None) -> str:
+    """A figure as the address of a picture inside the page; empty for none."""
+    if figure is None:
+        return ""
     from rigs.drawing import as_svg
-    from rigs.thesis_check import printed_law
-    from rigs.timeline import timeline_figure
 
-    made = dict.fromkeys(("force", "regression", "residual", "timeline"), "")
-    table = _coldest(reduction.table)
-    lines = per_length(table, region_kpa, reduction.calibrations)
-    if len(table):
-        made["force"] = _data_address(as_svg(figures.force_figure(table)))
-    groups = _by_temperature(lines)
-    if groups and len(groups[0]) >= 3:
-        cold = groups[0]
-        digits = THESIS_DIGITS if data["thesis"] else None
-        printed = (printed_law("4-34"), printed_law("4-35")) if data["thesis"] else None
-        figure = figures.regression_figure(cold, against_length(cold, digits), printed)
-        made["regression"] = _data_address(as_svg(figure))
-        figure = figures.residual_figure(table, lines, region_kpa)
-        made["residual"] = _data_address(as_svg(figure))
-    if not data["imported"]:
-        timeline = timeline_figure(run)
-        if timeline is not None:
-            made["timeline"] = _data_address(as_svg(timeline))
-    return made
-
-
-def _coldest(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows of the lowest temperature where a table spans several: one curve a length."""
-    temperature = table["temperature_c"].astype(float)
-    if not temperature.max() - temperature.min() > 2.0:
-        return table
-    return table[temperature < temperature.min() + 2.0]
-
-
-def _data_address(svg: bytes) -> str:
-    return "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
+    return "data:image/svg+xml;base64," + base64.b64encode(as_svg(figure)).decode()
 
 
 def _environment() -> Any:
@@ -281,7 +263,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def _or(value: float, default: float) -> float:
-    return value if math.isfinite(value) else default
