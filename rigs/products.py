@@ -17,22 +17,19 @@ def derive_all(folder: Path | str) -> Run:
         RecordError: the record is damaged where nothing can be made of it, or the folder
             cannot be written.
     """
-    from rigs.analysis import analyse, write_tables
-    from rigs.reduction import reduce_isometric, write_table
+    from rigs.findings import reduce_run
+    from rigs.reduction import write_table
     from rigs.report import write_report
 
     run = open_run(folder)
-    analysis = analyse(run)
-    reduction = analysis.reduction if analysis is not None else reduce_isometric(run)
+    reduction = reduce_run(run)
 
     def table(run: Run, out: Path) -> None:
         del run
         write_table(reduction, out)
-        if analysis is not None:
-            write_tables(analysis, out)
 
     def report(run: Run, out: Path) -> None:
-        write_report(run, out / "report.html", reduction, analysis=analysis)
+        write_report(run, out / "report.html", reduction)
 
     makers = [table, report]
     if not run.manifest.get("imported"):

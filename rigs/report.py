@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.annotations import ANNOTATIONS, read_annotations
-from rigs.analysis import Analysis, Section, analyse
-from rigs.reduction import Reduction, reduce_isometric
+from rigs.findings import findings_of, reduce_run
+from rigs.protocols.procedure import Findings, Section
+from rigs.reduction import Reduction
 from rigs.regression import THESIS_REGION_KPA
 from rigs.report_isometric import isometric_figures, isometric_json, timeline
 from rigs.wording import outcome_sentence, signed, value_cell, with_u
@@ -45,7 +46,7 @@ def report_json(
     run: Run,
     reduction: Reduction | None = None,
     region_kpa: tuple[float, float] = THESIS_REGION_KPA,
-    analysis: Analysis | None = None,
+    findings: Findings | None = None,
 ) -> dict[str, Any]:
     """Everything the report says, as plain values: null for what is unknown, never NaN.
 
@@ -53,18 +54,17 @@ def report_json(
         run: an opened run, finished or not.
         reduction: its reduction if already made.
         region_kpa: pressures over which the straight lines of an isometric test are fitted.
-        analysis: what its protocol makes of it, if already made.
+        findings: what its protocol finds in the table, if already made.
     """
-    analysis = analysis or analyse(run, reduction)
-    if analysis is not None:
-        reduction = analysis.reduction
+    reduction = reduction or reduce_run(run)
+    findings = findings or findings_of(run, reduction)
+    if findings is not None:
         parts = {
-            "headline": analysis.headline,
-            "results": analysis.results,
-            "sections": [_section_json(section) for section in analysis.sections],
+            "headline": findings.headline,
+            "results": findings.data,
+            "sections": [_section_json(section) for section in findings.sections],
         }
     else:
-        reduction = reduction or reduce_isometric(run)
         parts = isometric_json(run, reduction, region_kpa)
     plain: dict[str, Any] = _plain({**_common(run, reduction), **parts})
     return plain
@@ -127,7 +127,6 @@ def write_report(
     out: Path | None = None,
     reduction: Reduction | None = None,
     region_kpa: tuple[float, float] = THESIS_REGION_KPA,
-    analysis: Analysis | None = None,
 ) -> Path:
     """Write the report; it needs no other file and no network.
 
@@ -136,14 +135,13 @@ def write_report(
         out: the HTML file; ``derived/report.html`` of the run if not given.
         reduction: its reduction if already made.
         region_kpa: pressures over which the straight lines of an isometric test are fitted.
-        analysis: what its protocol makes of it, if already made.
     """
     out = out or Path(run.folder) / "derived" / "report.html"
-    analysis = analysis or analyse(run, reduction)
-    reduction = analysis.reduction if analysis else reduction or reduce_isometric(run)
-    data = report_json(run, reduction, region_kpa, analysis)
+    reduction = reduction or reduce_run(run)
+    findings = findings_of(run, reduction)
+    data = report_json(run, reduction, region_kpa, findings)
     figures = {"timeline": timeline(run)}
-    if analysis is None:
+    if findings is None:
         figures = {**isometric_figures(reduction, data, region_kpa), **figures}
     html = (
         _environment()
@@ -151,7 +149,7 @@ def write_report(
         .render(
             r=data,
             figures={name: _data_address(figure) for name, figure in figures.items()},
-            sections=None if analysis is None else [_section_html(s) for s in analysis.sections],
+            sections=None if findings is None else [_section_html(s) for s in findings.sections],
             provenance=_flat({k: data[k] for k in _APPENDIX if data.get(k) is not None}),
         )
     )
@@ -160,33 +158,45 @@ def write_report(
     return out
 
 
+SHADED = ("same", "settled")
+"""A row in which one of these is false is shaded."""
+
+
 def _section_json(section: Section) -> dict[str, Any]:
     """A section as plain values: title, words and the rows of its table."""
-    keys = [k for c in section.columns for k in (c.key, c.u) if k]
-    rows = [{k: row.get(k) for k in keys} for row in section.rows]
-    return {"title": section.title, "text": list(section.text), "rows": rows}
+    rows = [] if section.table is None else section.table.to_dict("records")
+    return {"title": section.title, "text": list(section.words), "rows": rows}
 
 
 def _section_html(section: Section) -> dict[str, Any]:
     """A section as the template wants it: every cell a text, the figure an address."""
-    cells = [
-        {
-            "off": bool(section.off) and bool(row.get(section.off)),
-            "cells": [{"text": c.text, "value": _cell(row, c)} for c in section.columns],
-        }
-        for row in (_plain(dict(row)) for row in section.rows)
-    ]
-    figure = _data_address(section.figure()) if section.figure is not None else ""
-    return {**vars(section), "cells": cells, "figure": figure}
+    rows = [] if section.table is None else _plain(section.table.to_dict("records"))
+    keys = [key for key, _ in section.columns]
+    textual = {k: any(isinstance(row.get(k), (str, bool)) for row in rows) for k in keys}
+    return {
+        "title": section.title,
+        "words": section.words,
+        "heads": [
+            {"text": textual[key], "parts": heading.rsplit(", ", 1)}
+            for key, heading in section.columns
+        ],
+        "rows": [
+            {
+                "off": any(row.get(key) is False for key in SHADED),
+                "cells": [{"text": textual[k], "value": _cell(row, k)} for k in keys],
+            }
+            for row in rows
+        ],
+        "figure": _data_address(section.figure()) if section.figure is not None else "",
+        "caption": section.caption,
+    }
 
 
-def _cell(row: dict[str, Any], column: Any) -> str:
-    value = row.get(column.key)
-    if value is None or isinstance(value, (str, bool)):
-        return value_cell(value)
-    if column.u:
-        return with_u(value, row.get(column.u))
-    return value_cell(value) if column.decimals is None else _fixed(value, column.decimals)
+def _cell(row: dict[str, Any], key: str) -> str:
+    value = row.get(key)
+    if isinstance(value, float) and row.get(f"u_{key}") is not None:
+        return with_u(value, row[f"u_{key}"])
+    return value_cell(value)
 
 
 _APPENDIX = ("rig", "devices", "conditions", "source", "parameters", "provenance")

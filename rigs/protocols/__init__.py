@@ -1,0 +1,1 @@
+"""One file for each test protocol: its parameters, its method, its table and its screen."""
