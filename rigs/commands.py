@@ -3,145 +3,12 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import typer
 
 from daq.clock import RealClock
 from daq.errors import ConfigError, PamrigError
-from rigs.config import load_rig
-
-if TYPE_CHECKING:
-    from rigs.runner import Runner
-
-
-VIEWER_S = 30.0
-
-
-class ProgressLine:
-    """One line on the terminal: state, points done, time left. Quiet where there is no one."""
-
-    def __init__(self, quiet: bool) -> None:
-        import sys
-
-        self._quiet = quiet
-        self._tty = sys.stderr.isatty()
-        self._runner: Runner | None = None
-        self._start = 0.0
-        self._last = 0.0
-        self._width = 0
-
-    def start(self, runner: Runner, record: Any) -> None:
-        """The run begins."""
-        self._runner = runner
-        self._start = time.monotonic()
-        if not self._quiet:
-            typer.echo(f"recording to {record.folder}", err=True)
-
-    def state(self, text: str) -> None:
-        """A new phase; always printed where there is no terminal to redraw."""
-        if not self._quiet and not self._tty:
-            typer.echo(f"  {text}{self._left()}", err=True)
-        self.redraw(text)
-
-    def redraw(self, text: str = "") -> None:
-        """Redraw the line, ten times a second at most."""
-        now = time.monotonic()
-        if self._quiet or not self._tty or self._runner is None or now - self._last < 0.1:
-            return
-        self._last = now
-        line = f"{text or self._runner.progress.state}{self._left()}"
-        typer.echo("\r" + line.ljust(self._width), nl=False, err=True)
-        self._width = len(line)
-
-    def _left(self) -> str:
-        if self._runner is None:
-            return ""
-        p = self._runner.progress
-        text = f"  {p.done}/{p.points} points"
-        if p.done:
-            seconds = (time.monotonic() - self._start) / p.done * (p.points - p.done)
-            text += f", about {seconds:.0f} s left"
-        return text
-
-    def close(self) -> None:
-        """Leave the terminal on a fresh line."""
-        if self._width:
-            typer.echo("", err=True)
-
-
-def isometric_command(
-    rig: str,
-    protocol: str,
-    out: Path,
-    specimen: str,
-    operator: str,
-    note: str,
-    seed: int | None,
-    live: bool,
-    browser: bool,
-    wire: bool,
-    as_json: bool,
-) -> int:
-    """Run, derive, say what came of it; returns the exit status."""
-    from rigs.interrupt import stop_on_signals
-    from rigs.isometric import load_isometric
-    from rigs.runner import Watch
-    from rigs.session import run_isometric
-
-    config = load_rig(rig, seed)
-    if seed is not None and config.virtual is None:
-        raise ConfigError(config.source, "--seed is for virtual benches", "leave it out")
-    parameters = load_isometric(protocol, config.limits)
-    line = ProgressLine(quiet=as_json)
-    watch = Watch(
-        state=line.state, point=lambda *_: line.redraw(), log=lambda t: typer.echo(t, err=True)
-    )
-    make_live = None
-    if live:
-        from rigs.livefeed import LiveFeed, open_live
-
-        def make_live(run_id: str) -> LiveFeed:
-            feed = open_live(run_id, max(parameters.pressures_kpa), open_browser=browser)
-            view = feed.view
-            if view.error:
-                typer.echo(f"live view: none ({view.error}); the test goes on", err=True)
-                return feed
-            where = view.web_url or f"open it with: rerun --connect {view.url}"
-            typer.echo(f"live view: {where}", err=True)
-            if browser and config.is_virtual:
-                # On the virtual clock the test is over before a page has loaded.
-                typer.echo(f"waiting up to {VIEWER_S:.0f} s for a viewer", err=True)
-                view.wait_for_viewer(VIEWER_S)
-            return feed
-
-    with stop_on_signals() as stop:
-        result = run_isometric(
-            config, parameters, out, specimen=specimen, operator=operator, note=note,
-            stop=stop, make_live=make_live, watch=watch, on_start=line.start, wire=wire,
-        )  # fmt: skip
-    line.close()
-    status = {"clean": 0, "stopped": 130}.get(result.outcome, 2)
-    if as_json:
-        from daq.run import open_run
-        from rigs.report import report_json
-
-        typer.echo(json.dumps(report_json(open_run(result.folder)), indent=2, allow_nan=False))
-        return status
-    typer.echo(
-        f"{result.outcome}: {result.points} of {parameters.points} points in {result.folder}"
-    )
-    if result.error:
-        typer.echo(f"  because: {result.error}")
-    if result.not_derived:
-        typer.echo(f"  table and report could not be made: {result.not_derived}")
-        typer.echo(f"  the record is safe; later: pamrig runs rebuild {result.folder}")
-        return status or 2
-    typer.echo(f"  report: {result.folder / 'derived' / 'report.html'}")
-    typer.echo(f"  table:  {result.folder / 'derived' / 'table.csv'}")
-    return status
 
 
 def report_command(run: str, runs: Path, out: Path | None, as_json: bool) -> None:
@@ -171,11 +38,12 @@ def view_command(run: str, runs: Path) -> None:
     """Open a run's view and keep it open until Ctrl-C or the viewer is closed."""
     from daq.store import find_run
     from daq.viewfile import open_view
-    from rigs.liveview import isometric_layout, measured_edges
+    from rigs.liveview import measured_edges
+    from rigs.protocols.registry import procedure_of
 
     found = find_run(runs, run)
-    pressures = found.manifest.get("parameters", {}).get("pressures_kpa") or [600.0]
-    layout = isometric_layout(pressure_max_kpa=max(pressures))
+    kind = procedure_of(found.manifest.get("protocol"))
+    layout = kind.layout(found.manifest.get("parameters") or {})
     view = open_view(found, layout, measured_edges(found))
     try:
         typer.echo(view.message)

@@ -13,16 +13,15 @@ from daq.errors import PamrigError
 
 def demo(root: Path) -> int:
     """Run, report, import, report; then say what was made and how to look at it."""
-    from rigs.commands import isometric_command
     from rigs.importer import import_thesis
     from rigs.products import derive_all
+    from rigs.protocol_command import Order, protocol_command
 
     typer.echo(
         "1. an isometric test on the virtual bench: 5 lengths, 8 pressures, up and down, twice"
     )
-    status = isometric_command(
-        "virtual", "isometric", root, "demo-muscle", "demo", "", None, False, False, False, False
-    )
+    order = Order(out=root, specimen="demo-muscle", operator="demo")
+    status = protocol_command("isometric", order)
     if status:
         return status
     virtual = max(root.glob("*demo-muscle*"))

@@ -143,11 +143,12 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
     rows = []
     for cycle in cycles:
         mean, u_mean = cycle.mean(isotonic)
+        largest, span = float(np.abs(cycle.difference).max()), float(np.ptp(cycle.up))
         rows.append(
             {
                 "held": cycle.held, "top": cycle.top_kpa, "repeat": cycle.repeat,
-                "mean": mean, "u_mean": u_mean, "largest": round(float(np.abs(cycle.difference).max()), 3),
-                "share": round(100 * mean / float(np.ptp(cycle.up)), 2) if np.ptp(cycle.up) else None,
+                "mean": mean, "u_mean": u_mean, "largest": round(largest, 3),
+                "share": round(100 * mean / span, 2) if span else None,
                 "area": cycle.area, "u_area": cycle.u_area,
             }
         )  # fmt: skip
@@ -239,15 +240,16 @@ def _thesis(cycles: list[Cycle], isotonic: bool) -> list[Section]:
             off.append(abs(again - float(str(row[column]))))
     folder = "t4_5" if isotonic else "t4_4"
     key = "mean_length_difference_mm_as_printed" if isotonic else "mean_force_difference_n"
-    said = {
-        (f"{float(str(r[held])):g}", float(str(r["cycle_max_kpa"]))): r[key] for r in load(folder)
-    }
-    means = {
-        (f"{float(str(r[held])):g}", float(str(r["cycle_max_kpa"]))): r["mean_as_printed"]
-        for r in load(
-            f"{name}_{'isotonic' if isotonic else 'isometric'}_hysteresis_difference_mean"
-        )
-    }
+    kind = "isotonic" if isotonic else "isometric"
+
+    def by_cycle(table: str, value: str) -> dict[tuple[str, float], float]:
+        return {
+            (f"{float(str(r[held])):g}", float(str(r["cycle_max_kpa"]))): float(str(r[value]))
+            for r in load(table)
+        }
+
+    said = by_cycle(folder, key)
+    means = by_cycle(f"{name}_{kind}_hysteresis_difference_mean", "mean_as_printed")
     rows = []
     by_printed = _printed_means(printed, held, column, isotonic)
     for who, cycle in own.items():
@@ -257,9 +259,9 @@ def _thesis(cycles: list[Cycle], isotonic: bool) -> list[Section]:
                 "cycle": f"{cycle.held} to {cycle.top_kpa:g} kPa",
                 "again": round(again, 4),
                 "readings": round(cycle.mean(isotonic)[0], 4),
-                "appendix": float(str(means[who])),
-                "chapter": float(str(said[who])),
-                "same": abs(again - float(str(means[who]))) <= 0.00501,
+                "appendix": means[who],
+                "chapter": said[who],
+                "same": abs(again - means[who]) <= 0.00501,
             }
         )
     unit = "mm" if isotonic else "N"

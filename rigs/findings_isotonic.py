@@ -78,9 +78,7 @@ def _curve_row(load: str, rows: pd.DataFrame) -> dict[str, Any]:
     good = rows.dropna(subset=["length_mm"])
     long, short = good.loc[good["length_mm"].idxmax()], good.loc[good["length_mm"].idxmin()]
     ratio = 1.0 - float(short["length_mm"]) / float(long["length_mm"])
-    noise = [
-        float(r.get("u_length_mm_noise", math.nan)) / float(r["length_mm"]) for r in (long, short)
-    ]
+    noise = [float(r["u_length_mm_noise"]) / float(r["length_mm"]) for r in (long, short)]
     u = (1.0 - ratio) * math.hypot(*noise)
     return {
         "load": load,

@@ -15,6 +15,7 @@ import numpy as np
 from rigs.config import Limits
 from rigs.steps import (
     Dwell,
+    EndTrial,
     Measure,
     SetLength,
     SetPressure,
@@ -23,6 +24,7 @@ from rigs.steps import (
     State,
     Steps,
     Tare,
+    Trial,
     Vent,
     Zero,
 )
@@ -73,6 +75,10 @@ class Isometric:
                 trials.append((length, replicate, points))
         return trials
 
+    def steps(self) -> Steps:
+        """The method."""
+        return steps(self)
+
     @property
     def points(self) -> int:
         """How many settled points the test has."""
@@ -81,7 +87,7 @@ class Isometric:
     def as_dict(self) -> dict[str, Any]:
         """The parameters as they go into the record."""
         values = dict(vars(self))
-        values["settle"] = dict(vars(self.settle))
+        values["settle"] = self.settle.as_dict()
         values["lengths_mm"] = list(self.lengths_mm)
         values["pressures_kpa"] = list(self.pressures_kpa)
         del values["text"]
@@ -147,6 +153,8 @@ def steps(p: Isometric) -> Steps:
     order = 0
     for trial, (length, replicate, points) in enumerate(p.schedule(), start=1):
         yield State(f"trial {trial}: {length:g} mm, replicate {replicate}")
+        held = (("held_length_mm", length),)
+        yield Trial(trial, f"L{length:g}", replicate, trial, p.mounting, "isometric", held)
         yield Vent()
         yield SetLength(p.slack_length_mm)
         # Shortening draws a slight vacuum that an outlet need not let go; a breath of air
@@ -181,4 +189,5 @@ def steps(p: Isometric) -> Steps:
             )
         yield Vent()
         yield Zero(trial, "after", p.zero_s)
+        yield EndTrial(trial)
     yield State("done")

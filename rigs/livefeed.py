@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from daq.clock import NS_PER_S
 from daq.derive import scaled
-from daq.layout import Feed
+from daq.layout import LiveLayout
 from daq.live import LiveView
 from daq.record import RecordWriter
 from rigs import liveview as paths
-from rigs.liveview import edge_lines, isometric_layout, profile_lines
+from rigs.liveview import edge_lines, profile_lines
 from rigs.pictures import decode
 from rigs.rig import Rig
 from rigs.runner import Watch
@@ -31,12 +31,13 @@ class LiveFeed:
 
     Args:
         view: where it goes.
-        feeds: which column of which stream becomes which curve.
+        layout: which column of which stream becomes which curve, and what its points are.
     """
 
-    def __init__(self, view: LiveView, feeds: tuple[Feed, ...]) -> None:
+    def __init__(self, view: LiveView, layout: LiveLayout) -> None:
         self.view = view
-        self._feeds = feeds
+        self._layout = layout
+        self._feeds = layout.feeds
         self._start_ns = 0
 
     def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:
@@ -63,9 +64,12 @@ class LiveFeed:
 
         def point(step: Measure, pressure_kpa: float, force_n: float, length_mm: float) -> None:
             inner.point(step, pressure_kpa, force_n, length_mm)
-            self.view.points(
-                paths.POINTS, pressure_kpa, force_n, f"{step.set_length_mm:g} mm", time_s=now_s()
-            )
+            values = {"pressure_kpa": pressure_kpa, "force_n": force_n, "length_mm": length_mm}
+            for feed in self._layout.points:
+                if (x := values.get(feed.x[1])) is None or (y := values.get(feed.y[1])) is None:
+                    continue
+                label = feed.label.format(**vars(step))
+                self.view.points(feed.path, x, y, label, time_s=now_s())
 
         def picture(host_ns: int, jpeg: bytes, gap: GapMeasurement) -> None:
             inner.picture(host_ns, jpeg, gap)
@@ -119,7 +123,6 @@ class LiveFeed:
         self.view.close()
 
 
-def open_live(run_id: str, pressure_kpa: float, open_browser: bool) -> LiveFeed:
-    """Start the live view of an isometric test on loopback."""
-    layout = isometric_layout(pressure_max_kpa=pressure_kpa)
-    return LiveFeed(LiveView(run_id, layout, open_browser=open_browser), layout.feeds)
+def open_live(run_id: str, layout: LiveLayout, open_browser: bool) -> LiveFeed:
+    """Start the live view of a test on loopback."""
+    return LiveFeed(LiveView(run_id, layout, open_browser=open_browser), layout)

@@ -17,12 +17,12 @@ def derive_all(folder: Path | str) -> Run:
         RecordError: the record is damaged where nothing can be made of it, or the folder
             cannot be written.
     """
-    from rigs.findings import reduce_run
+    from rigs.protocols.registry import procedure_of
     from rigs.reduction import write_table
     from rigs.report import write_report
 
     run = open_run(folder)
-    reduction = reduce_run(run)
+    reduction = procedure_of(run.manifest.get("protocol")).reduce(run)
 
     def table(run: Run, out: Path) -> None:
         del run
@@ -40,8 +40,9 @@ def derive_all(folder: Path | str) -> Run:
 
 def _view(run: Run, out: Path) -> None:
     from daq.viewfile import view_maker
-    from rigs.liveview import isometric_layout, measured_edges
+    from rigs.liveview import measured_edges
+    from rigs.protocols.registry import procedure_of
 
-    pressures = run.manifest.get("parameters", {}).get("pressures_kpa") or [600.0]
-    layout = isometric_layout(pressure_max_kpa=max(pressures))
+    kind = procedure_of(run.manifest.get("protocol"))
+    layout = kind.layout(run.manifest.get("parameters") or {})
     view_maker(layout, measured_edges(run))(run, out)

@@ -1,4 +1,4 @@
-"""From the record of an isometric run to one tidy table of settled points.
+"""From the record of a run to one tidy table of settled points.
 
 Only raw data are read: counts, grams as the balance sent them, and the frames as stored,
 measured anew. What a number is worth is carried in two parts that behave differently when
@@ -9,7 +9,7 @@ calibration (``u_*_cal``, zero and gain, common to all points, does not).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,8 @@ import numpy.typing as npt
 
 from daq.calibration import Calibration
 from daq.errors import RecordError
+from rigs.pointstable import COLUMNS as COLUMNS
+from rigs.pointstable import QUANTITIES, points_frame
 from rigs.uncertainty import FEW_INDEPENDENT, WindowMean, window_mean
 
 if TYPE_CHECKING:
@@ -26,31 +28,10 @@ if TYPE_CHECKING:
 
     from daq.run import Run
 
-QUANTITIES = ("pressure_kpa", "length_mm", "temperature_c", "force_n")
 CODES = 4096
 """12-bit pressure counts run from 0 to 4095; both ends may hide a value beyond."""
 
 BALANCE_STEP_G = 0.001
-
-COLUMNS: dict[str, str] = {
-    **dict.fromkeys(QUANTITIES, "float64"),
-    "direction": "str",
-    "repeat": "label",
-    "set_pressure_kpa": "float64",
-    "set_length_mm": "float64",
-    "trial": "label",
-    "slot": "str",
-    "mounting": "str",
-    "order": "int64",
-    "settled": "bool",
-    "n_samples": "int64",
-    **{f"u_{name}": "float64" for name in QUANTITIES},
-    **{f"u_{name}_noise": "float64" for name in QUANTITIES},
-    **{f"u_{name}_cal": "float64" for name in QUANTITIES},
-}
-"""Columns of the table in order; a label is a whole number where all are, else text."""
-
-_DTYPES: dict[str, Any] = {"str": str, "float64": "float64", "int64": "int64", "bool": "bool"}
 
 MeasureGap = Callable[[npt.NDArray[np.uint8]], Any]
 
@@ -75,21 +56,37 @@ class Reduction:
 
 
 def reduce_isometric(run: Run, measure: MeasureGap | None = None) -> Reduction:
+    """Reduce an isometric run; see :func:`reduce_points`."""
+    return reduce_points(run, measure)
+
+
+def reduce_points(
+    run: Run, measure: MeasureGap | None = None, extra: Mapping[str, str] = {}
+) -> Reduction:
     """Reduce a run, whole or interrupted, to its settled points.
+
+    Of a point that was made again the last take counts.
 
     Args:
         run: an opened run; one with a stream ``points`` was imported and is passed through.
         measure: replaces ``vision.edge.measure_gap`` (for tests).
+        extra: fields of its points that become columns as well, with their kinds as in
+            ``COLUMNS``. Points with a ``mass_kg`` have the hung mass's weight for their force.
     """
-    points = [event for event in run.events if event.get("kind") == "point"]
+    every = [event for event in run.events if event.get("kind") == "point"]
+    points = list({event.get("order", k): event for k, event in enumerate(every)}.values())
     if not points:
         why = "the run holds no settled points"
         if run.outcome != "clean":
             why += f" (it is {run.outcome}: it ended before the first one)"
-        return Reduction(_frame([]), (why,), {})
+        return Reduction(points_frame([], extra), (why,), {})
     if points[0].get("row") is not None:
-        return without_excluded(run, _imported(run, points))
-    return without_excluded(run, _Bench(run, measure).reduce(points))
+        return without_excluded(run, _imported(run, every, extra))
+    reduction = _Bench(run, measure, extra).reduce(points)
+    if len(points) < len(every):
+        note = f"{len(every) - len(points)} takes were made again; the last of each counts"
+        reduction = replace(reduction, notes=(*reduction.notes, note))
+    return without_excluded(run, reduction)
 
 
 def without_excluded(run: Run, reduction: Reduction) -> Reduction:
@@ -101,14 +98,14 @@ def without_excluded(run: Run, reduction: Reduction) -> Reduction:
     from daq.annotations import excluded_points
 
     reasons = excluded_points(run.folder)
-    table = reduction.table
-    if not reasons or "order" not in table:
+    if not reasons:
         return reduction
+    table = reduction.table
     out = table["order"].isin(list(reasons))
     rows = table[out].to_dict("records")
     listed = tuple({"reason": reasons[int(row["order"])], **row} for row in rows)
-    unknown = sorted(set(reasons) - {int(order) for order in table["order"]})
     notes = [f"{len(rows)} points are excluded, each with a reason (see the list)"] if rows else []
+    unknown = sorted(set(reasons) - {int(order) for order in table["order"]})
     if unknown:
         some = ", ".join(str(order) for order in unknown)
         notes.append(f"excluded, but not among the points of this run: {some}")
@@ -123,9 +120,10 @@ def without_excluded(run: Run, reduction: Reduction) -> Reduction:
 class _Bench:
     """One recorded run's raw streams, calibrated on demand."""
 
-    def __init__(self, run: Run, measure: MeasureGap | None) -> None:
+    def __init__(self, run: Run, measure: MeasureGap | None, extra: Mapping[str, str] = {}) -> None:
         self.run = run
         self.measure = measure
+        self.extra = extra
         self.notes: list[str] = []
         self._outside: dict[str, int] = {}
         self._places: dict[str, list[str]] = {}
@@ -158,7 +156,8 @@ class _Bench:
         unsettled = sum(not row["settled"] for row in rows)
         if unsettled:
             self.notes.append(f"{unsettled} points were taken without settling (column settled)")
-        return Reduction(_frame(rows), tuple(self.notes), self.calibrations, zeros)
+        table = points_frame(rows, self.extra)
+        return Reduction(table, tuple(self.notes), self.calibrations, zeros)
 
     def _samples(self, stream: str, needed: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
         """A stream's columns; empty ones, and a note, where nothing of it survived."""
@@ -182,13 +181,24 @@ class _Bench:
             "n_samples": pressure.n,
             "settled": bool(point["settled"]),
             **{key: point[key] for key in ("trial", "slot", "mounting", "order")},
-            **{key: point[key] for key in ("set_pressure_kpa", "set_length_mm")},
+            **{key: point.get(key) for key in ("set_pressure_kpa", "set_length_mm", *self.extra)},
         }
         self._put(row, "pressure_kpa", pressure)
-        self._put(row, "force_n", self._force(point["balance_rows"], name))
+        if point.get("mass_kg") is None:
+            self._put(row, "force_n", self._force(point["balance_rows"], name))
+        else:
+            self._put_weight(row, float(point["mass_kg"]))
         self._put(row, "length_mm", self._length(point["frames"], name))
-        self._put_temperature(row)
+        self._put_temperature(row, point)
         return row
+
+    def _put_weight(self, row: dict[str, Any], mass_kg: float) -> None:
+        """The force of a hung mass: no noise, only what is known of mass and gravity."""
+        gravity = float(self.run.manifest["conditions"]["gravity_m_s2"])
+        u_mass = float((self.run.manifest.get("load") or {}).get("u_mass", math.nan))
+        row["force_n"] = mass_kg * gravity
+        row["u_force_n_noise"] = 0.0
+        row["u_force_n_cal"] = row["u_force_n"] = mass_kg * gravity * u_mass
 
     def _put(self, row: dict[str, Any], quantity: str, mean: WindowMean) -> None:
         u_cal = float(self.calibrations[quantity].u(mean.mean))
@@ -199,8 +209,16 @@ class _Bench:
         row[f"u_{quantity}_cal"] = u_cal
         row[f"u_{quantity}"] = math.hypot(mean.u, u_cal)
 
-    def _put_temperature(self, row: dict[str, Any]) -> None:
-        """Temperature as entered for the rig: no noise is known, only what was stated."""
+    def _put_temperature(self, row: dict[str, Any], point: dict[str, Any]) -> None:
+        """Temperature by the thermometer at the point, or as entered for the rig.
+
+        Of one that was entered no noise is known, only what was stated.
+        """
+        if point.get("temperature_c") is not None:
+            row["temperature_c"] = float(point["temperature_c"])
+            row["u_temperature_c_noise"] = 0.0
+            row["u_temperature_c_cal"] = row["u_temperature_c"] = float(point["u_temperature_c"])
+            return
         stated = self.run.manifest.get("conditions") or {}
         row["temperature_c"] = _number(stated.get("temperature_c"))
         row["u_temperature_c_noise"] = 0.0 if math.isfinite(row["temperature_c"]) else math.nan
@@ -317,7 +335,7 @@ def write_table(reduction: Reduction, folder: Path) -> list[Path]:
     return paths
 
 
-def _imported(run: Run, points: list[dict[str, Any]]) -> Reduction:
+def _imported(run: Run, points: list[dict[str, Any]], extra: Mapping[str, str] = {}) -> Reduction:
     """Points as they were imported, with the uncertainty given or stated, else NaN."""
     stream = run.samples("points")
     index = {int(row): position for position, row in enumerate(stream["row"])}
@@ -334,7 +352,8 @@ def _imported(run: Run, points: list[dict[str, Any]]) -> Reduction:
             "n_samples": 1,
             "settled": bool(point["settled"]),
             **{key: point[key] for key in ("trial", "slot", "mounting", "order")},
-            **{key: _number(point[key]) for key in ("set_pressure_kpa", "set_length_mm")},
+            **{key: _number(point.get(key)) for key in ("set_pressure_kpa", "set_length_mm")},
+            **{key: point.get(key) for key in extra},
         }
         for name in QUANTITIES:
             given = float(stream[f"u_{name}"][position])
@@ -346,7 +365,7 @@ def _imported(run: Run, points: list[dict[str, Any]]) -> Reduction:
     notes = list(run.manifest.get("notes") or [])
     if lost:
         notes.append(f"{lost} points are missing: their samples did not survive")
-    table = _frame(rows)
+    table = points_frame(rows, extra)
     unknown = [name for name in QUANTITIES if table[f"u_{name}"].isna().any()]
     if unknown:
         notes.append(f"no uncertainty is known for all of {', '.join(unknown)}: left empty (NaN)")
@@ -355,18 +374,6 @@ def _imported(run: Run, points: list[dict[str, Any]]) -> Reduction:
         " so what all points have in common is not in them"
     )
     return Reduction(table, tuple(notes), {})
-
-
-def _frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
-    import pandas as pd
-
-    frame = pd.DataFrame(rows, columns=list(COLUMNS))
-    for column, kind in COLUMNS.items():
-        if kind == "label":
-            whole = all(isinstance(value, int) for value in frame[column])
-            kind = "int64" if whole else "str"
-        frame[column] = frame[column].astype(_DTYPES[kind])
-    return frame.sort_values("order", kind="stable", ignore_index=True)
 
 
 def _applied(calibration: Calibration, raw: npt.NDArray[Any]) -> npt.NDArray[np.float64]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import math
 from functools import partial
@@ -10,16 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.annotations import ANNOTATIONS, read_annotations
-from rigs.findings import findings_of, reduce_run
 from rigs.protocols.procedure import Findings, Section
+from rigs.protocols.registry import procedure_of
 from rigs.reduction import Reduction
 from rigs.regression import THESIS_REGION_KPA
 from rigs.report_isometric import isometric_figures, isometric_json, timeline
+from rigs.report_sections import figure_address, section_parts
 from rigs.wording import outcome_sentence, signed, value_cell, with_u
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from daq.run import Run
 
 SCHEMA = "pamrig-report/1"
@@ -33,10 +31,12 @@ QUIET_EVENTS = (
     "clockfit",
     "armed",
     "controller",
-    "supply",
-    "capture",
     "trial",
-    "step",
+    "marker",
+    "lowered",
+    "manual",
+    "capture",
+    "response",
 )
 """Events of a run as it should be; any other kind is shown among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")
@@ -56,8 +56,10 @@ def report_json(
         region_kpa: pressures over which the straight lines of an isometric test are fitted.
         findings: what its protocol finds in the table, if already made.
     """
-    reduction = reduction or reduce_run(run)
-    findings = findings or findings_of(run, reduction)
+    kind = procedure_of(run.manifest.get("protocol"))
+    reduction = reduction or kind.reduce(run)
+    if findings is None and kind.findings is not None:
+        findings = kind.findings(run, reduction)
     if findings is not None:
         parts = {
             "headline": findings.headline,
@@ -66,7 +68,9 @@ def report_json(
         }
     else:
         parts = isometric_json(run, reduction, region_kpa)
-    plain: dict[str, Any] = _plain({**_common(run, reduction), **parts})
+    plain: dict[str, Any] = _plain(
+        {**_common(run, reduction), "title": kind.title, "results": None, **parts}
+    )
     return plain
 
 
@@ -93,6 +97,11 @@ def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
         "points": reduction.table.to_dict("records"),
         "excluded": list(reduction.excluded),
         "annotations": [vars(a) for a in read_annotations(run.folder)],
+        "markers": [
+            {"t_s": event["t_ns"] / 1e9, "text": event["text"], "state": event.get("state")}
+            for event in run.events
+            if event.get("kind") == "marker"
+        ],
         "zeros": list(reduction.zeros),
         "calibrations": [
             {"quantity": name, **calibration.to_dict()}
@@ -137,8 +146,9 @@ def write_report(
         region_kpa: pressures over which the straight lines of an isometric test are fitted.
     """
     out = out or Path(run.folder) / "derived" / "report.html"
-    reduction = reduction or reduce_run(run)
-    findings = findings_of(run, reduction)
+    kind = procedure_of(run.manifest.get("protocol"))
+    reduction = reduction or kind.reduce(run)
+    findings = kind.findings(run, reduction) if kind.findings is not None else None
     data = report_json(run, reduction, region_kpa, findings)
     figures = {"timeline": timeline(run)}
     if findings is None:
@@ -148,8 +158,8 @@ def write_report(
         .get_template("report.html.j2")
         .render(
             r=data,
-            figures={name: _data_address(figure) for name, figure in figures.items()},
-            sections=None if findings is None else [_section_html(s) for s in findings.sections],
+            figures={name: figure_address(figure) for name, figure in figures.items()},
+            sections=None if findings is None else [section_parts(s) for s in findings.sections],
             provenance=_flat({k: data[k] for k in _APPENDIX if data.get(k) is not None}),
         )
     )
@@ -158,45 +168,10 @@ def write_report(
     return out
 
 
-SHADED = ("same", "settled")
-"""A row in which one of these is false is shaded."""
-
-
 def _section_json(section: Section) -> dict[str, Any]:
     """A section as plain values: title, words and the rows of its table."""
     rows = [] if section.table is None else section.table.to_dict("records")
     return {"title": section.title, "text": list(section.words), "rows": rows}
-
-
-def _section_html(section: Section) -> dict[str, Any]:
-    """A section as the template wants it: every cell a text, the figure an address."""
-    rows = [] if section.table is None else _plain(section.table.to_dict("records"))
-    keys = [key for key, _ in section.columns]
-    textual = {k: any(isinstance(row.get(k), (str, bool)) for row in rows) for k in keys}
-    return {
-        "title": section.title,
-        "words": section.words,
-        "heads": [
-            {"text": textual[key], "parts": heading.rsplit(", ", 1)}
-            for key, heading in section.columns
-        ],
-        "rows": [
-            {
-                "off": any(row.get(key) is False for key in SHADED),
-                "cells": [{"text": textual[k], "value": _cell(row, k)} for k in keys],
-            }
-            for row in rows
-        ],
-        "figure": _data_address(section.figure()) if section.figure is not None else "",
-        "caption": section.caption,
-    }
-
-
-def _cell(row: dict[str, Any], key: str) -> str:
-    value = row.get(key)
-    if isinstance(value, float) and row.get(f"u_{key}") is not None:
-        return with_u(value, row[f"u_{key}"])
-    return value_cell(value)
 
 
 _APPENDIX = ("rig", "devices", "conditions", "source", "parameters", "provenance")
@@ -217,15 +192,6 @@ def record_hash(folder: Path) -> str:
 def _last(run: Run, kind: str) -> dict[str, Any] | None:
     found = [event for event in run.events if event.get("kind") == kind]
     return {k: v for k, v in found[-1].items() if k not in ("n", "kind")} if found else None
-
-
-def _data_address(figure: Figure | None) -> str:
-    """A figure as the address of a picture inside the page; empty for none."""
-    if figure is None:
-        return ""
-    from rigs.drawing import as_svg
-
-    return "data:image/svg+xml;base64," + base64.b64encode(as_svg(figure)).decode()
 
 
 def _environment() -> Any:

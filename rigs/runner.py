@@ -16,11 +16,18 @@ import numpy as np
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError, LinkLost, PamrigError, RecordError
 from daq.record import RecordWriter
+from rigs.control import RunControl
 from rigs.interrupt import StopFlag
+from rigs.loads import lower_load
+from rigs.protocols.schedule import cost_s
 from rigs.rig import SAFE_KPA, Rig
+from rigs.settling import SAMPLE_S, has_settled
+from rigs.steering import Steering
 from rigs.steps import (
+    Act,
     Answer,
     Dwell,
+    EndTrial,
     Measure,
     SetLength,
     SetPressure,
@@ -29,13 +36,13 @@ from rigs.steps import (
     Step,
     Steps,
     Tare,
+    Trial,
     Vent,
     Zero,
 )
 
 ALIVE_S = 1.0
 """A step must report progress at least so often, or the heartbeat stops."""
-SAMPLE_S = 1e-3
 BALANCE_SILENCE_S = 2.0
 TELEMETRY_SILENCE_S = 0.5
 
@@ -57,11 +64,13 @@ class Watch:
 
 @dataclass
 class Progress:
-    """How far a run is."""
+    """How far a run is: points, state, and bench time as it was estimated beforehand."""
 
     points: int
     done: int = 0
     state: str = ""
+    seconds: float = 0.0
+    spent_s: float = 0.0
 
 
 class Runner:
@@ -73,6 +82,10 @@ class Runner:
         stop: set by Ctrl-C and its kin; looked at in every round.
         watch: hooks of the live view and the progress line.
         camera: how pictures are measured, as run.json says it.
+        control: where pause, resume, skip, repeat and markers come from.
+
+    Attributes:
+        load_kg: mass that hangs on the muscle now; it is lowered before the muscle vents.
     """
 
     def __init__(
@@ -82,6 +95,7 @@ class Runner:
         stop: StopFlag,
         watch: Watch,
         camera: Mapping[str, Any],
+        control: RunControl | None = None,
     ) -> None:
         self.rig = rig
         self.camera = camera
@@ -89,6 +103,8 @@ class Runner:
         self.stop = stop
         self.watch = watch
         self.progress = Progress(0)
+        self.steering = Steering(self, control or RunControl())
+        self.load_kg = 0.0
         self._armed = False
         self._reboots = 0
         self._venting = True
@@ -103,6 +119,7 @@ class Runner:
         self.rig.valve.progress(ALIVE_S)
         if self.record.failed is not None:
             raise self.record.failed
+        self.steering.look()
         self.stop.check()
         valve = self.rig.valve
         now_ns = self.rig.clock.now_ns()
@@ -172,7 +189,13 @@ class Runner:
                     step = steps.send(answer)
                 except StopIteration:
                     break
-                answer = self._do(step)
+                self.steering.hold()
+                if isinstance(step, Measure) or (isinstance(step, Act) and step.points):
+                    answer = self.steering.point(step)
+                else:
+                    self.steering.note(step)
+                    answer = self.do(step)
+                self.progress.spent_s += cost_s(step, self.rig.config.stage.speed_mm_s)
         finally:
             pump.remove(self._alive)
             steps.close()
@@ -183,6 +206,8 @@ class Runner:
         self._armed = False
         valve = self.rig.valve
         try:
+            if self.load_kg:
+                lower_load(self)
             valve.still()
             pressure = self.rig.vent()
             self.record.event("vented", pressure_kpa=pressure, confirmed=bool(pressure < SAFE_KPA))
@@ -192,13 +217,17 @@ class Runner:
             self.record.event("vent_unconfirmed", reason=str(error))
             self.watch.log(f"venting could not be confirmed: {error}")
 
-    def _do(self, step: Step) -> Answer:
-        """One step."""
+    def do(self, step: Step) -> Answer:
+        """One step that makes no point."""
         match step:
             case State(name):
-                self.progress.state = name
-                self.record.event("state", state=name)
-                self.watch.state(name)
+                self.say(name)
+            case Trial():
+                held = dict(step.held)
+                fields = {k: v for k, v in vars(step).items() if k != "held"}
+                self.record.event("trial", phase="begin", **fields, **held)
+            case EndTrial(trial):
+                self.record.event("trial", phase="end", trial=trial)
             case Vent():
                 self._vent()
             case SetLength(length_mm):
@@ -214,9 +243,21 @@ class Runner:
                 return self._settle(step)
             case Zero():
                 self._zero(step)
-            case Measure():
-                self._measure(step)
+            case Act():
+                return step.perform(self)
         return None
+
+    def make(self, step: Measure | Act) -> Answer:
+        """One step that makes a point."""
+        if isinstance(step, Measure):
+            return self._measure(step)
+        return step.perform(self)
+
+    def say(self, state: str) -> None:
+        """The test enters a state: record, live view and terminal."""
+        self.progress.state = state
+        self.record.event("state", state=state)
+        self.watch.state(state)
 
     def _vent(self) -> None:
         if not self._venting:
@@ -262,42 +303,15 @@ class Runner:
         self.watch.set_point("pressure", pressure_kpa)
 
     def _settle(self, step: Settle) -> Answer:
-        c = step.criterion
-        clock = self.rig.clock
-        start_ns = clock.now_ns()
-        samples = round(c.window_s / SAMPLE_S)
-        readings = max(4, round(c.window_s * 10))
-        first_seq = self.rig.valve.seq_end
-        first_row = self.rig.balance.rows
-        cal = self.rig.config.calibrations
-        newton = abs(cal["force_n"].scale)
-        tolerance = c.pressure_kpa
-        if self.rig.config.valve.static_scheme == "reg":
-            # The regulator is not closed on this sensor, so the two may differ by what the
-            # sensor's calibration allows.
-            tolerance += 3 * float(cal["pressure_kpa"].u(step.pressure_kpa))
+        start_ns = self.rig.clock.now_ns()
+        settled = has_settled(self.rig, self.camera, step)
+        done = self.rig.pump.until(
+            lambda: self.steering.skip or settled(), step.criterion.timeout_s
+        )
+        waited_s = (self.rig.clock.now_ns() - start_ns) / NS_PER_S
+        return done and not self.steering.skip, waited_s
 
-        def settled() -> bool:
-            if self.rig.valve.seq_end < first_seq + samples:
-                return False
-            if self.rig.balance.rows < first_row + readings:
-                return False
-            p = cal["pressure_kpa"].apply(self.rig.valve.recent_counts(samples))
-            half = len(p) // 2
-            early, late = float(np.mean(p[:half])), float(np.mean(p[half:]))
-            if abs((early + late) / 2 - step.pressure_kpa) > tolerance:
-                return False
-            if abs(late - early) > c.drift_kpa:
-                return False
-            grams, stable = self.rig.balance.recent(readings)
-            half = len(grams) // 2
-            drift = abs(float(np.mean(grams[:half]) - np.mean(grams[half:]))) * newton
-            return bool(stable.all()) and drift <= c.drift_n
-
-        done = self.rig.pump.until(settled, c.timeout_s)
-        return done, (clock.now_ns() - start_ns) / NS_PER_S
-
-    def _window(self, seconds: float) -> tuple[list[int], list[int]]:
+    def window(self, seconds: float) -> tuple[list[int], list[int]]:
         """Let ``seconds`` pass; half-open ranges of valve samples and balance rows in it."""
         valve, balance = self.rig.valve, self.rig.balance
         seq, row = valve.seq_end, balance.rows
@@ -314,7 +328,7 @@ class Runner:
         return [seq, seq + samples], [row, balance.rows]
 
     def _zero(self, step: Zero) -> None:
-        seq, rows = self._window(step.seconds)
+        seq, rows = self.window(step.seconds)
         self.record.event(
             "zero", trial=step.trial, when=step.when, valve_seq=seq, balance_rows=rows
         )
@@ -329,10 +343,14 @@ class Runner:
             self.watch.picture(picture.host_ns, picture.jpeg, picture.gap)
             if picture.gap.trusted:
                 lengths.append(picture.gap.pixels)
-        seq, rows = self._window(step.seconds)
-        fields = {k: v for k, v in vars(step).items() if k not in ("seconds", "frames")}
-        self.record.event("point", **fields, valve_seq=seq, balance_rows=rows, frames=frames)
-        self.progress.done += 1
+        seq, rows = self.window(step.seconds)
+        if self.steering.skip:
+            return
+        more = {} if self.steering.take == 1 else {"take": self.steering.take}
+        self.record.event(
+            "point", **step.fields(), **more, valve_seq=seq, balance_rows=rows, frames=frames
+        )
+        self.progress.done += 0 if more else 1
         cal = self.rig.config.calibrations
         counts = self.rig.valve.recent_counts(seq[1] - seq[0])
         grams, _ = self.rig.balance.recent(rows[1] - rows[0])

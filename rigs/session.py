@@ -17,14 +17,17 @@ from daq.errors import DeviceError, PamrigError, RecordError
 from daq.record import RecordWriter
 from daq.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
 from rigs.config import RigConfig
+from rigs.control import RunControl, control_file
 from rigs.instruments.recording import (
     instrument_counters,
     instrument_manifest,
     record_instruments,
 )
 from rigs.interrupt import StopFlag, Stopped
-from rigs.isometric import Isometric, steps
-from rigs.rig import Rig, open_rig
+from rigs.protocols.procedure import Plan, Procedure
+from rigs.protocols.registry import procedure
+from rigs.protocols.schedule import outline
+from rigs.rig import Rig, firmware_parameters, open_rig
 from rigs.runner import Runner, Watch, outcome_of
 
 if TYPE_CHECKING:
@@ -45,6 +48,7 @@ class Result:
     error: BaseException | None
     points: int
     not_derived: str = ""
+    planned: int = 0
 
 
 def software() -> dict[str, Any]:
@@ -75,13 +79,13 @@ def software() -> dict[str, Any]:
 
 
 def manifest(
-    rig: Rig, protocol: Isometric, specimen: str, operator: str, note: str
+    rig: Rig, protocol: str, plan: Plan, specimen: str, operator: str, note: str
 ) -> dict[str, Any]:
     """What is known before the run; it goes to disk before anything is armed."""
     config = rig.config
     out: dict[str, Any] = {
-        "protocol": "isometric",
-        "parameters": protocol.as_dict(),
+        "protocol": protocol,
+        "parameters": plan.as_dict(),
         "specimen": specimen,
         "operator": operator,
         "note": note,
@@ -132,29 +136,39 @@ def check_disk(root: Path, points: int) -> None:
         )
 
 
-def run_isometric(
+def run_isometric(config: RigConfig, protocol: Plan, root: Path, **how: Any) -> Result:
+    """Run an isometric test; see :func:`run_protocol`."""
+    return run_protocol(procedure("isometric"), config, protocol, root, **how)
+
+
+def run_protocol(
+    kind: Procedure,
     config: RigConfig,
-    protocol: Isometric,
+    plan: Plan,
     root: Path,
     *,
     specimen: str = "muscle",
     operator: str = "",
     note: str = "",
     stop: StopFlag | None = None,
+    control: RunControl | None = None,
     make_live: Callable[[str], LiveFeed] | None = None,
     watch: Watch | None = None,
     on_start: Callable[[Runner, RecordWriter], None] | None = None,
     derive: bool = True,
     wire: bool = False,
 ) -> Result:
-    """Run an isometric test and leave a finished record.
+    """Run a test and leave a finished record.
 
     Args:
+        kind: the protocol.
         config: the rig.
-        protocol: the test.
+        plan: the test's parameters.
         root: folder of runs.
         specimen, operator, note: go into the record.
         stop: set from outside to end the run in good order.
+        control: takes pause, resume, skip, repeat and markers; the run's control file is
+            listened to in any case.
         make_live: makes the live view once the run's id is known.
         watch: hooks for a progress line.
         on_start: called with the runner just before the first step.
@@ -165,13 +179,17 @@ def run_isometric(
         PamrigError: nothing was recorded yet: device, key and remedy are named. Once a
             record exists, errors come back in the result instead and the run is finalised.
     """
-    check_disk(root, protocol.points)
+    points, seconds = outline(plan.steps(), config.stage.speed_mm_s)
+    check_disk(root, points)
     stop = stop or StopFlag()
     watch = watch or Watch()
+    control = control or RunControl()
     with open_rig(config) as rig:
         virtual = rig.clock.virtual
+        if kind.firmware:
+            rig.valve.configure({**firmware_parameters(config), **kind.firmware})
         record = RecordWriter(
-            root, manifest(rig, protocol, specimen, operator, note), rig.clock,
+            root, manifest(rig, kind.name, plan, specimen, operator, note), rig.clock,
             durable=not virtual, threaded=not virtual,
         )  # fmt: skip
         record.stream("valve", VALVE_COLUMNS, VALVE_UNITS)
@@ -179,19 +197,21 @@ def run_isometric(
         error: BaseException | None = None
         live: LiveFeed | None = None
         camera = camera_values(config)
-        runner = Runner(rig, record, stop, watch, camera)
+        runner = Runner(rig, record, stop, watch, camera, control)
         try:
             _connect(rig, record)
             if wire:
                 _record_bytes(rig, record)
-            if protocol.frames:
+            if plan.frames:
                 _check_camera(rig, record, camera)
             if make_live is not None:
                 live = make_live(record.run_id)
                 live.attach(rig, record, watch)
             if on_start is not None:
                 on_start(runner, record)
-            runner.run(steps(protocol), protocol.points)
+            control.listen(control_file(record.folder))
+            runner.progress.seconds = seconds
+            runner.run(plan.steps(), points)
         except (PamrigError, Stopped) as caught:
             error = caught
         except BaseException as caught:
@@ -199,6 +219,7 @@ def run_isometric(
             raise
         finally:
             outcome = outcome_of(error)
+            control.close()
             if live is not None:
                 live.close()
             _finish(rig, record, outcome, error)
@@ -206,7 +227,7 @@ def run_isometric(
         not_derived = "the disk would not take it"
     else:
         not_derived = _derive(record.folder) if derive else ""
-    return Result(record.folder, outcome, error, runner.progress.done, not_derived)
+    return Result(record.folder, outcome, error, runner.progress.done, not_derived, points)
 
 
 def _derive(folder: Path) -> str:

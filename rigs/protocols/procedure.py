@@ -90,7 +90,6 @@ class Procedure:
         findings: what its table says; None where the report is the isometric one's.
         layout: the screen, from the ``parameters`` of run.json.
         firmware: settings of the controller that this test needs, over those of the rig.
-        default_rig: the shipped rig that has all it needs.
     """
 
     name: str
@@ -100,4 +99,3 @@ class Procedure:
     layout: Callable[[Mapping[str, Any]], LiveLayout]
     findings: Callable[[Run, Reduction], Findings] | None = None
     firmware: Mapping[str, int] = field(default_factory=dict)
-    default_rig: str = "virtual"

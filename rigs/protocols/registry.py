@@ -1,17 +1,12 @@
-"""Which protocols there are, and where each one lives; none is imported before it is asked for."""
+"""The protocols by name; none is imported before it is asked for."""
 
 from __future__ import annotations
 
 from importlib import import_module
 
 from daq.errors import ConfigError
+from rigs.protocols.names import PROTOCOLS
 from rigs.protocols.procedure import Procedure
-
-PROTOCOLS: dict[str, str] = {
-    "isometric": "Run an isometric test: length held, pressure stepped, force read.",
-}
-"""Name of each protocol's command and what it does; its module is ``rigs.protocols.NAME`` with _
-for -, and holds PROCEDURE."""
 
 
 def procedure(name: str) -> Procedure:

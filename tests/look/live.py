@@ -108,7 +108,7 @@ def look_at_bench(
         assert view.web_error is None, view.web_error
         browser.open(view.web_url)
         assert view.wait_for_viewer(LOAD_S)
-        return LiveFeed(view, layout.feeds)
+        return LiveFeed(view, layout)
 
     with Browser(width, height) as browser:
         run_isometric(config, protocol, root, stop=stop, make_live=make_live, derive=False)

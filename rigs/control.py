@@ -1,0 +1,91 @@
+"""What a person asks of a test while it runs: pause, resume, skip, repeat, mark, stop.
+
+One place takes them all, from whichever side they come: a line typed at the terminal, a line
+in the run's control file (``pamrig runs tell``), or a call.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import deque
+from pathlib import Path
+
+from daq.errors import ConfigError
+
+WORDS = {
+    "pause": "hold the test where it is, pressure and all",
+    "resume": "go on",
+    "skip": "leave out the point that is being made",
+    "repeat": "make the last point again",
+    "mark": "put a marker with these words into the record",
+    "stop": "end the test in good order",
+}
+SHORT = {"p": "pause", "c": "resume", "s": "skip", "r": "repeat", "m": "mark", "q": "stop"}
+"""First letters as typed at the terminal; p pauses, and goes on when it is typed again."""
+SUFFIX = ".control"
+
+
+def control_file(folder: Path) -> Path:
+    """Where a run listens: beside its folder, so that the record holds nothing else."""
+    return folder.with_name(folder.name + SUFFIX)
+
+
+class RunControl:
+    """Requests on their way to a running test; may be used from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._asked: deque[tuple[str, str]] = deque()
+        self._file: Path | None = None
+        self._read = 0
+
+    def ask(self, text: str) -> None:
+        """Ask for something: a word of ``WORDS`` or its letter, then what to mark.
+
+        Raises:
+            ConfigError: no such word.
+        """
+        first, _, rest = text.strip().partition(" ")
+        word = SHORT.get(first.lower(), first.lower())
+        if word not in WORDS:
+            known = ", ".join(f"{k} {v}" for k, v in SHORT.items())
+            raise ConfigError(f"{first!r}", "is nothing that a test can be asked for", known)
+        with self._lock:
+            self._asked.append((word if first.lower() != "p" else "p", rest.strip()))
+
+    def listen(self, path: Path) -> None:
+        """Also take whole lines that are appended to a file, from now on."""
+        self._file = path
+        with contextlib.suppress(OSError):
+            path.write_bytes(b"")
+        self._read = 0
+
+    def close(self) -> None:
+        """Stop listening to the file and remove it."""
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.unlink(missing_ok=True)
+        self._file = None
+
+    def look(self) -> None:
+        """Read what the file has gained; lines that ask for nothing known are left out."""
+        if self._file is None:
+            return
+        try:
+            with self._file.open("rb") as file:
+                file.seek(self._read)
+                data = file.read()
+        except OSError:
+            return
+        whole = data[: data.rfind(b"\n") + 1]
+        self._read += len(whole)
+        for line in whole.decode(errors="replace").splitlines():
+            with contextlib.suppress(ConfigError):
+                if line.strip():
+                    self.ask(line)
+
+    def take(self) -> tuple[str, str] | None:
+        """The oldest request, (word, rest), or None."""
+        with self._lock:
+            return self._asked.popleft() if self._asked else None
