@@ -109,9 +109,12 @@ def reduce_switching_time(run: Run) -> Reduction:
             if len(counts) < b - a:
                 raise DeviceError(event["slot"], "samples of its block did not survive")
             found = switching_times(block, delay_ms)
-            u = _edge_u(block)
-            put(row, "on_ms", found.on_ms, u, u_delay)
-            put(row, "off_ms", found.off_ms, u, u_delay)
+            # Where an edge lies between two samples is known to one period at best, and is
+            # much the same in every block, since pulse and samples keep step.
+            period_ms = block.period_us * 1e-3
+            noise, common = period_ms / math.sqrt(12.0), period_ms / math.sqrt(3.0)
+            put(row, "on_ms", found.on_ms, noise, math.hypot(u_delay, common))
+            put(row, "off_ms", found.off_ms, noise, math.hypot(u_delay, common))
         except DeviceError as error:
             record.notes.append(f"point {event['order']} ({event['slot']} kPa): {error.what}")
             for name in ("on_ms", "off_ms"):
@@ -123,15 +126,6 @@ def reduce_switching_time(run: Run) -> Reduction:
         f" {p.get('air_m_s', 65.0):g} m/s, {delay_ms:.3f} ± {2 * u_delay:.3f} ms (k = 2)"
     )
     return record.finish()
-
-
-def _edge_u(block: Any) -> float:
-    """Standard uncertainty of an edge within a block: half a sampling period either way.
-
-    An edge is interpolated between two samples as if the flow rose in a straight line between
-    them; it may rise anywhere in between.
-    """
-    return float(block.period_us) * 1e-3 / math.sqrt(3.0)
 
 
 def _upstream(record: ValveRecord, event: Mapping[str, Any]) -> tuple[float, float, float]:
