@@ -54,6 +54,13 @@ class RunControl:
         with self._lock:
             self._asked.append((word if first.lower() != "p" else "p", rest.strip()))
 
+    def typed(self, line: str) -> None:
+        """A line that was typed at the terminal while nothing was asked there."""
+        try:
+            self.ask(line)
+        except ConfigError as error:
+            print(error, flush=True)
+
     def listen(self, path: Path) -> None:
         """Also take whole lines that are appended to a file, from now on."""
         self._file = path

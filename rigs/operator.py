@@ -47,31 +47,47 @@ class Operator(Protocol):
 
 
 class ConsoleOperator:
-    """A person at the terminal: sees the request, presses Enter or types what was read."""
+    """A person at the terminal: sees the request, presses Enter or types what was read.
+
+    Attributes:
+        on_line: takes what is typed while nothing is asked.
+    """
 
     def __init__(self) -> None:
         self._lines: queue.Queue[str] = queue.Queue()
         self._thread: threading.Thread | None = None
+        self._asking = False
+        self.on_line: Callable[[str], None] | None = None
 
     def begin(self, request: Request) -> None:
         """Print the request and listen."""
         while not self._lines.empty():  # what was typed before the question answers nothing
             self._lines.get_nowait()
         print(f"\n>> {request.text}", flush=True)
+        self._asking = True
+        self.listen()
+
+    def listen(self) -> None:
+        """Read the terminal from now on, question or not."""
         if self._thread is None or not self._thread.is_alive():
             self._thread = threading.Thread(target=self._listen, name="operator", daemon=True)
             self._thread.start()
 
     def _listen(self) -> None:
         for line in sys.stdin:
-            self._lines.put(line.strip())
+            if self._asking or self.on_line is None:
+                self._lines.put(line.strip())
+            elif line.strip():
+                self.on_line(line.strip())
 
     def answer(self) -> str | None:
         """The line typed, without its end."""
         try:
-            return self._lines.get_nowait()
+            text = self._lines.get_nowait()
         except queue.Empty:
             return None
+        self._asking = False
+        return text
 
 
 def ask(operator: Operator, pump: Pump, request: Request) -> tuple[str, float]:

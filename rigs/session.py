@@ -6,6 +6,7 @@ import contextlib
 import platform
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -24,6 +25,7 @@ from rigs.instruments.recording import (
     record_instruments,
 )
 from rigs.interrupt import StopFlag, Stopped
+from rigs.operator import ConsoleOperator
 from rigs.protocols.procedure import Plan, Procedure
 from rigs.protocols.registry import procedure
 from rigs.protocols.schedule import outline
@@ -210,6 +212,9 @@ def run_protocol(
             if on_start is not None:
                 on_start(runner, record)
             control.listen(control_file(record.folder))
+            if isinstance(rig.operator, ConsoleOperator) and sys.stdin.isatty():
+                rig.operator.on_line = control.typed
+                rig.operator.listen()
             runner.progress.seconds = seconds
             runner.run(plan.steps(), points)
         except (PamrigError, Stopped) as caught:
