@@ -51,7 +51,7 @@ def serve_withheld(
             while not stop.reason and time.monotonic() < end:
                 server.step()
                 envelope.step()
-                time.sleep(0.0008)
+                server.rest()
         finally:
             envelope.close()
 
