@@ -76,6 +76,7 @@ class Mean:
     total: Array
 
     def __call__(self, x: Array) -> Array:
+        """Means of x, one a point, over the points of each row."""
         return np.asarray(np.bincount(self.at, weights=x * self.weight) / self.total)
 
 
