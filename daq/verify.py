@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from daq.annotations import ANNOTATIONS, read_annotations
 from daq.chunks import ChunkIndex, Problem
 from daq.disk import RESERVE_NAME
+from daq.errors import RecordError
 from daq.run import INTERRUPTED, Run
 from daq.sealed import open_file
 
@@ -35,6 +37,7 @@ def _problems(run: Run) -> Iterator[Problem]:
         seen.update(final["files"])
     derived = _derived_problems(folder, seen)
     yield from derived
+    yield from _annotation_problems(folder, seen)
     reserve = folder / RESERVE_NAME
     if run.outcome == INTERRUPTED and reserve.exists():
         seen.add(RESERVE_NAME)
@@ -46,6 +49,15 @@ def _problems(run: Run) -> Iterator[Problem]:
             tail = run.outcome == INTERRUPTED
             what = "nothing in the record vouches for this file, not read"
             yield Problem(name, 0, what, path.stat().st_size, tail)
+
+
+def _annotation_problems(folder: Path, seen: set[str]) -> Iterator[Problem]:
+    """Damage in what was said afterwards."""
+    seen.add(ANNOTATIONS)
+    try:
+        read_annotations(folder)
+    except RecordError as error:
+        yield Problem(ANNOTATIONS, 0, error.what)
 
 
 def _record_problems(run: Run, seen: set[str]) -> Iterator[Problem]:

@@ -8,66 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from daq.clock import Clock
-from daq.errors import PamrigError
-from rigs.pointcheck import NUMBERS
+from rigs.pointcheck import NUMBERS as MORE
+from rigs.pointcheck import REQUIRED
 from rigs.pointsfile import PointsFile, read_points
 
 SHORTEST_MM = 51.45
 """What every table but C-1 calls the shortest length; C-1's own heading says 51."""
-
-READING_51 = (
-    "Table C-1 heads its shortest length 51 mm; Tables C-2, C-8 to C-15 and C-19 to C-32 say"
-    " 51.45 mm, and only 51.45 mm reproduces the published coefficients. It is taken as"
-    " {length:g} mm here."
-)
-
-FORMULA = (
-    "formula, not measured: the columns above 21 °C follow from the 21 °C column by one"
-    " factor a cell in every one of their 1344 cells"
-)
-NOISE = (
-    "C-1 plus noise: no cell of Table C-2 differs from Table C-1 by more than 1.005 N, evenly"
-    " spread, so it is no independent test and confirms nothing about C-1"
-)
-
-STATED = {
-    "u_pressure_kpa": 5.0 / math.sqrt(3.0),
-    "u_length_mm": 0.1 / math.sqrt(3.0),
-    "u_temperature_c": 0.01 / math.sqrt(3.0),
-}
-"""Section 4.6.4: gauge +/- 5 kPa, calipers +/- 0.1 mm, +/- 0.01 degC; each taken as the
-half-width of an even spread (divided by the square root of 3)."""
-
-STATED_NOTE = (
-    "uncertainties are those stated in section 4.6.4 (± 5 kPa, ± 0.1 mm, ± 0.01 °C)"
-    " read as limits of an even spread; of the force only the scale's step (0.001 g) is stated,"
-    " so u_force_n holds no more than the rounding of the printed numbers"
-)
-
-
-@dataclass(frozen=True)
-class _Source:
-    """One thesis table that can be imported."""
-
-    table: str
-    title: str
-    force_step_n: float
-    labels: tuple[str, ...] = ()
-    notes: tuple[str, ...] = field(default=())
-
-
-_THESIS = {
-    "c01": _Source("C-1", "isometric test, force at 14 lengths and 16 pressures", 0.001),
-    "c02": _Source("C-2", "isobaric test", 0.01, labels=("C-1 plus noise",), notes=(NOISE,)),
-    "c04": _Source("C-4", "isometric hysteresis, pressure up and down to 400 and 600 kPa", 0.01),
-}
+ORIGIN = {"c": "1996 thesis on pneumatic muscles, Appendix C", "d": "the same thesis, Appendix D"}
 
 
 def import_thesis(
@@ -81,8 +34,10 @@ def import_thesis(
     """Make a run of a measured table of the thesis.
 
     Args:
-        name: ``c01`` (isometric, 21 degC), ``c02`` (labelled: C-1 plus noise) or ``c04``
-            (isometric hysteresis, both directions).
+        name: ``c01`` (isometric, 21 degC), ``c02`` (labelled: C-1 plus noise), ``c03``
+            (isotonic), ``c04`` and ``c06`` (hysteresis, both directions), ``d01`` to ``d03``
+            (switching times, one run), ``d04`` (switching voltages), ``d05`` (air velocity);
+            ``c05`` and ``c07`` are differences of ``c04`` and ``c06`` and mean those.
         root: folder of all runs.
         clock: names the run.
         include_formula: also take the columns above 21 degC, labelled as a formula.
@@ -94,65 +49,46 @@ def import_thesis(
     Raises:
         PamrigError: unknown table, or the record cannot be written.
     """
-    from plant.thesis import load
+    from rigs.thesis_sources import FORMULA, READING_51, source
 
-    key = name.lower().replace("-", "").replace("_", "")
-    key = key if key in _THESIS else f"c{key.lstrip('c').zfill(2)}"
-    if key not in _THESIS:
-        raise PamrigError(
-            f"thesis table {name}",
-            "cannot be reduced as an isometric test",
-            f"those that can: {', '.join(_THESIS)}",
-        )
-    source = _THESIS[key]
-    labels, notes = list(source.labels), list(source.notes)
-    measured, formula = 0, 0
-    rows: list[dict[str, Any]] = []
-    for line, cells in enumerate(load(key), start=2):
-        row = {k: cells[k] for k in ("pressure_kpa", "length_mm", "force_n")}
-        row["temperature_c"] = cells.get("temperature_c", 21.0)
-        if row["temperature_c"] != 21.0:
-            formula += 1
-            if not include_formula:
-                continue
-        measured += 1
-        if key == "c01" and row["length_mm"] == 51:
-            row["length_mm"] = shortest_mm
-        cycle = f" cycle {cells['cycle_max_kpa']:g}" if "cycle_max_kpa" in cells else ""
-        row.update(
-            line=line,
-            set_pressure_kpa=row["pressure_kpa"],
-            set_length_mm=row["length_mm"],
-            direction=cells.get("direction", "single"),
-            slot=f"L{row['length_mm']:g}{cycle}",
-            repeat=2 if cycle.endswith("400") else 1,
-        )
-        rows.append(row)
+    key, found = source(name)
+    labels, notes = list(found.labels), list(found.notes)
+    every = found.rows()
+    rows = [r for r in every if include_formula or r.get("temperature_c", 21.0) == 21.0]
     if key == "c01":
-        notes.append(READING_51.format(length=shortest_mm))
+        notes.insert(0, READING_51.format(length=shortest_mm))
+        for row in rows:
+            if row["length_mm"] == 51:
+                row.update(
+                    length_mm=shortest_mm, set_length_mm=shortest_mm, slot=f"L{shortest_mm:g}"
+                )
     if key in ("c01", "c02"):
         if include_formula:
             labels.append("warm columns: formula, not measured")
-            notes.append(FORMULA)
+            notes.insert(len(notes) - 1, FORMULA)
         else:
-            notes.append(f"{formula} cells above 21 °C left out ({FORMULA})")
-    notes.append(STATED_NOTE)
+            left_out = f"{len(every) - len(rows)} cells above 21 °C left out ({FORMULA})"
+            notes.insert(len(notes) - 1, left_out)
     manifest = {
-        "specimen": "thesis-muscle",
+        "protocol": found.protocol,
+        "specimen": "thesis-muscle" if key[0] == "c" else "thesis-valve",
         "source": {
             "kind": "thesis",
-            "table": source.table,
-            "title": source.title,
-            "origin": "1996 thesis on pneumatic muscles, Appendix C",
-            "temperatures": "21 degC and formula" if include_formula else "21 degC",
-            "shortest_mm": shortest_mm,
-            "rows": measured,
+            "table": found.table,
+            "title": found.title,
+            "origin": ORIGIN[key[0]],
+            "rows": len(rows),
         },
         "labels": labels,
         "notes": notes,
-        "stated_uncertainty": {**STATED, "u_force_n": source.force_step_n / math.sqrt(12.0)},
+        "stated_uncertainty": found.stated,
     }
-    return _write(rows, manifest, root, clock)
+    if key[0] == "c":
+        manifest["source"] |= {  # type: ignore[operator]
+            "temperatures": "21 degC and formula" if include_formula else "21 degC",
+            "shortest_mm": shortest_mm,
+        }
+    return _write(rows, manifest, root, clock, found.columns)
 
 
 def import_points(path: Path | str, root: Path | str, clock: Clock, *, specimen: str = "") -> Path:
@@ -186,8 +122,16 @@ def import_points(path: Path | str, root: Path | str, clock: Clock, *, specimen:
     return _write(points.rows, manifest, root, clock)
 
 
+EVENT_EXTRAS = ("valve", "mass_kg", "cycle_max_kpa")
+"""Labels that only some tables have."""
+
+
 def _write(
-    rows: Sequence[dict[str, Any]], manifest: dict[str, Any], root: Path | str, clock: Clock
+    rows: Sequence[dict[str, Any]],
+    manifest: dict[str, Any],
+    root: Path | str,
+    clock: Clock,
+    numbers: Sequence[str] = REQUIRED,
 ) -> Path:
     """Write rows as a run: raw values into the stream, labels into events."""
     from daq.record import RecordWriter
@@ -195,7 +139,9 @@ def _write(
     full = {"protocol": "isometric", "imported": True, "calibrations": {}, **manifest}
     writer = RecordWriter(root, full, clock, durable=False, threaded=False)
     try:
-        columns = [name for name in NUMBERS if not name.startswith("set_")]
+        columns = list(dict.fromkeys(n for n in (*numbers, *MORE) if not n.startswith("set_")))
+        if "length_mm" not in numbers:
+            columns = [*numbers, *(f"u_{name}" for name in numbers)]
         schema = {"row": "int64", "file_row": "int64", **dict.fromkeys(columns, "float64")}
         units = {name: _unit(name) for name in columns}
         writer.stream("points", schema, units)
@@ -220,6 +166,7 @@ def _write(
                 set_pressure_kpa=_known(row, "set_pressure_kpa"),
                 set_length_mm=_known(row, "set_length_mm"),
                 settled=True,
+                **{k: row[k] for k in EVENT_EXTRAS if row.get(k) is not None},
             )
         writer.finalize("clean")
     except BaseException:
@@ -236,7 +183,11 @@ def _trials(rows: Iterable[dict[str, Any]]) -> list[int | str]:
         if "trial" in row:
             trials.append(_whole(row["trial"]))
         else:
-            key = (row.get("slot"), row["length_mm"] if "slot" not in row else None)
+            key = (
+                row.get("slot"),
+                row.get("repeat"),
+                row["length_mm"] if "slot" not in row else None,
+            )
             trials.append(numbers.setdefault(key, len(numbers) + 1))
     return trials
 
@@ -253,4 +204,7 @@ def _whole(value: Any) -> int | str:
 
 
 def _unit(name: str) -> str:
-    return {"kpa": "kPa", "mm": "mm", "n": "N", "c": "degC"}[name.rsplit("_", 1)[1]]
+    if name.endswith("_m_s"):
+        return "m/s"
+    units = {"kpa": "kPa", "mm": "mm", "n": "N", "c": "degC", "ms": "ms", "v": "V"}
+    return units[name.rsplit("_", 1)[1]]

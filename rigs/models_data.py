@@ -74,6 +74,8 @@ def run_points(run: Run) -> Points:
         noise = dict.fromkeys(noise)
     sensors = {}
     for name, calibration in reduction.calibrations.items():
+        if name not in _SENSOR:  # a quantity that the models do not take, such as a hung load
+            continue
         sensors[_SENSOR[name]] = SensorErrors(
             zero=calibration.u_offset * _SI[name],
             gain=calibration.u_gain,

@@ -45,12 +45,14 @@ class Reduction:
         notes: sentences; the first says why where the table is empty.
         calibrations: those that were applied, by quantity.
         zeros: vented readings, one row each: trial, when, pressure_kpa, u_pressure_kpa.
+        excluded: points left out afterwards: order, reason and what they read.
     """
 
     table: pd.DataFrame
     notes: tuple[str, ...]
     calibrations: dict[str, Calibration]
     zeros: tuple[dict[str, Any], ...] = ()
+    excluded: tuple[dict[str, Any], ...] = ()
 
 
 def reduce_isometric(run: Run, measure: MeasureGap | None = None) -> Reduction:
@@ -79,12 +81,40 @@ def reduce_points(
             why += f" (it is {run.outcome}: it ended before the first one)"
         return Reduction(points_frame([], extra), (why,), {})
     if points[0].get("row") is not None:
-        return _imported(run, every, extra)
+        return without_excluded(run, _imported(run, every, extra))
     reduction = _Bench(run, measure, extra).reduce(points)
     if len(points) < len(every):
         note = f"{len(every) - len(points)} takes were made again; the last of each counts"
         reduction = replace(reduction, notes=(*reduction.notes, note))
-    return reduction
+    return without_excluded(run, reduction)
+
+
+def without_excluded(run: Run, reduction: Reduction) -> Reduction:
+    """The reduction without the points that were excluded afterwards, which it lists.
+
+    Raises:
+        RecordError: the file of exclusions is damaged.
+    """
+    from daq.annotations import excluded_points
+
+    reasons = excluded_points(run.folder)
+    if not reasons:
+        return reduction
+    table = reduction.table
+    out = table["order"].isin(list(reasons))
+    rows = table[out].to_dict("records")
+    listed = tuple({"reason": reasons[int(row["order"])], **row} for row in rows)
+    notes = [f"{len(rows)} points are excluded, each with a reason (see the list)"] if rows else []
+    unknown = sorted(set(reasons) - {int(order) for order in table["order"]})
+    if unknown:
+        some = ", ".join(str(order) for order in unknown)
+        notes.append(f"excluded, but not among the points of this run: {some}")
+    return replace(
+        reduction,
+        table=table[~out].reset_index(drop=True),
+        notes=(*reduction.notes, *notes),
+        excluded=listed,
+    )
 
 
 class _Bench:

@@ -4,27 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.annotations import ANNOTATIONS, read_annotations
+from rigs.protocols.procedure import Findings, Section
 from rigs.protocols.registry import procedure_of
 from rigs.reduction import Reduction
-from rigs.regression import (
-    THESIS_DIGITS,
-    THESIS_REGION_KPA,
-    LengthLaw,
-    LengthLine,
-    against_length,
-    per_length,
-)
-from rigs.report_sections import data_address, section_parts
-from rigs.wording import headline, outcome_sentence, signed, value_cell, with_u
+from rigs.regression import THESIS_REGION_KPA
+from rigs.report_isometric import isometric_figures, isometric_json, timeline
+from rigs.report_sections import figure_address, section_parts
+from rigs.wording import outcome_sentence, signed, value_cell, with_u
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from daq.run import Run
 
 SCHEMA = "pamrig-report/1"
@@ -42,6 +35,8 @@ QUIET_EVENTS = (
     "marker",
     "lowered",
     "manual",
+    "capture",
+    "response",
 )
 """Events of a run as it should be; any other kind is shown among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")
@@ -51,24 +46,38 @@ def report_json(
     run: Run,
     reduction: Reduction | None = None,
     region_kpa: tuple[float, float] = THESIS_REGION_KPA,
+    findings: Findings | None = None,
 ) -> dict[str, Any]:
     """Everything the report says, as plain values: null for what is unknown, never NaN.
 
     Args:
         run: an opened run, finished or not.
         reduction: its reduction if already made.
-        region_kpa: pressures over which the straight lines are fitted.
+        region_kpa: pressures over which the straight lines of an isometric test are fitted.
+        findings: what its protocol finds in the table, if already made.
     """
     kind = procedure_of(run.manifest.get("protocol"))
     reduction = reduction or kind.reduce(run)
-    found = kind.findings(run, reduction) if kind.findings is not None else None
-    lines: list[LengthLine] = []
-    if found is None:
-        lines = per_length(reduction.table, region_kpa, reduction.calibrations)
-    laws = [(group, against_length(group)) for group in _by_temperature(lines)]
+    if findings is None and kind.findings is not None:
+        findings = kind.findings(run, reduction)
+    if findings is not None:
+        parts = {
+            "headline": findings.headline,
+            "results": findings.data,
+            "sections": [_section_json(section) for section in findings.sections],
+        }
+    else:
+        parts = isometric_json(run, reduction, region_kpa)
+    plain: dict[str, Any] = _plain(
+        {**_common(run, reduction), "title": kind.title, "results": None, **parts}
+    )
+    return plain
+
+
+def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
+    """What a report says of any run: who, when, on what, how it went, and its points."""
     manifest, final = run.manifest, run.final or {}
-    sentence = headline(lines, laws[0][1] if laws else None, len(reduction.table), region_kpa)
-    data: dict[str, Any] = {
+    return {
         "schema": SCHEMA,
         "run_id": manifest.get("run_id"),
         "protocol": manifest.get("protocol"),
@@ -80,17 +89,14 @@ def report_json(
         "duration_s": final.get("duration_s"),
         "imported": bool(manifest.get("imported")),
         "labels": list(manifest.get("labels") or []),
+        "continues": manifest.get("continues"),
         "outcome": run.outcome,
         "reason": final.get("reason") or None,
-        "title": kind.title,
-        "headline": found.headline if found is not None else sentence,
         "outcome_sentence": outcome_sentence(run.outcome, final.get("reason") or ""),
         "notes": list(reduction.notes),
-        "region_kpa": list(region_kpa),
-        "lengths": [asdict(line) for line in lines],
-        "laws": [_law(group, law) for group, law in laws if law is not None],
-        "results": found.data if found is not None else None,
         "points": reduction.table.to_dict("records"),
+        "excluded": list(reduction.excluded),
+        "annotations": [vars(a) for a in read_annotations(run.folder)],
         "markers": [
             {"t_s": event["t_ns"] / 1e9, "text": event["text"], "state": event.get("state")}
             for event in run.events
@@ -122,10 +128,7 @@ def report_json(
             "rig_config_crc32": (manifest.get("rig") or {}).get("crc32"),
             "record_sha256": record_hash(Path(run.folder)),
         },
-        "thesis": _thesis(manifest, reduction, lines, region_kpa),
     }
-    plain: dict[str, Any] = _plain(data)
-    return plain
 
 
 def write_report(
@@ -140,20 +143,23 @@ def write_report(
         run: an opened run, finished or not.
         out: the HTML file; ``derived/report.html`` of the run if not given.
         reduction: its reduction if already made.
-        region_kpa: pressures over which the straight lines are fitted.
+        region_kpa: pressures over which the straight lines of an isometric test are fitted.
     """
     out = out or Path(run.folder) / "derived" / "report.html"
     kind = procedure_of(run.manifest.get("protocol"))
     reduction = reduction or kind.reduce(run)
-    data = report_json(run, reduction, region_kpa)
-    found = kind.findings(run, reduction) if kind.findings is not None else None
+    findings = kind.findings(run, reduction) if kind.findings is not None else None
+    data = report_json(run, reduction, region_kpa, findings)
+    figures = {"timeline": timeline(run)}
+    if findings is None:
+        figures = {**isometric_figures(reduction, data, region_kpa), **figures}
     html = (
         _environment()
         .get_template("report.html.j2")
         .render(
             r=data,
-            figures=_figures(run, reduction, data, region_kpa),
-            sections=[section_parts(section) for section in found.sections] if found else [],
+            figures={name: figure_address(figure) for name, figure in figures.items()},
+            sections=None if findings is None else [section_parts(s) for s in findings.sections],
             provenance=_flat({k: data[k] for k in _APPENDIX if data.get(k) is not None}),
         )
     )
@@ -162,95 +168,30 @@ def write_report(
     return out
 
 
+def _section_json(section: Section) -> dict[str, Any]:
+    """A section as plain values: title, words and the rows of its table."""
+    rows = [] if section.table is None else section.table.to_dict("records")
+    return {"title": section.title, "text": list(section.words), "rows": rows}
+
+
 _APPENDIX = ("rig", "devices", "conditions", "source", "parameters", "provenance")
 
 
 def record_hash(folder: Path) -> str:
-    """SHA-256 over the names and contents of the record's files; what is derived is left out."""
+    """SHA-256 over names and contents of the record; what is derived or said later is left out."""
     total = hashlib.sha256()
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if path.is_file() and not name.startswith("derived/"):
+        if path.is_file() and not name.startswith("derived/") and name != ANNOTATIONS:
             with open(path, "rb") as file:
                 digest = hashlib.file_digest(file, "sha256")
             total.update(f"{name}\n{digest.hexdigest()}\n".encode())
     return total.hexdigest()
 
 
-def _by_temperature(lines: list[LengthLine]) -> list[list[LengthLine]]:
-    """The lines of one temperature (to 2 degC) together, coldest first."""
-    groups: list[list[LengthLine]] = []
-    for line in sorted(lines, key=lambda line: (_or(line.temperature_c, 0.0), line.length_mm)):
-        last = groups[-1][0].temperature_c if groups else math.nan
-        if groups and not abs(_or(line.temperature_c, 0.0) - _or(last, 0.0)) > 2.0:
-            groups[-1].append(line)
-        else:
-            groups.append([line])
-    return groups
-
-
-def _law(lines: list[LengthLine], law: LengthLaw) -> dict[str, Any]:
-    return {"temperature_c": lines[0].temperature_c, **asdict(law)}
-
-
 def _last(run: Run, kind: str) -> dict[str, Any] | None:
     found = [event for event in run.events if event.get("kind") == kind]
     return {k: v for k, v in found[-1].items() if k not in ("n", "kind")} if found else None
-
-
-def _thesis(
-    manifest: dict[str, Any],
-    reduction: Reduction,
-    lines: list[LengthLine],
-    region_kpa: tuple[float, float],
-) -> dict[str, Any] | None:
-    """Table C-9 beside what was recomputed, for an import of Table C-1."""
-    if (manifest.get("source") or {}).get("table") != "C-1" or region_kpa != THESIS_REGION_KPA:
-        return None
-    from rigs.thesis_check import compare_c9
-
-    cold = [line for line in lines if abs(line.temperature_c - 21.0) < 0.5]
-    table = reduction.table[reduction.table["temperature_c"].sub(21.0).abs() < 0.5]
-    return compare_c9(cold, table) if cold else None
-
-
-def _figures(
-    run: Run, reduction: Reduction, data: dict[str, Any], region_kpa: tuple[float, float]
-) -> dict[str, str]:
-    """Each figure as a data address, by name."""
-    from rigs import figures
-    from rigs.drawing import as_svg
-    from rigs.thesis_check import printed_law
-    from rigs.timeline import timeline_figure
-
-    made = dict.fromkeys(("force", "regression", "residual", "timeline"), "")
-    isometric = data["results"] is None
-    table = _coldest(reduction.table) if isometric else reduction.table
-    lines = per_length(table, region_kpa, reduction.calibrations) if isometric else []
-    if len(table) and isometric:
-        made["force"] = data_address(as_svg(figures.force_figure(table)))
-    groups = _by_temperature(lines)
-    if groups and len(groups[0]) >= 3:
-        cold = groups[0]
-        digits = THESIS_DIGITS if data["thesis"] else None
-        printed = (printed_law("4-34"), printed_law("4-35")) if data["thesis"] else None
-        figure = figures.regression_figure(cold, against_length(cold, digits), printed)
-        made["regression"] = data_address(as_svg(figure))
-        figure = figures.residual_figure(table, lines, region_kpa)
-        made["residual"] = data_address(as_svg(figure))
-    if not data["imported"]:
-        timeline = timeline_figure(run)
-        if timeline is not None:
-            made["timeline"] = data_address(as_svg(timeline))
-    return made
-
-
-def _coldest(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows of the lowest temperature where a table spans several: one curve a length."""
-    temperature = table["temperature_c"].astype(float)
-    if not temperature.max() - temperature.min() > 2.0:
-        return table
-    return table[temperature < temperature.min() + 2.0]
 
 
 def _environment() -> Any:
@@ -298,7 +239,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def _or(value: float, default: float) -> float:
-    return value if math.isfinite(value) else default

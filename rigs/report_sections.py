@@ -10,33 +10,43 @@ from typing import TYPE_CHECKING, Any
 from rigs.wording import value_cell, with_u
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from rigs.protocols.procedure import Section
+
+
+SHADED = ("same", "settled")
+"""A row in which one of these is false is shaded."""
 
 
 def section_parts(section: Section) -> dict[str, Any]:
     """A section with its figure drawn and its cells written out."""
-    from rigs.drawing import as_svg
-
-    image = ""
-    if section.figure is not None:
-        image = data_address(as_svg(section.figure()))
     rows = []
     if section.table is not None:
         for record in section.table.to_dict("records"):
-            rows.append([_cell(record, name) for name, _ in section.columns])
+            rows.append(
+                {
+                    "off": any(name in record and not record[name] for name in SHADED),
+                    "cells": [_cell(record, name) for name, _ in section.columns],
+                }
+            )
     return {
         "title": section.title,
         "words": section.words,
-        "heads": [heading.split(", ") for _, heading in section.columns],
+        "heads": [heading.rsplit(", ", 1) for _, heading in section.columns],
         "rows": rows,
-        "image": image,
+        "image": figure_address(section.figure() if section.figure is not None else None),
         "caption": section.caption,
     }
 
 
-def data_address(svg: bytes) -> str:
-    """A figure as an address that holds it."""
-    return "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
+def figure_address(figure: Figure | None) -> str:
+    """A figure as an address that holds it; empty for none."""
+    if figure is None:
+        return ""
+    from rigs.drawing import as_svg
+
+    return "data:image/svg+xml;base64," + base64.b64encode(as_svg(figure)).decode()
 
 
 def _cell(record: Mapping[Any, Any], name: str) -> dict[str, Any]:

@@ -1,0 +1,119 @@
+"""What is said about a run afterwards: remarks, and points excluded with a reason.
+
+``annotations.jsonl`` in the run folder is only ever appended to, one sealed line a remark
+(:mod:`daq.sealed`), so that neither a point nor the reason why it is left out is ever lost.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from daq.disk import disk_error
+from daq.errors import RecordError
+from daq.sealed import read_lines, seal_line, sync_folder, write_all
+
+ANNOTATIONS = "annotations.jsonl"
+ACTIONS = ("note", "exclude", "include")
+
+
+@dataclass(frozen=True)
+class Annotation:
+    """One remark.
+
+    Attributes:
+        n: its number, from 0.
+        utc: when, ISO.
+        who: by whom.
+        action: "note", "exclude", or "include" to take an exclusion back.
+        points: numbers (``order``) of the points concerned; none: the run as a whole.
+        reason: why; never empty.
+    """
+
+    n: int
+    utc: str
+    who: str
+    action: str
+    points: tuple[int, ...]
+    reason: str
+
+
+def annotate(
+    folder: Path,
+    action: str,
+    points: Sequence[int],
+    reason: str,
+    who: str = "",
+    now: datetime | None = None,
+) -> Annotation:
+    """Append a remark, durably.
+
+    Args:
+        folder: of the run.
+        action: one of :data:`ACTIONS`.
+        points: numbers of the points concerned.
+        reason: why.
+        who: by whom.
+        now: instead of the present time.
+
+    Raises:
+        RecordError: no reason, nothing to exclude, a damaged file, or it cannot be written.
+    """
+    if not reason.strip():
+        raise RecordError(str(folder), f"to {action} needs a reason", 'give --reason "..."')
+    if action != "note" and not points:
+        raise RecordError(str(folder), f"to {action} needs points", "give their numbers (order)")
+    before = read_annotations(folder)
+    utc = (now or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
+    made = Annotation(
+        len(before), utc, who, action, tuple(sorted({int(p) for p in points})), reason.strip()
+    )
+    line = seal_line({**vars(made), "points": list(made.points)})
+    try:
+        fd = os.open(folder / ANNOTATIONS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        try:
+            write_all(fd, line)
+            os.fsync(fd)
+        finally:
+            os.close(fd)
+        sync_folder(folder)
+    except OSError as error:
+        raise disk_error(folder / ANNOTATIONS, "cannot be written", error) from error
+    return made
+
+
+def read_annotations(folder: Path) -> list[Annotation]:
+    """Every remark in order; none where nothing was said.
+
+    Raises:
+        RecordError: a line is damaged or missing: an exclusion must not come undone in silence.
+    """
+    path = Path(folder) / ANNOTATIONS
+    if not path.is_file():
+        return []
+    found = []
+    for number, line in enumerate(read_lines(path.read_bytes())):
+        if line.fields is None or line.fields.get("n") != number:
+            raise RecordError(
+                f"{path} line {number + 1}",
+                "does not carry its checksum" if line.fields is None else "a line is missing",
+                "restore the file from a copy; points may have been excluded there",
+            )
+        fields = line.fields
+        found.append(Annotation(**{**fields, "points": tuple(fields["points"])}))
+    return found
+
+
+def excluded_points(folder: Path) -> dict[int, str]:
+    """Points that are excluded now, each with the latest reason."""
+    out: dict[int, str] = {}
+    for remark in read_annotations(folder):
+        for point in remark.points:
+            if remark.action == "exclude":
+                out[point] = remark.reason
+            elif remark.action == "include":
+                out.pop(point, None)
+    return out
