@@ -7,8 +7,7 @@ vents; so does a record that can no longer be written.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,10 @@ from daq.clock import NS_PER_S
 from daq.errors import DeviceError, LinkLost, PamrigError, RecordError
 from daq.record import RecordWriter
 from rigs.control import RunControl
+from rigs.instruments.recording import temperature
 from rigs.interrupt import StopFlag
 from rigs.loads import lower_load
+from rigs.operator import ManualAxis, ManualSetting
 from rigs.protocols.schedule import cost_s
 from rigs.rig import SAFE_KPA, Rig
 from rigs.settling import SAMPLE_S, has_settled
@@ -40,6 +41,8 @@ from rigs.steps import (
     Vent,
     Zero,
 )
+from rigs.watching import Progress as Progress
+from rigs.watching import Watch as Watch
 
 ALIVE_S = 1.0
 """A step must report progress at least so often, or the heartbeat stops."""
@@ -49,28 +52,6 @@ TELEMETRY_SILENCE_S = 0.5
 
 class RunFault(PamrigError):
     """The bench reported a fault, or went silent, while a protocol ran."""
-
-
-@dataclass
-class Watch:
-    """What the outside sees of a run as it goes: hooks that may be left empty."""
-
-    state: Callable[[str], None] = lambda text: None
-    point: Callable[[Measure, float, float, float], None] = lambda point, p, f, length: None
-    picture: Callable[[int, bytes, Any], None] = lambda host_ns, jpeg, gap: None
-    set_point: Callable[[str, float], None] = lambda channel, value: None
-    log: Callable[[str], None] = lambda text: None
-
-
-@dataclass
-class Progress:
-    """How far a run is: points, state, and bench time as it was estimated beforehand."""
-
-    points: int
-    done: int = 0
-    state: str = ""
-    seconds: float = 0.0
-    spent_s: float = 0.0
 
 
 class Runner:
@@ -107,7 +88,7 @@ class Runner:
         self.load_kg = 0.0
         self._armed = False
         self._reboots = 0
-        self._venting = True
+        self._scheme = "vent"
         self._balance_speaks = True
         self._last_seq = (0, 0)
         self._last_row = (0, 0)
@@ -259,10 +240,34 @@ class Runner:
         self.record.event("state", state=state)
         self.watch.state(state)
 
+    @property
+    def vented(self) -> bool:
+        """Whether the muscle is being vented, as far as it was told."""
+        return self._scheme == "vent"
+
+    def axis(self, name: str, unit: str) -> ManualAxis:
+        """What a person sets: the rig's axis of that name, or one that nothing looks after."""
+        axes = self.rig.axes
+        if name not in axes:
+            axes[name] = ManualAxis(name, unit, self.rig.operator, self.rig.pump)
+            axes[name].on_setting.append(self._was_set)
+        return axes[name]
+
+    def _was_set(self, setting: ManualSetting) -> None:
+        self.record.event("manual", **vars(setting))
+
+    def shut(self) -> None:
+        """Shut both valves; the next set-point takes the air up again."""
+        self._choose("open")
+
+    def _choose(self, scheme: str) -> None:
+        """Have the controller change its scheme, where it is another one."""
+        if scheme != self._scheme:
+            self.rig.valve.request("vent" if scheme == "vent" else f"scheme {scheme}")
+            self._scheme = scheme
+
     def _vent(self) -> None:
-        if not self._venting:
-            self.rig.valve.request("vent")
-            self._venting = True
+        self._choose("vent")
         self.watch.set_point("pressure", 0.0)
         if not self.rig.pump.until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
             raise RunFault(
@@ -296,9 +301,7 @@ class Runner:
             )
         counts = float(self.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
         self.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
-        if self._venting:
-            self.rig.valve.request(f"scheme {self.rig.config.valve.static_scheme}")
-            self._venting = False
+        self._choose(self.rig.config.valve.static_scheme)
         self.rig.valve.set_point(counts)
         self.watch.set_point("pressure", pressure_kpa)
 
@@ -346,11 +349,15 @@ class Runner:
         seq, rows = self.window(step.seconds)
         if self.steering.skip:
             return
-        more = {} if self.steering.take == 1 else {"take": self.steering.take}
+        take = self.steering.take
+        more: dict[str, Any] = {} if take == 1 else {"take": take}
+        if "thermometer" in self.rig.instruments:
+            at = temperature(self.rig)
+            more |= {k: at[k] for k in ("temperature_c", "u_temperature_c")}
         self.record.event(
             "point", **step.fields(), **more, valve_seq=seq, balance_rows=rows, frames=frames
         )
-        self.progress.done += 0 if more else 1
+        self.progress.done += take == 1
         cal = self.rig.config.calibrations
         counts = self.rig.valve.recent_counts(seq[1] - seq[0])
         grams, _ = self.rig.balance.recent(rows[1] - rows[0])

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 PROTOCOLS: dict[str, str] = {
     "isometric": "Run an isometric test: length held, pressure stepped, force read.",
+    "isobaric": "Run an isobaric test: pressure held, length stepped, force read.",
+    "isotonic": "Run an isotonic test: load hung, pressure stepped, length read by the camera.",
+    "isothermal": "Repeat isometric and isobaric trials over temperatures.",
+    "hysteresis": "Run cycles up and down, at held lengths or under hung loads.",
 }
 """Name of each protocol's command and what it does; its module is ``rigs.protocols.NAME`` with _
 for -, and holds PROCEDURE."""
 
-DEFAULT_RIG: dict[str, str] = {}
+DEFAULT_RIG: dict[str, str] = {"isothermal": "virtual-instruments"}
 """The shipped rig that has all a protocol needs, where that is not "virtual"."""
 
 
