@@ -10,6 +10,7 @@ import numpy.typing as npt
 from plant import layout
 from plant.constants import PlantConstants
 from plant.effects import NONE, Effects
+from plant.effectslots import effect_slots
 from plant.errors import PlantError
 from plant.friction import element_slip
 from plant.kernel import advance as _advance
@@ -53,6 +54,8 @@ Source = Literal["valve", "regulator"]
 Load = Literal["isometric", "isotonic"]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
+REFERENCE_TEMPERATURE_C = 21.0
+"""Of the muscle, where none is given: that of the column of Table C-1 behind the constants."""
 REGULATOR_LAG_S = 1.0
 REGULATOR_MAX_PA = 700e3
 STEP_MAX_S = 1e-3
@@ -101,7 +104,7 @@ def build_params(
         layout.STOP_STIFFNESS: c.stop_stiffness_n_m,
         layout.STOP_DAMPING: c.stop_damping_n_s_m,
         layout.LOAD_DAMPING: c.load_damping_n_s_m,
-        layout.MASS: mass_kg,
+        layout.MASS: _carried(mass_kg, effects) if load == "isotonic" else mass_kg,
         layout.GRAVITY: gravity_m_s2,
         layout.REGULATOR_LAG: REGULATOR_LAG_S,
         layout.DELAY_MODE: 1.0 if c.delay_mode == "transport" else 0.0,
@@ -115,28 +118,40 @@ def build_params(
         layout.DELAY_SLOPE + 3: c.outlet_off_s_per_pa,
         layout.STEP_MAX: STEP_MAX_S,
         layout.STEP_SAFETY: STEP_SAFETY,
-        layout.LINER_LOST: effects.get("liner_threshold", "threshold_kpa") * 1e3,
-        layout.LINER_WIDTH: effects.get("liner_threshold", "width_kpa", 1.0) * 1e3,
-        layout.FRICTION_FORCE: effects.get("braid_friction", "friction_n"),
-        layout.FRICTION_TRAVEL_PRESSURE: effects.get("braid_friction", "travel_kpa", 1.0) * 1e3,
-        layout.FRICTION_TRAVEL_LENGTH: effects.get("braid_friction", "travel_mm", 1.0) * 1e-3,
     }
     params = np.zeros(layout.PARAMS_SIZE)
-    for slot, value in at.items():
+    for slot, value in {**at, **effect_slots(c, effects)}.items():
         params[slot] = value
     return params
 
 
-def build_state(constants: PlantConstants, length_m: float) -> Array:
+def _carried(mass_kg: float, effects: Effects) -> float:
+    extra = effects.get("payload", "mass_kg")
+    if not mass_kg + extra >= 1e-3:
+        raise PlantError(
+            f"effect 'payload': {extra:g} kg beside a load of {mass_kg:g} kg carries nothing"
+        )
+    return mass_kg + extra
+
+
+def build_state(
+    constants: PlantConstants,
+    length_m: float,
+    temperature_c: float = REFERENCE_TEMPERATURE_C,
+    trials: float = 0.0,
+) -> Array:
     """State array of a bench without power at time 0: atmospheric, at rest, shape (STATE_SIZE,).
 
-    A normally open outlet is open and its vent command on, as when power has been off.
+    `temperature_c` is that of the muscle's wall, `trials` what it has behind it; both matter only
+    to the effects that depend on them. A normally open outlet is open and its vent command on, as
+    when power has been off.
     """
     _check_length(length_m, constants)
     state = np.zeros(layout.STATE_SIZE)
     state[LENGTH] = length_m
     state[SUPPLY] = constants.supply_pa
-    state[layout.TEMPERATURE] = constants.gas_temperature_k
+    state[layout.TEMPERATURE] = temperature_c + 273.15
+    state[layout.TRIAL] = trials
     if constants.outlet_normally == "open":
         state[OUTLET_OPEN] = state[OUTLET_COMMAND] = 1.0
     return state
@@ -184,6 +199,12 @@ class BenchSim:
         return float(self.state[PRESSURE]) * 1e-3
 
     @property
+    def pressure_read_kpa(self) -> float:
+        """Gauge pressure behind the transducer's lag, which is the true one without a lag."""
+        lagging = self.params[layout.PRESSURE_LAG] > 0.0
+        return float(self.state[layout.PRESSURE_READ if lagging else PRESSURE]) * 1e-3
+
+    @property
     def length_mm(self) -> float:
         """True length of the muscle."""
         return float(self.state[LENGTH]) * 1e3
@@ -229,6 +250,24 @@ class BenchSim:
         if not abs(rate_mm_s) <= 1e4:
             raise PlantError(f"rate_mm_s = {rate_mm_s!r}; allowed -10000 to 10000")
         self.state[LENGTH_RATE] = rate_mm_s * 1e-3
+
+    def set_temperature(self, temperature_c: float) -> None:
+        """Temperature of the muscle's wall. Raises `PlantError` out of -40 to 120 degC."""
+        if not -40.0 <= temperature_c <= 120.0:
+            raise PlantError(f"temperature_c = {temperature_c!r}; allowed -40 to 120")
+        self.state[layout.TEMPERATURE] = temperature_c + 273.15
+        self._refresh()
+
+    def set_trials(self, trials: float) -> None:
+        """How many trials the muscle has behind it. Raises `PlantError` below 0."""
+        if not 0.0 <= trials < 1e9:
+            raise PlantError(f"trials = {trials!r}; allowed 0 and above")
+        self.state[layout.TRIAL] = trials
+        self._refresh()
+
+    def count_trial(self) -> None:
+        """One more trial that the muscle has behind it."""
+        self.set_trials(float(self.state[layout.TRIAL]) + 1.0)
 
     def set_supply(self, supply_kpa: float) -> None:
         """Change the gauge pressure of the supply. Raises `PlantError` out of 0 to 1200 kPa."""

@@ -14,6 +14,7 @@ Slots = MutableSequence[float]
 """A state or parameter array as compiled code sees it: float64, contiguous, one number a slot."""
 
 _SOURCES = (
+    "additions.py",
     "compiled.py",
     "constants.py",
     "flow.py",

@@ -27,8 +27,8 @@ class Effects:
     def from_config(cls, config: Mapping[str, Any] | None, origin: str = "effects") -> Effects:
         """Read `{"liner_threshold": {"threshold_kpa": 100}}`; `origin` names the file in errors.
 
-        Raises `PlantError` for an unknown effect or parameter, a missing headline parameter, a
-        value of the wrong type or out of range, and an effect that the plant does not know yet.
+        Raises `PlantError` for an unknown effect or parameter, a missing headline parameter, and
+        a value of the wrong type or out of range.
         """
         values: dict[str, Mapping[str, float | str]] = {}
         for name, table in (config or {}).items():
@@ -48,6 +48,13 @@ class Effects:
             raise PlantError(f"effect {name!r}: {parameter} is a word, {value!r}, not a number")
         return value
 
+    def word(self, name: str, parameter: str) -> str:
+        """The word that a parameter takes, such as an edge; "" when the effect is off."""
+        value = self.values.get(name, {}).get(parameter, "")
+        if not isinstance(value, str):
+            raise PlantError(f"effect {name!r}: {parameter} is a number, {value!r}, not a word")
+        return value
+
     def as_config(self) -> dict[str, dict[str, float | str]]:
         """The tables that `from_config` would read back to equal effects."""
         return {name: dict(table) for name, table in self.values.items()}
@@ -64,13 +71,7 @@ def _entry(name: str, origin: str) -> Entry:
         near = get_close_matches(name, CATALOGUE, n=1)
         hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(CATALOGUE)}"
         raise PlantError(f"{origin}: unknown effect {name!r}; {hint}")
-    entry = CATALOGUE[name]
-    if not entry.in_plant:
-        ready = ", ".join(key for key, other in CATALOGUE.items() if other.in_plant)
-        raise PlantError(
-            f"{origin}: effect {name!r} is not in the plant yet; remove it, or use one of: {ready}"
-        )
-    return entry
+    return CATALOGUE[name]
 
 
 def _read(entry: Entry, table: object, origin: str) -> dict[str, float | str]:

@@ -90,7 +90,8 @@ def _run_until(state: Slots, params: Slots, end: float) -> None:
 @inlined
 def _measure(state: Slots, params: Slots) -> None:
     slip = slip_after(state, params, 0.0, 0.0)
-    state[at.FORCE] = tension(params, state[at.PRESSURE], state[at.LENGTH], slip)
+    rate = state[at.LENGTH_RATE]
+    state[at.FORCE] = tension(state, params, state[at.PRESSURE], state[at.LENGTH], rate, slip)
 
 
 @inlined

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 
-from plant import flow, muscle
+from plant import additions, flow, muscle
 from plant import layout as at
-from plant.compiled import Slots, inlined
+from plant.compiled import Slots, called, inlined
 from plant.constants import (
     GAS_CONSTANT_J_KG_K,
     REFERENCE_DENSITY_KG_M3,
@@ -24,19 +24,110 @@ _force_slope = inlined(muscle.braid_force_slope)
 _volume = inlined(muscle.braid_volume)
 _volume_slope = inlined(muscle.braid_volume_slope)
 _liner = inlined(muscle.liner_pressure)
+_stretched = inlined(additions.stretched)
+_effective_length = inlined(additions.effective_length)
+_bladder = inlined(additions.bladder_force)
+_bladder_slope = inlined(additions.bladder_slope)
+_limit = inlined(additions.limit_force)
+_viscous = inlined(additions.viscous_force)
+_drooped = inlined(flow.drooped_supply)
 element = inlined(element_slip)
 
 
 @inlined
-def tension(params: Slots, p: float, length: float, slip: float) -> float:
+def tension(
+    state: Slots, params: Slots, p: float, length: float, rate: float, slip: float
+) -> float:
     """Force of the muscle in N; `slip` is the mean slip of the friction elements."""
-    push = p
-    if params[at.LINER_LOST] > 0.0:
-        push = _liner(p, params[at.LINER_LOST], params[at.LINER_WIDTH])
-    pull = _force(push, length, params[at.BRAID_LENGTH], params[at.TURNS])
+    if params[at.MUSCLE_ADDITIONS] != 0.0 or params[at.CREEP_GAIN] != 0.0:
+        pull = float(_with_additions(state, params, p, length, rate))
+    else:
+        pull = braid(params, p, length)
     if params[at.FRICTION_FORCE] != 0.0 and p > 0.0:
         pull -= params[at.FRICTION_FORCE] * p / REFERENCE_PRESSURE_PA * slip
     return pull
+
+
+@inlined
+def braid(params: Slots, p: float, length: float) -> float:
+    """Force of the braid of nominal geometry behind its liner, N."""
+    push = p
+    if params[at.LINER_LOST] > 0.0:
+        push = _liner(p, params[at.LINER_LOST], params[at.LINER_WIDTH])
+    return _force(push, length, params[at.BRAID_LENGTH], params[at.TURNS])
+
+
+@inlined
+def _deformed(params: Slots, p: float, length: float) -> float:
+    """Force of the braid with threads that stretch and ends that taper, N."""
+    push = p
+    if params[at.LINER_LOST] > 0.0:
+        push = _liner(p, params[at.LINER_LOST], params[at.LINER_WIDTH])
+    threads = _stretched(params[at.BRAID_LENGTH], p, params[at.STRETCH])
+    inner = _effective_length(length, params[at.CAP_SHARE], params[at.CAP_REST])
+    pull: float = _force(push, inner, threads, params[at.TURNS])
+    return pull
+
+
+@called
+def lasting(state: Slots, params: Slots, p: float, length: float) -> float:
+    """Force in N that would stay if pressure and length did: no friction, speed or creep."""
+    pull = _deformed(params, p, length)
+    if params[at.WARMING] != 0.0:
+        grown = pull
+        flat = params[at.WARMING_FLAT]
+        if flat != 0.0:
+            grown += flat * (_deformed(params, additions.STRETCH_PRESSURE_PA, length) - pull)
+        warmer = state[at.TEMPERATURE] - params[at.WARMING_FROM]
+        pull += params[at.WARMING] * warmer * grown
+    pull *= 1.0 + params[at.WEAR] * state[at.TRIAL]
+    if params[at.BLADDER] != 0.0:
+        rest = params[at.BLADDER_REST]
+        pull += _bladder(length, params[at.BLADDER], rest, params[at.BLADDER_HARDENING])
+    if params[at.LIMIT_FORCE] != 0.0:
+        lost = params[at.LIMIT_FORCE]
+        pull -= _limit(length, lost, params[at.LENGTH_MIN], params[at.LIMIT_SCALE])
+    return pull
+
+
+@called
+def _with_additions(state: Slots, params: Slots, p: float, length: float, rate: float) -> float:
+    pull = lasting(state, params, p, length)
+    if params[at.CREEP_GAIN] != 0.0:
+        crept = 0.0
+        for i in range(at.CREEP_ELEMENTS):
+            crept += state[at.CREEP + i]
+        pull -= params[at.CREEP_GAIN] * crept
+    if params[at.VISCOUS] != 0.0:
+        damping = params[at.VISCOUS]
+        power_law = params[at.VISCOUS_EXPONENT]
+        pull += _viscous(rate, p, damping, power_law, params[at.VISCOUS_PRESSURE])
+    return pull
+
+
+@called
+def _added_stiffness(params: Slots, p: float, length: float) -> float:
+    """How steeply the additions may change the force with length, N/m; never too little."""
+    braid_share = params[at.CAP_SHARE] * abs(_force_slope(p, length, params[at.TURNS]))
+    rest = params[at.BLADDER_REST]
+    tube = abs(_bladder_slope(length, params[at.BLADDER], rest, params[at.BLADDER_HARDENING]))
+    wall = 0.0
+    if params[at.LIMIT_FORCE] != 0.0:
+        lost = abs(params[at.LIMIT_FORCE])
+        scale = params[at.LIMIT_SCALE]
+        wall = _limit(length, lost, params[at.LENGTH_MIN], scale) / scale
+    total: float = braid_share + tube + wall
+    return total
+
+
+@called
+def _added_damping(params: Slots, p: float, rate: float) -> float:
+    """How steeply the additions change the force with speed, N s/m."""
+    exponent = params[at.VISCOUS_EXPONENT]
+    pace = max(abs(rate), additions.VISCOUS_FLOOR_M_S)
+    force = _viscous(pace, p, params[at.VISCOUS], exponent, params[at.VISCOUS_PRESSURE])
+    slope: float = 1.5 * max(1.0, exponent) * abs(force) / pace
+    return slope
 
 
 @inlined
@@ -96,6 +187,16 @@ def outward(state: Slots, params: Slots) -> float:
 
 
 @inlined
+def inlet_pressure(state: Slots, params: Slots, absolute: float) -> float:
+    """Absolute pressure upstream of the open inlet; `absolute` is that in the muscle."""
+    supply = state[at.SUPPLY] + params[at.ATMOSPHERE]
+    if params[at.SUPPLY_DROOP] > 0.0:
+        critical = params[at.INLET_CRITICAL_RATIO]
+        supply = _drooped(supply, absolute, params[at.SUPPLY_DROOP], critical)
+    return supply
+
+
+@inlined
 def flows(state: Slots, params: Slots, absolute: float) -> tuple[float, float]:
     """Mass flow in and out in kg/s at absolute pressure `absolute` in the muscle."""
     scale = REFERENCE_DENSITY_KG_M3 * math.sqrt(
@@ -104,7 +205,7 @@ def flows(state: Slots, params: Slots, absolute: float) -> tuple[float, float]:
     flow_in = 0.0
     flow_out = 0.0
     if state[at.INLET_OPEN] > 0.0:
-        supply = state[at.SUPPLY] + params[at.ATMOSPHERE]
+        supply = inlet_pressure(state, params, absolute)
         psi = _factor(absolute / supply, params[at.INLET_CRITICAL_RATIO])
         flow_in = scale * params[at.INLET_CONDUCTANCE] * supply * psi
     conductance = outward(state, params)
@@ -127,7 +228,7 @@ def fastest_gas(state: Slots, params: Slots, absolute: float, volume: float) -> 
     slope = 0.0
     leaving = 0.0
     if state[at.INLET_OPEN] > 0.0:
-        supply = state[at.SUPPLY] + params[at.ATMOSPHERE]
+        supply = inlet_pressure(state, params, absolute)
         critical = params[at.INLET_CRITICAL_RATIO]
         slope += params[at.INLET_CONDUCTANCE] * _factor_slope(absolute / supply, critical)
         leaving = change / (abs(supply - absolute) + flow.LINEAR_BELOW * supply)
@@ -154,10 +255,27 @@ def fastest_load(state: Slots, params: Slots, absolute: float, volume: float, st
         first = params[at.FRICTION_TRAVEL_LENGTH] * 2.0 ** (1 - at.SLIP_ELEMENTS)
         limit = params[at.FRICTION_FORCE] * abs(state[at.PRESSURE]) / REFERENCE_PRESSURE_PA
         stiffness += abs(limit) / first
+    if params[at.LINK_FRICTION] != 0.0:
+        stiffness += params[at.LINK_FRICTION] / params[at.LINK_TRAVEL]
+    if params[at.MUSCLE_ADDITIONS] != 0.0:
+        stiffness += _added_stiffness(params, state[at.PRESSURE], length)
+        damping += _added_damping(params, state[at.PRESSURE], state[at.LENGTH_RATE])
     if stop:
         stiffness += params[at.STOP_STIFFNESS]
         damping += params[at.STOP_DAMPING]
     return math.sqrt(stiffness / params[at.MASS]) + damping / params[at.MASS]
+
+
+@inlined
+def link_slip(state: Slots, params: Slots, dlength: float) -> float:
+    """Slip of the joint or slide that carries the load after a further `dlength` of motion.
+
+    One elasto-slip element (Prandtl; Armstrong-Helouvry, Dupont and Canudas de Wit 1994 on
+    pre-sliding): it sticks like a stiff spring and slips at its limit, whatever the speed.
+    """
+    if params[at.LINK_FRICTION] == 0.0:
+        return 0.0
+    return min(1.0, max(-1.0, state[at.LINK_SLIP] + dlength / params[at.LINK_TRAVEL]))
 
 
 @inlined

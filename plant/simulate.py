@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from plant import kernel, layout
-from plant.bench import Load, Source, build_params, build_state
+from plant.bench import REFERENCE_TEMPERATURE_C, Load, Source, build_params, build_state
 from plant.constants import PlantConstants
 from plant.effects import NONE, Effects
 from plant.errors import PlantError
@@ -65,6 +65,10 @@ class Traces:
     outlet_open: npt.NDArray[np.bool_]
     mass_in_kg: Array
     mass_out_kg: Array
+    supply_kpa: Array
+    """Set pressure of the supply; what it falls to while filling is in `plant.readings`."""
+    pressure_read_kpa: Array
+    """Pressure behind the transducer's lag, before its gain and zero."""
 
 
 def commands(events: Sequence[tuple[float, Channel, float]]) -> Commands:
@@ -106,8 +110,14 @@ def run_commands(
     length_m: float = 0.060,
     mass_kg: float = 1.0,
     pressure_kpa: float = 0.0,
+    temperature_c: float = REFERENCE_TEMPERATURE_C,
+    trials: float = 0.0,
 ) -> Traces:
     """Run `inputs` from rest and sample at `rate_hz` from time 0 to `duration_s`, both included.
+
+    `length_m` is the length written down: with the effect `length_label` the muscle is held
+    elsewhere. `temperature_c` is that of the muscle and `trials` what it has behind it, both for
+    the effects that depend on them. `plant.readings` turns the traces into what sensors show.
 
     Raises `PlantError` for inputs out of order, before 0, not finite or on an unknown channel, and
     for a length, mass or pressure outside the plant's domain.
@@ -121,10 +131,13 @@ def run_commands(
     if not -constants.atmosphere_pa < pressure_kpa * 1e3 <= 1.2e6:
         raise PlantError(f"pressure_kpa = {pressure_kpa!r}; allowed above vacuum and up to 1200")
     params = build_params(constants, effects, source, load, mass_kg)
-    state = build_state(constants, length_m)
-    state[layout.PRESSURE] = pressure_kpa * 1e3
+    if load == "isometric":
+        length_m += effects.get("length_label", "offset_mm") * 1e-3
+    state = build_state(constants, length_m, temperature_c, trials)
+    state[layout.PRESSURE] = state[layout.PRESSURE_READ] = pressure_kpa * 1e3
     sample_s = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
-    out = np.empty((len(sample_s), layout.MASS_OUT + 1))
+    lagging = params[layout.PRESSURE_LAG] > 0.0
+    out = np.empty((len(sample_s), (layout.PRESSURE_READ if lagging else layout.MASS_OUT) + 1))
     kernel.run(state, params, np.ascontiguousarray(inputs.time_s), channel, value, sample_s, out)
     return Traces(
         time_s=sample_s,
@@ -135,6 +148,8 @@ def run_commands(
         outlet_open=out[:, layout.OUTLET_OPEN] > 0.0,
         mass_in_kg=out[:, layout.MASS_IN].copy(),
         mass_out_kg=out[:, layout.MASS_OUT].copy(),
+        supply_kpa=out[:, layout.SUPPLY] * 1e-3,
+        pressure_read_kpa=out[:, layout.PRESSURE_READ if lagging else layout.PRESSURE] * 1e-3,
     )
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from plant import additions
 from plant import layout as at
 from plant.compiled import Slots, called, inlined
 from plant.constants import GAS_CONSTANT_J_KG_K
@@ -22,6 +23,8 @@ from plant.rates import (
     fastest_load,
     flows,
     lagged,
+    lasting,
+    link_slip,
     outward,
     power,
     regulated,
@@ -36,6 +39,9 @@ _EQUAL = 1.0 + 1e-9
 # A prescribed length stays between these shares of the braid length.
 _TRAVEL_LOW = 0.1
 _TRAVEL_HIGH = 0.99
+# What remembers takes its inputs as straight lines over at most this time, s.
+_MEMORY_STEP_S = 1e-3
+_follow = inlined(additions.follow)
 _STAGE = np.array([0.0, 0.5, 0.5, 1.0])
 _WEIGHT = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 
@@ -48,6 +54,7 @@ def _accept(state: Slots, params: Slots, p: float, length: float) -> None:
         travel -= (length - state[at.LENGTH]) / params[at.FRICTION_TRAVEL_LENGTH]
         for i in range(at.SLIP_ELEMENTS):
             state[at.SLIP + i] = element(state[at.SLIP + i], travel, i)
+    state[at.LINK_SLIP] = link_slip(state, params, length - state[at.LENGTH])
     state[at.PRESSURE] = p
     state[at.LENGTH] = length
 
@@ -186,9 +193,12 @@ def _trial(
             dy *= volume ** (exponent - 1.0)
         dlength = rate
         if hung:
-            pull = tension(params, p, length, slip_after(state, params, p - p0, length - length0))
+            slip = slip_after(state, params, p - p0, length - length0)
+            pull = tension(state, params, p, length, rate, slip)
             push = stop_push(params, touched, length, rate)
             net = push - pull - params[at.LOAD_DAMPING] * rate
+            if params[at.LINK_FRICTION] != 0.0:
+                net -= params[at.LINK_FRICTION] * link_slip(state, params, length - length0)
             drate = params[at.GRAVITY] + net / params[at.MASS]
         weight = _WEIGHT[stage]
         dy_mean += weight * dy
@@ -206,36 +216,71 @@ def _trial(
 
 
 @called
+def _still(state: Slots, params: Slots) -> bool:
+    """Whether pressure and length will stay as they are until a command comes."""
+    if params[at.LOAD] == 1.0 or state[at.LENGTH_RATE] != 0.0 or regulated(state, params):
+        return False
+    return sealed(state, params) or _at_rest(state, params)
+
+
+@called
+def _remember(state: Slots, params: Slots, p0: float, pull0: float, duration: float) -> None:
+    """Let creep and the transducer's lag follow a step in which both inputs ran straight."""
+    if params[at.CREEP_GAIN] != 0.0:
+        pull = lasting(state, params, state[at.PRESSURE], state[at.LENGTH])
+        for i in range(at.CREEP_ELEMENTS):
+            time = params[at.CREEP_TIME + i]
+            state[at.CREEP + i] = _follow(state[at.CREEP + i], pull0, pull, duration, time)
+    if params[at.PRESSURE_LAG] > 0.0:
+        seen = state[at.PRESSURE_READ]
+        lag = params[at.PRESSURE_LAG]
+        state[at.PRESSURE_READ] = _follow(seen, p0, state[at.PRESSURE], duration, lag)
+
+
+@called
 def integrate(state: Slots, params: Slots, duration: float) -> None:
     """Advance gas and load by `duration` seconds with the valves as they stand."""
-    _end_of_travel(state, params, duration)
-    if params[at.LOAD] == 0.0 and (sealed(state, params) or regulated(state, params)):
-        _closed_form(state, params, duration)
-        return
-    left = duration
-    while left > 0.0 and not _at_rest(state, params):
-        length0 = state[at.LENGTH]
-        touched = _touched(params, length0, state[at.LENGTH_RATE])
-        step = min(left, _substep(state, params, touched))
-        # At most twice more, by the secant, to end the substep on a stop that it crossed.
-        for _ in range(3):
-            y, length, rate, mass_in, mass_out = _trial(state, params, touched, step)
-            stop = 0.0
-            if params[at.LOAD] == 1.0 and step > 1e-8:
-                stop = _crossed(params, length0, length)
-            if stop == 0.0:
-                break
-            if abs(length - stop) < 1e-12:
-                length = stop
-                break
-            step *= (stop - length0) / (length - length0)
-        if regulated(state, params):
-            p = lagged(state, params, state[at.PRESSURE], step)
-            _book_regulated(state, params, p, length)
-        else:
-            p = y / power(chamber(params, length), params[at.EXPONENT]) - params[at.ATMOSPHERE]
-            state[at.MASS_IN] += mass_in
-            state[at.MASS_OUT] += mass_out
-        _accept(state, params, p, length)
-        state[at.LENGTH_RATE] = rate
-        left -= step
+    remembers = params[at.REMEMBERS] != 0.0
+    ahead = duration
+    while ahead > 0.0:
+        left = ahead
+        p0 = state[at.PRESSURE]
+        pull0 = 0.0
+        if remembers:
+            pull0 = lasting(state, params, p0, state[at.LENGTH])
+            if not _still(state, params):
+                left = min(ahead, _MEMORY_STEP_S)
+        part = left
+        _end_of_travel(state, params, part)
+        if params[at.LOAD] == 0.0 and (sealed(state, params) or regulated(state, params)):
+            _closed_form(state, params, part)
+            left = 0.0
+        while left > 0.0 and not _at_rest(state, params):
+            length0 = state[at.LENGTH]
+            touched = _touched(params, length0, state[at.LENGTH_RATE])
+            step = min(left, _substep(state, params, touched))
+            # At most twice more, by the secant, to end the substep on a stop that it crossed.
+            for _ in range(3):
+                y, length, rate, mass_in, mass_out = _trial(state, params, touched, step)
+                stop = 0.0
+                if params[at.LOAD] == 1.0 and step > 1e-8:
+                    stop = _crossed(params, length0, length)
+                if stop == 0.0:
+                    break
+                if abs(length - stop) < 1e-12:
+                    length = stop
+                    break
+                step *= (stop - length0) / (length - length0)
+            if regulated(state, params):
+                p = lagged(state, params, state[at.PRESSURE], step)
+                _book_regulated(state, params, p, length)
+            else:
+                p = y / power(chamber(params, length), params[at.EXPONENT]) - params[at.ATMOSPHERE]
+                state[at.MASS_IN] += mass_in
+                state[at.MASS_OUT] += mass_out
+            _accept(state, params, p, length)
+            state[at.LENGTH_RATE] = rate
+            left -= step
+        if remembers:
+            _remember(state, params, p0, pull0, part)
+        ahead -= part

@@ -71,9 +71,7 @@ def hysteresis_layout(
     if list(masses):
         right = ((points, _length_points(pressure_max_kpa)), *base.columns[1][1:])
         feeds = (feed, _length_feed("{mass_kg:g} kg" + label))
-    return replace(
-        base, title="Hysteresis test", columns=(base.columns[0], right), points=feeds
-    )
+    return replace(base, title="Hysteresis test", columns=(base.columns[0], right), points=feeds)
 
 
 def isothermal_layout(pressure_max_kpa: float = 600.0) -> LiveLayout:

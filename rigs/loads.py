@@ -73,7 +73,7 @@ def ramp_down(runner: Runner) -> float:
     while pressure > LOWEST_KPA:
         pressure = max(0.0, pressure - rate * LOWER_STEP_S)
         rig.valve.progress(1.0)
-        rig.valve.set_point(float(max(calibration.raw(pressure), 0.0)))
+        rig.valve.set_point(max(float(calibration.raw(pressure)), 0.0))
         rig.pump.for_seconds(LOWER_STEP_S)
     return start
 

@@ -149,7 +149,7 @@ def test_liner_pressure_is_between_nothing_and_all_and_grows(
     here = float(muscle.effective_pressure(p, lost, width))
     assert -1e-6 <= here <= p + 1e-6
     assert p - here <= lost + 1e-6
-    assert float(muscle.effective_pressure(p + 100.0, lost, width)) >= here
+    assert float(muscle.effective_pressure(p + 100.0, lost, width)) >= here - 1e-6
 
 
 def test_a_liner_of_nothing_is_the_nominal_muscle() -> None:
@@ -197,10 +197,6 @@ def test_the_catalogue_has_thirty_effects_in_fourteen_families() -> None:
     assert [entry.id for entry in CATALOGUE.values()] == list(CATALOGUE)
     assert CATALOGUE["transport_delay"].headline is None
     assert CATALOGUE["liner_threshold"].headline == "threshold_kpa"
-    assert {name for name, e in CATALOGUE.items() if e.in_plant} == {
-        "liner_threshold",
-        "braid_friction",
-    }
 
 
 def test_being_mistaken_for_each_other_is_mutual_and_every_entry_is_explained() -> None:
@@ -208,6 +204,8 @@ def test_being_mistaken_for_each_other_is_mutual_and_every_entry_is_explained() 
         assert entry.untouched
         assert entry.told_apart_by
         assert entry.summary
+        assert entry.equation
+        assert entry.source
         for other in entry.mistaken_for:
             assert name in CATALOGUE[other].mistaken_for, (name, other)
             assert other != name
@@ -217,7 +215,8 @@ def test_being_mistaken_for_each_other_is_mutual_and_every_entry_is_explained() 
     ("config", "told"),
     [
         ({"liner_treshold": {"threshold_kpa": 1}}, "did you mean liner_threshold"),
-        ({"creep": {"relaxation_percent": 5}}, "not in the plant yet"),
+        ({"creep": {"relaxation": 5}}, "known: relaxation_percent, fast_s, slow_s"),
+        ({"flow_area": {"ratio": 2.0, "side": "left"}}, "allowed inlet, outlet"),
         ({"liner_threshold": {"threshold": 1}}, "known: threshold_kpa, width_kpa"),
         ({"liner_threshold": {}}, "threshold_kpa is missing"),
         ({"liner_threshold": {"threshold_kpa": "100"}}, "is a str"),

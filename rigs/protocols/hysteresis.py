@@ -127,7 +127,9 @@ def findings(run: Run, reduction: Reduction) -> Findings:
     if not hung.any() or hung.all():
         return hysteresis_findings(run, reduction)
     parts = [
-        hysteresis_findings(run, replace(reduction, table=reduction.table[use].reset_index(drop=True)))
+        hysteresis_findings(
+            run, replace(reduction, table=reduction.table[use].reset_index(drop=True))
+        )
         for use in (~hung, hung)
     ]
     return Findings(

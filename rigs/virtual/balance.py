@@ -28,6 +28,7 @@ class VirtualBalance:
         zero_n: standard deviation of the residual zero that each tare leaves, in N
             (hose pull, pan friction); 0 for none.
         noise_n: standard deviation of a reading, in N.
+        offset_n: pull that every reading shows beyond the true one, whenever it was tared.
 
     Attributes:
         unit: unit set at the keypad.
@@ -46,6 +47,7 @@ class VirtualBalance:
         gain: float = 0.0,
         zero_n: float = 0.0,
         noise_n: float = 0.005,
+        offset_n: float = 0.0,
     ) -> None:
         self._force_n = force_n
         self._rng = rng
@@ -54,6 +56,7 @@ class VirtualBalance:
         self._gain = gain
         self._zero_g = zero_n * self._grams_per_n
         self._noise_g = noise_n * self._grams_per_n
+        self._offset_g = offset_n * self._grams_per_n
         self._buffer = bytearray()
         self._tare_g = -5000.0  # a mass of 5 kg rests on the pan until it is tared away
         self._history: deque[float] = deque(maxlen=STABLE_READINGS)
@@ -140,7 +143,7 @@ class VirtualBalance:
         if not self._history:
             self._say("S I")
             return
-        grams = self._history[-1] - self._tare_g
+        grams = self._history[-1] - self._tare_g - self._offset_g
         if self.flag or abs(grams) > CAPACITY_G:
             over = self.flag == "overload" or (not self.flag and grams > 0)
             self._say("S +" if over else "S -")

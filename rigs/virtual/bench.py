@@ -21,6 +21,7 @@ from rigs.virtual.balance import VirtualBalance
 from rigs.virtual.board import Advance, PressureSensor, SimBoard
 from rigs.virtual.camera import CameraModel, led_exposure, render
 from rigs.virtual.extras import Extras
+from rigs.virtual.misreading import Misreading
 from rigs.virtual.solenoids import Solenoids
 from rigs.virtual.stage import VirtualStage
 
@@ -63,6 +64,7 @@ class VirtualBench:
         self._frames = 0
         streams = [np.random.default_rng([self._v.seed, k]) for k in range(5)]
         self.plant = self._make_plant()
+        self.misreading = self._make_misreading()
         self.extras = Extras(self)
         self.devices = ("valve", "balance", "stage", *self.extras.devices)
         """Names of everything that has a port."""
@@ -76,7 +78,7 @@ class VirtualBench:
             self._set_motion,
             lambda data: self._send("stage", data),
             config.stage.serial,
-            self.plant.length_mm,
+            self.plant.length_mm - self.misreading.label_mm,
             limits.length_min_mm,
             limits.length_max_mm,
         )
@@ -111,6 +113,14 @@ class VirtualBench:
             )
         except PlantError as error:
             raise ConfigError(f"{source}: virtual.plant / effects", str(error)) from None
+
+    def _make_misreading(self) -> Misreading:
+        misreading = Misreading(self.plant)
+        try:
+            misreading.length_mm(self.plant.length_mm)
+        except PlantError as error:
+            raise ConfigError(f"{self.config.source}: effects", str(error)) from None
+        return misreading
 
     def _make_links(self, clock: VirtualClock) -> None:
         for name in self.devices:
@@ -165,8 +175,8 @@ class VirtualBench:
             low_kpa=cal.offset,
             high_kpa=cal.offset + cal.scale * 4095,
             noise_kpa=self._v.pressure_noise_kpa,
-            zero_kpa=zero,
-            gain=gain,
+            zero_kpa=zero + self.misreading.pressure_zero_kpa,
+            gain=(1.0 + gain) * (1.0 + self.misreading.pressure_gain) - 1.0,
         )
         return SimBoard(
             self.plant,
@@ -203,10 +213,21 @@ class VirtualBench:
             rng,
             self.config.balance.serial,
             self.config.conditions.gravity_m_s2,
-            gain=self._errors["force_n"][1],
+            gain=self._force_gain(),
             zero_n=cal.u_offset if on else 0.0,
             noise_n=self._v.force_noise_n,
+            offset_n=self.misreading.force_zero_n if self._balance_tells else 0.0,
         )
+
+    @property
+    def _balance_tells(self) -> bool:
+        """Whether the effects on the force reading concern the balance, not a load cell."""
+        return self.config.force_source == "balance"
+
+    def _force_gain(self) -> float:
+        gain = self._errors["force_n"][1]
+        extra = self.misreading.force_gain if self._balance_tells else 0.0
+        return (1.0 + gain) * (1.0 + extra) - 1.0
 
     # ---- time -----------------------------------------------------------------------
 
@@ -259,6 +280,7 @@ class VirtualBench:
             stop_us = min(target_us, -(-due_ns // 1000))
             board.run_until_us(stop_us)
             self._now_ns = max(self._now_ns, min(stop_us, target_us) * 1000)
+            self.misreading.age(self.extras.temperature_c)
             self.stage.advance(self._now_ns)
             self.balance.advance(self._now_ns)
             for device in self.extras.devices.values():
@@ -269,9 +291,13 @@ class VirtualBench:
     def _set_motion(self, length_mm: float, rate_mm_s: float) -> None:
         if self.plant.load != "isometric":  # the stage is not joined to the muscle
             return
+        length_mm += self.misreading.label_mm
         if rate_mm_s == 0.0 and abs(length_mm - self.plant.length_mm) > 1e-12:
             self.plant.set_length(length_mm)
         self.plant.set_length_rate(rate_mm_s)
+
+    def _host_now_ns(self) -> int:
+        return self._clock.now_ns() if self._clock is not None else time.monotonic_ns()
 
     # ---- camera ---------------------------------------------------------------------
 
@@ -281,15 +307,24 @@ class VirtualBench:
         It takes as long as exposure and read-out do, and its stamp is late by the camera's
         delay, as that of a real one is.
         """
-        begin_ns = self._clock.now_ns() if self._clock is not None else time.monotonic_ns()
+        late_s = self.misreading.camera_delay_s
+        sleep = self._clock.sleep if self._clock is not None else time.sleep
+        begin_ns, true_mm = self._host_now_ns(), self.plant.length_mm
+        if late_s != 0.0:
+            # The muscle is seen `late_s` before stamp and LED, or after them where it is negative.
+            sleep(abs(late_s))
+            if late_s > 0.0:
+                begin_ns = self._host_now_ns()
+            else:
+                true_mm = self.plant.length_mm
         zero, gain = self._errors["length_mm"]
         cal = self.config.calibrations["length_mm"]
-        true_mm = self.plant.length_mm
-        apparent_mm = true_mm + zero + gain * (true_mm - cal.offset)
+        seen_mm = self.misreading.length_mm(true_mm)
+        apparent_mm = seen_mm + zero + gain * (seen_mm - cal.offset)
         delay_s = self._v.camera_delay_ms * 1e-3
         model = self.camera_model
         wait_s = max(delay_s, model.exposure_s + model.readout_s) + 2e-3
-        (self._clock.sleep if self._clock is not None else time.sleep)(wait_s)
+        sleep(wait_s)
         led: float | npt.NDArray[np.float64] = 0.0
         toggles_s = np.array(self.board.led_toggles_us, dtype=np.float64) * 1e-6
         if len(toggles_s):

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from plant.layout import PRESSURE_LAG, PRESSURE_READ
 from rigs.virtual.fastcapture import FastCapture
 from rigs.virtual.pressuresensor import ADC_TOP
 from rigs.virtual.pressuresensor import PressureSensor as PressureSensor
@@ -205,6 +206,11 @@ class SimBoard(Board):
         """True gauge pressure in the muscle."""
         return float(self.plant.state[PRESSURE_SLOT]) * 1e-3
 
+    @property
+    def pressure_slot(self) -> int:
+        """Where in the plant's state the transducer reads: behind its lag, where it has one."""
+        return PRESSURE_READ if self.plant.params[PRESSURE_LAG] > 0.0 else PRESSURE_SLOT
+
     def feed(self, data: bytes) -> None:
         """Bytes from the host arrive."""
         self._rx += data
@@ -231,6 +237,7 @@ class SimBoard(Board):
         read = state.item
         tick = self.controller.tick
         per_pa = self._counts_per_pa
+        seen = self.pressure_slot
         now_us = self.bench_us
         while now_us + TICK_US <= until_us:
             inlet_us = self._inlet_us
@@ -257,8 +264,7 @@ class SimBoard(Board):
                 self._draw_noise()
                 at = 0
             self._noise_at = at + 1
-            pa = read(PRESSURE_SLOT)
-            counts = int(pa * per_pa + self._noise[at])
+            counts = int(read(seen) * per_pa + self._noise[at])
             if counts < 0:
                 counts = 0
             elif counts > ADC_TOP:
@@ -271,7 +277,7 @@ class SimBoard(Board):
                 if not self._truth_left:
                     self._truth_left = self._truth_every
                     self.truth_us.append(now_us)
-                    self.truth_kpa.append(pa * 1e-3)
+                    self.truth_kpa.append(read(PRESSURE_SLOT) * 1e-3)
             tick()
             if self._halted:
                 return
@@ -376,7 +382,7 @@ class SimBoard(Board):
         if self._noise_at >= NOISE_BLOCK:
             self._draw_noise()
             self._noise_at = 0
-        value = float(self.plant.state[PRESSURE_SLOT]) * self._counts_per_pa
+        value = float(self.plant.state[self.pressure_slot]) * self._counts_per_pa
         counts = int(value + self._noise[self._noise_at])
         self._noise_at += 1
         counts = min(max(counts, 0), ADC_TOP)

@@ -133,7 +133,7 @@ class Extras:
             case "temperature_c":
                 return lambda: self.temperature_c
             case "force_n":
-                return self.pull_n
+                return self._cell_n
             case "pressure_kpa":
                 return lambda: self._bench.plant.pressure_kpa
             case "length_mm":
@@ -147,6 +147,13 @@ class Extras:
         if self.hung_kg is not None:
             return self.hung_kg * self._config.conditions.gravity_m_s2
         return self._bench.plant.force_n
+
+    def _cell_n(self) -> float:
+        """What the load cell shows of it; effects on the force reading concern one sensor."""
+        pull = self.pull_n()
+        if self._config.force_source != "load_cell":
+            return pull
+        return self._bench.misreading.force_n(pull)
 
     def _velocity(self, bore_mm: float) -> Callable[[], float]:
         """Mean velocity of the air in the outlet line since the last reading, in m/s."""

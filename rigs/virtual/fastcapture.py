@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from plant.layout import ATMOSPHERE, INLET_CONDUCTANCE, MASS_IN, MASS_OUT, PRESSURE
+from plant.layout import ATMOSPHERE, INLET_CONDUCTANCE, MASS_IN, MASS_OUT
 from valvefw.wire import CAPTURE_N, CAPTURE_US, TICK_US
 
 Array = npt.NDArray[np.float64]
@@ -32,6 +32,11 @@ class Sampled(Protocol):
 
     plant: Any
     sensor: Any
+
+    @property
+    def pressure_slot(self) -> int:
+        """Where in the plant's state the pressure sensor reads."""
+        ...
 
 
 class FastCapture:
@@ -56,13 +61,20 @@ class FastCapture:
         state: Array = self._board.plant.state
         params: Array = self._board.plant.params
         for at_us in range(0, TICK_US, CAPTURE_US):
-            self._pressure_pa.append(float(state[PRESSURE]))
+            self._pressure_pa.append(float(state[self._board.pressure_slot]))
             self._mass_kg.append(float(state[MASS_IN] + state[MASS_OUT]))
             on_us = min(max(inlet_us - at_us, 0), CAPTURE_US)
             out_us = min(max(vent_us - at_us, 0), CAPTURE_US)
             advance(state, params, CAPTURE_US * 1e-6, on_us * 1e-6, out_us * 1e-6)
         if len(self._pressure_pa) >= CAPTURE_N:
             self._finish(params)
+
+    def _conductance(self, params: Array) -> float:
+        """That of the inlet the sensor was scaled for, whatever the inlet has become."""
+        constants = getattr(self._board.plant, "constants", None)
+        if constants is None:
+            return float(params[INLET_CONDUCTANCE])
+        return float(constants.inlet_conductance_m3_s_pa)
 
     def _finish(self, params: Array) -> None:
         if self._source == 0:
@@ -76,7 +88,7 @@ class FastCapture:
             mass = np.array(self._mass_kg)
             rate = np.interp(there, t, mass) - np.interp(there - BLUR_US, t, mass)
             top_pa = FLOW_TOP_KPA * 1e3 + params[ATMOSPHERE]
-            top = params[INLET_CONDUCTANCE] * DENSITY_KG_M3 * top_pa * BLUR_US * 1e-6
+            top = self._conductance(params) * DENSITY_KG_M3 * top_pa * BLUR_US * 1e-6
             values = FLOW_ZERO_COUNTS + FLOW_TOP_COUNTS * rate / top
             noise = FLOW_NOISE_COUNTS
         values = values + self._rng.standard_normal(len(values)) * noise
