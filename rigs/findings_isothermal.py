@@ -106,7 +106,7 @@ def temperature_lines(table: pd.DataFrame) -> pd.DataFrame:
             continue
         rows.append(
             {
-                "length_mm": float(length), "set_temperature_c": float(set_c),
+                "length_mm": float(str(length)), "set_temperature_c": float(str(set_c)),
                 "temperature_c": round(float(part["temperature_c"].mean()), 3), "n": line.n,
                 "gradient": line.slope, "u_gradient": line.u_slope,
                 "intercept": line.intercept, "u_intercept": line.u_intercept,
@@ -139,7 +139,7 @@ def temperature_growth(lines: pd.DataFrame) -> pd.DataFrame:
         middle = line.slope * float(t.mean()) + line.intercept
         rows.append(
             {
-                "length_mm": float(length), "n": line.n,
+                "length_mm": float(str(length)), "n": line.n,
                 "growth": 100 * line.slope / middle, "u_growth": 100 * u / abs(middle),
             }
         )  # fmt: skip
@@ -156,9 +156,9 @@ def barred_table(table: pd.DataFrame) -> pd.DataFrame:
         noise = float(np.sqrt((part["u_force_n_noise"] ** 2).sum())) / len(part)
         rows.append(
             {
-                "pressure_kpa": float(pressure),
+                "pressure_kpa": float(str(pressure)),
                 "temperature_c": round(float(part["temperature_c"].mean()), 2),
-                "length_mm": float(length), "n": len(part),
+                "length_mm": float(str(length)), "n": len(part),
                 "force_n": float(part["force_n"].mean()),
                 "u_force_n": float(np.hypot(noise, part["u_force_n_cal"].mean())),
             }
@@ -212,7 +212,7 @@ def _figure(table: pd.DataFrame) -> Figure:
             )  # fmt: skip
             if k == len(warm) - 1:
                 end = (float(mean["pressure_kpa"].iloc[-1]), float(mean["force_n"].iloc[-1]))
-                ends.append((*end, f"{float(length):g}", colours[k]))
+                ends.append((*end, f"{float(str(length)):g}", colours[k]))
         axes.axhline(0.0, color=QUIET, linewidth=0.8)
         axes.set_xlabel("pressure (kPa gauge)")
         axes.set_ylabel("force (N)")

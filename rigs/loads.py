@@ -43,12 +43,19 @@ class HangLoad(Act):
                 "take a lighter mass",
             )
         LowerLoad().perform(runner)
-        read = self.mass_kg
-        if self.mass_kg or runner.load_kg:
-            read = runner.axis("mass", "kg").set(self.mass_kg).read
+        if self.mass_kg == self.asked_of(runner):
+            return runner.load_kg
+        read = runner.axis("mass", "kg").set(self.mass_kg).read
         runner.load_kg = read
         runner.record.event("load", asked_kg=self.mass_kg, mass_kg=read)
         return read
+
+
+    @staticmethod
+    def asked_of(runner: Runner) -> float:
+        """The mass that was asked for last: what hangs may have been read a little differently."""
+        settings = runner.rig.axes["mass"].settings if "mass" in runner.rig.axes else []
+        return settings[-1].asked if settings else 0.0
 
 
 @dataclass(frozen=True)

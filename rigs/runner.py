@@ -7,7 +7,7 @@ vents; so does a record that can no longer be written.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -314,11 +314,20 @@ class Runner:
         waited_s = (self.rig.clock.now_ns() - start_ns) / NS_PER_S
         return done and not self.steering.skip, waited_s
 
-    def window(self, seconds: float) -> tuple[list[int], list[int]]:
-        """Let ``seconds`` pass; half-open ranges of valve samples and balance rows in it."""
+    def window(
+        self, seconds: float, pictures: int = 0, take: Callable[[], object] = lambda: None
+    ) -> tuple[list[int], list[int]]:
+        """Let ``seconds`` pass; half-open ranges of valve samples and balance rows in it.
+
+        ``take`` is called ``pictures`` times, evenly spread over the window.
+        """
         valve, balance = self.rig.valve, self.rig.balance
         seq, row = valve.seq_end, balance.rows
         samples, rows = round(seconds / SAMPLE_S), max(1, round(seconds * 10))
+        for k in range(pictures):
+            due = seq + round(samples * (k + 0.5) / pictures)
+            self.rig.pump.until(lambda due=due: valve.seq_end >= due, seconds + 1.0)  # type: ignore[misc]
+            take()
         came = self.rig.pump.until(
             lambda: valve.seq_end >= seq + samples and balance.rows >= row + rows, seconds * 3 + 1.0
         )
@@ -340,13 +349,20 @@ class Runner:
         from rigs.pictures import take_picture
 
         frames, lengths = [], []
-        for _ in range(step.frames):
+
+        def look() -> None:
             picture = take_picture(self.rig, self.record, self.camera)
             frames.append(picture.number)
             self.watch.picture(picture.host_ns, picture.jpeg, picture.gap)
             if picture.gap.trusted:
                 lengths.append(picture.gap.pixels)
-        seq, rows = self.window(step.seconds)
+
+        if step.mass_kg is None:  # a held length is looked at first, then left in peace
+            for _ in range(step.frames):
+                look()
+            seq, rows = self.window(step.seconds)
+        else:
+            seq, rows = self.window(step.seconds, step.frames, look)
         if self.steering.skip:
             return
         take = self.steering.take

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError
+from rigs.operator import Request, ask
 from rigs.steps import Act, State, Vent
 
 if TYPE_CHECKING:
@@ -50,7 +51,10 @@ class SetTemperature(Act):
             raise DeviceError(rig.config.source, "has no [thermometer]", "see docs/instruments.md")
         runner.do(Vent())
         runner.do(State(f"soak at {self.temperature_c:g} degC"))
-        runner.axis("temperature", "degC").set(self.temperature_c)
+        # The thermometer's word counts when it has soaked, not when the knob has been turned.
+        text = f"set the bench to {self.temperature_c:g} degC, then press Enter"
+        request = Request("temperature", self.temperature_c, "degC", text)
+        _, asked_s = ask(rig.operator, rig.pump, request)
         start_ns = begun_ns = rig.clock.now_ns()
         low = high = thermometer.mean(READINGS)
 
@@ -68,8 +72,9 @@ class SetTemperature(Act):
         waited_s = (rig.clock.now_ns() - start_ns) / NS_PER_S
         read = thermometer.mean(READINGS)
         runner.record.event(
-            "soaked", asked_c=self.temperature_c, read_c=read, settled=settled, waited_s=waited_s
-        )
+            "soaked", asked_c=self.temperature_c, read_c=read, settled=settled,
+            waited_s=waited_s, operator_s=asked_s,
+        )  # fmt: skip
         if not settled:
             runner.watch.log(f"{self.temperature_c:g} degC not reached in {c.timeout_s:g} s")
         return settled, waited_s
