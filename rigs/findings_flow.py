@@ -198,7 +198,7 @@ def flow_findings(run: Run, reduction: Reduction) -> Findings:
 
 
 def _meter(run: Run) -> Meter | None:
-    flow = run.manifest.get("flow_meter") or {}
+    flow = run.manifest.get("parameters") or {}
     if not flow.get("bore_mm"):
         return None
     conditions = run.manifest.get("conditions") or {}

@@ -50,7 +50,6 @@ class HangLoad(Act):
         runner.record.event("load", asked_kg=self.mass_kg, mass_kg=read)
         return read
 
-
     @staticmethod
     def asked_of(runner: Runner) -> float:
         """The mass that was asked for last: what hangs may have been read a little differently."""

@@ -67,8 +67,10 @@ class Rig:
     def vent(self) -> float:
         """Vent and confirm it; see :func:`vent`. The solenoids get their normal voltage back."""
         if self.supply is not None:
+            self.valve.progress(2.0)  # a supply answers slowly; silence would be a fault
             with contextlib.suppress(PamrigError):  # the valve is told to vent in any case
                 self.supply.safe()
+            self.valve.still()
         return vent(self.valve, self.pump, self.config)
 
 

@@ -82,6 +82,20 @@ class Table:
             raise self.fail(key, f"{value!r} is not one of {', '.join(choices)}")
         return value
 
+    def texts(
+        self, key: str, choices: tuple[str, ...], default: Any = ..., least: int = 1
+    ) -> tuple[str, ...]:
+        """A list of different strings, each one of ``choices``."""
+        values = self._take(key, default)
+        if not isinstance(values, (list, tuple)) or len(values) < least:
+            raise self.fail(key, f"expected a list of {least} or more words, got {values!r}")
+        for index, value in enumerate(values):
+            if value not in choices:
+                raise self.fail(f"{key}[{index}]", f"{value!r} is not one of {', '.join(choices)}")
+            if value in values[:index]:
+                raise self.fail(f"{key}[{index}]", f"{value!r} is there twice", "remove one")
+        return tuple(values)
+
     def flag(self, key: str, default: Any = ...) -> bool:
         """True or false."""
         value = self._take(key, default)

@@ -52,6 +52,7 @@ class ValveController:
         self._next_beat_ns = 0
         self._alive_until_ns = 0
         self._recent = np.zeros(2 * RECENT_SAMPLES, dtype=np.uint16)
+        self._driven = np.zeros((2, 2 * RECENT_SAMPLES), dtype=np.uint8)
         self._filled = 0
         self.seq_end = 0
         self.flags = 0
@@ -132,8 +133,12 @@ class ValveController:
         if self._filled + n > len(self._recent):
             keep = self._recent[self._filled - RECENT_SAMPLES : self._filled].copy()
             self._recent[:RECENT_SAMPLES] = keep
+            driven = self._driven[:, self._filled - RECENT_SAMPLES : self._filled].copy()
+            self._driven[:, :RECENT_SAMPLES] = driven
             self._filled = RECENT_SAMPLES
         self._recent[self._filled : self._filled + n] = counts
+        self._driven[0, self._filled : self._filled + n] = batch["inlet_u5"]
+        self._driven[1, self._filled : self._filled + n] = batch["vent_u5"]
         self._filled += n
         self.seq_end = int(batch["seq"][-1]) + 1
         self.flags = int(batch["flags"][-1])
@@ -143,6 +148,10 @@ class ValveController:
     def recent_counts(self, n: int) -> npt.NDArray[np.float64]:
         """The newest ``n`` pressure readings in raw counts, or as many as there are."""
         return self._recent[max(0, self._filled - n) : self._filled].astype(np.float64)
+
+    def recent_commands(self, n: int) -> npt.NDArray[np.uint8]:
+        """Commanded fill and vent times of the same samples, in 5 us, shape (2, n)."""
+        return self._driven[:, max(0, self._filled - n) : self._filled].copy()
 
     # ---- requests -------------------------------------------------------------------
 

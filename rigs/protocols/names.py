@@ -8,11 +8,19 @@ PROTOCOLS: dict[str, str] = {
     "isotonic": "Run an isotonic test: load hung, pressure stepped, length read by the camera.",
     "isothermal": "Repeat isometric and isobaric trials over temperatures.",
     "hysteresis": "Run cycles up and down, at held lengths or under hung loads.",
+    "switching-time": "Measure a valve's switching times at a range of pressures.",
+    "switching-voltage": "Measure the voltages at which a valve turns on and off.",
+    "flow": "Measure air velocity against pressure behind a valve.",
 }
 """Name of each protocol's command and what it does; its module is ``rigs.protocols.NAME`` with _
 for -, and holds PROCEDURE."""
 
-DEFAULT_RIG: dict[str, str] = {"isothermal": "virtual-instruments"}
+DEFAULT_RIG: dict[str, str] = {
+    "isothermal": "virtual-instruments",
+    "switching-time": "virtual-valve-stand",
+    "switching-voltage": "virtual-valve-stand",
+    "flow": "virtual-valve-stand",
+}
 """The shipped rig that has all a protocol needs, where that is not "virtual"."""
 
 

@@ -30,7 +30,7 @@ THERMOMETER_NOISE_C = 0.05
 TRANSMITTER_NOISE_KPA = 0.02
 VELOCITY_NOISE = 0.002
 SUPPLY_NOISE_V = 0.002
-HAND = {"length": 0.03, "pressure": 1.0}
+HAND = {"length": 0.03, "pressure": 1.0, "supply": 1.0}
 """How exactly a person sets a length (mm) and turns a regulator (kPa)."""
 
 
@@ -197,6 +197,7 @@ class Extras:
             acts={
                 "length": plant.set_length,
                 "pressure": plant.set_regulator,
+                "supply": plant.set_supply,
                 "dead weight": weigh,
                 "muscle": unhang,
                 "muscle off": lambda _: weigh(0.0),

@@ -1,0 +1,134 @@
+"""The flow test (thesis 5.14, Table D-5, Figure 5-22): air velocity against pressure.
+
+The vessel before the outlet is filled to a pressure, the outlet is opened for half a second, and
+the meter in its line and the pressure sensor are read over the same stretches of time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rigs.findings_flow import flow_findings
+from rigs.protocols.procedure import Procedure
+from rigs.protocols.schedule import arrange
+from rigs.steps import EndTrial, State, Steps, Trial
+from rigs.toml_reader import load_toml
+from rigs.valve_acts import ValvePoint
+from rigs.valve_layout import valve_layout
+from rigs.valve_reduction import reduce_flow
+
+if TYPE_CHECKING:
+    from daq.layout import LiveLayout
+    from rigs.config import RigConfig
+    from rigs.runner import Runner
+
+PULSE_US = 500_000
+"""The longest opening that the controller grants the outlet at a time."""
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Parameters of a flow test, as read from its protocol file."""
+
+    name: str
+    pressures_kpa: tuple[float, ...]
+    repeats: int
+    order: str
+    mountings: tuple[str, ...]
+    supply_kpa: float
+    open_ms: int
+    lead_ms: float
+    tolerance_kpa: float
+    bore_mm: float
+    u_bore_mm: float
+    seed: int
+    source: str = ""
+    frames: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for run.json."""
+        values = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+        return {**values, "result_axis": ["air velocity (m/s)", 80.0]}
+
+    def steps(self) -> Steps:
+        """The method: fill, open, read, at each pressure in turn."""
+        places = arrange(self.pressures_kpa, self.order, self.repeats, self.mountings, self.seed)
+        for trial, (place, pressure) in enumerate(places, start=1):
+            slot = f"{pressure:g}"
+            yield State(f"{pressure:g} kPa, replicate {place.replicate}")
+            yield Trial(
+                trial, slot, place.replicate, trial, place.mounting, "flow",
+                (("held_pressure_kpa", pressure),),
+            )  # fmt: skip
+            yield FlowPoint(
+                trial, slot, place.replicate, trial, place.mounting, "outlet", pressure, self
+            )
+            yield EndTrial(trial)
+        yield State("done")
+
+
+@dataclass(frozen=True)
+class FlowPoint(ValvePoint):
+    """One opening with the readings in it."""
+
+    plan: Flow
+    seconds = 5.0
+
+    def perform(self, runner: Runner) -> None:
+        """Fill, open, read, record."""
+        rig, p = runner.rig, self.plan
+        _, came = self.upstream(runner, p.tolerance_kpa, p.supply_kpa)
+        meter = rig.instruments["flow"]
+        first, row = rig.valve.seq_end, meter.rows
+        rig.valve.request(f"pulse vent {p.open_ms * 1000}")
+        rig.pump.for_seconds(p.open_ms * 1e-3 + 0.1)
+        self.put(
+            runner, settled=came, valve_seq=[first, rig.valve.seq_end],
+            flow_rows=[row, meter.rows],
+        )  # fmt: skip
+
+
+def read(name: str, config: RigConfig) -> Flow:
+    """The protocol file, held against the rig.
+
+    Raises:
+        ConfigError: names file and key.
+    """
+    t = load_toml(name, "protocols")
+    t.text("protocol", choices=("flow",))
+    top = config.limits.pressure_kpa
+    meter = config.instruments.text.get("flow")
+    if meter is None:
+        raise t.fail(
+            "protocol", f"needs an air-velocity meter, and {config.source} has no [flow]",
+            "add that table to the rig",
+        )  # fmt: skip
+    plan = Flow(
+        name=t.text("name", "flow"),
+        pressures_kpa=t.numbers("pressures_kpa", 1, top, unit="kPa"),
+        repeats=t.integer("repeats", 1, 1000, 2),
+        order=t.text("order", "up-down", choices=("up-down", "random", "abba")),
+        mountings=(t.text("mounting", "m1"),),
+        supply_kpa=t.number("supply_kpa", 1, 1200, top, unit="kPa"),
+        open_ms=t.integer("open_ms", 50, PULSE_US // 1000, PULSE_US // 1000),
+        lead_ms=t.number("lead_ms", 0, 200, 15.0, unit="ms"),
+        tolerance_kpa=t.number("tolerance_kpa", 0.5, 100, 4.0, unit="kPa"),
+        bore_mm=meter.bore_mm,
+        u_bore_mm=t.number("u_bore_mm", 0, 10, 0.01, unit="mm"),
+        seed=t.integer("seed", 0, 2**63 - 1, 1),
+        source=t.source,
+    )
+    t.finish()
+    return plan
+
+
+def layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    return valve_layout("Flow test", parameters, flow=True)
+
+
+PROCEDURE = Procedure(
+    "flow", "Flow test", read, reduce_flow, layout, flow_findings, firmware={"rise_ms": 0}
+)

@@ -1,0 +1,180 @@
+"""The switching-time test (thesis 5.12, Tables D-1 to D-3, Figure 5-21).
+
+Each valve is tried by itself at a range of upstream pressures: one pulse, and 800 samples of a
+sensor down the line, one every 50 us, in place of an oscilloscope. The samples go into the
+record; when the air came and when it stayed away is found anew from them by the reduction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.errors import DeviceError
+from rigs.findings_switching import time_findings
+from rigs.protocols.procedure import Procedure
+from rigs.protocols.schedule import arrange
+from rigs.steps import EndTrial, State, Steps, Trial
+from rigs.switching import AIR_M_S, LINE_MM, capture_block, switching_times
+from rigs.toml_reader import load_toml
+from rigs.valve_acts import ValvePoint, has_supply_axis
+from rigs.valve_layout import valve_layout
+from rigs.valve_reduction import reduce_switching_time
+
+if TYPE_CHECKING:
+    from daq.layout import LiveLayout
+    from rigs.config import RigConfig
+    from rigs.runner import Runner
+
+VALVES = ("inlet", "outlet")
+CAPTURE = {"order": "int64", "take": "int64", "k": "int64", "counts": "uint16"}
+
+
+@dataclass(frozen=True)
+class SwitchingTime:
+    """Parameters of a switching-time test, as read from its protocol file."""
+
+    name: str
+    valves: tuple[str, ...]
+    pressures_kpa: tuple[float, ...]
+    repeats: int
+    order: str
+    mountings: tuple[str, ...]
+    supply_kpa: float
+    width_us: int
+    tolerance_kpa: float
+    line_mm: float
+    u_line_mm: float
+    air_m_s: float
+    u_air_m_s: float
+    u_supply_kpa: float
+    seed: int
+    source: str = ""
+    frames: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for run.json."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+
+    def steps(self) -> Steps:
+        """The method: at each pressure the supply or the vessel is set, then pulses follow."""
+        order = trial = 0
+        for valve in self.valves:
+            settings = arrange(
+                self.pressures_kpa, self.order, self.repeats, self.mountings, self.seed
+            )
+            for place, pressure in settings:
+                trial += 1
+                order += 1
+                slot = f"{valve} {pressure:g}"
+                yield State(f"{valve} at {pressure:g} kPa, replicate {place.replicate}")
+                yield Trial(
+                    trial, slot, place.replicate, trial, place.mounting, "switching-time",
+                    (("held_pressure_kpa", pressure),),
+                )  # fmt: skip
+                yield CapturePoint(
+                    trial, slot, place.replicate, order, place.mounting, valve, pressure, self
+                )
+                yield EndTrial(trial)
+        yield State("done")
+
+
+@dataclass(frozen=True)
+class CapturePoint(ValvePoint):
+    """One pulse with its block of fast samples."""
+
+    plan: SwitchingTime
+    seconds = 4.0
+
+    def perform(self, runner: Runner) -> None:
+        """Set the pressure, capture, record; a pulse without flow is recorded as such."""
+        p = self.plan
+        supply, came = self.upstream(runner, p.tolerance_kpa, p.supply_kpa)
+        valve = runner.rig.valve
+        first = valve.seq_end
+        block = capture_block(valve, runner.rig.pump, self.command, p.width_us)
+        runner.rig.pump.for_seconds(0.05)
+        take = runner.steering.take
+        n = len(block.counts)
+        runner.record.stream("capture", CAPTURE)
+        row = runner.record.rows("capture")
+        runner.record.append(
+            "capture",
+            {
+                "order": np.full(n, self.order, dtype=np.int64),
+                "take": np.full(n, take, dtype=np.int64),
+                "k": np.arange(n, dtype=np.int64),
+                "counts": block.counts.astype(np.uint16),
+            },
+        )
+        seen = True
+        try:
+            switching_times(block, 0.0)
+        except DeviceError as error:
+            seen = False
+            runner.watch.log(f"{self.slot} kPa: {error.what}")
+        self.put(
+            runner, settled=bool(came and seen), supply_kpa=supply, width_us=block.width_us,
+            lead_us=block.lead_us, period_us=block.period_us,
+            capture_rows=[row, row + n], valve_seq=[first, valve.seq_end],
+        )  # fmt: skip
+
+
+def read(name: str, config: RigConfig) -> SwitchingTime:
+    """The protocol file, held against the rig.
+
+    Raises:
+        ConfigError: names file and key.
+    """
+    t = load_toml(name, "protocols")
+    t.text("protocol", choices=("switching-time",))
+    top = config.limits.pressure_kpa
+    line = t.table("line", optional=True)
+    plan = SwitchingTime(
+        name=t.text("name", "switching-time"),
+        valves=t.texts("valves", VALVES, VALVES),
+        pressures_kpa=t.numbers("pressures_kpa", 1, top, unit="kPa"),
+        repeats=t.integer("repeats", 1, 1000, 3),
+        order=t.text("order", "up-down", choices=("up-down", "random", "abba")),
+        mountings=(t.text("mounting", "m1"),),
+        supply_kpa=t.number("supply_kpa", 1, 1200, top, unit="kPa"),
+        width_us=t.integer("width_us", 5, 30000, 20000),
+        tolerance_kpa=t.number("tolerance_kpa", 0.5, 100, 4.0, unit="kPa"),
+        line_mm=line.number("line_mm", 0, 10000, LINE_MM, unit="mm"),
+        u_line_mm=line.number("u_line_mm", 0, 100, 0.5, unit="mm"),
+        air_m_s=line.number("air_m_s", 1, 400, AIR_M_S, unit="m/s"),
+        u_air_m_s=line.number("u_air_m_s", 0, 100, 1.0, unit="m/s"),
+        u_supply_kpa=t.number("u_supply_kpa", 0, 100, 3.0, unit="kPa"),
+        seed=t.integer("seed", 0, 2**63 - 1, 1),
+        source=t.source,
+    )
+    if plan.width_us % 5:
+        raise t.fail("width_us", f"{plan.width_us} is no multiple of 5", "the controller's step")
+    if "inlet" in plan.valves and not has_supply_axis(config):
+        raise t.fail(
+            "valves",
+            f"the inlet's pressure is the supply's, and {config.source} has no [manual.supply]",
+            'add that table to the rig, or set valves = ["outlet"]',
+        )
+    line.finish()
+    t.finish()
+    return plan
+
+
+def layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    return valve_layout("Switching-time test", parameters)
+
+
+PROCEDURE = Procedure(
+    "switching-time",
+    "Switching-time test",
+    read,
+    reduce_switching_time,
+    layout,
+    time_findings,
+    firmware={"rise_ms": 0},
+)

@@ -1,0 +1,236 @@
+"""The switching-voltage test (thesis 5.11, Table D-4, Figure 5-17).
+
+The solenoids hang on a bench supply. For the voltage that turns a valve on, the valve is told to
+open at ever other voltages, halving what lies between one that opened it and one that did not; for
+the voltage at which it lets go, it is opened at the normal voltage, which is then lowered while it
+is told to stay open. Whether it was open shows in the pressure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rigs.findings_switching import voltage_findings
+from rigs.protocols.procedure import Procedure
+from rigs.protocols.schedule import arrange
+from rigs.steps import EndTrial, State, Steps, Trial
+from rigs.toml_reader import load_toml
+from rigs.valve_acts import ValvePoint, has_supply_axis, pressure_now, release
+from rigs.valve_layout import valve_layout
+from rigs.valve_reduction import open_in, reduce_switching_voltage
+
+if TYPE_CHECKING:
+    from daq.layout import LiveLayout
+    from rigs.config import RigConfig
+    from rigs.instruments.supply import Supply
+    from rigs.runner import Runner
+
+VALVES = ("inlet", "outlet")
+ON_MS = 80
+"""Length of the command while a voltage to turn on is tried."""
+HOLD_MS = 500
+"""And while one to let go is tried: the voltage is lowered within it."""
+TAIL = 90
+"""Samples at the command's end in which the pressure must move if the valve is still open."""
+LATEST_MS = HOLD_MS - TAIL - 40
+"""The lowered voltage must stand by then."""
+
+
+@dataclass(frozen=True)
+class SwitchingVoltage:
+    """Parameters of a switching-voltage test, as read from its protocol file."""
+
+    name: str
+    valves: tuple[str, ...]
+    pressures_kpa: tuple[float, ...]
+    repeats: int
+    order: str
+    mountings: tuple[str, ...]
+    supply_kpa: float
+    u_supply_kpa: float
+    step_v: float
+    u_supply_v: float
+    tolerance_kpa: float
+    limit_kpa: float
+    seed: int
+    source: str = ""
+    frames: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for run.json."""
+        values = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+        return {**values, "result_axis": ["voltage (V)", 6.0]}
+
+    def steps(self) -> Steps:
+        """The method: at each pressure both voltages of a valve."""
+        trial = 0
+        for valve in self.valves:
+            places = arrange(
+                self.pressures_kpa, self.order, self.repeats, self.mountings, self.seed
+            )
+            for place, pressure in places:
+                trial += 1
+                slot = f"{valve} {pressure:g}"
+                yield State(f"{valve} at {pressure:g} kPa, replicate {place.replicate}")
+                yield Trial(
+                    trial, slot, place.replicate, trial, place.mounting, "switching-voltage",
+                    (("held_pressure_kpa", pressure),),
+                )  # fmt: skip
+                yield VoltagePoint(
+                    trial, slot, place.replicate, trial, place.mounting, valve, pressure, self
+                )
+                yield EndTrial(trial)
+        yield State("done")
+
+
+@dataclass(frozen=True)
+class VoltagePoint(ValvePoint):
+    """Both voltages of a valve at one pressure."""
+
+    plan: SwitchingVoltage
+    seconds = 25.0
+
+    def perform(self, runner: Runner) -> None:
+        """Halve the interval for turning on, then that for letting go."""
+        supply = runner.rig.supply
+        assert supply is not None
+        read_kpa, came = self.upstream(runner, self.plan.tolerance_kpa, self.plan.supply_kpa)
+        try:
+            on = self._halve(runner, supply, "on", 0.0, supply.voltage_v)
+            self._halve(runner, supply, "off", 0.0, on)
+        finally:
+            supply.safe()
+        self.put(runner, settled=came, supply_kpa=read_kpa)
+
+    def _halve(
+        self, runner: Runner, supply: Supply, edge: str, shut_v: float, open_v: float
+    ) -> float:
+        """Both ends are tried, then the middle of what is left; returns the lowest that opened."""
+        tries = 0
+        for volts in (open_v, shut_v):
+            self._try(runner, supply, edge, volts, tries)
+            tries += 1
+        while open_v - shut_v > self.plan.step_v:
+            middle = round((open_v + shut_v) / 2, 3)
+            if self._try(runner, supply, edge, middle, tries):
+                open_v = middle
+            else:
+                shut_v = middle
+            tries += 1
+        return open_v
+
+    def _try(self, runner: Runner, supply: Supply, edge: str, volts: float, number: int) -> bool:
+        """One command; whether the valve was open at that voltage."""
+        rig, valve = runner.rig, runner.rig.valve
+        self._restore(runner, supply)
+        if edge == "on":
+            supply.set_voltage(volts)
+            supply_row = supply.rows
+            supply.measure()
+            first = valve.seq_end
+            rig.pump.for_seconds(0.05)
+            valve.request(f"pulse {self.command} {ON_MS * 1000}")
+            rig.pump.for_seconds(ON_MS * 1e-3 + 0.08)
+        else:
+            first = valve.seq_end
+            valve.request(f"pulse {self.command} {HOLD_MS * 1000}")
+            begin_ns = rig.clock.now_ns()
+            rig.pump.for_seconds(0.04)
+            supply.set_voltage(volts)
+            late = (rig.clock.now_ns() - begin_ns) / 1e6 > LATEST_MS
+            supply_row = supply.rows
+            rig.pump.for_seconds(max(0.0, HOLD_MS * 1e-3 - (rig.clock.now_ns() - begin_ns) * 1e-9))
+            supply.measure()
+            rig.pump.for_seconds(0.05)
+            if late:
+                runner.record.event("late", order=self.order, edge=edge, set_v=volts)
+                return self._try(runner, supply, edge, volts, number)
+        take = runner.steering.take
+        event: dict[str, Any] = {
+            "order": self.order, "edge": edge, "valve": self.valve, "number": number,
+            "set_v": volts, "supply_row": supply_row, "valve_seq": [first, valve.seq_end],
+            "limit_kpa": self.plan.limit_kpa, "tail": TAIL,
+        }  # fmt: skip
+        part = _recent(runner, first)
+        opened = open_in(part["kpa"], event, part)
+        more = {"take": take} if take > 1 else {}
+        runner.record.event("try", **event, **more, opened=opened)
+        return opened
+
+    def _restore(self, runner: Runner, supply: Supply) -> None:
+        """The valve's upstream side back to its pressure, at the solenoids' normal voltage."""
+        if abs(supply.set_v - supply.voltage_v) > 1e-9:
+            supply.set_voltage(supply.voltage_v)
+        if self.valve == "inlet":
+            if pressure_now(runner) > 0.3 * self.set_pressure_kpa:
+                release(runner)
+        elif abs(pressure_now(runner) - self.set_pressure_kpa) > self.plan.tolerance_kpa:
+            self.upstream(runner, self.plan.tolerance_kpa, self.plan.supply_kpa)
+
+
+def _recent(runner: Runner, first: int) -> dict[str, Any]:
+    """The valve's newest samples from a sequence number on."""
+    rig = runner.rig
+    n = rig.valve.seq_end - first
+    counts = rig.valve.recent_counts(n)
+    inlet, vent = rig.valve.recent_commands(n)
+    kpa = rig.config.calibrations["pressure_kpa"].apply(counts)
+    return {"kpa": kpa, "counts": counts, "inlet_u5": inlet, "vent_u5": vent}
+
+
+def read(name: str, config: RigConfig) -> SwitchingVoltage:
+    """The protocol file, held against the rig.
+
+    Raises:
+        ConfigError: names file and key.
+    """
+    t = load_toml(name, "protocols")
+    t.text("protocol", choices=("switching-voltage",))
+    top = config.limits.pressure_kpa
+    if config.instruments.supply is None:
+        raise t.fail(
+            "protocol", f"needs a supply for the solenoids, and {config.source} has no [supply]",
+            "add that table to the rig",
+        )  # fmt: skip
+    plan = SwitchingVoltage(
+        name=t.text("name", "switching-voltage"),
+        valves=t.texts("valves", VALVES, VALVES),
+        pressures_kpa=t.numbers("pressures_kpa", 20, top, unit="kPa"),
+        repeats=t.integer("repeats", 1, 1000, 1),
+        order=t.text("order", "up-down", choices=("up-down", "random", "abba")),
+        mountings=(t.text("mounting", "m1"),),
+        supply_kpa=t.number("supply_kpa", 1, 1200, top, unit="kPa"),
+        u_supply_kpa=t.number("u_supply_kpa", 0, 100, 3.0, unit="kPa"),
+        step_v=t.number("step_v", 0.005, 5, 0.05, unit="V"),
+        u_supply_v=t.number("u_supply_v", 0, 1, 0.01, unit="V"),
+        tolerance_kpa=t.number("tolerance_kpa", 0.5, 100, 8.0, unit="kPa"),
+        limit_kpa=t.number("limit_kpa", 0.05, 50, 1.0, unit="kPa"),
+        seed=t.integer("seed", 0, 2**63 - 1, 1),
+        source=t.source,
+    )
+    if "inlet" in plan.valves and not has_supply_axis(config):
+        raise t.fail(
+            "valves",
+            f"the inlet's pressure is the supply's, and {config.source} has no [manual.supply]",
+            'add that table to the rig, or set valves = ["outlet"]',
+        )
+    t.finish()
+    return plan
+
+
+def layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    return valve_layout("Switching-voltage test", parameters, voltage=True)
+
+
+PROCEDURE = Procedure(
+    "switching-voltage",
+    "Switching-voltage test",
+    read,
+    reduce_switching_voltage,
+    layout,
+    voltage_findings,
+    firmware={"rise_ms": 0},
+)
