@@ -166,7 +166,7 @@ def open_rig(
         else:
             camera = open_camera(config.camera, clock)
             stack.callback(camera.close)
-        person = operator or default_operator(bench)
+        person = operator or default_operator(ports, bench)
         instruments = open_readers(ports, pump)
         balance: Balance | LoadCell
         if config.force_source == "load_cell":

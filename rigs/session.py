@@ -101,6 +101,7 @@ def manifest(
         "software": software(),
     }  # fmt: skip
     out.update(instrument_manifest(rig))
+    out["load"] = dict(vars(config.instruments.load))
     if config.virtual is not None:
         out["virtual"] = {"seed": config.virtual.seed}
     return out
