@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.annotations import excluded_points
 from daq.errors import ConfigError, RecordError
 from rigs.protocols.registry import procedure_of
-from rigs.reduction import Reduction
+from rigs.reduction import STRANGERS, Reduction
 from rigs.steps import EndTrial, Settle, Step, Steps, Trial
 
 if TYPE_CHECKING:
@@ -56,8 +57,7 @@ def remaining(steps: Steps, done: Iterable[int]) -> Steps:
                 answer = _through(steps)
                 inside = False
                 continue
-            for held in waiting:
-                yield held
+            yield from waiting
             waiting.clear()
             answer = yield step
         elif begun and not inside:
@@ -96,7 +96,19 @@ def reduce_run(run: Run) -> Reduction:
     earlier = earlier_run(run)
     first = reduce_run(earlier)
     trials = [int(t) for t in before["trials"]]
-    return _joined(first, reduction, trials, earlier.run_id)
+    return _joined(_also_excluded(run, first), reduction, trials, earlier.run_id)
+
+
+def _also_excluded(run: Run, first: Reduction) -> Reduction:
+    """The earlier table without what was excluded in the run that goes on with it."""
+    reasons = excluded_points(run.folder)
+    out = first.table["order"].isin(list(reasons))
+    rows = first.table[out].to_dict("records")
+    listed = [
+        {"reason": reasons[int(r["order"])], **{str(k): v for k, v in r.items()}} for r in rows
+    ]
+    table = first.table[~out].reset_index(drop=True)
+    return replace(first, table=table, excluded=(*first.excluded, *listed))
 
 
 def earlier_run(run: Run) -> Run:
@@ -134,7 +146,7 @@ def _joined(first: Reduction, second: Reduction, trials: list[int], name: str) -
     return replace(
         second,
         table=table,
-        notes=(note, *second.notes),
+        notes=(note, *(n for n in second.notes if not n.startswith(STRANGERS))),
         zeros=(*(z for z in first.zeros if z.get("trial") in trials), *second.zeros),
         excluded=(*first.excluded, *second.excluded),
     )
