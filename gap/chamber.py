@@ -146,14 +146,13 @@ def _advance(
 @allocating
 def _trial(
     q: Any, time: Any, reading: Any, length: Any, supply: Any, edge_s: Any, edge_to: Any,
-    edge_of: Any, out: Any, fall: Any,
+    edge_of: Any, out: Any, fall: Any, due: Any, waiting: Any, opened: Any, command: Any, s: Any,
 ) -> None:  # fmt: skip
-    """Predict the reading at every node of one trial into `out`."""
-    due = np.empty((2, _PENDING))
-    waiting = np.zeros(2, dtype=np.int64)
-    opened = np.zeros(2, dtype=np.bool_)
-    command = np.zeros(2)
-    s = np.zeros(4)
+    """Predict the reading at every node of one trial into `out`; the last five are scratch."""
+    waiting[:] = 0
+    opened[:] = False
+    command[:] = 0.0
+    s[:] = 0.0
     true = (reading[0] - q[ZERO]) / (1.0 + q[GAIN])
     s[0] = max(true, -0.9 * q[ATMOSPHERE])
     s[1] = s[0]
@@ -238,6 +237,11 @@ def _build(sources: int) -> Callable[..., None]:
         if sources < 0:
             return
         fall[0] = 0.0
+        due = np.empty((2, _PENDING))
+        waiting = np.zeros(2, dtype=np.int64)
+        opened = np.zeros(2, dtype=np.bool_)
+        command = np.zeros(2)
+        s = np.zeros(4)
         for t in range(len(first) - 1):
             a = first[t]
             b = first[t + 1]
@@ -246,7 +250,7 @@ def _build(sources: int) -> Callable[..., None]:
             if b > a:
                 _trial(
                     q, time[a:b], reading[a:b], length[a:b], supply[a:b], edge_s[c:d],
-                    edge_to[c:d], edge_of[c:d], out[a:b], fall,
+                    edge_to[c:d], edge_of[c:d], out[a:b], fall, due, waiting, opened, command, s,
                 )  # fmt: skip
 
     return run
