@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from plant import flow, muscle
-from plant.compiled import allocating, called, entry_point, fingerprint, inlined
+from plant.compiled import called, entry_point, fingerprint, inlined
 from plant.constants import (
     GAS_CONSTANT_J_KG_K,
     REFERENCE_DENSITY_KG_M3,
@@ -143,7 +143,7 @@ def _advance(
         left -= h
 
 
-@allocating
+@inlined
 def _trial(
     q: Any, time: Any, reading: Any, length: Any, supply: Any, edge_s: Any, edge_to: Any,
     edge_of: Any, out: Any, fall: Any, due: Any, waiting: Any, opened: Any, command: Any, s: Any,

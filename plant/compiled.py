@@ -44,11 +44,6 @@ def called(function: F) -> F:
     return cast(F, njit(**_LEAN)(function))
 
 
-def allocating(function: F) -> F:
-    """Compile a function that makes arrays of its own, and so needs references counted."""
-    return cast(F, njit(error_model="numpy")(function))
-
-
 def entry_point(signature: str) -> Callable[[F], F]:
     """Compile for one signature, once per installation: the machine code is cached on disk.
 
