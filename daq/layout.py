@@ -142,8 +142,10 @@ class PointFeed:
 
     Args:
         path: of the points panel's channel.
-        x, y: (stream, column) as ``daq.derive.engineering`` names them.
+        x, y: (stream, column) as ``daq.derive.engineering`` names them; of the stream "camera",
+            the mean over the event's ``frames`` of what ``length`` events say of them.
         label: format over the event's fields; the curve the point belongs to.
+        needs: a field without which an event gives no point here.
     """
 
     path: str
@@ -151,6 +153,7 @@ class PointFeed:
     y: tuple[str, str]
     kind: str = "point"
     label: str = "{set_length_mm:g} mm"
+    needs: str | None = None
 
 
 @dataclass(frozen=True)

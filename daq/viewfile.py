@@ -186,11 +186,12 @@ def _event_series(
 
 
 def _points(scene: Scene, run: Run, tables: dict[str, Columns], feed: PointFeed) -> None:
+    lengths = _frame_lengths(run) if "camera" in (feed.x[0], feed.y[0]) else {}
     for event in run.events:
-        if event["kind"] != feed.kind:
+        if event["kind"] != feed.kind or (feed.needs and event.get(feed.needs) is None):
             continue
-        x = _mean(tables, feed.x, event)
-        y = _mean(tables, feed.y, event)
+        x = _mean(tables, feed.x, event, lengths)
+        y = _mean(tables, feed.y, event, lengths)
         if x is None or y is None:
             continue
         try:
@@ -200,12 +201,30 @@ def _points(scene: Scene, run: Run, tables: dict[str, Columns], feed: PointFeed)
         scene.points(feed.path, event["t_ns"] / 1e9, label, np.array([x]), np.array([y]))
 
 
+def _frame_lengths(run: Run) -> dict[int, float]:
+    """Length in each picture that gave one, as it was measured during the test."""
+    calibration = run.calibrations.get("length_mm")
+    if calibration is None:
+        return {}
+    return {
+        event["frame"]: float(calibration.apply(event["pixels"]))
+        for event in run.events
+        if event["kind"] == "length" and event.get("trusted")
+    }
+
+
 def _mean(
-    tables: dict[str, Columns], where: tuple[str, str], event: dict[str, Any]
+    tables: dict[str, Columns],
+    where: tuple[str, str],
+    event: dict[str, Any],
+    lengths: dict[int, float],
 ) -> float | None:
     """Mean of a column over the rows that ``event`` names; None if they are not there."""
     stream, column = where
     span: Any
+    if stream == "camera" and "row" not in event:
+        seen = [lengths[n] for n in event.get("frames", ()) if n in lengths]
+        return float(np.mean(seen)) if seen else None
     if stream not in tables and "points" in tables and "row" in event:
         stream, key, span = "points", "row", [event["row"], event["row"] + 1]
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -51,6 +52,13 @@ class LiveFeed:
 
         rig.valve.on_batch.append(lambda batch: self._batch("valve", batch))
         rig.balance.on_rows.append(lambda batch: self._batch("balance", batch))
+        for name, instrument in rig.instruments.items():
+            if any(feed.stream == name for feed in self._feeds):
+                instrument.on_rows.append(self._listener(name))
+        self._calibrations = {
+            **rig.config.calibrations,
+            **{n: i.calibration for n, i in rig.instruments.items() if i.calibration is not None},
+        }
         inner = replace(watch)
         length = rig.config.calibrations["length_mm"]
 
@@ -67,6 +75,8 @@ class LiveFeed:
             values = {"pressure_kpa": pressure_kpa, "force_n": force_n, "length_mm": length_mm}
             for feed in self._layout.points:
                 if (x := values.get(feed.x[1])) is None or (y := values.get(feed.y[1])) is None:
+                    continue
+                if feed.needs and getattr(step, feed.needs, None) is None:
                     continue
                 label = feed.label.format(**vars(step))
                 self.view.points(feed.path, x, y, label, time_s=now_s())
@@ -102,12 +112,15 @@ class LiveFeed:
         watch.state, watch.log, watch.point = state, log, point
         watch.picture, watch.set_point = picture, set_point
 
+    def _listener(self, stream: str) -> Callable[[Batch], None]:
+        return lambda batch: self._batch(stream, batch)
+
     def _batch(self, stream: str, batch: Batch) -> None:
         time_s = (self._host_ns(stream, batch) - self._start_ns) / NS_PER_S
-        columns, _ = scaled(stream, batch, self._rig.config.calibrations, {})
+        columns, _ = scaled(stream, batch, self._calibrations, {})
         for feed in self._feeds:
             if feed.stream == stream:
-                values = columns[feed.column].astype(np.float64) * feed.scale
+                values = np.asarray(columns[feed.column]).astype(np.float64) * feed.scale
                 self.view.series(feed.path, time_s, values)
 
     def _host_ns(self, stream: str, batch: Batch) -> npt.NDArray[np.float64]:

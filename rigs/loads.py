@@ -2,37 +2,102 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
-from daq.errors import PamrigError
+from daq.errors import DeviceError, PamrigError
+from rigs.steps import Act, Vent
 
 if TYPE_CHECKING:
     from rigs.runner import Runner
 
-LOWER_KPA_S = 150.0
 LOWER_STEP_S = 0.05
+LOWEST_KPA = 5.0
+"""From here on it vents: no valve holds less."""
+
+
+@dataclass(frozen=True)
+class HangLoad(Act):
+    """Have a mass hung on the vented muscle (0: have it taken off); answers what hangs, in kg.
+
+    Who checks it: the rig's axis ``[manual.mass]`` with its sensor where there is one, else
+    the person, who may type another mass than was asked for.
+    """
+
+    mass_kg: float
+    seconds: ClassVar[float] = 6.0
+
+    def perform(self, runner: Runner) -> float:
+        """Ask, wait, record.
+
+        Raises:
+            DeviceError: the weight is above the rig's limit of force, or the muscle has pressure.
+        """
+        config = runner.rig.config
+        weight_n = self.mass_kg * config.conditions.gravity_m_s2
+        if weight_n > config.limits.force_n:
+            raise DeviceError(
+                config.source,
+                f"{self.mass_kg:g} kg pulls with {weight_n:.1f} N, above limits.force_n ="
+                f" {config.limits.force_n:g} N",
+                "take a lighter mass",
+            )
+        LowerLoad().perform(runner)
+        if self.mass_kg == self.asked_of(runner):
+            return runner.load_kg
+        read = runner.axis("mass", "kg").set(self.mass_kg).read
+        runner.load_kg = read
+        runner.record.event("load", asked_kg=self.mass_kg, mass_kg=read)
+        return read
+
+    @staticmethod
+    def asked_of(runner: Runner) -> float:
+        """The mass that was asked for last: what hangs may have been read a little differently."""
+        settings = runner.rig.axes["mass"].settings if "mass" in runner.rig.axes else []
+        return settings[-1].asked if settings else 0.0
+
+
+@dataclass(frozen=True)
+class LowerLoad(Act):
+    """Let the pressure down slowly, so that a hung load sinks instead of falling; then vent."""
+
+    seconds: ClassVar[float] = 4.0
+
+    def perform(self, runner: Runner) -> None:
+        """Ramp down and vent; only vent where nothing hangs."""
+        if runner.load_kg and not runner.vented:
+            ramp_down(runner)
+        runner.do(Vent())
+
+
+def ramp_down(runner: Runner) -> float:
+    """Lead the set-point from the pressure of now to none; returns where it began, in kPa."""
+    rig = runner.rig
+    calibration = rig.config.calibrations["pressure_kpa"]
+    rate = rig.config.instruments.load.lower_kpa_s
+    start = pressure = rig.pressure_kpa
+    while pressure > LOWEST_KPA:
+        pressure = max(0.0, pressure - rate * LOWER_STEP_S)
+        rig.valve.progress(1.0)
+        rig.valve.set_point(max(float(calibration.raw(pressure)), 0.0))
+        rig.pump.for_seconds(LOWER_STEP_S)
+    return start
 
 
 def lower_load(runner: Runner) -> None:
-    """Let the pressure down slowly, so that the hung load sinks instead of falling.
+    """The safe state of a rig with a hung load, as long as the controller obeys: lowered.
 
-    It is the safe state of a rig with a hung load as long as the controller obeys. Where it
-    does not (fault, lost link), it has vented by itself, and the load falls as fast as the
-    outlet's restrictor lets it: a catcher below the load is for that.
+    Where it does not (fault, lost link, killed program) the controller vents by itself, and the
+    load comes down as fast as the outlet's restrictor lets it: the catcher below the load is
+    for that.
     """
-    rig, valve = runner.rig, runner.rig.valve
-    start = rig.pressure_kpa
+    valve = runner.rig.valve
     if not valve.armed or valve.fault_latched:
-        runner.record.event("lowered", load_kg=runner.load_kg, done=False, from_kpa=start)
+        runner.record.event("lowered", load_kg=runner.load_kg, done=False, reason="vented already")
         runner.watch.log("the controller vented by itself: the load came down with it")
         return
-    pressure = start
     try:
-        while pressure > 0.0:
-            pressure = max(0.0, pressure - LOWER_KPA_S * LOWER_STEP_S)
-            valve.progress(1.0)
-            valve.set_point(float(rig.config.calibrations["pressure_kpa"].raw(pressure)))
-            rig.pump.for_seconds(LOWER_STEP_S)
+        start = 0.0 if runner.vented else ramp_down(runner)
     except PamrigError as error:
         runner.record.event("lowered", load_kg=runner.load_kg, done=False, reason=str(error))
         return

@@ -192,7 +192,7 @@ class ManualAxis:
         read = value
         note = ""
         for attempt in range(1, TRIES + 1):
-            text = f"{self._verb} {self.name} to {value:g} {self.unit}{note}, then press Enter"
+            text = f"{self._wording(value)}{note}, then press Enter"
             answer, seconds = ask(
                 self._operator, self._pump, Request(self.name, value, self.unit, text)
             )
@@ -213,6 +213,12 @@ class ManualAxis:
             f"{TRIES} tries (tolerance {self._tolerance:g})",
             "set it closer, or widen the tolerance in the rig file",
         )
+
+    def _wording(self, value: float) -> str:
+        if self.name == "mass":
+            what = f"hang {value:g} {self.unit} on the muscle and let it come to rest"
+            return what if value else "take the load off the muscle"
+        return f"{self._verb} {self.name} to {value:g} {self.unit}"
 
     def _read(self, answer: str, asked: float) -> float:
         if self._check is not None:

@@ -19,6 +19,7 @@ from rigs.instruments.settings import ModbusDevice, TextDevice
 from rigs.instruments.supply import Supply
 from rigs.instruments.text import TextInstrument
 from rigs.operator import ConsoleOperator, ManualAxis, ManualStage, Operator
+from rigs.operator_port import RemoteOperator
 from rigs.pump import Pump
 
 if TYPE_CHECKING:
@@ -67,6 +68,12 @@ class Ports:
             return self.open(name, device)
 
         return reopen
+
+    def person(self, address: str) -> RemoteOperator:
+        """A simulated person at an address."""
+        person = RemoteOperator(address, f"operator ({self.config.source}: operator.port)")
+        self._stack.callback(person.close)
+        return person
 
     def _serial(self, name: str, device: Device) -> SerialLink:
         try:
@@ -129,8 +136,15 @@ def _modbus(
     )  # fmt: skip
 
 
-def default_operator(bench: VirtualBench | None) -> Operator:
-    """The person at the terminal, or a simulated one on a virtual bench."""
+def default_operator(ports: Ports, bench: VirtualBench | None) -> Operator:
+    """The person at the terminal, or a simulated one on a virtual bench.
+
+    Raises:
+        PortError: nobody answers at the address of ``[operator]``.
+    """
+    address = ports.config.instruments.operator
+    if address:
+        return ports.person(address)
     simulated = bench.extras.operator() if bench is not None else None
     return simulated or ConsoleOperator()
 

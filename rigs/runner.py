@@ -8,7 +8,6 @@ vents; so does a record that can no longer be written.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,10 @@ from daq.clock import NS_PER_S
 from daq.errors import DeviceError, LinkLost, PamrigError, RecordError
 from daq.record import RecordWriter
 from rigs.control import RunControl
+from rigs.instruments.recording import temperature
 from rigs.interrupt import StopFlag
 from rigs.loads import lower_load
+from rigs.operator import ManualAxis, ManualSetting
 from rigs.protocols.schedule import cost_s
 from rigs.rig import SAFE_KPA, Rig
 from rigs.settling import SAMPLE_S, has_settled
@@ -40,6 +41,8 @@ from rigs.steps import (
     Vent,
     Zero,
 )
+from rigs.watching import Progress as Progress
+from rigs.watching import Watch as Watch
 
 ALIVE_S = 1.0
 """A step must report progress at least so often, or the heartbeat stops."""
@@ -49,28 +52,6 @@ TELEMETRY_SILENCE_S = 0.5
 
 class RunFault(PamrigError):
     """The bench reported a fault, or went silent, while a protocol ran."""
-
-
-@dataclass
-class Watch:
-    """What the outside sees of a run as it goes: hooks that may be left empty."""
-
-    state: Callable[[str], None] = lambda text: None
-    point: Callable[[Measure, float, float, float], None] = lambda point, p, f, length: None
-    picture: Callable[[int, bytes, Any], None] = lambda host_ns, jpeg, gap: None
-    set_point: Callable[[str, float], None] = lambda channel, value: None
-    log: Callable[[str], None] = lambda text: None
-
-
-@dataclass
-class Progress:
-    """How far a run is: points, state, and bench time as it was estimated beforehand."""
-
-    points: int
-    done: int = 0
-    state: str = ""
-    seconds: float = 0.0
-    spent_s: float = 0.0
 
 
 class Runner:
@@ -107,7 +88,7 @@ class Runner:
         self.load_kg = 0.0
         self._armed = False
         self._reboots = 0
-        self._venting = True
+        self._scheme = "vent"
         self._balance_speaks = True
         self._last_seq = (0, 0)
         self._last_row = (0, 0)
@@ -259,10 +240,34 @@ class Runner:
         self.record.event("state", state=state)
         self.watch.state(state)
 
+    @property
+    def vented(self) -> bool:
+        """Whether the muscle is being vented, as far as it was told."""
+        return self._scheme == "vent"
+
+    def axis(self, name: str, unit: str) -> ManualAxis:
+        """What a person sets: the rig's axis of that name, or one that nothing looks after."""
+        axes = self.rig.axes
+        if name not in axes:
+            axes[name] = ManualAxis(name, unit, self.rig.operator, self.rig.pump)
+            axes[name].on_setting.append(self._was_set)
+        return axes[name]
+
+    def _was_set(self, setting: ManualSetting) -> None:
+        self.record.event("manual", **vars(setting))
+
+    def shut(self) -> None:
+        """Shut both valves; the next set-point takes the air up again."""
+        self._choose("open")
+
+    def _choose(self, scheme: str) -> None:
+        """Have the controller change its scheme, where it is another one."""
+        if scheme != self._scheme:
+            self.rig.valve.request("vent" if scheme == "vent" else f"scheme {scheme}")
+            self._scheme = scheme
+
     def _vent(self) -> None:
-        if not self._venting:
-            self.rig.valve.request("vent")
-            self._venting = True
+        self._choose("vent")
         self.watch.set_point("pressure", 0.0)
         if not self.rig.pump.until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
             raise RunFault(
@@ -296,9 +301,7 @@ class Runner:
             )
         counts = float(self.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
         self.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
-        if self._venting:
-            self.rig.valve.request(f"scheme {self.rig.config.valve.static_scheme}")
-            self._venting = False
+        self._choose(self.rig.config.valve.static_scheme)
         self.rig.valve.set_point(counts)
         self.watch.set_point("pressure", pressure_kpa)
 
@@ -311,11 +314,20 @@ class Runner:
         waited_s = (self.rig.clock.now_ns() - start_ns) / NS_PER_S
         return done and not self.steering.skip, waited_s
 
-    def window(self, seconds: float) -> tuple[list[int], list[int]]:
-        """Let ``seconds`` pass; half-open ranges of valve samples and balance rows in it."""
+    def window(
+        self, seconds: float, pictures: int = 0, take: Callable[[], object] = lambda: None
+    ) -> tuple[list[int], list[int]]:
+        """Let ``seconds`` pass; half-open ranges of valve samples and balance rows in it.
+
+        ``take`` is called ``pictures`` times, evenly spread over the window.
+        """
         valve, balance = self.rig.valve, self.rig.balance
         seq, row = valve.seq_end, balance.rows
         samples, rows = round(seconds / SAMPLE_S), max(1, round(seconds * 10))
+        for k in range(pictures):
+            due = seq + round(samples * (k + 0.5) / pictures)
+            self.rig.pump.until(lambda due=due: valve.seq_end >= due, seconds + 1.0)  # type: ignore[misc]
+            take()
         came = self.rig.pump.until(
             lambda: valve.seq_end >= seq + samples and balance.rows >= row + rows, seconds * 3 + 1.0
         )
@@ -337,20 +349,31 @@ class Runner:
         from rigs.pictures import take_picture
 
         frames, lengths = [], []
-        for _ in range(step.frames):
+
+        def look() -> None:
             picture = take_picture(self.rig, self.record, self.camera)
             frames.append(picture.number)
             self.watch.picture(picture.host_ns, picture.jpeg, picture.gap)
             if picture.gap.trusted:
                 lengths.append(picture.gap.pixels)
-        seq, rows = self.window(step.seconds)
+
+        if step.mass_kg is None:  # a held length is looked at first, then left in peace
+            for _ in range(step.frames):
+                look()
+            seq, rows = self.window(step.seconds)
+        else:
+            seq, rows = self.window(step.seconds, step.frames, look)
         if self.steering.skip:
             return
-        more = {} if self.steering.take == 1 else {"take": self.steering.take}
+        take = self.steering.take
+        more: dict[str, Any] = {} if take == 1 else {"take": take}
+        if "thermometer" in self.rig.instruments:
+            at = temperature(self.rig)
+            more |= {k: at[k] for k in ("temperature_c", "u_temperature_c")}
         self.record.event(
             "point", **step.fields(), **more, valve_seq=seq, balance_rows=rows, frames=frames
         )
-        self.progress.done += 0 if more else 1
+        self.progress.done += take == 1
         cal = self.rig.config.calibrations
         counts = self.rig.valve.recent_counts(seq[1] - seq[0])
         grams, _ = self.rig.balance.recent(rows[1] - rows[0])

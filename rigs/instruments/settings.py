@@ -65,13 +65,29 @@ class ManualAxisSettings:
 
 
 @dataclass(frozen=True)
+class LoadSettings:
+    """Masses that are hung on the muscle: how well they are known (relative, k = 1), how fast
+    the pressure is let down under them, in kPa/s.
+    """
+
+    u_mass: float = 1e-4
+    lower_kpa_s: float = 150.0
+
+
+@dataclass(frozen=True)
 class InstrumentSettings:
-    """All of them; empty for a rig file that names none."""
+    """All of them; empty for a rig file that names none.
+
+    ``operator`` is the address of a simulated person ("tcp://host:port", as `pamrig virtual`
+    writes it); empty for the one at the terminal.
+    """
 
     text: dict[str, TextDevice] = field(default_factory=dict)
     modbus: dict[str, ModbusDevice] = field(default_factory=dict)
     supply: SupplyDevice | None = None
     manual: dict[str, ManualAxisSettings] = field(default_factory=dict)
+    load: LoadSettings = field(default_factory=LoadSettings)
+    operator: str = ""
 
     def ports(self) -> dict[str, Device]:
         """Every device that has a port, by name."""
@@ -113,7 +129,19 @@ def read_instruments(root: Table) -> InstrumentSettings:
     for name in axes.keys():  # noqa: SIM118
         manual[name] = _manual(axes.table(name))
     axes.finish()
-    return InstrumentSettings(text, modbus, supply, manual)
+    load = root.table("load", optional=True)
+    person = root.table("operator", optional=True)
+    out = InstrumentSettings(
+        text, modbus, supply, manual,
+        LoadSettings(
+            u_mass=load.number("u_mass", 0, 1, 1e-4),
+            lower_kpa_s=load.number("lower_kpa_s", 1, 2000, 150.0, unit="kPa/s"),
+        ),
+        person.text("port", ""),
+    )  # fmt: skip
+    load.finish()
+    person.finish()
+    return out
 
 
 def _port(t: Table) -> tuple[str, int, str]:

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 PROTOCOLS: dict[str, str] = {
     "isometric": "Run an isometric test: length held, pressure stepped, force read.",
+    "isobaric": "Run an isobaric test: pressure held, length stepped, force read.",
+    "isotonic": "Run an isotonic test: load hung, pressure stepped, length read by the camera.",
+    "isothermal": "Repeat isometric and isobaric trials over temperatures.",
+    "hysteresis": "Run cycles up and down, at held lengths or under hung loads.",
     "switching-time": "Measure a valve's switching times at a range of pressures.",
     "switching-voltage": "Measure the voltages at which a valve turns on and off.",
     "flow": "Measure air velocity against pressure behind a valve.",
@@ -12,6 +16,7 @@ PROTOCOLS: dict[str, str] = {
 for -, and holds PROCEDURE."""
 
 DEFAULT_RIG: dict[str, str] = {
+    "isothermal": "virtual-instruments",
     "switching-time": "virtual-valve-stand",
     "switching-voltage": "virtual-valve-stand",
     "flow": "virtual-valve-stand",

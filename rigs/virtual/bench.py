@@ -196,7 +196,12 @@ class VirtualBench:
         return Solenoids(self.plant.constants, self.extras.solenoid_volts).advance
 
     def _lift_n(self) -> float:
-        """What is taken off the balance: the muscle's pull; a dead weight on the pan adds."""
+        """What is taken off the balance: the muscle's pull; a dead weight on the pan adds.
+
+        A muscle that a load hangs on is not joined to the balance.
+        """
+        if self.plant.load != "isometric":
+            return 0.0
         return self.plant.force_n if self.extras.hung_kg is None else -self.extras.pull_n()
 
     def _make_balance(self, rng: np.random.Generator) -> VirtualBalance:
@@ -284,6 +289,8 @@ class VirtualBench:
                 return
 
     def _set_motion(self, length_mm: float, rate_mm_s: float) -> None:
+        if self.plant.load != "isometric":  # the stage is not joined to the muscle
+            return
         length_mm += self.misreading.label_mm
         if rate_mm_s == 0.0 and abs(length_mm - self.plant.length_mm) > 1e-12:
             self.plant.set_length(length_mm)

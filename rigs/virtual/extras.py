@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.calibration import Calibration
-from plant.bench import PRESSURE
+from daq.clock import Clock
+from plant.bench import PRESSURE, BenchSim
 from plant.constants import GAS_CONSTANT_J_KG_K
-from plant.layout import MASS_OUT
+from plant.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MASS_OUT
 from rigs.instruments.settings import TextDevice
 from rigs.virtual.modbus import VirtualModbus
 from rigs.virtual.operator import VirtualOperator
@@ -31,6 +32,25 @@ VELOCITY_NOISE = 0.002
 SUPPLY_NOISE_V = 0.002
 HAND = {"length": 0.03, "pressure": 1.0, "supply": 1.0}
 """How exactly a person sets a length (mm) and turns a regulator (kPa)."""
+
+
+def hang(plant: BenchSim, mass_kg: float) -> None:
+    """Hang a mass on the vented muscle, led down by hand until the muscle holds it; 0: take it off.
+
+    Without a load the muscle's lower end is where it was, held by whatever holds it then.
+    """
+    if mass_kg > 0.0:
+        if plant.load == "isometric":
+            plant.set_length(float(plant.params[LENGTH_MAX]) * 1e3)
+        plant.load = "isotonic"
+        plant.params[LOAD] = 1.0
+        plant.params[MASS] = mass_kg
+    else:
+        plant.load = "isometric"
+        plant.params[LOAD] = 0.0
+        low, high = float(plant.params[LENGTH_MAX]) * 0.5, float(plant.params[LENGTH_MAX])
+        plant.state[LENGTH] = min(max(float(plant.state[LENGTH]), low), high)
+    plant.state[LENGTH_RATE] = 0.0
 
 
 class Extras:
@@ -155,9 +175,9 @@ class Extras:
         """What the supply gives the solenoids now."""
         return float(self.devices["supply"].volts)
 
-    def operator(self) -> VirtualOperator | None:
-        """A person at this bench, where it runs on a virtual clock."""
-        clock = self._bench.clock
+    def operator(self, clock: Clock | None = None, seconds: float = 5.0) -> VirtualOperator | None:
+        """A person at this bench; None where neither it nor the caller has a clock."""
+        clock = clock or self._bench.clock
         if clock is None:
             return None
         plant = self._bench.plant
@@ -182,6 +202,7 @@ class Extras:
                 "muscle": unhang,
                 "muscle off": lambda _: weigh(0.0),
                 "temperature": warm,
+                "mass": lambda kg: hang(plant, kg),
             },
             reads={
                 "reference pressure": lambda: float(plant.state[PRESSURE]) * 1e-3,
@@ -189,4 +210,5 @@ class Extras:
             },
             rng=self._rng("operator"),
             spread=HAND,
+            seconds=seconds,
         )

@@ -20,14 +20,18 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from daq.clock import RealClock
 from daq.errors import ConfigError, PamrigError
 from rigs.config import RigConfig, load_rig
 from rigs.interrupt import stop_on_signals
+from rigs.operator_port import decode
 from rigs.virtual.bench import VirtualBench
 
 TICK_NS = 1_000_000
 TRUTH_NS = 10_000_000
 LOOPBACK = "127.0.0.1"
+HAND_S = 0.3
+"""How long the person of a bench in real time takes: nobody likes to wait for one."""
 LATENESS_KEPT = 2_000_000
 BENCH_FILE = "bench.toml"
 """Beside the clients' rig file: what is known of the bench's plant, for whoever diagnoses it."""
@@ -170,6 +174,46 @@ class CameraPort:
         self._server.close()
 
 
+class OperatorPort:
+    """The bench's person on request over loopback TCP; see ``rigs.operator_port``."""
+
+    def __init__(self, bench: VirtualBench) -> None:
+        self._person = bench.extras.operator(RealClock(), HAND_S)
+        self._server = socket.create_server((LOOPBACK, 0))
+        self._server.setblocking(False)
+        self._client: socket.socket | None = None
+        self._buffer = b""
+        self.address = f"tcp://{LOOPBACK}:{self._server.getsockname()[1]}"
+
+    def step(self) -> None:
+        """Take a request, and answer it when it is done; in the bench's own thread."""
+        assert self._person is not None
+        with contextlib.suppress(BlockingIOError, OSError):
+            client, _ = self._server.accept()
+            client.setblocking(False)
+            self._client, self._buffer = client, b""
+        if self._client is None:
+            return
+        try:
+            with contextlib.suppress(BlockingIOError):
+                self._buffer += self._client.recv(4096)
+            line, found, rest = self._buffer.partition(b"\n")
+            if found:
+                self._buffer = rest
+                self._person.begin(decode(line))
+            answer = self._person.answer()
+            if answer is not None:
+                self._client.send(json.dumps({"answer": answer}).encode() + b"\n")
+        except (OSError, ValueError):
+            self._client = None
+
+    def close(self) -> None:
+        """Go home."""
+        if self._client is not None:
+            self._client.close()
+        self._server.close()
+
+
 class BenchServer:
     """A virtual bench on ports, advanced in real time by :meth:`run`.
 
@@ -205,6 +249,7 @@ class BenchServer:
             self.ports[name] = port
             self.bench.send[name] = lambda _, data, port=port: port.write(data)  # type: ignore[misc]
         self.camera = CameraPort(self.bench, config.camera.serial)
+        self.person = OperatorPort(self.bench)
         self.rig_file = folder / "rig.toml"
         self.rig_file.write_text(self._client_rig(), encoding="utf-8")
         stated = config.virtual.plant if config.virtual is not None else {}
@@ -220,7 +265,7 @@ class BenchServer:
             word = line.strip()
             if word.startswith("["):
                 table = word.strip("[]").split("#")[0].strip("[] ")
-            if table.startswith(("virtual", "effects")):
+            if table.startswith(("virtual", "effects", "operator")):
                 continue
             key = word.split("=")[0].strip()
             device = table.removeprefix("instruments.")
@@ -231,6 +276,7 @@ class BenchServer:
             elif key == "source" and table == "camera":
                 line = f"source = {json.dumps(self.camera.address)}"
             out.append(line)
+        out += ["", "[operator]", f"port = {json.dumps(self.person.address)}"]
         text = "\n".join(out) + "\n"
         tomllib.loads(text)
         return text
@@ -250,6 +296,7 @@ class BenchServer:
                     # The firmware reads it at its next tick: bench time, as its deadline is.
                     self._heartbeat_ns = self.bench.host_ns(self.bench.board.bench_us * 1000)
                 self.bench.feed(name, data)
+        self.person.step()
         before = self.bench.board.bench_us
         self.bench.advance_to(now_ns)
         ticks = self.bench.board.bench_us // 1000 - before // 1000
@@ -300,6 +347,7 @@ class BenchServer:
         for port in self.ports.values():
             port.close()
         self.camera.close()
+        self.person.close()
         if self._truth is not None:
             self._truth.close()
 

@@ -1,0 +1,88 @@
+"""The isobaric test: pressure held, length stepped, force read (thesis 4.8.2, Table C-2)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from daq.layout import LiveLayout
+from rigs.config import RigConfig
+from rigs.findings_isobaric import isobaric_findings
+from rigs.protocols.method import Method, read_method
+from rigs.protocols.procedure import Procedure
+from rigs.protocols.trials import Logbook
+from rigs.reduction import reduce_points
+from rigs.steps import State, Steps
+from rigs.toml_reader import load_toml
+
+
+@dataclass(frozen=True)
+class Isobaric:
+    """Parameters of an isobaric test."""
+
+    name: str
+    pressures_kpa: tuple[float, ...]
+    lengths_mm: tuple[float, ...]
+    slack_length_mm: float
+    method: Method
+    source: str = ""
+
+    @property
+    def frames(self) -> int:
+        """Pictures at a point."""
+        return self.method.frames
+
+    def as_dict(self) -> dict[str, Any]:
+        """The parameters as they go into the record."""
+        return {
+            **vars(self),
+            "pressures_kpa": list(self.pressures_kpa),
+            "lengths_mm": list(self.lengths_mm),
+            "method": self.method.as_dict(),
+        }
+
+    def steps(self) -> Steps:
+        """The method: for each pressure tare, hold it, and go through the lengths and back."""
+        book = Logbook(self.method, "isobaric", self.slack_length_mm)
+        yield from book.opening(sum(self.lengths_mm) / len(self.lengths_mm))
+        for place, pressure in self.method.trials(list(self.pressures_kpa)):
+            yield from book.remount(place)
+            yield from book.isobaric(place, pressure, book.path(self.lengths_mm))
+        yield State("done")
+
+
+def read(name: str, config: RigConfig) -> Isobaric:
+    """Read a protocol file, held against the rig's limits.
+
+    Raises:
+        ConfigError: unknown key, wrong type, or a value beyond the rig's limit.
+    """
+    t = load_toml(name, "protocols")
+    t.text("protocol", choices=("isobaric",))
+    low, high = config.limits.length_min_mm, config.limits.length_max_mm
+    out = Isobaric(
+        name=t.text("name", "isobaric"),
+        pressures_kpa=t.numbers("pressures_kpa", 0, config.limits.pressure_kpa, unit="kPa"),
+        lengths_mm=t.numbers("lengths_mm", low, high, unit="mm"),
+        slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
+        method=read_method(t, config, drift_n=0.05),
+        source=t.source,
+    )
+    t.finish()
+    return out
+
+
+def layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    from rigs.liveview_static import isobaric_layout
+
+    del parameters
+    return isobaric_layout()
+
+
+PROCEDURE = Procedure(
+    "isobaric", "Isobaric test", read, reduce_points, layout, isobaric_findings,
+    # The stage squeezes the air that is shut in: the controller would take that for a leak.
+    firmware={"leak_counts": 0},
+)  # fmt: skip

@@ -1,0 +1,104 @@
+"""The isotonic test: a load hung, pressure stepped, length read by the camera (thesis 4.8.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from daq.layout import LiveLayout
+from rigs.config import RigConfig
+from rigs.findings_isotonic import isotonic_findings
+from rigs.loads import HangLoad
+from rigs.protocols.method import Method, read_method
+from rigs.protocols.procedure import Procedure
+from rigs.protocols.trials import Logbook
+from rigs.reduction import Reduction, reduce_points
+from rigs.steps import State, Steps
+from rigs.toml_reader import Table, load_toml
+
+if TYPE_CHECKING:
+    from daq.run import Run
+
+EXTRA = {"mass_kg": "float64"}
+
+
+@dataclass(frozen=True)
+class Isotonic:
+    """Parameters of an isotonic test."""
+
+    name: str
+    masses_kg: tuple[float, ...]
+    pressures_kpa: tuple[float, ...]
+    method: Method
+    source: str = ""
+
+    @property
+    def frames(self) -> int:
+        """Pictures at a point."""
+        return self.method.frames
+
+    def as_dict(self) -> dict[str, Any]:
+        """The parameters as they go into the record."""
+        return {
+            **vars(self),
+            "masses_kg": list(self.masses_kg),
+            "pressures_kpa": list(self.pressures_kpa),
+            "method": self.method.as_dict(),
+        }
+
+    def steps(self) -> Steps:
+        """The method: hang each load, lift it through the pressures and let it down again."""
+        book = Logbook(self.method, "isotonic")
+        yield State("first load")
+        yield HangLoad(self.masses_kg[0])
+        yield from book.opening(None)
+        for place, mass in self.method.trials(list(self.masses_kg)):
+            yield from book.remount(place)
+            yield from book.isotonic(place, mass, book.path(self.pressures_kpa))
+        yield State("done")
+        yield HangLoad(0.0)
+
+
+def read(name: str, config: RigConfig) -> Isotonic:
+    """Read a protocol file, held against the rig's limits.
+
+    Raises:
+        ConfigError: unknown key, wrong type, or a value beyond the rig's limit.
+    """
+    t = load_toml(name, "protocols")
+    t.text("protocol", choices=("isotonic",))
+    out = Isotonic(
+        name=t.text("name", "isotonic"),
+        masses_kg=read_masses(t, config),
+        pressures_kpa=t.numbers("pressures_kpa", 0, config.limits.pressure_kpa, unit="kPa"),
+        method=read_method(t, config, drift_mm=0.02),
+        source=t.source,
+    )
+    t.finish()
+    return out
+
+
+def read_masses(t: Table, config: RigConfig) -> tuple[float, ...]:
+    """The masses to hang, below the rig's limit of force."""
+    heaviest = config.limits.force_n / config.conditions.gravity_m_s2
+    return t.numbers("masses_kg", 0.01, heaviest, unit="kg")
+
+
+def reduce(run: Run) -> Reduction:
+    """Settled points with the mass that hung at each."""
+    return reduce_points(run, extra=EXTRA)
+
+
+def layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    from rigs.liveview_static import isotonic_layout
+
+    return isotonic_layout(pressure_max_kpa=max(parameters.get("pressures_kpa") or [600.0]))
+
+
+PROCEDURE = Procedure(
+    "isotonic", "Isotonic test", read, reduce, layout, isotonic_findings,
+    # A load that moves squeezes the air that is shut in: no leak.
+    firmware={"leak_counts": 0},
+)  # fmt: skip

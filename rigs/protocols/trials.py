@@ -1,0 +1,201 @@
+"""The trials that tests are made of: one length, one pressure or one load held.
+
+Each is a stretch of laboratory method, top to bottom; the protocols put them in order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rigs.loads import HangLoad, LowerLoad
+from rigs.mounting import Remount
+from rigs.protocols.method import Method
+from rigs.protocols.schedule import Place, path
+from rigs.steps import (
+    Dwell,
+    EndTrial,
+    Measure,
+    SetLength,
+    SetPressure,
+    Settle,
+    State,
+    Steps,
+    Tare,
+    Trial,
+    Vent,
+    Zero,
+)
+
+BREATH_KPA = 20.0
+BREATH_S = 0.5
+VENTED_KPA = 5.0
+"""Below this a set-point means "vented", not regulated: no valve holds 0 kPa gauge."""
+
+Path = Sequence[tuple[str, float]]
+
+
+@dataclass
+class Logbook:
+    """Numbers trials and points as they come, and writes what each one is.
+
+    Attributes:
+        method: the habits of the test.
+        protocol: what a trial is called in data that goes elsewhere.
+        slack_mm: where the balance is tared.
+        temperature_c: set temperature, where the test has one.
+    """
+
+    method: Method
+    protocol: str
+    slack_mm: float = 0.0
+    temperature_c: float | None = None
+    trial: int = 0
+    order: int = 0
+    rng: np.random.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng([self.method.seed, 2])
+
+    def path(self, values: Sequence[float]) -> Path:
+        """The points of a trial in the test's order."""
+        return path(values, self.method.order, self.rng)
+
+    # ---- before and between ---------------------------------------------------------
+
+    def opening(self, length_mm: float | None) -> Steps:
+        """Leak check and preconditioning, at a held length or under what hangs."""
+        method = self.method
+        if length_mm is not None:
+            yield SetLength(length_mm)
+        if method.leak is not None:
+            yield method.leak
+        if method.precondition_cycles:
+            yield State("precondition")
+        for _ in range(method.precondition_cycles):
+            yield SetPressure(method.precondition_kpa)
+            yield Dwell(method.precondition_dwell_s)
+            yield LowerLoad()
+            yield Dwell(method.precondition_dwell_s)
+
+    def remount(self, place: Place) -> Steps:
+        """A new mounting where one begins."""
+        if place.first_of_mounting and place.mounting != self.method.mountings[0]:
+            yield Remount(place.mounting)
+
+    # ---- one trial ------------------------------------------------------------------
+
+    def isometric(
+        self, place: Place, length_mm: float, points: Path, top_kpa: float | None = None
+    ) -> Steps:
+        """A length held, the pressure stepped, the force read (thesis, section 4.6.1)."""
+        name = f"L{length_mm:g}" + (f" to {top_kpa:g} kPa" if top_kpa else "")
+        yield from self._begin(place, name, "isometric", (("held_length_mm", length_mm),))
+        yield from self._tared()
+        yield SetLength(length_mm)
+        yield Zero(self.trial, "before", self.method.zero_s)
+        for direction, pressure in points:
+            yield Vent() if pressure < VENTED_KPA else SetPressure(pressure)
+            yield from self._point(
+                place, name, direction, pressure, length_mm=length_mm, top_kpa=top_kpa
+            )
+        yield Vent()
+        yield from self._end()
+
+    def isobaric(self, place: Place, pressure_kpa: float, points: Path) -> Steps:
+        """A pressure held, the length stepped through its range, the force read (4.8.2)."""
+        name = f"P{pressure_kpa:g}"
+        yield from self._begin(place, name, "isobaric", (("held_pressure_kpa", pressure_kpa),))
+        yield from self._tared()
+        yield SetLength(points[0][1])
+        yield Zero(self.trial, "before", self.method.zero_s)
+        if pressure_kpa >= VENTED_KPA:
+            yield SetPressure(pressure_kpa)
+        for direction, length in points:
+            yield SetLength(length)
+            yield from self._point(place, name, direction, pressure_kpa, length_mm=length)
+        yield Vent()
+        yield from self._end()
+
+    def isotonic(
+        self, place: Place, mass_kg: float, points: Path, top_kpa: float | None = None
+    ) -> Steps:
+        """A load hung, the pressure stepped, the length read by the camera (4.6.2, 4.8.3)."""
+        name = f"M{mass_kg:g}" + (f" to {top_kpa:g} kPa" if top_kpa else "")
+        yield from self._begin(place, name, "isotonic", (("load_kg", mass_kg),))
+        hung = yield HangLoad(mass_kg)
+        hung = mass_kg if hung is None else float(hung)
+        yield Zero(self.trial, "before", self.method.zero_s)
+        for direction, pressure in points:
+            yield LowerLoad() if pressure < VENTED_KPA else SetPressure(pressure)
+            yield from self._point(place, name, direction, pressure, mass_kg=hung, top_kpa=top_kpa)
+        yield LowerLoad()
+        yield from self._end()
+
+    # ---- parts of a trial -----------------------------------------------------------
+
+    def _begin(
+        self, place: Place, slot: str, protocol: str, held: tuple[tuple[str, float], ...]
+    ) -> Steps:
+        self.trial += 1
+        warm = ""
+        if self.temperature_c is not None:
+            held = (*held, ("temperature_c", self.temperature_c))
+            warm = f" at {self.temperature_c:g} degC"
+        yield State(f"trial {self.trial}: {slot}{warm}, replicate {place.replicate}")
+        yield Trial(
+            self.trial, slot + warm, place.replicate, self.trial, place.mounting, protocol, held
+        )
+
+    def _tared(self) -> Steps:
+        """Slacken, breathe, vent, tare.
+
+        Shortening draws a slight vacuum that an outlet need not let go; a breath of air does
+        away with it, so that the tare is one at no pressure.
+        """
+        yield Vent()
+        yield SetLength(self.slack_mm)
+        yield SetPressure(BREATH_KPA)
+        yield Dwell(BREATH_S)
+        yield Vent()
+        yield Tare()
+
+    def _point(
+        self,
+        place: Place,
+        slot: str,
+        direction: str,
+        pressure_kpa: float,
+        length_mm: float | None = None,
+        mass_kg: float | None = None,
+        top_kpa: float | None = None,
+    ) -> Steps:
+        """Settle, then measure."""
+        answer = yield Settle(self.method.settle, pressure_kpa)
+        settled, waited = answer if answer is not None else (True, 0.0)
+        self.order += 1
+        warm = "" if self.temperature_c is None else f" at {self.temperature_c:g} degC"
+        yield Measure(
+            trial=self.trial,
+            slot=slot + warm,
+            replicate=place.replicate,
+            order=self.order,
+            mounting=place.mounting,
+            direction=direction,
+            set_pressure_kpa=pressure_kpa,
+            set_length_mm=length_mm,
+            seconds=self.method.measure_s,
+            frames=self.method.frames,
+            settled=settled,
+            waited_s=waited,
+            mass_kg=mass_kg,
+            cycle_max_kpa=top_kpa,
+            set_temperature_c=self.temperature_c,
+        )
+
+    def _end(self) -> Steps:
+        """Vented: the zero again, and the trial is whole."""
+        yield Zero(self.trial, "after", self.method.zero_s)
+        yield EndTrial(self.trial)
