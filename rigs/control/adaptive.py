@@ -10,8 +10,11 @@ wanted motion, so that no noise enters it:
 Y is the torque a kilogram at the tip takes, exact, from the link equations. m stays within 0 to
 100 g. The feedback part of the published law is the muscles' own stiffness and damping, which the
 pressures set; `bias` is the slow integral of `feedforward`, at a quarter of its rate, for what is no
-payload. The rate gamma is set by what a constant error means: were all of it payload at the
-reference's middle posture, m would approach it at `rate` 1/s.
+payload; it begins with the reference's clock, when the payload has had the time of the approach to
+show. Both would otherwise share one static error for good. Errors above 10 degrees teach nothing: the
+finger is then falling, or at a stop. The rate gamma is set by what a constant error means: were all of it payload at the
+model's posture, m would approach it at half of the rate that `feedforward` gives its integral.
+lambda lies at twice the slowest oscillation's frequency, so that s does not feed that back as e'.
 """
 
 from __future__ import annotations
@@ -31,6 +34,8 @@ Array = npt.NDArray[np.float64]
 
 MOST_KG = 0.1
 BIAS_SHARE = 0.25
+LEARNING_SHARE = 0.5
+TEACHING_RAD = np.radians(10.0)
 _PROBE_KG = 0.1
 
 
@@ -54,12 +59,10 @@ class Adaptive(FeedForward):
         weight = payload_regressor(self._arm, model.q0, still, still)
         # A payload m bends the joints by K^-1 Y m; Y^T K^-1 Y is what a kilogram earns.
         earned = float(weight @ np.linalg.solve(model.stiffness, weight))
-        self._smooth_s = 1.0 / (4.0 * rate)
-        self._lambda = 1.0 / self._smooth_s
+        self._lambda = 2.0 * 2.0 * np.pi / model.slowest_period_s
         # s = e' + lambda e: the rate of learning is gamma lambda Y^T K^-1 Y.
-        self._gamma = rate / (self._lambda * earned)
+        self._gamma = LEARNING_SHARE * rate / (self._lambda * earned)
         self._last: Array | None = None
-        self._last_wanted: Array | None = None
 
     @property
     def note(self) -> Array:
@@ -88,6 +91,11 @@ class Adaptive(FeedForward):
         self._last = error
         per_kg = payload_regressor(self._arm, wanted, rate, push)
         s = slope + self._lambda * error
-        self.mass_kg += self._gamma * step * float(per_kg @ s)
-        self.mass_kg = min(max(self.mass_kg, 0.0), MOST_KG)
-        return super().delta(time_s, q)
+        if np.abs(error).max() < TEACHING_RAD:
+            self.mass_kg += self._gamma * step * float(per_kg @ s)
+            self.mass_kg = min(max(self.mass_kg, 0.0), MOST_KG)
+        out = super().delta(time_s, q)
+        if time_s < 0.0:
+            out = out - self._integral
+            self._integral = np.zeros_like(self._integral)
+        return np.asarray(out)

@@ -71,7 +71,7 @@ class PolePlacement:
     def start(self, reference: Reference, q: Array) -> None:
         """Begin with an estimate at rest at `q`."""
         n = self._n
-        self._reference = reference
+        self._reference = reference.gentle
         self._estimate = np.zeros(4 * n)
         self._estimate[:n] = q - self.model.q0
         self._sent = deque([np.zeros(n)] * self._ahead, maxlen=self._ahead)
@@ -86,9 +86,11 @@ class PolePlacement:
         ahead = state
         for u in self._sent:
             ahead = self.a @ ahead + self.b @ (u + disturbance)
-        wanted, _, _ = self._reference.at(time_s)
+        # What is asked now meets the state that far ahead.
+        wanted, rate, _ = self._reference.at(time_s + self._ahead * HOST_MS * 1e-3)
         goal = np.zeros(3 * n)
         goal[:n] = wanted - model.q0
+        goal[n : 2 * n] = rate
         goal[2 * n :] = np.linalg.solve(model.gain, model.stiffness @ goal[:n])
         u = goal[2 * n :] - disturbance - self.k @ (ahead - goal)
         total = np.clip(model.delta0 + u, -self._limit, self._limit)

@@ -20,11 +20,12 @@ from rigs.control.bench import FingerBench
 from rigs.control.loop import HOST_MS, run_law
 from rigs.control.muscles import Pairs
 from rigs.control.pid import Gains, Pid
-from rigs.control.reference import STEP_POSTURE_DEG, step
+from rigs.control.reference import GRID_S, STEP_POSTURE_DEG, step
 
 Array = npt.NDArray[np.float64]
 Respond = Callable[[float], tuple[Array, Array]]
 
+DISTURBED_AT_S = 0.1
 FLOOR_DEG = 0.3
 """Oscillations smaller than this are the valve's and the sensor's, not the loop's."""
 
@@ -90,24 +91,42 @@ def critical_gain(
     return Critical(float(np.sqrt(low * high)), oscillation_period(time_s[half:], y[half:]))
 
 
-def joint_critical(
-    finger: Finger, constants: PlantConstants, joint: str, rounds: int = 6, hold_s: float = 3.0
+def loops_critical(
+    finger: Finger,
+    constants: PlantConstants,
+    joints: tuple[str, ...] | None = None,
+    rounds: int = 6,
+    hold_s: float = 3.0,
 ) -> Critical:
-    """Critical gain (kPa/rad) of one joint through the whole firmware; the others hold still."""
-    index = finger.arm.joint(joint)
+    """Critical gain of the loops of some joints (all), raised together, through the whole firmware.
+
+    The gain is relative: 1 asks for the pressure that would by itself bring back the error, so that
+    loops of different joints compare. Disturbed by a step of 5 degrees of the first of them.
+    """
+    chosen = joints or finger.joints
     pairs = Pairs(finger, constants)
     posture = np.radians(STEP_POSTURE_DEG)
     bias = pairs.delta(posture, gravity_torque(finger.arm, posture))
+    unit = static_gains(pairs, posture)
+    begin = round(DISTURBED_AT_S / GRID_S)
+    index = finger.arm.joint(chosen[0] if len(chosen) == 1 else "flexion")
 
     def respond(gain: float) -> tuple[Array, Array]:
         gains = [
-            Gains(gain if k == index else 0.0, float("inf"), 0.0) for k in range(len(finger.joints))
+            Gains(gain * unit[k] if joint in chosen else 0.0, float("inf"), 0.0)
+            for k, joint in enumerate(finger.joints)
         ]
-        reference = step(finger, joint, 5.0, hold_s, lead_s=0.1)
+        reference = step(finger, finger.joints[index], 5.0, hold_s, DISTURBED_AT_S)
         trial = run_law(finger, constants, Pid(gains, bias), reference)
-        return trial.time_s[100:], np.degrees(trial.q[100:, index])
+        return trial.time_s[begin:], np.degrees(trial.q[begin:, index])
 
-    return critical_gain(respond, 5.0, 3000.0, FLOOR_DEG, rounds)
+    return critical_gain(respond, 0.02, 20.0, FLOOR_DEG, rounds)
+
+
+def static_gains(pairs: Pairs, posture: Array) -> Array:
+    """kPa of delta a radian of each joint, the others held: stiffness over torque a kPa."""
+    delta = pairs.delta(posture, gravity_torque(pairs.finger.arm, posture))
+    return np.asarray(pairs.stiffness(posture, delta) / pairs.gain(posture))
 
 
 @dataclass(frozen=True)
