@@ -8,7 +8,7 @@ linearly implicit method of order 3 which is L-stable and keeps its order with a
 Jacobian (Rang and Angermann 2005, BIT 45:761). The Jacobian taken here is joint damping and
 stiffness over the inertia matrix, and each chamber's own rate.
 
-Tendons pull and never push: a muscle with less than no force leaves its tendon slack.
+Tendons pull and never push: a muscle that would push leaves its tendon slack.
 """
 
 from __future__ import annotations
@@ -24,15 +24,14 @@ import numpy.typing as npt
 
 from plant import flow
 from plant import layout as at
-from plant.compiled import called, entry_point, fingerprint, inlined
+from plant.compiled import Slots, called, entry_point, fingerprint, inlined
 from plant.constants import (
     GAS_CONSTANT_J_KG_K,
     REFERENCE_DENSITY_KG_M3,
-    REFERENCE_TEMPERATURE_K,
 )
 from plant.kernel import SAME_INSTANT_S, _act, _command, _due
 from plant.links.kernel import DAMPING, WORK, mass_matrix, recurse, solve, turn
-from plant.rates import chamber, element, flows, outward, power, slip_after, tension
+from plant.rates import chamber, element, flows, outward, power, sealed, slip_after, tension
 
 Array = npt.NDArray[np.float64]
 
@@ -41,9 +40,6 @@ JOINT, REST, ARM = 0, 1, 2
 LOW, HIGH, STOP_STIFFNESS, STOP_DAMPING = 0, 1, 2, 3
 """Columns of the stops' table (joints, 4): rad, rad, N m/rad, N m s/rad."""
 
-_tension = called(tension.py_func)
-_flows = called(flows.py_func)
-_slip_after = called(slip_after.py_func)
 _factor = inlined(flow.subsonic_factor)
 _factor_slope = inlined(flow.subsonic_slope)
 
@@ -68,6 +64,18 @@ _MIX = np.array(
 _B = np.array([0.24212380706095346, -1.2232505839045147, 1.5452602553351020, 0.43586652150845900])
 
 
+@called
+def _pull(state: Slots, params: Slots, p: float, length: float, rate: float) -> float:
+    """Tension of a tendon after the fibres slid to a new pressure and length, N."""
+    slip = slip_after(state, params, p - state[at.PRESSURE], length - state[at.LENGTH])
+    return max(0.0, tension(state, params, p, length, rate, slip))
+
+
+@called
+def _flows(state: Slots, params: Slots, absolute: float) -> tuple[float, float]:
+    return flows(state, params, absolute)
+
+
 @inlined
 def _stop_torque(stops: Array, j: int, touched: float, q: float, qd: float) -> float:
     """Torque of a joint's stop; it pushes back into the range and never pulls."""
@@ -75,9 +83,9 @@ def _stop_torque(stops: Array, j: int, touched: float, q: float, qd: float) -> f
         return 0.0
     if touched < 0.0:
         push = stops[j, 2] * (stops[j, 0] - q) - stops[j, 3] * qd
-        return max(0.0, push)
+        return max(0.0, float(push))
     push = stops[j, 2] * (q - stops[j, 1]) + stops[j, 3] * qd
-    return -max(0.0, push)
+    return -max(0.0, float(push))
 
 
 @called
@@ -100,36 +108,43 @@ def _slopes(
         length = state[at.LENGTH]
         volume = chamber(par, length)
         absolute = state[at.PRESSURE] + par[at.ATMOSPHERE]
-        pull = _tension(par, state[at.PRESSURE], length, 0.0)
+        rate = state[at.LENGTH_RATE]
+        pull = _pull(state, par, state[at.PRESSURE], length, rate)
         if pull > 0.0:
             # dF/dL at constant gas: finite difference of the law, whatever the law.
             step = 1e-6
             more = chamber(par, length + step)
             p = absolute * power(volume / more, par[at.EXPONENT]) - par[at.ATMOSPHERE]
-            slope = (_tension(par, p, length + step, 0.0) - pull) / step
+            slope = (_pull(state, par, p, length + step, rate) - pull) / step
             stiffness[int(tendons[i, 0])] += max(0.0, slope) * arm * arm
+            if par[at.VISCOUS] != 0.0:
+                slope = _pull(state, par, state[at.PRESSURE], length, rate + 1e-4) - pull
+                damping[int(tendons[i, 0])] += max(0.0, slope) / 1e-4 * arm * arm
+        gas[i] = 0.0
+        if sealed(state, par):
+            continue
         heat = par[at.EXPONENT] * GAS_CONSTANT_J_KG_K * par[at.GAS_TEMPERATURE]
-        rate = 0.0
+        leak = 0.0
         if state[at.INLET_OPEN] > 0.0:
             supply = state[at.SUPPLY] + par[at.ATMOSPHERE]
             critical = par[at.INLET_CRITICAL_RATIO]
             if absolute < supply:
-                rate += par[at.INLET_CONDUCTANCE] * _factor_slope(absolute / supply, critical)
+                leak += par[at.INLET_CONDUCTANCE] * _factor_slope(absolute / supply, critical)
         conductance = outward(state, par)
         if conductance > 0.0 and absolute > par[at.ATMOSPHERE]:
             critical = par[at.OUTLET_CRITICAL_RATIO]
             ratio = par[at.ATMOSPHERE] / absolute
-            rate += conductance * (
+            leak += conductance * (
                 _factor(ratio, critical) + ratio * _factor_slope(ratio, critical)
             )
-        gas[i] = -rate * REFERENCE_DENSITY_KG_M3 * heat / volume
+        gas[i] = -leak * REFERENCE_DENSITY_KG_M3 * heat / volume
 
 
 @called
 def _derivative(
     muscles: Array, params: Array, tendons: Array, stops: Array, box: Any, z: Array, out: Array
 ) -> bool:
-    """z' at z. False where the arm's inertia matrix is singular."""
+    """Z' at z. False where the arm's inertia matrix is singular."""
     table, gravity, work, d, zero, _, _, _, touched = box[:9]
     n = table.shape[0]
     q = z[:n]
@@ -150,14 +165,14 @@ def _derivative(
         exponent = par[at.EXPONENT]
         absolute = z[2 * n + i] / power(volume, exponent)
         p = absolute - par[at.ATMOSPHERE]
-        slip = _slip_after(state, par, p - state[at.PRESSURE], length - state[at.LENGTH])
-        pull = max(0.0, _tension(par, p, length, slip))
-        acceleration[j] -= pull * tendons[i, 2]
-        flow_in, flow_out = _flows(state, par, absolute)
-        heat = exponent * GAS_CONSTANT_J_KG_K * par[at.GAS_TEMPERATURE]
-        change = heat * (flow_in - flow_out)
-        if exponent != 1.0:
-            change *= volume ** (exponent - 1.0)
+        rate = tendons[i, 2] * qd[j]
+        acceleration[j] -= _pull(state, par, p, length, rate) * tendons[i, 2]
+        change = 0.0
+        if not sealed(state, par):
+            flow_in, flow_out = _flows(state, par, absolute)
+            change = (flow_in - flow_out) * GAS_CONSTANT_J_KG_K * par[at.GAS_TEMPERATURE]
+            if exponent != 1.0:
+                change *= exponent * volume ** (exponent - 1.0)
         out[2 * n + i] = change
     mass_matrix(table, work, d)
     return solve(d, acceleration)
@@ -168,7 +183,7 @@ def _trial(
     muscles: Array, params: Array, tendons: Array, stops: Array, box: Any, step: float
 ) -> bool:
     """One step of ROS34PW2 from box's z to its z_new."""
-    table, _, work, d, _, stiffness, damping, gas, _, inertia, factor, z, stage, rate, k, new = box
+    table, _, work, _, _, stiffness, damping, gas, _, inertia, factor, z, stage, rate, k, new = box
     n = table.shape[0]
     m = tendons.shape[0]
     size = 2 * n + m
@@ -335,9 +350,7 @@ def _run_until(
         if last:
             stretch = end - muscles[0, at.TIME]
         if stretch > 0.0:
-            fine = fine and _integrate(
-                muscles, params, tendons, stops, box, stretch, step_max
-            )
+            fine = fine and _integrate(muscles, params, tendons, stops, box, stretch, step_max)
             for i in range(m):
                 muscles[i, at.TIME] = end if last else due
         if last:
@@ -410,7 +423,7 @@ def _box(table: Array, gravity: Array, m: int) -> Any:
 
 @called
 def _open(muscles: Array, params: Array, joints: Array, box: Any) -> None:
-    """z of the muscles' rows and the joints."""
+    """Z of the muscles' rows and the joints."""
     n = box[0].shape[0]
     z = box[11]
     for i in range(2 * n):
@@ -430,9 +443,8 @@ def _close(muscles: Array, params: Array, joints: Array, box: Any) -> None:
         joints[i] = z[i]
     for i in range(muscles.shape[0]):
         state = muscles[i]
-        slip = _slip_after(state, params[i], 0.0, 0.0)
-        pull = _tension(params[i], state[at.PRESSURE], state[at.LENGTH], slip)
-        state[at.FORCE] = max(0.0, pull)
+        rate = state[at.LENGTH_RATE]
+        state[at.FORCE] = _pull(state, params[i], state[at.PRESSURE], state[at.LENGTH], rate)
 
 
 _CONTENT = zlib.crc32(
@@ -470,9 +482,7 @@ def _build(content: int) -> Callable[..., bool]:
         z = box[11]
         fine = True
         for tick in range(on_s.shape[0]):
-            fine = fine and _tick(
-                muscles, params, tendons, stops, box, dt, step_max, on_s[tick]
-            )
+            fine = fine and _tick(muscles, params, tendons, stops, box, dt, step_max, on_s[tick])
             if tick < traces.shape[0]:
                 for i in range(2 * n):
                     traces[tick, i] = z[i]

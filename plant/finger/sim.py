@@ -21,8 +21,28 @@ from plant.muscle import braid_volume
 Array = npt.NDArray[np.float64]
 
 STEP_MAX_S = 1e-3
-SUPPORTED_EFFECTS = ("braid_friction", "liner_threshold")
-"""Effects of the catalogue that the finger's equations hold."""
+SUPPORTED_EFFECTS = (
+    "bladder_elasticity",
+    "braid_friction",
+    "contraction_limit",
+    "critical_ratio",
+    "dead_volume",
+    "end_cap",
+    "fibre_stretch",
+    "flow_area",
+    "leak",
+    "liner_threshold",
+    "polytropic",
+    "supply_droop",
+    "temperature_stiffening",
+    "transport_delay",
+    "valve_delay",
+    "valve_delay_pressure",
+    "viscosity",
+    "wear",
+)
+"""Effects of the catalogue that the finger's equations hold: all on muscle, valve and gas but those
+with a memory of their own (creep) and those on sensors."""
 
 
 class FingerSim:

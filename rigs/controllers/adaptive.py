@@ -1,20 +1,22 @@
 """An adaptive law: the payload is learnt from the motion and goes into the feed-forward.
 
 The desired compensation adaptation law (Sadegh and Horowitz 1990, Int. J. Robotics Research 9(3)),
-the form of Slotine and Li's adaptive manipulator control (1987, ibid. 6(3)) whose regressor is of the
-wanted motion, so that no noise enters it:
+the form of Slotine and Li's adaptive manipulator control (1987, ibid. 6(3)) whose regressor is of
+the wanted motion, so that no noise enters it:
 
     torque = Y0(q_d, q_d', q_d'') + m Y(q_d, q_d', q_d'') + bias
     dm/dt  = gamma Y^T s,   s = e' + lambda e,   e = q_d - q
 
 Y is the torque a kilogram at the tip takes, exact, from the link equations. m stays within 0 to
 100 g. The feedback part of the published law is the muscles' own stiffness and damping, which the
-pressures set; `bias` is the slow integral of `feedforward`, at a quarter of its rate, for what is no
-payload; it begins with the reference's clock, when the payload has had the time of the approach to
-show. Both would otherwise share one static error for good. Errors above 10 degrees teach nothing: the
-finger is then falling, or at a stop. The rate gamma is set by what a constant error means: were all of it payload at the
-model's posture, m would approach it at half of the rate that `feedforward` gives its integral.
-lambda lies at twice the slowest oscillation's frequency, so that s does not feed that back as e'.
+pressures set. `bias` is the slow integral of `feedforward`, at a quarter of its rate, for what is
+no payload; it begins with the reference's clock, when the payload has had the time of the approach
+to show: else both would share one static error for good. Errors above 10 degrees teach nothing,
+for the finger is then falling, or at a stop.
+
+The rate gamma is set by what a constant error means: were all of it payload at the model's posture,
+m would approach it at half of the rate that `feedforward` gives its integral. lambda lies at twice
+the slowest oscillation's frequency, so that s does not feed that back as e'.
 """
 
 from __future__ import annotations
@@ -24,11 +26,11 @@ import numpy.typing as npt
 
 from plant.links import Arm
 from plant.links.dynamics import inverse_dynamics
-from rigs.control.feedforward import FeedForward
-from rigs.control.loop import HOST_MS
-from rigs.control.model import Linear
-from rigs.control.muscles import Pairs
-from rigs.control.reference import Reference
+from rigs.controllers.feedforward import FeedForward
+from rigs.controllers.loop import HOST_MS
+from rigs.controllers.model import Linear
+from rigs.controllers.muscles import Pairs
+from rigs.controllers.reference import Reference
 
 Array = npt.NDArray[np.float64]
 

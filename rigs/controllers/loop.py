@@ -12,9 +12,9 @@ import numpy.typing as npt
 from plant.constants import PlantConstants
 from plant.effects import NONE, Effects
 from plant.finger import Finger, FingerSim
-from rigs.control.bench import FingerBench, Sensing
-from rigs.control.muscles import Pairs
-from rigs.control.reference import GRID_S, Reference, tips
+from rigs.controllers.bench import FingerBench, Sensing
+from rigs.controllers.muscles import Pairs
+from rigs.controllers.reference import GRID_S, Reference, tips
 
 Array = npt.NDArray[np.float64]
 
@@ -60,22 +60,24 @@ def run_law(
     reference: Reference,
     *,
     scheme: str = "burst",
+    plant: PlantConstants | None = None,
     payload_kg: float = 0.0,
     effects: Effects = NONE,
     seed: int = 1,
     sensing: Sensing | None = None,
     parameters: dict[str, int] | None = None,
     step_max_s: float = 1e-3,
-    pairs: Pairs | None = None,
     watch: Callable[[float], None] | None = None,
 ) -> Trial:
     """Bring the finger from vented to the reference's start, then let the law follow it.
 
-    The plant's `payload_kg` and `effects` are the law's to find out: it is not told.
+    `constants` are what law and firmware know; the plant's own (`plant`, where they differ), its
+    `payload_kg` and `effects` are theirs to cope with. `watch` is told the time now and then.
     """
-    known = pairs or Pairs(finger, constants)
-    sim = FingerSim(finger, constants, effects, payload_kg, step_max_s=step_max_s)
-    bench = FingerBench(sim, scheme, np.random.default_rng([seed, 81]), sensing, parameters)
+    known = Pairs(finger, constants)
+    sim = FingerSim(finger, plant or constants, effects, payload_kg, step_max_s=step_max_s)
+    rng = np.random.default_rng([seed, 81])
+    bench = FingerBench(sim, scheme, rng, sensing, parameters, constants)
     bench.begin()
     law.start(reference, reference.q[0])
     begin_ms = round(SETTLE_S * 1000)
@@ -103,7 +105,7 @@ def run_law(
         asked[k] = now
         bench.run(1)
     return Trial(
-        np.arange(samples) * GRID_S,
+        np.asarray(np.arange(samples) * GRID_S),
         angles,
         tips(finger.arm, angles),
         pressure,

@@ -2,8 +2,8 @@
 
 The torques that the wanted motion takes (inverse dynamics, damping included) are turned into
 pressures by the muscle's law at the wanted angles, and sent ahead of time by the delay of the
-pressure loop. That is open loop; as section 1.6.2 asks, a feedback loop goes with it: an integral of
-the error, one rate for all joints, a third of the rate at which the nominal model would begin to
+pressure loop. That is open loop; as section 1.6.2 asks, a feedback loop goes with it: an integral
+of the error, one rate for all joints, a third of the rate at which the nominal model would begin to
 oscillate (a gain margin of 3).
 """
 
@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from plant.links.dynamics import inverse_dynamics
-from rigs.control.loop import HOST_MS
-from rigs.control.model import Linear
-from rigs.control.muscles import Pairs
-from rigs.control.reference import Reference
+from rigs.controllers.loop import HOST_MS
+from rigs.controllers.model import Linear
+from rigs.controllers.muscles import Pairs
+from rigs.controllers.reference import Reference
 
 Array = npt.NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """Where the gains come from: critical gains, and how the pressure loop answers. All nominal.
 
-Nothing here is tuned on a case that is scored: gains follow from the rules of Ziegler and Nichols and
-of the laws' own modules, on the finger without payload or effects.
+Nothing here is tuned on a case that is scored: gains follow from the rules of Ziegler and Nichols
+and of the laws' own modules, on the finger without payload or effects.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from plant.constants import PlantConstants
 from plant.errors import PlantError
 from plant.finger import Finger, FingerSim
 from plant.links.dynamics import gravity_torque
-from rigs.control.bench import FingerBench
-from rigs.control.loop import HOST_MS, run_law
-from rigs.control.muscles import Pairs
-from rigs.control.pid import Gains, Pid
-from rigs.control.reference import GRID_S, STEP_POSTURE_DEG, step
+from rigs.controllers.bench import FingerBench
+from rigs.controllers.loop import run_law
+from rigs.controllers.muscles import Pairs
+from rigs.controllers.pid import Gains, Pid
+from rigs.controllers.reference import GRID_S, STEP_POSTURE_DEG, step
 
 Array = npt.NDArray[np.float64]
 Respond = Callable[[float], tuple[Array, Array]]
@@ -44,10 +44,10 @@ def swing_growth(time_s: Array, y: Array, floor: float) -> float:
     0 where the last third is smaller than `floor`.
     """
     third = len(y) // 3
-    before, last = (np.std(part) for part in (y[-2 * third : -third], y[-third:]))
+    before, last = float(np.std(y[-2 * third : -third])), float(np.std(y[-third:]))
     if not np.isfinite(last):
         return float("inf")
-    return 0.0 if last < floor else float(last / before)
+    return 0.0 if last < floor else last / before
 
 
 def oscillation_period(time_s: Array, y: Array) -> float:
@@ -124,7 +124,7 @@ def loops_critical(
 
 
 def static_gains(pairs: Pairs, posture: Array) -> Array:
-    """kPa of delta a radian of each joint, the others held: stiffness over torque a kPa."""
+    """Delta a radian of each joint, the others held: stiffness over torque a kPa, kPa/rad."""
     delta = pairs.delta(posture, gravity_torque(pairs.finger.arm, posture))
     return np.asarray(pairs.stiffness(posture, delta) / pairs.gain(posture))
 
@@ -160,16 +160,13 @@ def pressure_response(
         # Unequal pauses, so that the steps meet the scheme at all its phases.
         bench.run(7 * k)
         bench.ask(pairs.pressures(before + sign * size))
-        for ms in range(length):
-            if ms % HOST_MS == 0:
-                pressure = sim.pressure_kpa
+        for _ in range(length):
             pressure = sim.pressure_kpa
             rows.append((pressure[::2] - pressure[1::2]) / 2.0)
             bench.run(1)
     deltas = np.array(rows).reshape(12, length, -1)
-    sign = np.where(np.arange(12) % 2 == 0, 1.0, -1.0)[:, None, None]
-    first = deltas[:, :1]
-    response = (sign * (deltas - first)).mean(axis=(0, 2))
+    signs = np.where(np.arange(12) % 2 == 0, 1.0, -1.0)[:, None, None]
+    response = (signs * (deltas - deltas[:, :1])).mean(axis=(0, 2))
     response = response / response[-100:].mean()
     t28, t63 = (float(np.argmax(response >= level)) * 1e-3 for level in (0.283, 0.632))
     lag = 1.5 * (t63 - t28)

@@ -11,17 +11,17 @@ from plant.constants import PlantConstants
 from plant.errors import PlantError
 from plant.finger import Finger
 from plant.links.dynamics import gravity_torque
-from rigs.control.adaptive import Adaptive
-from rigs.control.bench import Sensing
-from rigs.control.feedforward import MARGIN, FeedForward, critical_integral_rate
-from rigs.control.loop import HOST_MS, Law
-from rigs.control.model import Linear, linear_model
-from rigs.control.muscles import Pairs
-from rigs.control.pid import Gains, Pid, ziegler_nichols
-from rigs.control.placement import PolePlacement
-from rigs.control.reference import STEP_POSTURE_DEG
-from rigs.control.statics import StaticMap
-from rigs.control.tuning import (
+from rigs.controllers.adaptive import Adaptive
+from rigs.controllers.bench import Sensing
+from rigs.controllers.feedforward import MARGIN, FeedForward, critical_integral_rate
+from rigs.controllers.loop import HOST_MS, Law
+from rigs.controllers.model import Linear, linear_model
+from rigs.controllers.muscles import Pairs
+from rigs.controllers.pid import Gains, Pid, ziegler_nichols
+from rigs.controllers.placement import PolePlacement
+from rigs.controllers.reference import STEP_POSTURE_DEG
+from rigs.controllers.statics import StaticMap
+from rigs.controllers.tuning import (
     Critical,
     PressureResponse,
     loops_critical,
@@ -62,9 +62,7 @@ class Tuning:
 def tuning(finger: Finger, constants: PlantConstants) -> Tuning:
     """Pressure response, linear model and integral rate; nominal, without payload."""
     response = pressure_response(finger, constants)
-    model = linear_model(
-        Pairs(finger, constants), np.radians(STEP_POSTURE_DEG), response.lag_s
-    )
+    model = linear_model(Pairs(finger, constants), np.radians(STEP_POSTURE_DEG), response.lag_s)
     # The response counts from the host's word; the angle's way back comes on top.
     dead = response.dead_s + Sensing().angle_delay_ms * 1e-3
     # A law speaks once in HOST_MS: what it says is half of that old on average.
@@ -107,4 +105,3 @@ def build_law(
     if name == "feedforward":
         return FeedForward(pairs, t.model, t.lead_s, rate), "burst"
     return Adaptive(pairs, t.model, t.lead_s, rate), "burst"
-

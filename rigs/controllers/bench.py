@@ -37,7 +37,7 @@ LEAST_SETPOINT_KPA = 10.0
 class Sensing:
     """What lies between the finger and who controls it; standard deviations are of white noise.
 
-    Pressure sensors are those of the reference bench (PLANT: 12 bit, 0.5 kPa; zero 0.3 kPa and
+    Pressure sensors are those of the reference bench (12 bit, 0.5 kPa; zero 0.3 kPa and
     gain 0.3 % drawn). Angles are read by 12-bit magnetic encoders. The line is a frame of 20 bytes
     at 115200 baud.
     """
@@ -111,6 +111,7 @@ class FingerBench:
         rng: noise, and the sensors' own errors.
         sensing: what lies between.
         parameters: firmware parameters beside those that the valve block asks for.
+        known: the constants that the firmware was set up with, where they are not the plant's.
     """
 
     def __init__(
@@ -120,6 +121,7 @@ class FingerBench:
         rng: np.random.Generator,
         sensing: Sensing | None = None,
         parameters: dict[str, int] | None = None,
+        known: PlantConstants | None = None,
     ) -> None:
         self.sim = sim
         self.scheme = scheme
@@ -148,7 +150,7 @@ class FingerBench:
         self.ms = 0
         self.beats = 0
         self.boards = [MuscleBoard(f"MUSCLE-{i}", 1 + i) for i in range(count)]
-        values = firmware_parameters(sim.constants, parameters)
+        values = firmware_parameters(known or sim.constants, parameters)
         for board in self.boards:
             board.controller.values.update(values)
 
@@ -189,7 +191,7 @@ class FingerBench:
         true = self._past[0]
         noisy = true + self._rng.normal(0.0, np.radians(s.angle_noise_deg), true.shape)
         step = 2.0 * np.pi / 2**s.angle_bits
-        return np.round(noisy / step) * step
+        return np.asarray(np.round(noisy / step) * step)
 
     def run(self, ms: int) -> None:
         """Let time pass."""
@@ -239,7 +241,7 @@ def firmware_parameters(
     soon as the solenoid has surely shut.
     """
     rest_ms = max(2, int(np.ceil(1.3e3 * max(constants.inlet_off_s, constants.outlet_off_s))))
-    values = {
+    return {
         **burst_parameters(constants, length_mm=62.0),
         **safety_parameters(constants),
         "leak_counts": 0,
@@ -249,4 +251,3 @@ def firmware_parameters(
         "burst_window": 4,
         **(changes or {}),
     }
-    return values

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from plant.links.dynamics import gravity_torque
-from rigs.control.muscles import Pairs
-from rigs.control.reference import Reference
+from rigs.controllers.muscles import Pairs
+from rigs.controllers.reference import Reference
 
 Array = npt.NDArray[np.float64]
 

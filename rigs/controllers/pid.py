@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rigs.control.loop import HOST_MS
-from rigs.control.reference import Reference
+from rigs.controllers.loop import HOST_MS
+from rigs.controllers.reference import Reference
 
 Array = npt.NDArray[np.float64]
 

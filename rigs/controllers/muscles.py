@@ -31,7 +31,7 @@ class Pairs:
     mean_kpa: float = MEAN_KPA
 
     def areas(self, q: Array) -> tuple[Array, Array]:
-        """g of agonists and antagonists, m2, at angles q (n,)."""
+        """G of agonists and antagonists, m2, at angles q (n,)."""
         c = self.constants
         pairs = [self.finger.pair(joint) for joint in self.finger.joints]
         radius = np.array([pair.pulley_radius_m for pair in pairs])
@@ -63,9 +63,7 @@ class Pairs:
         """Torque (n,) of the pairs at angles q."""
         agonist, antagonist = self.areas(q)
         mean, delta = self.mean_kpa * 1e3, delta_kpa * 1e3
-        return np.asarray(
-            self.radius * ((mean + delta) * agonist - (mean - delta) * antagonist)
-        )
+        return np.asarray(self.radius * ((mean + delta) * agonist - (mean - delta) * antagonist))
 
     def stiffness(self, q: Array, delta_kpa: Array) -> Array:
         """-d tau / dq at constant delta, N m/rad."""

@@ -5,8 +5,8 @@ Design, on the nominal linear model at the reference's middle posture, sampled a
 - state feedback: every oscillation keeps its frequency and is given a damping ratio of 0.7; poles
   that are real or damped as much already stay. On a moved pole and on nothing else is work spent;
 - observer: of angles alone it estimates rates, pressure differences and a constant disturbance a
-  joint (in kPa), which is then taken off the input: that is the integral action. Its poles are real,
-  40 to 90 1/s; plant poles faster than 150 1/s stay;
+  joint (in kPa), which is then taken off the input: that is the integral action. Its poles are
+  real, 40 to 90 1/s; plant poles faster than 150 1/s stay;
 - the dead time of the pressure loop is bridged by running the model forward from the estimate over
   the inputs that are still on their way.
 """
@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import place_poles
 
-from rigs.control.loop import HOST_MS
-from rigs.control.model import Linear
-from rigs.control.reference import Reference
+from rigs.controllers.loop import HOST_MS
+from rigs.controllers.model import Linear
+from rigs.controllers.reference import Reference
 
 Array = npt.NDArray[np.float64]
 

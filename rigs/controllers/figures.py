@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigs.control.loop import Trial
-from rigs.control.reference import GRID_S, STEP_DEG
+from rigs.controllers.loop import Trial
+from rigs.controllers.reference import GRID_S, STEP_DEG
 
 STEADY_S = 1.0
 BAND_DEG = 1.0
@@ -18,9 +18,9 @@ BAND_DEG = 1.0
 class StepFigures:
     """Of one step, true angles; None where it never happened.
 
-    `rise_s` from 10 to 90 %, `settling_s` until within 1 degree for good, `overshoot_percent` of the
-    step; over the last second: `steady_error_deg` the largest error of the joint, `mean_error_deg`,
-    `ripple_deg` its range, `others_error_deg` the largest error of any other joint.
+    `rise_s` from 10 to 90 %, `settling_s` until within 1 degree for good, `overshoot_percent` of
+    the step; over the last second: `steady_error_deg` the largest error of the joint,
+    `mean_error_deg`, `ripple_deg` its range, `others_error_deg` the largest of any other joint.
     """
 
     rise_s: float | None

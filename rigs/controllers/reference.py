@@ -1,8 +1,8 @@
 """What the finger is asked to do: a step of one joint, and the circle of the fingertip.
 
 References are angles over time on a grid of a millisecond, with rates and accelerations, so that a
-law may look ahead. The circle (PLANT: 15 mm radius in the flexion plane, one turn in 4 s) leaves one
-of three flexion joints free; the tip joint is held to the middle one, angle for angle. (To two thirds
+law may look ahead. The circle (15 mm radius in the flexion plane, one turn in 4 s) leaves one of
+three flexion joints free; the tip joint is held to the middle one, angle for angle. (To two thirds
 of it, as in a hand, the fingertip reaches from 66 to 97 mm only: barely the circle.)
 """
 

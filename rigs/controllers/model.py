@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.linalg import expm
 
 from plant.links.dynamics import gravity_torque, inertia_matrix
-from rigs.control.muscles import Pairs
+from rigs.controllers.muscles import Pairs
 
 Array = npt.NDArray[np.float64]
 
