@@ -169,7 +169,7 @@ class FingerSim:
         """Energy of links and gas, which shut valves and frictionless joints leave alone.
 
         For isothermal gas: kinetic and gravity's potential, and for each chamber the work
-        -P V ln V + P_atm V that its gas at constant temperature and the atmosphere can do.
+        -P V ln(V / 6 ml) + P_atm V that its gas at constant temperature and the atmosphere can do.
         """
         c = self.constants
         total = float(total_energy(self.finger.arm, self.q_rad, self.qd_rad_s))
@@ -177,7 +177,7 @@ class FingerSim:
             volume = float(braid_volume(row[layout.LENGTH], c.braid_length_m, c.turns))
             chamber = volume + c.dead_volume_m3
             content = (row[layout.PRESSURE] + c.atmosphere_pa) * chamber
-            total += float(c.atmosphere_pa * chamber - content * np.log(chamber))
+            total += float(c.atmosphere_pa * chamber - content * np.log(chamber / 6e-6))
         return total
 
     def _length(self, i: int) -> float:

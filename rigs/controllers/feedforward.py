@@ -44,7 +44,9 @@ def critical_integral_rate(model: Linear, dead_s: float) -> float:
             at = 3 * n + k * n
             whole[at : at + n, at + n : at + 2 * n] = np.eye(n)
         last = 3 * n + (delay - 1) * n
+        # The reading enters the integral before the integral is sent.
         whole[last : last + n, size - n :] = turn
+        whole[last : last + n, :n] = -rate * step * turn
         whole[size - n :, size - n :] = np.eye(n)
         whole[size - n :, :n] = -rate * step * np.eye(n)
         return float(np.abs(np.linalg.eigvals(whole)).max())

@@ -13,6 +13,7 @@ Design, on the nominal linear model at the reference's middle posture, sampled a
 
 from __future__ import annotations
 
+import warnings
 from collections import deque
 
 import numpy as np
@@ -110,4 +111,7 @@ def _placed(a: Array, b: Array, poles: Array) -> Array:
         twins = np.sum(np.abs(apart[:index] - apart[index]) < 1e-9)
         if twins >= inputs:
             apart[index] += 1e-4 * twins
-    return np.asarray(place_poles(a, b, apart, maxiter=100).gain_matrix.real)
+    with warnings.catch_warnings():
+        # It tells when further rounds would still improve the conditioning; the poles are placed.
+        warnings.simplefilter("ignore", UserWarning)
+        return np.asarray(place_poles(a, b, apart).gain_matrix.real)
