@@ -103,31 +103,6 @@ def _tick(
 
 
 @called
-def _box(table: Array, gravity: Array, m: int) -> Any:
-    """Work space of one call, so that nothing is allocated on the way."""
-    n = table.shape[0]
-    size = 2 * n + m
-    return (
-        table,
-        gravity,
-        np.zeros((n, WORK)),
-        np.zeros((n, n)),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(m),
-        np.zeros(n),
-        np.zeros((n, n)),
-        np.zeros((n, n)),
-        np.zeros(size),
-        np.zeros(size),
-        np.zeros(size),
-        np.zeros((4, size)),
-        np.zeros(size),
-    )
-
-
-@called
 def _open(muscles: Array, params: Array, joints: Array, box: Any) -> None:
     """Z of the muscles' rows and the joints."""
     n = box[0].shape[0]
@@ -182,9 +157,29 @@ def _build(content: int) -> Callable[..., bool]:
         on_s: Array,
         traces: Array,
     ) -> bool:
-        box = _box(table, gravity, muscles.shape[0] if content >= 0 else 0)
-        _open(muscles, params, joints, box)
         n = table.shape[0]
+        m = muscles.shape[0] if content >= 0 else 0
+        size = 2 * n + m
+        # Work space of the whole call: nothing below allocates.
+        box = (
+            table,
+            gravity,
+            np.zeros((n, WORK)),
+            np.zeros((n, n)),
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(m),
+            np.zeros(n),
+            np.zeros((n, n)),
+            np.zeros((n, n)),
+            np.zeros(size),
+            np.zeros(size),
+            np.zeros(size),
+            np.zeros((4, size)),
+            np.zeros(size),
+        )
+        _open(muscles, params, joints, box)
         z = box[11]
         fine = True
         for tick in range(on_s.shape[0]):
