@@ -13,6 +13,8 @@ from typing import Annotated, Any, Optional
 import typer
 
 from gap.cli import gap_app
+from gap.effects_cli import gap_effects
+from gap.runs_cli import gap_export
 from rigs.calibrate_cli import calibrate_app
 from rigs.models_cli import fit, models_app
 from rigs.protocols_cli import add_protocols
@@ -34,6 +36,8 @@ app.command()(fit)
 app.add_typer(import_app, name="import")
 app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(gap_app, name="gap")
+gap_app.command("effects")(gap_effects)
+gap_app.command("export")(gap_export)
 add_protocols(app, runs_app)
 add_simulation(app)
 

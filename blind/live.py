@@ -1,0 +1,256 @@
+"""The blind bench as something to stand before: commands in, readings out, step by step.
+
+For a virtual bench whose physics hides an effect. Whoever drives it keeps time, adds its own
+instruments' noise and bytes, and asks for the answer only when it is to be revealed.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from blind import numbers as n
+from blind.bench import Trial, no_effect, nominal, with_keys
+from blind.design import draw_design, true_constants
+from blind.entries import CATALOGUE, ENTRIES, OUTSIDE, Hidden, draw
+from blind.kernel import command, slopes
+from blind.laws import relaxation
+from blind.mimic import measure
+from blind.noise import draw_noise
+from blind.readings import frame_delay_s, read_force, read_length, read_pressure
+from blind.recalibrate import Recalibration
+from blind.seal import seal
+from blind.sets import sized
+from blind.stepping import advance, at_rest
+
+FRAME_MEMORY_S = 0.5
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What instruments without noise would show, and what is so (`true_*`).
+
+    Gauge kPa, N, mm; the camera's length is as old as the hidden frame delay makes it.
+    """
+
+    time_s: float
+    pressure_kpa: float
+    force_n: float
+    length_mm: float
+    supply_kpa: float
+    true_pressure_kpa: float
+    true_force_n: float
+    true_length_mm: float
+
+
+@dataclass(frozen=True)
+class Secret:
+    """What a live bench hides: its effects, its constants, and how well they could be told."""
+
+    hidden: tuple[Hidden, ...]
+    constants: np.ndarray
+    measured: dict[str, object]
+
+    def answer(self) -> dict[str, Any]:
+        """The secret as plain JSON values."""
+        return {
+            "schema": 1,
+            "kind": "live",
+            "effects": [
+                {
+                    "id": h.id,
+                    "family": h.entry.family,
+                    "stage": h.entry.stage,
+                    "form": h.form,
+                    "parameters": h.parameters,
+                }
+                for h in self.hidden
+            ],
+            "measured": self.measured,
+        }
+
+
+def draw_secret(
+    entropy: int | None = None,
+    keys: Mapping[str, float] | None = None,
+    size: tuple[float, float] = (3.0, 6.0),
+    outside_share: float = 0.0,
+    nominal_share: float = 0.0,
+    effects: Sequence[str] | None = None,
+) -> Secret:
+    """A secret effect of `size` floors (range) on a mixed design, in a form of its own.
+
+    entropy: None takes the operating system's. keys: constants by a bench file's names.
+    effects: ids to draw from (all of the catalogue otherwise).
+    """
+    seed = secrets.randbits(96) if entropy is None else entropy
+    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    stated = with_keys(nominal(), keys or {})
+    true = true_constants(rng, stated)
+    lot = rng.random()
+    if lot < nominal_share:
+        return Secret((), true, {})
+    pool = [e.id for e in (OUTSIDE if lot < nominal_share + outside_share else CATALOGUE)]
+    entry = ENTRIES[str(rng.choice(list(effects) if effects else pool))]
+    design = draw_design(rng, [entry.needs], False, False, False)
+    design = replace(design, stated=stated, true=true, keys=dict(keys or {}))
+    recalibration = Recalibration(design, draw_noise(rng, False))
+    hidden = sized(draw(entry, rng, stated), float(rng.uniform(*size)), recalibration, design)
+    return Secret((hidden,), true, measure(recalibration, [hidden]))
+
+
+class LiveBench:
+    """One muscle with valve block, stage or load, advanced step by step.
+
+    Give what the bench is told; take what its instruments show:
+
+        bench = LiveBench(secret=draw_secret())
+        digest, envelope = bench.sealed()        # publish digest, keep envelope until asked
+        bench.start_trial(length_mm=60.0)        # or load_kg=2.0; resets air, time and memories
+        shown = bench.step(1e-3, inlet=1, outlet=0)
+        shown = bench.step(1e-3, inlet=0, outlet=1, length_mm=60.2)      # a stage that moves
+        shown = bench.step(1e-2, regulator_kpa=300.0)                    # a regulator drives it
+
+    Valve delays are inside: `inlet` and `outlet` are commands (1 fills, 1 vents). Steps may be of
+    any length; edges fall on their starts. Each `start_trial` counts as a trial for wear, unless
+    `order` is given. `air` and memories persist with `keep=True`.
+    """
+
+    def __init__(
+        self,
+        secret: Secret | None = None,
+        hidden: Sequence[Hidden] = (),
+        keys: Mapping[str, float] | None = None,
+    ) -> None:
+        c = with_keys(nominal(), keys or {})
+        self.secret = secret or Secret(tuple(hidden), c, {})
+        self.constants = self.secret.constants.copy()
+        self.effects = no_effect()
+        for one in self.secret.hidden:
+            one.put(self.effects)
+        row = self.effects[n.CREEP]
+        self._w = np.zeros((2, n.MEMORIES))
+        self._w[1] = 1.0
+        if row[0] >= 0.0:
+            self._w = relaxation(row[0], row[2])
+        self._trials = 0
+        self._frames: deque[tuple[float, float]] = deque()
+        self._none = np.zeros(0), np.zeros((0, 7))
+        self.start_trial()
+
+    def sealed(self) -> tuple[str, dict[str, Any]]:
+        """Salted digest of the answer to publish, and the envelope to keep."""
+        return seal(self.secret.answer())
+
+    def start_trial(
+        self,
+        length_mm: float = 60.0,
+        load_kg: float = 0.0,
+        pressure_kpa: float = 0.0,
+        temperature_c: float = 21.0,
+        order: int | None = None,
+        mounting: int = 1,
+        keep: bool = False,
+    ) -> None:
+        """Begin a trial from rest: a held length (as written down) or a hanging mass."""
+        self._trials += 1
+        count = self._trials if order is None else order
+        self.trial = Trial("", "", "free", 0, mounting, count, 1.0, temperature_c=temperature_c)
+        c = self.constants
+        c[n.MASS], c[n.MUSCLE_C], c[n.TRIAL] = load_kg, temperature_c, count
+        self.time_s, self._step = 0.0, 1e-3
+        self._written = length_mm
+        self._length = self._true_length(length_mm)
+        if not keep:
+            self._y, self._vs = at_rest(pressure_kpa, self._length, c, self.effects)
+        elif load_kg > 0.0 and self._y[n.Y_L] == 0.0:
+            self._y[n.Y_L] = self._length
+        self._frames.clear()
+        self._drive = (False, 0.0)
+
+    def _true_length(self, written: float) -> float:
+        row = self.effects[n.LABEL]
+        shift = row[1] if row[0] >= 0.0 else 0.0
+        if row[0] == 1.0:
+            shift *= 1.0 + 0.02 * (written - 60.0)
+        elif row[0] == 2.0:
+            shift *= 1.0 + (0.1 if self.trial.mounting % 2 else -0.1)
+        return float(written + shift)
+
+    def step(
+        self,
+        dt: float,
+        inlet: int = 0,
+        outlet: int = 0,
+        length_mm: float | None = None,
+        load_kg: float | None = None,
+        regulator_kpa: float | None = None,
+        temperature_c: float | None = None,
+    ) -> Shown:
+        """Advance by dt seconds under these commands; returns the readings at its end.
+
+        length_mm: where the stage is to be at the end of the step, as written down (linear in
+        between); load_kg changes the hanging mass; a regulator overrides the valve.
+        """
+        c, e, y, vs = self.constants, self.effects, self._y, self._vs
+        if load_kg is not None:
+            if load_kg > 0.0 and c[n.MASS] == 0.0:
+                y[n.Y_L], y[n.Y_V] = self._length, 0.0
+            c[n.MASS] = load_kg
+        if temperature_c is not None:
+            c[n.MUSCLE_C] = temperature_c
+        start, end = self.time_s, self.time_s + dt
+        goal = self._length
+        if length_mm is not None:
+            goal = self._true_length(length_mm)
+        len_t, len_v = np.array([start, end]), np.array([self._length, goal])
+        regulated = regulator_kpa is not None
+        level = float(regulator_kpa or 0.0)
+        set_t, set_v = np.array([start, end]), np.array([level, level])
+        command(start, 0, inlet > 0, y, vs, c, e)
+        command(start, 1, outlet > 0, y, vs, c, e)
+        times, out = self._none
+        self._step, _ = advance(
+            start, end, self._step, y, vs, c, e, self._w, regulated, set_t, set_v, len_t, len_v,
+            times, out, 0, 1.0,
+        )  # fmt: skip
+        self.time_s = end
+        dy = np.zeros(n.STATES)
+        last_t, last_v = np.array([start, end]), np.array([goal, goal])
+        force, length, _, _ = slopes(
+            end, y, dy, vs, c, e, self._w, regulated, set_t, set_v, last_t, last_v
+        )
+        self._length = float(length)
+        return self._shown(float(force), float(length))
+
+    def _shown(self, force: float, length: float) -> Shown:
+        c, e, y, now = self.constants, self.effects, self._y, self.time_s
+        at = np.array([now])
+        gauge = float(y[n.Y_P] - c[n.ATMOSPHERE])
+        tap = gauge
+        if e[n.P_LAG, 0] >= 0.0:
+            tap = float(y[n.Y_TAP + 1] if e[n.P_LAG, 0] == 2.0 else y[n.Y_TAP])
+        self._frames.append((now, length))
+        while self._frames and self._frames[0][0] < now - FRAME_MEMORY_S:
+            self._frames.popleft()
+        exposed = now - float(frame_delay_s(at, e)[0])
+        seen = length
+        for stamp, value in reversed(self._frames):
+            seen = value
+            if stamp <= exposed:
+                break
+        return Shown(
+            now,
+            float(read_pressure(np.array([tap]), at, self.trial, e)[0]),
+            float(read_force(np.array([force]), at, self.trial, e)[0]),
+            float(read_length(np.array([seen]), c, e)[0]),
+            float(c[n.SUPPLY] - c[n.ATMOSPHERE]),
+            gauge,
+            force,
+            length,
+        )

@@ -1,0 +1,137 @@
+"""Where each constant, effect and state sits in the arrays that the compiled kernels read.
+
+Kernels take plain float arrays; these names are their index. Nothing here has a value.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+# Constants of a bench, in the units of the edges (kPa absolute for pressures, mm, ms).
+SUPPLY: Final = 0
+ATMOSPHERE: Final = 1
+GAS_K: Final = 2
+BRAID: Final = 3
+TURNS: Final = 4
+C_IN: Final = 5
+C_OUT: Final = 6
+RATIO: Final = 7
+DEAD_ML: Final = 8
+EXPONENT: Final = 9
+L_MIN: Final = 10
+L_MAX: Final = 11
+STOP_K: Final = 12
+STOP_C: Final = 13
+LOAD_C: Final = 14
+IN_ON: Final = 15  # eight delays: on, its slope, off, its slope; inlet then outlet
+IN_OFF: Final = 17
+OUT_ON: Final = 19
+OUT_OFF: Final = 21
+REGULATOR_S: Final = 23
+MUSCLE_C: Final = 24
+TRIAL: Final = 25  # count of trials the muscle has seen, for wear
+MASS: Final = 26  # kg; 0 = length prescribed
+CONSTANTS: Final = 27
+
+# Rows of the effect matrix: form (-1 = off), headline value, three shape numbers.
+EFFECT_IDS: Final = (
+    "liner_threshold",
+    "bladder_elasticity",
+    "contraction_limit",
+    "end_cap",
+    "fibre_stretch",
+    "braid_friction",
+    "viscosity",
+    "creep",
+    "temperature_stiffening",
+    "dead_volume",
+    "polytropic",
+    "leak",
+    "flow_area",
+    "critical_ratio",
+    "supply_droop",
+    "valve_delay",
+    "valve_delay_pressure",
+    "transport_delay",
+    "link_friction",
+    "payload",
+    "pressure_zero",
+    "pressure_gain",
+    "pressure_lag",
+    "force_zero",
+    "force_gain",
+    "length_label",
+    "camera_scale",
+    "camera_distortion",
+    "camera_delay",
+    "wear",
+)
+LINER: Final = 0
+BLADDER: Final = 1
+LIMIT: Final = 2
+CAP: Final = 3
+FIBRE: Final = 4
+BRAID_FRICTION: Final = 5
+VISCOSITY: Final = 6
+CREEP: Final = 7
+WARMTH: Final = 8
+VOLUME: Final = 9
+POLYTROPIC: Final = 10
+LEAK: Final = 11
+AREA: Final = 12
+CRITICAL: Final = 13
+DROOP: Final = 14
+DELAY: Final = 15
+DELAY_SLOPE: Final = 16
+TRANSPORT: Final = 17
+SLIDE: Final = 18
+PAYLOAD: Final = 19
+P_ZERO: Final = 20
+P_GAIN: Final = 21
+P_LAG: Final = 22
+F_ZERO: Final = 23
+F_GAIN: Final = 24
+LABEL: Final = 25
+SCALE: Final = 26
+DISTORTION: Final = 27
+FRAME_DELAY: Final = 28
+WEAR: Final = 29
+# What no entry of the catalogue describes.
+OUTSIDE_IDS: Final = (
+    "pressure_ripple",
+    "local_buckle",
+    "slide_stick",
+    "supply_surge",
+    "mains_pickup",
+    "cell_gradient",
+    "mount_backlash",
+    "weeping_valve",
+    "pixel_locking",
+    "coil_heating",
+)
+RIPPLE: Final = 30
+BUCKLE: Final = 31
+STICK: Final = 32
+SURGE: Final = 33
+MAINS: Final = 34
+GRADIENT: Final = 35
+BACKLASH: Final = 36
+WEEP: Final = 37
+PIXELS: Final = 38
+COIL: Final = 39
+ROWS: Final = 40
+OFF: Final = -1.0
+
+# The state of one trial.
+Y_P: Final = 0  # kPa absolute
+Y_L: Final = 1  # mm
+Y_V: Final = 2  # mm/s
+Y_TAP: Final = 3  # two states of the pressure tap, kPa gauge
+Y_CREEP: Final = 5  # six memories, N
+Y_ISO: Final = 11  # pressure the same mass would have at room temperature, kPa absolute
+Y_SIDE: Final = 12  # pressure in a side volume, kPa absolute
+Y_FALL: Final = 13  # fall of the supply, kPa
+Y_SLIP: Final = 14  # four slip elements of the braid, -1..1
+Y_SLIDE: Final = 18  # presliding of the load's slide, -1..1
+STATES: Final = 19
+MEMORIES: Final = 6

@@ -1,0 +1,328 @@
+"""What is left of an effect once the nominal constants are fitted anew, linearised on a design.
+
+The generator's own measure, not a diagnosis: it works on noise-free readings with the effect on
+and off. Residuals are those of the stages: force against the force that the shown pressure and
+length call for, pressure of valve trials against the commanded one, shown against written length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from blind import numbers as n
+from blind.bench import CONSTANTS, Trial, no_effect, tolerances
+from blind.design import Design
+from blind.entries import CATALOGUE, Hidden, draw
+from blind.noise import Noise
+from blind.readings import read_trial
+
+Floats = np.ndarray
+GRAVITY = 9.80665
+# Independent looks that one channel of one trial gives, whatever its rate: noise is correlated.
+LOOKS = 12.0
+ROUGH = 4.0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each trial's residuals stand in the long vector."""
+
+    force: tuple[slice, ...]
+    pressure: tuple[slice, ...]
+    length: tuple[slice, ...]
+    size: int
+
+
+def instants(trial: Trial) -> tuple[Floats, Floats, Floats]:
+    """Evaluation times of force, pressure and length residuals of a trial, s."""
+    none = np.zeros(0)
+    if trial.settled_s is not None:
+        settled = trial.settled_s
+        return settled, none, settled if trial.load_kg > 0.0 else none
+    count = 60
+    even = np.linspace(0.0, trial.duration_s, count, endpoint=False) + 1e-3
+    if trial.valved:
+        fine = [np.linspace(0.0, 0.08, 25) + edge for edge in trial.edges[:, 0]]
+        p = np.unique(np.round(np.concatenate([even, *fine]), 4))
+        p = p[p < trial.duration_s]
+        if len(p) > 160:
+            p = p[:: len(p) // 160 + 1]
+    else:
+        p = none
+        if trial.protocol == "triangle":
+            even = np.linspace(0.0, trial.duration_s, 200, endpoint=False) + 1e-3
+    has_force = trial.force_hz > 0.0 or trial.load_kg > 0.0
+    return (even if has_force else none), p, (even if trial.camera_hz > 0.0 else none)
+
+
+def braid_slopes(p: Floats, length: Floats, c: Floats) -> tuple[Floats, Floats]:
+    """Slopes of the nominal force over pressure (N/kPa) and length (N/mm)."""
+    k = 1e-3 / (4.0 * np.pi * c[n.TURNS] ** 2)
+    return k * (3.0 * length**2 - c[n.BRAID] ** 2), k * p * 6.0 * length
+
+
+def touched_by_constant(place: int) -> Callable[[Trial], bool]:
+    """Which trials a constant shows in."""
+    if place in (n.BRAID, n.TURNS):
+        return lambda _: True
+    if place in (n.L_MIN, n.L_MAX, n.LOAD_C):
+        return lambda trial: trial.load_kg > 0.0
+    return lambda trial: trial.valved
+
+
+def touched_by_effect(hidden: Hidden) -> Callable[[Trial], bool]:
+    """Which trials an effect can show in."""
+    if hidden.entry.stage in ("valve", "chamber"):
+        return lambda trial: trial.valved
+    if hidden.entry.needs == "load":
+        return lambda trial: trial.load_kg > 0.0
+    if hidden.id == "temperature_stiffening":
+        return lambda trial: trial.temperature_c != 21.0
+    if hidden.id == "length_label":
+        return lambda trial: trial.held_mm is not None
+    if hidden.id in ("viscosity", "camera_delay"):
+        return lambda trial: trial.held_mm is None
+    if hidden.id in ("camera_scale", "camera_distortion", "pixel_locking"):
+        return lambda trial: trial.camera_hz > 0.0 or trial.load_kg > 0.0
+    return lambda _: True
+
+
+class Recalibration:
+    """Signatures, floors and the fit of the nominal constants for one design."""
+
+    def __init__(self, design: Design, noise: Noise) -> None:
+        seen: dict[tuple[str, int], Trial] = {}
+        for trial in design.trials:  # replicates of a mounting say the same without noise
+            seen.setdefault((trial.slot, trial.mounting), trial)
+        self.design = replace(design, trials=tuple(seen.values()))
+        self.noise = noise
+        self.base = [self._read(t, design.true, no_effect()) for t in self.design.trials]
+        self.layout = self._layout()
+        self.floor = self._floors()
+        self.weight = self._weights()
+        self.jacobian, self.sd = self._jacobian()
+        self._basis: Floats | None = None
+
+    def _read(self, trial: Trial, c: Floats, e: Floats) -> tuple[Floats, ...]:
+        """Shown pressure and pull at the force instants, pressure, length there and on its own."""
+        tf, tp, tl = instants(trial)
+        at_p = np.concatenate([tf, tp])
+        grid = np.unique(at_p)
+        r = read_trial(trial, c, e, grid, tf, tf if len(tf) else tl, ROUGH)
+        p_f = r.pressure[np.searchsorted(grid, tf)]
+        p_p = r.pressure[np.searchsorted(grid, tp)]
+        if trial.load_kg > 0.0 and trial.force_hz == 0.0 and len(tf):
+            pull = trial.load_kg * (GRAVITY - 1e-3 * r.acceleration)
+            pull = np.where(r.length > c[n.L_MAX] - 0.05, np.nan, pull)
+        else:
+            pull = r.force
+        return p_f, pull, p_p, r.length
+
+    def _layout(self) -> Layout:
+        at = 0
+        places: list[list[slice]] = [[], [], []]
+        for trial in self.design.trials:
+            tf, tp, tl = instants(trial)
+            held = trial.held_mm is not None
+            for kind, size in enumerate((len(tf), len(tp), len(tl) if held else 0)):
+                places[kind].append(slice(at, at + size))
+                at += size
+        return Layout(tuple(places[0]), tuple(places[1]), tuple(places[2]), at)
+
+    def _floors(self) -> Floats:
+        """Replicate scatter of each residual, 1 sd: zeros, gains, noise, mountings."""
+        q, out = self.noise, np.zeros(self.layout.size)
+        for i, trial in enumerate(self.design.trials):
+            p, pull, p_p, _ = self.base[i]
+            length = self._length(trial, self.base[i])
+            fp, fl = braid_slopes(p, length, self.design.stated)
+            sp2 = q.pressure_zero_kpa**2 + (q.pressure_gain * p) ** 2 + (0.4 * q.pressure_kpa) ** 2
+            force = np.nan_to_num(pull)
+            sf2: Any
+            if trial.load_kg > 0.0 and trial.force_hz == 0.0:
+                sf2 = np.full_like(p, 1e-6)
+            elif q.balance and trial.force_hz <= 10.0:
+                sf2 = 0.05**2 + (0.0002 * force) ** 2
+            else:
+                sf2 = q.force_n**2 + q.force_slow_n**2 + q.force_zero_n**2
+                sf2 = sf2 + (q.force_gain * force) ** 2
+            sl2: Any = q.mounting_mm**2
+            if trial.held_mm is None:
+                sl2 += q.length_mm**2 + q.length_zero_mm**2 + (q.length_gain * 60.0) ** 2
+            out[self.layout.force[i]] = np.sqrt(sf2 + fp**2 * sp2 + fl**2 * sl2)
+            out[self.layout.pressure[i]] = np.sqrt(
+                q.pressure_kpa**2 + q.pressure_zero_kpa**2 + (q.pressure_gain * p_p) ** 2
+            )
+            out[self.layout.length[i]] = np.sqrt(
+                q.length_mm**2 + q.length_zero_mm**2 + q.mounting_mm**2
+                + (q.length_gain * 60.0) ** 2
+            )  # fmt: skip
+        return out
+
+    def _weights(self) -> Floats:
+        w = np.zeros(self.layout.size)
+        for kind in (self.layout.force, self.layout.pressure, self.layout.length):
+            for place in kind:
+                size = place.stop - place.start
+                if size:
+                    w[place] = np.sqrt(min(LOOKS, size) / size) / self.floor[place]
+        return w
+
+    def _length(self, trial: Trial, read: tuple[Floats, ...]) -> Floats:
+        """Length a diagnosis would believe, at the force instants, mm."""
+        if trial.held_mm is not None:
+            return np.full(len(read[0]), trial.held_mm)
+        return read[3][: len(read[0])]
+
+    def difference(
+        self, c: Floats, e: Floats, touches: Callable[[Trial], bool] = lambda _: True
+    ) -> Floats:
+        """Stage residuals with constants c and effects e, less those of the plain bench.
+
+        Trials that `touches` says are not touched are skipped.
+        """
+        out = np.zeros(self.layout.size)
+        for i, trial in enumerate(self.design.trials):
+            if not touches(trial):
+                continue
+            off = self.base[i]
+            on = self._read(trial, c, e)
+            before = self._length(trial, off)
+            # Pull that shown pressure and length call for: exact difference, not a slope.
+            k = 1e-3 / (4.0 * np.pi * self.design.stated[n.TURNS] ** 2)
+            b2 = self.design.stated[n.BRAID] ** 2
+            after = self._length(trial, on)
+            call = k * (on[0] * (3.0 * after**2 - b2) - off[0] * (3.0 * before**2 - b2))
+            out[self.layout.force[i]] = np.nan_to_num(on[1] - off[1] - call)
+            out[self.layout.pressure[i]] = on[2] - off[2]
+            if self.layout.length[i].stop > self.layout.length[i].start:
+                out[self.layout.length[i]] = on[3] - off[3]
+        return out
+
+    def _jacobian(self) -> tuple[Floats, Floats]:
+        true, sd = self.design.true, tolerances(self.design.stated)
+        columns, kept = [], []
+        for name, place, _, tolerance, _ in CONSTANTS:
+            if tolerance == 0.0:
+                continue
+            c = true.copy()
+            c[place] += 0.5 * sd[place]
+            if name == "atmosphere_kpa":
+                c[n.SUPPLY] += 0.5 * sd[place]  # the supply is a gauge pressure
+            touches = touched_by_constant(place)
+            columns.append(self.difference(c, no_effect(), touches) / 0.5)
+            kept.append(sd[place])
+        return np.column_stack(columns), np.ones(len(kept))
+
+    def recalibrated(self, signal: Floats) -> Floats:
+        """What is left of a residual once the constants are fitted, within two and a half sd."""
+        a = self.jacobian * self.weight[:, None]
+        b = signal * self.weight
+        free = np.ones(a.shape[1], dtype=bool)
+        x = np.zeros(a.shape[1])
+        for _ in range(6):
+            h = a[:, free].T @ a[:, free] + np.eye(int(free.sum()))
+            x[free] = np.linalg.solve(h, a[:, free].T @ (b - a[:, ~free] @ x[~free]))
+            beyond = free & (np.abs(x) > 2.5)
+            if not beyond.any():
+                break
+            x[beyond] = np.clip(x[beyond], -2.5, 2.5)
+            free &= ~beyond
+        return np.asarray(signal - self.jacobian @ x)
+
+    def blocks(self) -> Iterator[tuple[str, str, Floats]]:
+        """Channel, protocol (or 'all') and the indices of its residuals."""
+        names = sorted({t.protocol for t in self.design.trials})
+        for channel, places in (
+            ("force_n", self.layout.force),
+            ("pressure_kpa", self.layout.pressure),
+            ("length_mm", self.layout.length),
+        ):
+            for name in ["all", *names]:
+                found = [
+                    np.arange(s.start, s.stop)
+                    for s, t in zip(places, self.design.trials, strict=True)
+                    if name in ("all", t.protocol)
+                ]
+                index = np.concatenate(found) if found else np.zeros(0, dtype=int)
+                if len(index):
+                    yield channel, name, index.astype(int)
+
+    def ratio(self, left: Floats) -> dict[str, float]:
+        """Gap over floor (rms over rms): of the clearest channel, and of the clearest block."""
+        best, local = 0.0, 0.0
+        for _, protocol, index in self.blocks():
+            r = float(np.sqrt(np.mean(left[index] ** 2)) / np.sqrt(np.mean(self.floor[index] ** 2)))
+            local = max(local, r)
+            if protocol == "all":
+                best = max(best, r)
+        return {"gap_over_floor": best, "gap_over_floor_block": local}
+
+    def signature(self, hidden: Hidden) -> Floats:
+        """Stage residuals of one effect."""
+        e = no_effect()
+        hidden.put(e)
+        return self.difference(self.design.true, e, touched_by_effect(hidden))
+
+    def signature_of(self, hidden: list[Hidden]) -> Floats:
+        """Stage residuals of several effects at once."""
+        e = no_effect()
+        for one in hidden:
+            one.put(e)
+        return self.difference(self.design.true, e)
+
+    def basis(self) -> Floats:
+        """Orthonormal columns of constants and per-trial nuisances, with their priors as rows."""
+        if self._basis is not None:
+            return self._basis
+        q, columns = self.noise, [self.jacobian[:, j] for j in range(self.jacobian.shape[1])]
+        for i, trial in enumerate(self.design.trials):
+            p, pull, p_p, _ = self.base[i]
+            length = self._length(trial, self.base[i])
+            fp, _ = braid_slopes(p, length, self.design.stated)
+            place, valve = self.layout.force[i], self.layout.pressure[i]
+            for zero, gain in ((True, False), (False, True)):
+                column = np.zeros(self.layout.size)
+                size = q.pressure_zero_kpa if zero else q.pressure_gain
+                column[place] = -fp * size * (1.0 if zero else p)
+                column[valve] = size * (1.0 if zero else p_p)
+                columns.append(column)
+                column = np.zeros(self.layout.size)
+                force = np.nan_to_num(pull)
+                column[place] = q.force_zero_n if zero else q.force_gain * force * gain
+                columns.append(column)
+        a = np.column_stack(columns) * self.weight[:, None]
+        augmented = np.vstack([a, np.eye(a.shape[1])])
+        basis = np.asarray(np.linalg.qr(augmented)[0])
+        self._basis = basis
+        return basis
+
+    def bare(self, signal: Floats) -> Floats:
+        """Whitened residual clear of all that constants, zeros and gains can take."""
+        basis = self.basis()
+        long = np.concatenate([signal * self.weight, np.zeros(basis.shape[1])])
+        return np.asarray(long - basis @ (basis.T @ long))
+
+    def rivals(self) -> Iterator[Hidden]:
+        """Every catalogue entry, plain and in another form, at every edge and side."""
+        rng = np.random.default_rng(0)
+        for entry in CATALOGUE:
+            for form in (0, 1):
+                for variant in entry.variants or (None,):
+                    one = draw(entry, rng, self.design.stated, form)
+                    yield Hidden(entry.id, form, abs(one.strength), one.shape, variant)
+
+    def rival_signatures(self) -> tuple[list[Hidden], Floats]:
+        """All rivals that show on this design, and their bare unit signatures as columns."""
+        found, columns = [], []
+        for rival in self.rivals():
+            bare = self.bare(self.signature(rival))
+            size = float(np.linalg.norm(bare))
+            if size > 0.05:
+                found.append(rival)
+                columns.append(bare / size)
+        return found, np.column_stack(columns) if columns else np.zeros((0, 0))

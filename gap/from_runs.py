@@ -1,0 +1,132 @@
+"""Recorded runs as a data set in the EXCHANGE form: trials.csv, samples.parquet, bench.toml."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from daq.run import Run
+from gap.errors import GapError
+from gap.runtables import table_trials
+from gap.runtrials import RunTrial, run_trials
+from plant.constants import CHOICES, KEYS
+
+COLUMNS = ("trial", "slot", "replicate", "protocol", "mounting", "order", "held_length_mm",
+           "load_kg", "temperature_c", "start_s", "note")  # fmt: skip
+FORMS = ("time", "points")
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an export wrote."""
+
+    folder: Path
+    trials: int
+    slots: int
+    rows: int
+    runs: tuple[str, ...]
+
+
+def export_runs(
+    runs: Sequence[Run],
+    folder: Path,
+    *,
+    plant: Path | None = None,
+    form: str = "time",
+) -> Exported:
+    """Write runs as one data set; trials keep the order in which they were measured.
+
+    Args:
+        runs: of any protocols, of one bench.
+        folder: made if need be; it must hold no data set yet.
+        plant: constants of the bench that differ from the nominal plant (a `bench.toml`); by
+            default those that a virtual rig states.
+        form: "time" for channels against time, "points" for the settled points alone. A run of
+            settled points from elsewhere has no other form.
+
+    Raises:
+        GapError: the folder is taken, the plant file cannot be read, or runs contradict each other.
+        RecordError: a run holds no trial, or is damaged.
+    """
+    if not runs:
+        raise GapError("export", "no run given")
+    bench = _bench(runs, plant)
+    trials = [trial for run in runs for trial in _trials(run, form)]
+    trials.sort(key=lambda trial: float(trial.row["start_s"]))
+    return _write(folder, trials, bench, tuple(run.run_id for run in runs))
+
+
+def _trials(run: Run, form: str) -> Iterable[RunTrial]:
+    if form == "points" or run.manifest.get("imported"):
+        return table_trials(run)
+    return run_trials(run)
+
+
+def _write(
+    folder: Path, trials: Sequence[RunTrial], bench: dict[str, Any], runs: tuple[str, ...]
+) -> Exported:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GapError(str(folder), f"cannot be made: {error.strerror}") from None
+    for name in ("trials.csv", "samples.csv", "samples.parquet"):
+        if (folder / name).exists():
+            raise GapError(str(folder / name), "is there already", "choose another folder")
+    rows = [{**trial.row, "order": number} for number, trial in enumerate(trials, start=1)]
+    frames = []
+    for trial in trials:
+        frame = trial.samples.copy()
+        frame.insert(0, "trial", trial.row["trial"])
+        frames.append(frame)
+    samples = pd.concat(frames, ignore_index=True)
+    try:
+        pd.DataFrame(rows, columns=list(COLUMNS)).to_csv(folder / "trials.csv", index=False)
+        samples.to_parquet(folder / "samples.parquet", index=False)
+        if bench:
+            lines = [f"{key} = {_toml(value)}" for key, value in bench.items()]
+            (folder / "bench.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise GapError(str(folder), f"cannot be written: {error.strerror}") from None
+    slots = len({row["slot"] for row in rows})
+    return Exported(folder, len(rows), slots, len(samples), runs)
+
+
+def _bench(runs: Sequence[Run], plant: Path | None) -> dict[str, Any]:
+    """Constants that differ from the nominal plant: of a file, or of the virtual rig's own text."""
+    if plant is not None:
+        try:
+            table = tomllib.loads(plant.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise GapError(str(plant), f"cannot be read as TOML ({error})") from None
+        return {key: value for key, value in table.items() if key in KEYS or key in CHOICES}
+    stated = [(run, _stated(run)) for run in runs]
+    for run, table in stated:
+        if table != stated[0][1]:
+            raise GapError(
+                str(run.folder),
+                f"was recorded on another bench than {stated[0][0].run_id}",
+                "export runs of one bench at a time, or name its constants with --plant",
+            )
+    return stated[0][1]
+
+
+def _stated(run: Run) -> dict[str, Any]:
+    """The plant that a virtual rig's file states; nothing for a real rig."""
+    text = run.manifest.get("rig", {}).get("text", "")
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return {}
+    stated = table.get("virtual", {}).get("plant", {})
+    return {key: value for key, value in stated.items() if key in KEYS or key in CHOICES}
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, str):
+        return f'"{value}"'
+    return repr(float(value))
