@@ -338,8 +338,8 @@ def _iso_section(iso: IsoFit, fanning: Line | None, table: pd.DataFrame) -> Sect
         guess = np.sqrt(np.maximum((p - fanning.intercept) / fanning.slope, 0.0))
         rms = float(np.sqrt(np.nanmean((guess - v) ** 2)))
         words.append(
-            f"The Fanning form misses the velocities by {rms:.2f} m/s rms. Above the critical"
-            " ratio a valve's flow grows with pressure itself, not with its root."
+            f"The Fanning form misses the velocities by {rms:.2f} m/s rms: where flow is choked it"
+            " grows in proportion to absolute pressure, not with the root of the gauge pressure."
         )
     return Section(
         "ISO 6358", tuple(words), frame,

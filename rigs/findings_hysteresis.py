@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -102,12 +102,13 @@ def cycles_of(table: pd.DataFrame) -> list[Cycle]:
         table["repeat"].rename("repeat"),
     ]
     found = []
-    for (mass_or_mm, turn, repeat), rows in table.assign(nominal=nominal).groupby(keys, sort=True):
+    for key, rows in table.assign(nominal=nominal).groupby(keys, sort=True):
+        mass_or_mm, turn, repeat = cast("tuple[float, float, Any]", key)
         ways: dict[str, dict[float, tuple[float, float]]] = {"up": {}, "down": {}}
-        for row in rows.itertuples():
-            if row.direction in ways and math.isfinite(float(getattr(row, value))):
-                noise = float(getattr(row, f"u_{value}_noise"))
-                ways[row.direction][float(row.nominal)] = (float(getattr(row, value)), noise)
+        for row in rows.to_dict("records"):
+            if row["direction"] in ways and math.isfinite(row[value]):
+                reading = (float(row[value]), float(row[f"u_{value}_noise"]))
+                ways[str(row["direction"])][float(row["nominal"])] = reading
         if not ways["down"]:
             continue
         highest = max(ways["up"])
@@ -265,7 +266,7 @@ def _thesis(cycles: list[Cycle], isotonic: bool) -> list[Section]:
             }
         )
     unit = "mm" if isotonic else "N"
-    agree = sum(row["same"] for row in rows)
+    agree = sum(bool(row["same"]) for row in rows)
     table_a, table_b = (f"C-{7 if isotonic else 5}", f"4-{5 if isotonic else 4}")
     rule = (
         "plain means of its columns"
@@ -341,6 +342,14 @@ def _figure(table: pd.DataFrame, cycles: list[Cycle], isotonic: bool) -> Figure:
                     markerfacecolor="white" if down else colours[name],
                     label=None if down else name,
                 )  # fmt: skip
+                turns = part.get("cycle_max_kpa", part["pressure_kpa"] * 0.0)
+                for _, one in part.groupby(turns.astype(float).fillna(0.0)):
+                    nominal = one["set_pressure_kpa"].fillna(one["pressure_kpa"].round(0))
+                    mean = one[["pressure_kpa", value]].astype(float).groupby(nominal).mean()
+                    top.plot(
+                        mean["pressure_kpa"], mean[value], color=colours[name], linewidth=0.8,
+                        linestyle="--" if down else "-",
+                    )  # fmt: skip
         for cycle in cycles:
             k = names.index(cycle.held)
             bottom.errorbar(

@@ -76,7 +76,8 @@ def curves_of(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
 
 def _curve_row(load: str, rows: pd.DataFrame) -> dict[str, Any]:
     good = rows.dropna(subset=["length_mm"])
-    long, short = good.loc[good["length_mm"].idxmax()], good.loc[good["length_mm"].idxmin()]
+    by_length = good.sort_values("length_mm", kind="stable").to_dict("records")
+    short, long = by_length[0], by_length[-1]
     ratio = 1.0 - float(short["length_mm"]) / float(long["length_mm"])
     noise = [float(r["u_length_mm_noise"]) / float(r["length_mm"]) for r in (long, short)]
     u = (1.0 - ratio) * math.hypot(*noise)

@@ -124,19 +124,17 @@ def _headline(
 ) -> str:
     if not points:
         return "No point was measured, so there is no result."
-    what = "switches" if unit == "ms" else "needs"
+    timed = unit == "ms"
+    decimals, shown, verb, at = (1, "ms", "switches", "in") if timed else (2, "V", "turns", "at")
     parts = []
     for valve in VALVES:
         on, off = laws[valve, "on"], laws[valve, "off"]
         if on is None or off is None:
             continue
-        low, high = on[0].at(0.0), on[0].at(600.0)
-        ends = off[0].at(0.0), off[0].at(600.0)
-        decimals = 1 if unit == "ms" else 2
+        ends = [f"{line.at(p):.{decimals}f}" for line in (on[0], off[0]) for p in (0.0, 600.0)]
         parts.append(
-            f"the {valve} {what} on {'in' if unit == 'ms' else 'at'} {low:.{decimals}f} to"
-            f" {high:.{decimals}f} {unit.upper() if unit == 'v' else unit} and off"
-            f" {'in' if unit == 'ms' else 'at'} {ends[0]:.{decimals}f} to {ends[1]:.{decimals}f}"
+            f"the {valve} {verb} on {at} {ends[0]} to {ends[1]} {shown} and off {at}"
+            f" {ends[2]} to {ends[3]} {shown}"
         )
     if not parts:
         return f"{points} points were measured, too few for a law in pressure."
@@ -244,8 +242,8 @@ def _std_row(table: pd.DataFrame) -> Section:
     return Section(
         "Beside what the thesis printed: the row std of Table D-3",
         (
-            f"{sum(r['same'] for r in rows)} of 4 come out as the standard deviation of all 39"
-            " readings, divided by n. That is the spread over pressures, no repeatability; the"
+            f"{sum(bool(r['same']) for r in rows)} of 4 come out as the standard deviation of all"
+            " 39 readings, divided by n. That is the spread over pressures, no repeatability; the"
             " last column has the scatter within one pressure. By it the inlet's on times"
             " scatter less than the outlet's, as section 5.13 says; the printed row says the"
             " opposite.",

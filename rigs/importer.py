@@ -69,7 +69,7 @@ def import_thesis(
         else:
             left_out = f"{len(every) - len(rows)} cells above 21 °C left out ({FORMULA})"
             notes.insert(len(notes) - 1, left_out)
-    manifest = {
+    manifest: dict[str, Any] = {
         "protocol": found.protocol,
         "specimen": "thesis-muscle" if key[0] == "c" else "thesis-valve",
         "source": {
@@ -84,7 +84,7 @@ def import_thesis(
         "stated_uncertainty": found.stated,
     }
     if key[0] == "c":
-        manifest["source"] |= {  # type: ignore[operator]
+        manifest["source"] |= {
             "temperatures": "21 degC and formula" if include_formula else "21 degC",
             "shortest_mm": shortest_mm,
         }

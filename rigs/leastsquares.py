@@ -64,11 +64,14 @@ def straight_line(x: npt.ArrayLike, y: npt.ArrayLike) -> Line | None:
     Returns:
         None for fewer than three points, or all at one x.
     """
+    every_x, every_y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    good = np.isfinite(every_x) & np.isfinite(every_y)
+    return _fit(every_x[good], every_y[good])
+
+
+def _fit(x: Floats, y: Floats) -> Line | None:
     from scipy.special import stdtr
 
-    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    good = np.isfinite(x) & np.isfinite(y)
-    x, y = x[good], y[good]
     n = len(x)
     if n < 3 or float(np.ptp(x)) == 0.0:
         return None

@@ -103,7 +103,10 @@ def without_excluded(run: Run, reduction: Reduction) -> Reduction:
     table = reduction.table
     out = table["order"].isin(list(reasons))
     rows = table[out].to_dict("records")
-    listed = tuple({"reason": reasons[int(row["order"])], **row} for row in rows)
+    listed = tuple(
+        {"reason": reasons[int(row["order"])], **{str(k): v for k, v in row.items()}}
+        for row in rows
+    )
     notes = [f"{len(rows)} points are excluded, each with a reason (see the list)"] if rows else []
     unknown = sorted(set(reasons) - {int(order) for order in table["order"]})
     if unknown:

@@ -35,8 +35,7 @@ QUIET_EVENTS = (
     "marker",
     "lowered",
     "manual",
-    "capture",
-    "response",
+    "try",
 )
 """Events of a run as it should be; any other kind is shown among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")

@@ -225,5 +225,5 @@ def test_hysteresis_table_keeps_its_directions_and_cycles_apart(tmp_path: Path) 
 
 
 def test_an_unknown_thesis_table_names_those_there_are(tmp_path: Path) -> None:
-    with pytest.raises(PamrigError, match="c01, c02, c04"):
-        import_thesis("d05", tmp_path, VirtualClock())
+    with pytest.raises(PamrigError, match="c01, c02, c03, c04"):
+        import_thesis("d06", tmp_path, VirtualClock())
