@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from daq.annotations import excluded_points
 from daq.chunks import Problem
 from daq.derive import Maker, derive
 from daq.errors import RecordError
 from daq.run import DAMAGED, Run, open_run
+from daq.runindex import index_path, update_index
 from daq.verify import verify
 
-__all__ = ["Problem", "RunInfo", "find_run", "list_runs", "rebuild", "show", "verify"]
+__all__ = ["Problem", "RunInfo", "find_run", "list_runs", "rebuild", "run_info", "show", "verify"]
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,9 @@ class RunInfo:
         outcome: see :attr:`daq.run.Run.outcome`.
         duration_s: from start to final.json; None if interrupted.
         folder: where it lies.
+        operator, rig: as in run.json.
+        excluded: points excluded afterwards.
+        continues: run that this one went on with; empty for none.
     """
 
     run_id: str
@@ -36,6 +42,10 @@ class RunInfo:
     outcome: str
     duration_s: float | None
     folder: str
+    operator: str = ""
+    rig: str = ""
+    excluded: int = 0
+    continues: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """For ``--json``."""
@@ -43,11 +53,17 @@ class RunInfo:
 
 
 def list_runs(root: Path | str) -> list[RunInfo]:
-    """All runs below ``root``, oldest first; none if the folder is missing."""
+    """All runs below ``root``, oldest first; none if the folder is missing.
+
+    Where there is an index (:mod:`daq.runindex`) only what has changed since is read.
+    """
     folder = Path(root)
     if not folder.is_dir():
         return []
-    return [_info(Run(p.parent)) for p in sorted(folder.glob("*/run.json"))]
+    if index_path(folder).is_file():
+        with contextlib.suppress(RecordError):  # a damaged index is no reason for no list
+            return update_index(folder)
+    return [run_info(Run(p.parent)) for p in sorted(folder.glob("*/run.json"))]
 
 
 def find_run(root: Path | str, text: str) -> Run:
@@ -72,7 +88,7 @@ def find_run(root: Path | str, text: str) -> Run:
 
 def show(run: Run) -> dict[str, Any]:
     """What a run holds, as plain data; damage met on the way is under ``problems``."""
-    info = _info(run).as_dict()
+    info = run_info(run).as_dict()
     final = run.final or {}
     streams = {}
     for name in run.streams:
@@ -108,7 +124,8 @@ def rebuild(run: Run, makers: Iterable[Maker] = ()) -> Path:
     return derive(run, makers)
 
 
-def _info(run: Run) -> RunInfo:
+def run_info(run: Run) -> RunInfo:
+    """One line of a list, from the folder itself."""
     manifest = run.sealed("run.json") or {}
     ended = (run.final or {}).get("ended", {}).get("t_ns")
     return RunInfo(
@@ -119,4 +136,15 @@ def _info(run: Run) -> RunInfo:
         outcome=run.outcome,
         duration_s=None if ended is None else ended * 1e-9,
         folder=str(run.folder),
+        operator=str(manifest.get("operator") or ""),
+        rig=str((manifest.get("rig") or {}).get("name", "")),
+        excluded=_excluded(run.folder),
+        continues=str((manifest.get("continues") or {}).get("run_id", "")),
     )
+
+
+def _excluded(folder: Path) -> int:
+    try:
+        return len(excluded_points(folder))
+    except RecordError:  # `pamrig runs verify` says what is wrong with it
+        return -1

@@ -17,12 +17,12 @@ def derive_all(folder: Path | str) -> Run:
         RecordError: the record is damaged where nothing can be made of it, or the folder
             cannot be written.
     """
-    from rigs.protocols.registry import procedure_of
     from rigs.reduction import write_table
     from rigs.report import write_report
+    from rigs.segments import reduce_run
 
     run = open_run(folder)
-    reduction = procedure_of(run.manifest.get("protocol")).reduce(run)
+    reduction = reduce_run(run)
 
     def table(run: Run, out: Path) -> None:
         del run

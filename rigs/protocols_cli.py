@@ -9,6 +9,7 @@ from typing import Annotated, Optional
 import typer
 
 from rigs.protocols.names import PROTOCOLS, default_rig
+from rigs.records_cli import add_records
 
 OutOption = Annotated[Path, typer.Option("--out", help="Folder of runs.")]
 RUNS = Path("runs")
@@ -57,6 +58,7 @@ def add_protocols(app: typer.Typer, runs_app: typer.Typer) -> None:
     for name, summary in PROTOCOLS.items():
         app.command(name)(_command(name, summary))
     runs_app.command("tell")(tell)
+    add_records(app, runs_app)
 
 
 def tell(

@@ -32,6 +32,7 @@ CODES = 4096
 """12-bit pressure counts run from 0 to 4095; both ends may hide a value beyond."""
 
 BALANCE_STEP_G = 0.001
+STRANGERS = "excluded, but not among the points of this run"
 
 MeasureGap = Callable[[npt.NDArray[np.uint8]], Any]
 
@@ -111,7 +112,7 @@ def without_excluded(run: Run, reduction: Reduction) -> Reduction:
     unknown = sorted(set(reasons) - {int(order) for order in table["order"]})
     if unknown:
         some = ", ".join(str(order) for order in unknown)
-        notes.append(f"excluded, but not among the points of this run: {some}")
+        notes.append(f"{STRANGERS}: {some}")
     return replace(
         reduction,
         table=table[~out].reset_index(drop=True),

@@ -15,6 +15,7 @@ from rigs.reduction import Reduction
 from rigs.regression import THESIS_REGION_KPA
 from rigs.report_isometric import isometric_figures, isometric_json, timeline
 from rigs.report_sections import figure_address, section_parts
+from rigs.segments import reduce_run
 from rigs.wording import outcome_sentence, signed, value_cell, with_u
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def report_json(
         findings: what its protocol finds in the table, if already made.
     """
     kind = procedure_of(run.manifest.get("protocol"))
-    reduction = reduction or kind.reduce(run)
+    reduction = reduction or reduce_run(run)
     if findings is None and kind.findings is not None:
         findings = kind.findings(run, reduction)
     if findings is not None:
@@ -146,7 +147,7 @@ def write_report(
     """
     out = out or Path(run.folder) / "derived" / "report.html"
     kind = procedure_of(run.manifest.get("protocol"))
-    reduction = reduction or kind.reduce(run)
+    reduction = reduction or reduce_run(run)
     findings = kind.findings(run, reduction) if kind.findings is not None else None
     data = report_json(run, reduction, region_kpa, findings)
     figures = {"timeline": timeline(run)}

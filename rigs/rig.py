@@ -19,6 +19,7 @@ from rigs.instruments.instrument import Instrument
 from rigs.instruments.load_cell import LoadCell
 from rigs.instruments.supply import Supply
 from rigs.instruments.text import TextInstrument
+from rigs.locks import rig_lock
 from rigs.operator import ManualAxis, ManualStage, Operator
 from rigs.ports import (
     Ports,
@@ -129,6 +130,7 @@ def open_valve(
             link = bench.links["valve"]
         else:
             clock = RealClock() if clock is None else clock
+            stack.enter_context(rig_lock(config))
             link = Ports(config, clock, stack).open("valve", config.valve)
         pump = Pump(clock, VIRTUAL_PERIOD_S if clock.virtual else REAL_PERIOD_S)
         valve = ValveController(link, clock, pump)

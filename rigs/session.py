@@ -31,6 +31,8 @@ from rigs.protocols.registry import procedure
 from rigs.protocols.schedule import outline
 from rigs.rig import Rig, firmware_parameters, open_rig
 from rigs.runner import Runner, Watch, outcome_of
+from rigs.segments import remaining
+from rigs.steps import Steps
 
 if TYPE_CHECKING:
     from rigs.livefeed import LiveFeed
@@ -160,6 +162,7 @@ def run_protocol(
     on_start: Callable[[Runner, RecordWriter], None] | None = None,
     derive: bool = True,
     wire: bool = False,
+    continues: dict[str, Any] | None = None,
 ) -> Result:
     """Run a test and leave a finished record.
 
@@ -177,12 +180,18 @@ def run_protocol(
         on_start: called with the runner just before the first step.
         derive: also make table, figures, report and view from the record.
         wire: also record every byte that came in: a fixture, or evidence after a fault.
+        continues: the run that this one goes on with (``rigs.segments.continuation``); its
+            whole trials are not made again.
 
     Raises:
         PamrigError: nothing was recorded yet: device, key and remedy are named. Once a
             record exists, errors come back in the result instead and the run is finalised.
     """
-    points, seconds = outline(plan.steps(), config.stage.speed_mm_s)
+
+    def method() -> Steps:
+        return remaining(plan.steps(), continues["trials"]) if continues else plan.steps()
+
+    points, seconds = outline(method(), config.stage.speed_mm_s)
     check_disk(root, points)
     stop = stop or StopFlag()
     watch = watch or Watch()
@@ -191,10 +200,10 @@ def run_protocol(
         virtual = rig.clock.virtual
         if kind.firmware:
             rig.valve.configure({**firmware_parameters(config), **kind.firmware})
-        record = RecordWriter(
-            root, manifest(rig, kind.name, plan, specimen, operator, note), rig.clock,
-            durable=not virtual, threaded=not virtual,
-        )  # fmt: skip
+        known = manifest(rig, kind.name, plan, specimen, operator, note)
+        if continues:
+            known["continues"] = continues
+        record = RecordWriter(root, known, rig.clock, durable=not virtual, threaded=not virtual)
         record.stream("valve", VALVE_COLUMNS, VALVE_UNITS)
         record.stream("balance", BALANCE_SCHEMA, BALANCE_UNITS)
         error: BaseException | None = None
@@ -217,7 +226,7 @@ def run_protocol(
                 rig.operator.on_line = control.typed
                 rig.operator.listen()
             runner.progress.seconds = seconds
-            runner.run(plan.steps(), points)
+            runner.run(method(), points)
         except (PamrigError, Stopped) as caught:
             error = caught
         except BaseException as caught:

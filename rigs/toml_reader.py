@@ -130,6 +130,14 @@ class Table:
             raise self.fail(key, f"expected a table [{key}], got {value!r}")
         return Table(value, self.source, f"{self.path}.{key}" if self.path else key)
 
+    def row(self, key: str, index: int) -> Table:
+        """One table of a list of tables (``[[key]]``)."""
+        values = self._take(key, ...)
+        value = values[index] if isinstance(values, list) and index < len(values) else None
+        if not isinstance(value, dict):
+            raise self.fail(f"{key}[{index}]", f"expected a table [[{key}]], got {value!r}")
+        return Table(value, self.source, f"{f'{self.path}.' if self.path else ''}{key}[{index}]")
+
     def raw(self, key: str, default: Any = None) -> Any:
         """The value as parsed, for a table that another package reads."""
         return self._take(key, default)

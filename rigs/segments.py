@@ -1,0 +1,173 @@
+"""A test in several runs: each one goes on where the last whole trial of the one before ended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.annotations import excluded_points
+from daq.errors import ConfigError, RecordError
+from rigs.protocols.registry import procedure_of
+from rigs.reduction import STRANGERS, Reduction
+from rigs.steps import EndTrial, Settle, Step, Steps, Trial
+
+if TYPE_CHECKING:
+    from daq.run import Run
+
+
+def whole_trials(run: Run) -> list[int]:
+    """Numbers of the trials that a run brought to their end, with those it took over before.
+
+    Raises:
+        RecordError: run.json is damaged.
+    """
+    taken = [int(t) for t in (run.manifest.get("continues") or {}).get("trials", [])]
+    ended = [
+        int(event["trial"])
+        for event in run.events
+        if event.get("kind") == "trial" and event.get("phase") == "end"
+    ]
+    return sorted({*taken, *ended})
+
+
+def remaining(steps: Steps, done: Iterable[int]) -> Steps:
+    """A method without the trials that are done; what comes before the first stays.
+
+    What stands between two trials (a prompt, a new mounting) belongs to the one that follows and
+    is left out with it, unless that one is still to be made. Left-out steps are answered as if
+    all had gone well, so that the method runs through.
+    """
+    skip = set(done)
+    waiting: list[Step] = []
+    begun = inside = False
+    answer: Any = None
+    while True:
+        try:
+            step = steps.send(answer)
+        except StopIteration:
+            yield from waiting
+            return
+        answer = None
+        if isinstance(step, Trial):
+            begun, inside = True, True
+            if step.trial in skip:
+                waiting.clear()
+                answer = _through(steps)
+                inside = False
+                continue
+            yield from waiting
+            waiting.clear()
+            answer = yield step
+        elif begun and not inside:
+            waiting.append(step)
+            answer = _as_if(step)
+        else:
+            answer = yield step
+            if isinstance(step, EndTrial):
+                inside = False
+
+
+def _through(steps: Steps) -> Any:
+    """Let a trial pass without being made; None, the answer to its end."""
+    answer: Any = None
+    while True:
+        step = steps.send(answer)
+        if isinstance(step, EndTrial):
+            return None
+        answer = _as_if(step)
+
+
+def _as_if(step: Step) -> Any:
+    return (True, 0.0) if isinstance(step, Settle) else None
+
+
+def reduce_run(run: Run) -> Reduction:
+    """The table of a run by its protocol, joined with the trials of the runs that it continues.
+
+    Raises:
+        RecordError: an earlier run is missing or damaged.
+    """
+    reduction = procedure_of(run.manifest.get("protocol")).reduce(run)
+    before = run.manifest.get("continues")
+    if not before:
+        return reduction
+    earlier = earlier_run(run)
+    first = reduce_run(earlier)
+    trials = [int(t) for t in before["trials"]]
+    return _joined(_also_excluded(run, first), reduction, trials, earlier.run_id)
+
+
+def _also_excluded(run: Run, first: Reduction) -> Reduction:
+    """The earlier table without what was excluded in the run that goes on with it."""
+    reasons = excluded_points(run.folder)
+    out = first.table["order"].isin(list(reasons))
+    rows = first.table[out].to_dict("records")
+    listed = [
+        {"reason": reasons[int(r["order"])], **{str(k): v for k, v in r.items()}} for r in rows
+    ]
+    table = first.table[~out].reset_index(drop=True)
+    return replace(first, table=table, excluded=(*first.excluded, *listed))
+
+
+def earlier_run(run: Run) -> Run:
+    """The run that a run continues, beside it.
+
+    Raises:
+        RecordError: it is not there.
+    """
+    from daq.run import open_run
+
+    name = str(run.manifest["continues"]["run_id"])
+    folder = Path(run.folder).resolve().parent / name
+    if not (folder / "run.json").is_file():
+        raise RecordError(
+            str(run.folder),
+            f"continues run {name}, which is not beside it",
+            "put both runs into one folder",
+        )
+    return open_run(folder)
+
+
+def _joined(first: Reduction, second: Reduction, trials: list[int], name: str) -> Reduction:
+    import pandas as pd
+
+    kept = first.table[first.table["trial"].isin(trials)]
+    own = second.table[~second.table["trial"].isin(trials)]
+    parts = [part for part in (kept, own) if len(part)] or [own]
+    table = pd.concat(parts, ignore_index=True).sort_values(
+        "order", kind="stable", ignore_index=True
+    )
+    note = (
+        f"{len(trials)} whole trials ({len(kept)} points) are those of run {name}, which this one"
+        " continues"
+    )
+    return replace(
+        second,
+        table=table,
+        notes=(note, *(n for n in second.notes if not n.startswith(STRANGERS))),
+        zeros=(*(z for z in first.zeros if z.get("trial") in trials), *second.zeros),
+        excluded=(*first.excluded, *second.excluded),
+    )
+
+
+def continuation(run: Run) -> dict[str, Any]:
+    """What the record of a run that goes on with ``run`` says of it.
+
+    Raises:
+        ConfigError: it cannot be continued.
+    """
+    where = run.run_id
+    if run.manifest.get("imported"):
+        raise ConfigError(where, "was imported", "only a test that was run can be continued")
+    if run.outcome == "clean":
+        raise ConfigError(where, "ran to its end", "start a new test")
+    trials = whole_trials(run)
+    return {
+        "run_id": run.run_id,
+        "outcome": run.outcome,
+        "trials": trials,
+        "trial": (max(trials) if trials else 0) + 1,
+        "joined": True,
+    }

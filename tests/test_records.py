@@ -1,0 +1,493 @@
+"""Records after the test: index, export, remarks and exclusions, continuation, plans, locks."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import loadmat
+
+from daq.annotations import ANNOTATIONS, annotate, read_annotations
+from daq.errors import ConfigError, PamrigError, PortError, RecordError
+from daq.run import Run, open_run
+from daq.runindex import index_path, rebuild_index, update_index
+from daq.store import find_run, list_runs
+from daq.verify import verify
+from rigs.chain import load_plan, run_chain, standing
+from rigs.config import load_rig
+from rigs.continuing import continue_run
+from rigs.export import export_run, with_unit
+from rigs.interrupt import StopFlag
+from rigs.isometric import load_isometric
+from rigs.locks import rig_lock
+from rigs.products import derive_all
+from rigs.protocols.registry import procedure
+from rigs.records_commands import point_numbers
+from rigs.report import report_json
+from rigs.rig import open_rig
+from rigs.segments import reduce_run, whole_trials
+from rigs.session import run_protocol
+
+CAMPAIGN = bool(os.environ.get("PAMRIG_CAMPAIGN"))
+
+SMALL = """
+protocol = "isometric"
+lengths_mm = [57.0, 65.0]
+pressures_kpa = [150, 300]
+order = "random"
+repeats = 3
+slack_length_mm = 52.0
+[precondition]
+cycles = 0
+[settle]
+window_s = 0.3
+timeout_s = 5.0
+[measure]
+seconds = 0.2
+frames = 0
+zero_s = 0.2
+"""
+
+
+def protocol_file(folder: Path, text: str = SMALL) -> Path:
+    path = folder / "small.toml"
+    path.write_text(text)
+    return path
+
+
+def small_run(folder: Path, *, derive: bool = False, **how: Any) -> Run:
+    config = load_rig("virtual", 1)
+    plan = load_isometric(str(protocol_file(folder)), config.limits)
+    kind = procedure("isometric")
+    return open_run(run_protocol(kind, config, plan, folder / "runs", derive=derive, **how).folder)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return small_run(tmp_path_factory.mktemp("desk"), derive=True, specimen="muscle-7")
+
+
+def copy_of(run: Run, folder: Path) -> Run:
+    import shutil
+
+    target = folder / "runs" / run.run_id
+    shutil.copytree(run.folder, target)
+    return open_run(target)
+
+
+# ---- index ---------------------------------------------------------------------------
+
+
+def test_a_list_is_the_same_with_and_without_an_index(measured: Run, tmp_path: Path) -> None:
+    run = copy_of(measured, tmp_path)
+    root = run.folder.parent
+    plain = list_runs(root)
+    assert rebuild_index(root) == plain
+    assert list_runs(root) == plain
+    assert plain[0].specimen == "muscle-7"
+
+
+def test_an_index_never_tells_what_is_no_longer_so(measured: Run, tmp_path: Path) -> None:
+    run = copy_of(measured, tmp_path)
+    root = run.folder.parent
+    rebuild_index(root)
+    annotate(run.folder, "exclude", [3], "bubble in the tube")
+    assert list_runs(root)[0].excluded == 1
+    (run.folder / "final.json").unlink()
+    assert list_runs(root)[0].outcome == "interrupted"
+    run.folder.rename(root / "20990101T000000Z_isometric_other_aaaaaa")
+    assert [info.run_id for info in list_runs(root)] == ["20990101T000000Z_isometric_other_aaaaaa"]
+
+
+@pytest.mark.parametrize("damage", ["garbage", "torn", "layout", "gone"])
+def test_a_damaged_index_costs_time_and_nothing_else(
+    measured: Run, tmp_path: Path, damage: str
+) -> None:
+    run = copy_of(measured, tmp_path)
+    root = run.folder.parent
+    before = rebuild_index(root)
+    path = index_path(root)
+    if damage == "garbage":
+        path.write_bytes(b"not a data base" * 100)
+    elif damage == "torn":
+        path.write_bytes(path.read_bytes()[:3000])
+    elif damage == "layout":
+        with sqlite3.connect(path) as db:
+            db.execute("PRAGMA user_version = 99")
+        db.close()
+    else:
+        path.unlink()
+    assert list_runs(root) == before
+    assert find_run(root, "last").run_id == run.run_id
+    if damage in ("garbage", "layout"):
+        with pytest.raises(RecordError, match="pamrig runs index"):
+            update_index(root)
+    assert rebuild_index(root) == before
+    assert update_index(root) == before
+
+
+def test_no_folder_to_index_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="no such folder"):
+        rebuild_index(tmp_path / "nowhere")
+
+
+# ---- export --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mat"])
+def test_what_is_exported_reads_back_as_it_was(measured: Run, tmp_path: Path, kind: str) -> None:
+    written = export_run(measured, kind, tmp_path)
+    table = reduce_run(measured).table
+    about = json.loads((tmp_path / "README.json").read_text())
+    assert about["run_id"] == measured.run_id
+    assert about["tables"]["table"]["rows"] == len(table)
+    if kind == "mat":
+        read = loadmat(tmp_path / f"{measured.run_id}.mat", simplify_cells=True)
+        assert np.allclose(read["table"]["force_n"], table["force_n"])
+        assert list(read["table"]["slot"]) == list(table["slot"])
+        assert read["samples"]["pressure_kpa"].shape == read["samples"]["time_s"].shape
+        return
+    reader = pd.read_csv if kind == "csv" else pd.read_parquet
+    back = reader(tmp_path / f"table.{kind}")
+    assert np.allclose(back["force_n"], table["force_n"])
+    samples = reader(tmp_path / f"samples.{kind}")
+    assert {"time_s", "pressure_kpa", "setpoint_kpa", "inlet_cmd_share"} <= set(samples)
+    assert len(written) >= 3
+
+
+def test_units_end_the_names() -> None:
+    assert with_unit("reading", "m/s") == "reading_m_s"
+    assert with_unit("pressure_kpa", "kPa") == "pressure_kpa"
+    assert with_unit("inlet_cmd", "share of 1 ms") == "inlet_cmd_share"
+    assert with_unit("grams", "g") == "grams_g"
+
+
+def test_an_unknown_format_is_refused(measured: Run, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="csv, parquet, mat"):
+        export_run(measured, "xlsx", tmp_path)
+
+
+# ---- remarks and exclusions ----------------------------------------------------------
+
+
+def test_an_excluded_point_leaves_the_table_and_its_reason_stays(
+    measured: Run, tmp_path: Path
+) -> None:
+    run = copy_of(measured, tmp_path)
+    every = reduce_run(run).table
+    annotate(run.folder, "exclude", [2, 5], "hose was kinked", who="A. Tester")
+    annotate(run.folder, "note", [], "new hose from here on")
+    reduction = reduce_run(run)
+    assert set(every["order"]) - set(reduction.table["order"]) == {2, 5}
+    assert [p["reason"] for p in reduction.excluded] == ["hose was kinked"] * 2
+    page = (derive_all(run.folder).folder / "derived" / "report.html").read_text(encoding="utf-8")
+    assert "hose was kinked" in page
+    assert "new hose from here on" in page
+    data = report_json(open_run(run.folder))
+    assert len(data["points"]) == len(every) - 2
+    assert data["annotations"][0]["who"] == "A. Tester"
+    assert verify(open_run(run.folder)) == []
+    annotate(run.folder, "include", [5], "it was the other one")
+    assert set(every["order"]) - set(reduce_run(run).table["order"]) == {2}
+    assert len(read_annotations(run.folder)) == 3
+
+
+def test_nothing_is_excluded_without_a_reason(measured: Run, tmp_path: Path) -> None:
+    run = copy_of(measured, tmp_path)
+    for reason in ("", "   "):
+        with pytest.raises(RecordError, match="reason"):
+            annotate(run.folder, "exclude", [1], reason)
+    with pytest.raises(RecordError, match="points"):
+        annotate(run.folder, "exclude", [], "because")
+    assert not (run.folder / ANNOTATIONS).exists()
+
+
+@pytest.mark.parametrize("at", [5, 40, -3])
+def test_a_damaged_exclusion_never_comes_undone_in_silence(
+    measured: Run, tmp_path: Path, at: int
+) -> None:
+    run = copy_of(measured, tmp_path)
+    annotate(run.folder, "exclude", [1], "first")
+    annotate(run.folder, "exclude", [2], "second")
+    path = run.folder / ANNOTATIONS
+    data = bytearray(path.read_bytes())
+    data[at] ^= 1
+    path.write_bytes(bytes(data))
+    with pytest.raises(RecordError, match=r"annotations\.jsonl line"):
+        reduce_run(open_run(run.folder))
+    assert any(p.file == ANNOTATIONS for p in verify(open_run(run.folder)))
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"), [("3", [3]), ("3,7-9", [3, 7, 8, 9]), (" 4 , 4-5", [4, 5]), ("", [])]
+)
+def test_points_are_named_by_numbers_and_ranges(text: str, numbers: list[int]) -> None:
+    assert point_numbers(text) == numbers
+
+
+@pytest.mark.parametrize("text", ["a", "3-", "9-7", "1.5", "-2"])
+def test_what_is_no_number_of_a_point_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="3,7-9"):
+        point_numbers(text)
+
+
+# ---- continuation --------------------------------------------------------------------
+
+
+class Killed(BaseException):
+    """The process is gone: nothing is finalised."""
+
+
+def broken_off(folder: Path, how: str, rounds: int, before: Run | None = None) -> Run:
+    """A run (or a continuation) that ends after so many rounds of the bench, one way or other."""
+    stop = StopFlag()
+
+    def start(runner: Any, record: Any) -> None:
+        left = [rounds]
+
+        def look() -> None:
+            left[0] -= 1
+            if left[0] > 0:
+                return
+            if how == "stop":
+                stop.set("test")
+            elif how == "kill" and left[0] == 0:
+                record.abandon()
+                raise Killed
+            elif how == "pause" and left[0] == 0:
+                runner.steering._control.ask("pause")
+            elif how == "pause" and left[0] == -20:
+                runner.steering._control.ask("resume")
+
+        runner.rig.pump.add(look)
+
+    try:
+        if before is None:
+            return small_run(folder, stop=stop, on_start=start)
+        result = continue_run(before, stop=stop, on_start=start, derive=False)
+        return open_run(result.folder)
+    except Killed:
+        newest = list_runs(folder / "runs")[-1]
+        return open_run(newest.folder)
+
+
+def whole_test(folder: Path, seed: int) -> tuple[Run, int]:
+    """A test broken off again and again at random, and gone on with until it ends."""
+    rng = np.random.default_rng(seed)
+    run: Run | None = None
+    for breaks in range(40):
+        how = str(rng.choice(["stop", "kill", "pause"]))
+        run = broken_off(folder, how, int(rng.integers(5, 1500)), run)
+        if run.outcome == "clean":
+            return run, breaks
+    raise AssertionError("it never came to its end")
+
+
+@pytest.mark.parametrize("seed", range(34 if CAMPAIGN else 3))
+def test_no_trial_is_lost_or_doubled_however_often_a_test_is_broken_off(
+    tmp_path: Path, seed: int
+) -> None:
+    run, _ = whole_test(tmp_path, seed)
+    table = reduce_run(run).table
+    assert sorted(table["order"]) == list(range(1, 13))
+    assert table.groupby("trial").size().to_dict() == dict.fromkeys(range(1, 7), 2)
+    cells = table.groupby(["set_length_mm", "set_pressure_kpa"]).size()
+    assert (cells == 3).all()
+    assert whole_trials(run) == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_continuation_says_what_it_continues_and_keeps_both_records(tmp_path: Path) -> None:
+    first = broken_off(tmp_path, "stop", 700)
+    assert first.outcome == "stopped"
+    done = whole_trials(first)
+    assert 0 < len(done) < 6
+    second = open_run(continue_run(first, derive=True).folder)
+    assert second.manifest["continues"]["run_id"] == first.run_id
+    assert second.manifest["continues"]["trials"] == done
+    assert {e["trial"] for e in second.events if e["kind"] == "point"} == set(range(1, 7)) - set(
+        done
+    )
+    note = report_json(second)["notes"][0]
+    assert first.run_id in note
+    assert f"{len(done)} whole trials" in note
+    assert verify(first) == verify(second) == []
+    with pytest.raises(ConfigError, match=f"continued by {second.run_id}"):
+        continue_run(first)
+    with pytest.raises(ConfigError, match="ran to its end"):
+        continue_run(second)
+    annotate(second.folder, "exclude", [1], "first point of the first run")
+    assert 1 not in set(reduce_run(second).table["order"])
+
+
+def test_a_protocol_that_was_changed_meanwhile_is_not_gone_on_with(tmp_path: Path) -> None:
+    first = broken_off(tmp_path, "stop", 700)
+    protocol_file(tmp_path, SMALL.replace("repeats = 3", "repeats = 4"))
+    with pytest.raises(ConfigError, match=r"small\.toml: repeats: was 3 in run"):
+        continue_run(first)
+
+
+# ---- plans ---------------------------------------------------------------------------
+
+PLAN = """
+name = "two tests"
+rig = "virtual"
+[[test]]
+protocol = "isometric"
+file = "small.toml"
+specimen = "a"
+[[test]]
+protocol = "isometric"
+file = "small.toml"
+specimen = "b"
+rest_s = 3600
+"""
+
+
+def plan_file(folder: Path, text: str = PLAN) -> Path:
+    protocol_file(folder)
+    path = folder / "weekend.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_plan_stopped_in_mid_test_goes_on_there(tmp_path: Path) -> None:
+    plan = load_plan(plan_file(tmp_path))
+    assert len(plan.items) == 2
+    stop = StopFlag()
+
+    def start(runner: Any, record: Any) -> None:
+        left = [700]
+
+        def look() -> None:
+            left[0] -= 1
+            if left[0] == 0:
+                stop.set("test")
+
+        runner.rig.pump.add(look)
+
+    (first,) = run_chain(plan, stop, on_start=start)
+    assert first.outcome == "stopped"
+    assert standing(plan).done == {}
+    second, third = run_chain(load_plan(plan.path), StopFlag())
+    assert open_run(second.folder).manifest["continues"]["run_id"] == first.folder.name
+    assert (second.outcome, third.outcome) == ("clean", "clean")
+    assert [i.specimen for i in list_runs(plan.out)] == ["a", "a", "b"]
+    assert len(reduce_run(open_run(second.folder)).table) == 12
+    assert run_chain(plan, StopFlag()) == [], "nothing is left"
+
+
+def test_a_plan_changed_after_it_was_begun_is_not_gone_on_with(tmp_path: Path) -> None:
+    plan = load_plan(plan_file(tmp_path))
+    run_chain(dataclasses.replace(plan, items=plan.items[:1]), StopFlag())
+    plan.path.write_text(PLAN + "# longer\n")
+    with pytest.raises(ConfigError, match="was changed since it was begun"):
+        standing(load_plan(plan.path))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "at least one"),
+        ('[[test]]\nprotocol = "dance"\n', "test[0].protocol"),
+        ('[[test]]\nprotocol = "isometric"\nfiel = "x"\n', "did you mean 'file'"),
+        ('[[test]]\nprotocol = "isometric"\nfile = "gone.toml"\n', "gone.toml"),
+        ('[[test]]\nprotocol = "flow"\nrig = "virtual"\n', "has no [flow]"),
+        ('on_fault = "cry"\n[[test]]\nprotocol = "isometric"\n', "on_fault"),
+    ],
+)
+def test_every_test_of_a_plan_is_checked_before_any_is_begun(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    with pytest.raises(PamrigError) as error:
+        load_plan(plan_file(tmp_path, text))
+    assert said in str(error.value)
+    assert not (tmp_path / "runs").exists()
+
+
+# ---- locks ---------------------------------------------------------------------------
+
+
+def rig_on_ports(folder: Path, name: str, ports: dict[str, str]) -> Path:
+    text = load_rig("virtual").text
+    for device in ("valve", "balance", "stage"):
+        head, _, tail = text.partition(f"[{device}]")
+        tail = tail.replace('port = "virtual"', f'port = "{ports[device]}"', 1)
+        text = f"{head}[{device}]{tail}"
+    text = text.replace('source = "virtual"', 'source = "uvc:7"')
+    path = folder / f"{name}.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_rig_in_use_is_refused_and_another_one_is_not(tmp_path: Path) -> None:
+    def rig(name: str, *, camera: str) -> Any:
+        ports = {}
+        for device in ("valve", "balance", "stage"):
+            ports[device] = str(tmp_path / f"{name}-{device}")
+            Path(ports[device]).touch()
+        path = rig_on_ports(tmp_path, name, ports)
+        path.write_text(path.read_text().replace("uvc:7", camera))
+        return load_rig(str(path))
+
+    one, two = rig("one", camera="uvc:1"), rig("two", camera="uvc:2")
+    shared = rig("three", camera="uvc:1")
+    locks = tmp_path / "locks"
+    with rig_lock(one, locks), rig_lock(two, locks):
+        with pytest.raises(PortError) as error, rig_lock(one, locks):
+            pass
+        assert "one.toml: valve.port" in str(error.value)
+        assert f"process {os.getpid()}" in str(error.value)
+        with (
+            pytest.raises(PortError, match=r"three\.toml: camera\.source"),
+            rig_lock(shared, locks),
+        ):
+            pass
+    with rig_lock(one, locks):
+        pass
+
+
+def test_a_lock_goes_with_its_process_however_that_ends(tmp_path: Path) -> None:
+    for device in ("valve", "balance", "stage"):
+        (tmp_path / device).touch()
+    ports = {d: str(tmp_path / d) for d in ("valve", "balance", "stage")}
+    path = rig_on_ports(tmp_path, "bench", ports)
+    code = (
+        "import sys, os\nfrom pathlib import Path\nfrom rigs.config import load_rig\n"
+        "from rigs.locks import rig_lock\n"
+        f"with rig_lock(load_rig({str(path)!r}), Path({str(tmp_path / 'locks')!r})):\n"
+        "    print('held', flush=True)\n    sys.stdin.read()\n"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert other.stdout is not None
+    assert other.stdout.readline() == "held\n"
+    config = load_rig(str(path))
+    with (
+        pytest.raises(PortError, match=f"process {other.pid}"),
+        rig_lock(config, tmp_path / "locks"),
+    ):
+        pass
+    other.kill()
+    other.communicate()
+    with rig_lock(config, tmp_path / "locks"):
+        pass
+
+
+def test_a_wrong_port_is_still_named_by_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PAMRIG_LOCKS", str(tmp_path / "locks"))
+    ports = {d: str(tmp_path / f"no-{d}") for d in ("valve", "balance", "stage")}
+    config = load_rig(str(rig_on_ports(tmp_path, "bench", ports)))
+    with pytest.raises(PortError, match=r"valve\.port = .*no-valve"), open_rig(config):
+        pass
