@@ -9,8 +9,8 @@ import socket
 from daq.clock import RealClock
 from rigs.operator_port import decode
 from rigs.virtual.bench import VirtualBench
+from rigs.virtual.byteports import LOOPBACK
 
-LOOPBACK = "127.0.0.1"
 HAND_S = 0.3
 """How long the person of a bench in real time takes: nobody likes to wait for one."""
 
