@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import cho_solve
 
 from blind import numbers as n
 from blind.bench import CONSTANTS, Trial, no_effect, tolerances
@@ -100,16 +101,17 @@ class Recalibration:
             seen.setdefault((trial.slot, trial.mounting), trial)
         self.design = replace(design, trials=tuple(seen.values()))
         self.noise = noise
+        self.times = {t.trial: instants(t) for t in self.design.trials}
         self.base = [self._read(t, design.true, no_effect()) for t in self.design.trials]
         self.layout = self._layout()
         self.floor = self._floors()
         self.weight = self._weights()
         self.jacobian, self.sd = self._jacobian()
-        self._basis: Floats | None = None
+        self._nuisances: tuple[Floats, Floats] | None = None
 
     def _read(self, trial: Trial, c: Floats, e: Floats) -> tuple[Floats, ...]:
         """Shown pressure and pull at the force instants, pressure, length there and on its own."""
-        tf, tp, tl = instants(trial)
+        tf, tp, tl = self.times[trial.trial]
         at_p = np.concatenate([tf, tp])
         grid = np.unique(at_p)
         r = read_trial(trial, c, e, grid, tf, tf if len(tf) else tl, ROUGH)
@@ -126,7 +128,7 @@ class Recalibration:
         at = 0
         places: list[list[slice]] = [[], [], []]
         for trial in self.design.trials:
-            tf, tp, tl = instants(trial)
+            tf, tp, tl = self.times[trial.trial]
             held = trial.held_mm is not None
             for kind, size in enumerate((len(tf), len(tp), len(tl) if held else 0)):
                 places[kind].append(slice(at, at + size))
@@ -275,10 +277,13 @@ class Recalibration:
             one.put(e)
         return self.difference(self.design.true, e)
 
-    def basis(self) -> Floats:
-        """Orthonormal columns of constants and per-trial nuisances, with their priors as rows."""
-        if self._basis is not None:
-            return self._basis
+    def nuisances(self) -> tuple[Floats, Floats]:
+        """Whitened columns of constants, zeros and gains, and the Cholesky factor of their fit.
+
+        The priors are one sd each, so the normal matrix is A'A + 1.
+        """
+        if self._nuisances is not None:
+            return self._nuisances
         q, columns = self.noise, [self.jacobian[:, j] for j in range(self.jacobian.shape[1])]
         for i, trial in enumerate(self.design.trials):
             p, pull, p_p, _ = self.base[i]
@@ -296,16 +301,19 @@ class Recalibration:
                 column[place] = q.force_zero_n if zero else q.force_gain * force * gain
                 columns.append(column)
         a = np.column_stack(columns) * self.weight[:, None]
-        augmented = np.vstack([a, np.eye(a.shape[1])])
-        basis = np.asarray(np.linalg.qr(augmented)[0])
-        self._basis = basis
-        return basis
+        factor = np.linalg.cholesky(a.T @ a + np.eye(a.shape[1]))
+        self._nuisances = a, factor
+        return self._nuisances
 
     def bare(self, signal: Floats) -> Floats:
-        """Whitened residual clear of all that constants, zeros and gains can take."""
-        basis = self.basis()
-        long = np.concatenate([signal * self.weight, np.zeros(basis.shape[1])])
-        return np.asarray(long - basis @ (basis.T @ long))
+        """Whitened residual clear of all that constants, zeros and gains can take.
+
+        The prior's rows follow, so that inner products of bare residuals are those of the fit.
+        """
+        a, factor = self.nuisances()
+        white = signal * self.weight
+        x = cho_solve((factor, True), a.T @ white)
+        return np.concatenate([white - a @ x, -x])
 
     def rivals(self) -> Iterator[Hidden]:
         """Every catalogue entry, plain and in another form, at every edge and side."""

@@ -45,7 +45,7 @@ def export_runs(
         runs: of any protocols, of one bench.
         folder: made if need be; it must hold no data set yet.
         plant: constants of the bench that differ from the nominal plant (a `bench.toml`); by
-            default those that a virtual rig states.
+            default the file of that name beside the rig file, or what a virtual rig states.
         form: "time" for channels against time, "points" for the settled points alone. A run of
             settled points from elsewhere has no other form.
 
@@ -99,11 +99,7 @@ def _write(
 def _bench(runs: Sequence[Run], plant: Path | None) -> dict[str, Any]:
     """Constants that differ from the nominal plant: of a file, or of the virtual rig's own text."""
     if plant is not None:
-        try:
-            table = tomllib.loads(plant.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise GapError(str(plant), f"cannot be read as TOML ({error})") from None
-        return {key: value for key, value in table.items() if key in KEYS or key in CHOICES}
+        return _read(plant)
     stated = [(run, _stated(run)) for run in runs]
     for run, table in stated:
         if table != stated[0][1]:
@@ -115,8 +111,19 @@ def _bench(runs: Sequence[Run], plant: Path | None) -> dict[str, Any]:
     return stated[0][1]
 
 
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise GapError(str(path), f"cannot be read as TOML ({error})") from None
+    return {key: value for key, value in table.items() if key in KEYS or key in CHOICES}
+
+
 def _stated(run: Run) -> dict[str, Any]:
-    """The plant that a virtual rig's file states; nothing for a real rig."""
+    """The plant that a virtual rig's file states, or the `bench.toml` beside a rig's file."""
+    beside = Path(str(run.manifest.get("rig", {}).get("source", ""))).parent / "bench.toml"
+    if beside.is_file():
+        return _read(beside)
     text = run.manifest.get("rig", {}).get("text", "")
     try:
         table = tomllib.loads(text)

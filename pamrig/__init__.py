@@ -6,6 +6,7 @@ names of all columns.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from daq.run import Run
+    from gap.verdict import Verdict
 
-__all__ = ["RecordedRun", "open_run", "runs"]
+__all__ = ["RecordedRun", "diagnose", "open_run", "runs"]
 
 
 class RecordedRun:
@@ -91,3 +93,17 @@ def runs(folder: str | Path = "runs") -> pd.DataFrame:
 
     rows: list[dict[str, Any]] = [info.as_dict() for info in list_runs(folder)]
     return pd.DataFrame(rows)
+
+
+def diagnose(data: str | Path, without: Iterable[str] = ()) -> Verdict:
+    """Diagnose a data set in the EXCHANGE form; see `gap.diagnose.diagnose`.
+
+    `verdict.as_dict()` is the object that `pamrig gap diagnose --json` prints.
+
+    Raises:
+        gap.errors.GapError: the data cannot be used; names file, row and column.
+    """
+    from gap.diagnose import diagnose as ask
+    from gap.reader import read_dataset
+
+    return ask(read_dataset(data), without)

@@ -85,6 +85,8 @@ def build_params(
         raise PlantError(f"load = {load!r}; allowed 'isometric' or 'isotonic'")
     if not 1e-3 <= mass_kg <= 1e3:
         raise PlantError(f"mass_kg = {mass_kg!r}; allowed 0.001 to 1000")
+    if load == "isotonic":
+        _check_carried(mass_kg, effects)
     c = constants
     at: dict[int, float] = {
         layout.SOURCE: 1.0 if source == "regulator" else 0.0,
@@ -104,7 +106,7 @@ def build_params(
         layout.STOP_STIFFNESS: c.stop_stiffness_n_m,
         layout.STOP_DAMPING: c.stop_damping_n_s_m,
         layout.LOAD_DAMPING: c.load_damping_n_s_m,
-        layout.MASS: _carried(mass_kg, effects) if load == "isotonic" else mass_kg,
+        layout.MASS: mass_kg,
         layout.GRAVITY: gravity_m_s2,
         layout.REGULATOR_LAG: REGULATOR_LAG_S,
         layout.DELAY_MODE: 1.0 if c.delay_mode == "transport" else 0.0,
@@ -125,13 +127,12 @@ def build_params(
     return params
 
 
-def _carried(mass_kg: float, effects: Effects) -> float:
+def _check_carried(mass_kg: float, effects: Effects) -> None:
     extra = effects.get("payload", "mass_kg")
     if not mass_kg + extra >= 1e-3:
         raise PlantError(
             f"effect 'payload': {extra:g} kg beside a load of {mass_kg:g} kg carries nothing"
         )
-    return mass_kg + extra
 
 
 def build_state(

@@ -111,6 +111,7 @@ def _gas(c: PlantConstants, on: Effects) -> Slots:
 
 def _load(on: Effects) -> Slots:
     return {
+        layout.EXTRA_MASS: on.get("payload", "mass_kg"),
         layout.LINK_FRICTION: on.get("link_friction", "friction_n"),
         layout.LINK_TRAVEL: on.get("link_friction", "travel_mm", 1.0) * 1e-3,
     }

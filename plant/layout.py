@@ -90,6 +90,7 @@ PRESSURE_LAG = 59  # s
 LINK_FRICTION = 60  # N
 LINK_TRAVEL = 61  # m of motion after which the link slips
 SUPPLY_DROOP = 62  # Pa that the supply falls at choked flow
+EXTRA_MASS = 63  # kg that hangs beside MASS without being written down
 PARAMS_SIZE = 96  # the rest is kept at zero for what is still to come
 
 # Inputs that a recording may hold, as numbered in the compiled batch runner.

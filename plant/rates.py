@@ -146,6 +146,12 @@ def slip_after(state: Slots, params: Slots, dp: float, dlength: float) -> float:
 
 
 @inlined
+def carried(params: Slots) -> float:
+    """Mass in kg that really hangs on the muscle; a payload never takes more than is there."""
+    return max(params[at.MASS] + params[at.EXTRA_MASS], 1e-3)
+
+
+@inlined
 def chamber(params: Slots, length: float) -> float:
     """Gas volume of muscle, line and fittings, m3."""
     return _volume(length, params[at.BRAID_LENGTH], params[at.TURNS]) + params[at.DEAD_VOLUME]
@@ -263,7 +269,8 @@ def fastest_load(state: Slots, params: Slots, absolute: float, volume: float, st
     if stop:
         stiffness += params[at.STOP_STIFFNESS]
         damping += params[at.STOP_DAMPING]
-    return math.sqrt(stiffness / params[at.MASS]) + damping / params[at.MASS]
+    mass = carried(params)
+    return math.sqrt(stiffness / mass) + damping / mass
 
 
 @inlined

@@ -17,6 +17,7 @@ from plant import layout as at
 from plant.compiled import Slots, called, inlined
 from plant.constants import GAS_CONSTANT_J_KG_K
 from plant.rates import (
+    carried,
     chamber,
     element,
     fastest_gas,
@@ -199,7 +200,7 @@ def _trial(
             net = push - pull - params[at.LOAD_DAMPING] * rate
             if params[at.LINK_FRICTION] != 0.0:
                 net -= params[at.LINK_FRICTION] * link_slip(state, params, length - length0)
-            drate = params[at.GRAVITY] + net / params[at.MASS]
+            drate = params[at.GRAVITY] + net / carried(params)
         weight = _WEIGHT[stage]
         dy_mean += weight * dy
         dlength_mean += weight * dlength

@@ -68,8 +68,22 @@ def virtual(
     tcp: Annotated[
         bool, typer.Option("--tcp", help="TCP ports instead of pseudo-terminals.")
     ] = False,
+    withheld: Annotated[
+        bool, typer.Option("--withheld", help="Hide an effect; print only its answer's seal.")
+    ] = False,
+    reveal: Annotated[
+        bool, typer.Option("--reveal", help="Print the answer of the withheld bench in --dir.")
+    ] = False,
 ) -> None:
     """Keep a virtual bench running in real time, on ports that any client can open."""
+    if withheld or reveal:
+        from rigs.virtual import withheldserver
+
+        if reveal:
+            withheldserver.reveal(folder)
+        else:
+            withheldserver.serve_withheld(rig, folder, seed=seed, seconds=seconds, tcp=tcp)
+        return
     from rigs.virtual.server import serve_bench
 
     serve_bench(rig, folder, seed=seed, seconds=seconds, truth=truth, tcp=tcp)

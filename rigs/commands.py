@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+import sys
 from pathlib import Path
 
 import typer
@@ -44,6 +46,8 @@ def view_command(run: str, runs: Path) -> None:
     found = find_run(runs, run)
     kind = procedure_of(found.manifest.get("protocol"))
     layout = kind.layout(found.manifest.get("parameters") or {})
+    # Ended by `kill`, the viewer's own program must not live on: let Python leave in good order.
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     view = open_view(found, layout, measured_edges(found))
     try:
         typer.echo(view.message)
@@ -51,6 +55,7 @@ def view_command(run: str, runs: Path) -> None:
     except KeyboardInterrupt:
         pass
     finally:
+        signal.signal(signal.SIGTERM, before)
         view.close()
 
 

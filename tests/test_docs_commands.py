@@ -78,11 +78,16 @@ def serve(folder: Path, command: str) -> None:
         argv(command), cwd=folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )
     assert process.stdout is not None
-    first = process.stdout.readline()
-    time.sleep(1.0)
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-    rest, _ = process.communicate(timeout=30)
+    try:
+        first = process.stdout.readline()
+        time.sleep(1.0)
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        rest, _ = process.communicate(timeout=30)
+    finally:  # a shell that runs tests in the background has Ctrl-C ignored: leave nothing behind
+        process.terminate()
+        process.wait(timeout=30)
+        process.stdout.close()
     assert "127.0.0.1" in first + rest, f"{command}\n{first}{rest}"
     assert "Traceback" not in rest
 

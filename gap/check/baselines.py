@@ -40,7 +40,7 @@ def features(folder: Path, without: Sequence[str]) -> Features:
     columns_of, asked, reader = (
         importlib.import_module(f"gap.{name}") for name in ("columns", "inquiry", "reader")
     )
-    inquiry = asked.Inquiry(reader.read_folder(folder))
+    inquiry = asked.Inquiry(reader.read_dataset(folder))
     chosen = [s for s in inquiry.suspects if not s.defect and s.id not in without]
     columns = columns_of.suspect_columns(
         inquiry.model, inquiry.data.constants, inquiry.given, chosen

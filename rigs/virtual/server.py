@@ -14,7 +14,7 @@ import socket
 import threading
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -33,6 +33,8 @@ LOOPBACK = "127.0.0.1"
 HAND_S = 0.3
 """How long the person of a bench in real time takes: nobody likes to wait for one."""
 LATENESS_KEPT = 2_000_000
+BENCH_FILE = "bench.toml"
+"""Beside the clients' rig file: what is known of the bench's plant, for whoever diagnoses it."""
 
 
 class Port(Protocol):
@@ -220,10 +222,16 @@ class BenchServer:
         folder: where port names and the clients' rig file appear.
         tcp: TCP instead of pseudo-terminals.
         truth: file for the true state, or None.
+        make: makes the bench of rig and host time at power-on.
     """
 
     def __init__(
-        self, config: RigConfig, folder: Path, tcp: bool = False, truth: Path | None = None
+        self,
+        config: RigConfig,
+        folder: Path,
+        tcp: bool = False,
+        truth: Path | None = None,
+        make: Callable[[RigConfig, int], VirtualBench] | None = None,
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.config = config
@@ -233,7 +241,7 @@ class BenchServer:
         self._vent_seen_us = -1
         self._heartbeat_ns = 0
         self._start_ns = time.monotonic_ns()
-        self.bench = VirtualBench(config, origin_ns=self._start_ns)
+        self.bench = (make or _plain)(config, self._start_ns)
         use_tcp = tcp or not hasattr(os, "openpty")
         self.ports: dict[str, Port] = {}
         for name in self.bench.devices:
@@ -244,6 +252,11 @@ class BenchServer:
         self.person = OperatorPort(self.bench)
         self.rig_file = folder / "rig.toml"
         self.rig_file.write_text(self._client_rig(), encoding="utf-8")
+        stated = config.virtual.plant if config.virtual is not None else {}
+        (folder / BENCH_FILE).write_text(
+            "".join(f"{key} = {json.dumps(value)}\n" for key, value in stated.items()),
+            encoding="utf-8",
+        )
 
     def _client_rig(self) -> str:
         """The rig file with real addresses in place of "virtual", text otherwise as it was."""
@@ -316,6 +329,10 @@ class BenchServer:
         assert self._truth is not None
         self._truth.write(json.dumps(line) + "\n")
 
+    def rest(self) -> None:
+        """Leave the processor to others until the next tick is about due."""
+        time.sleep(0.0008)
+
     def lateness_ms(self) -> dict[str, float]:
         """Lateness of the 1 kHz loop so far: median, p99.9 and worst, in ms."""
         late = np.array(self.lateness_ns or [0]) / 1e6
@@ -335,9 +352,17 @@ class BenchServer:
             self._truth.close()
 
 
+def _plain(config: RigConfig, origin_ns: int) -> VirtualBench:
+    return VirtualBench(config, origin_ns=origin_ns)
+
+
 @contextlib.contextmanager
 def open_server(
-    config: RigConfig, folder: Path, tcp: bool = False, truth: Path | None = None
+    config: RigConfig,
+    folder: Path,
+    tcp: bool = False,
+    truth: Path | None = None,
+    make: Callable[[RigConfig, int], VirtualBench] | None = None,
 ) -> Iterator[BenchServer]:
     """A bench server that is closed on the way out.
 
@@ -348,7 +373,7 @@ def open_server(
     if config.virtual is None:
         raise ConfigError(config.source, "has no [virtual] table, so it cannot be simulated")
     try:
-        server = BenchServer(config, folder, tcp, truth)
+        server = BenchServer(config, folder, tcp, truth, make)
     except OSError as error:
         raise PamrigError(
             str(folder), f"cannot hold the bench's ports: {error}", "use --dir"
@@ -380,7 +405,7 @@ def serve_bench(
         end = time.monotonic() + seconds if seconds > 0 else float("inf")
         while not stop.reason and time.monotonic() < end:
             server.step()
-            time.sleep(0.0008)
+            server.rest()
         late = server.lateness_ms()
         typer.echo(
             f"1 kHz loop lateness: median {late['p50']:.2f} ms, p99.9 {late['p99.9']:.2f} ms, "

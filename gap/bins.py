@@ -1,0 +1,88 @@
+"""How a trace becomes a modest number of features: means over bins that keep what matters.
+
+Bins are fine just after a command edge, end at turning points, and grow where nothing happens, so
+that a few hundred means a trial keep delays of a millisecond, loops and drifts of minutes alike.
+Replicates of a slot share the bins of the first of them, so that their difference is noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+
+# Seconds after a command edge at which bins end, finest first.
+_AFTER_FINE = np.r_[0, 3, 6, 8, 9, 10, 11, 12, 14, 16, 18, 20, 23, 26, 30, 36, 44, 55, 70] * 1e-3
+_AFTER_FINE = np.r_[_AFTER_FINE, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.8, 1.2, 2.0, 4.0]
+_AFTER = (_AFTER_FINE, _AFTER_FINE[::2], _AFTER_FINE[::4], _AFTER_FINE[[0, 12, 24]])
+
+
+def bin_ends(
+    first_s: float, last_s: float, spacing_s: float, marks: Array, turns: Array, most: int
+) -> Array:
+    """Ascending ends of bins over [first_s, last_s], at most about `most`, shape (bins + 1,)."""
+    uniform = max(8, most // 3)
+    for after in _AFTER:
+        ends = np.linspace(first_s, last_s, uniform + 1)
+        if len(marks):
+            fine = (marks[:, None] + after[None, :]).ravel()
+            following = np.r_[marks[1:], np.inf].repeat(len(after))
+            ends = np.r_[ends, fine[fine < following]]
+        ends = _thinned(np.r_[ends, turns], first_s, last_s, spacing_s)
+        if len(ends) <= most:
+            return np.asarray(ends)
+    return np.asarray(ends[np.unique(np.linspace(0, len(ends) - 1, most).astype(np.int64))])
+
+
+def _thinned(ends: Array, first_s: float, last_s: float, spacing_s: float) -> Array:
+    """Drop ends closer to the one before than samples are apart."""
+    ends = np.unique(ends[(ends > first_s) & (ends < last_s)])
+    kept = [first_s]
+    for end in ends:
+        if end - kept[-1] >= 0.999 * spacing_s:
+            kept.append(float(end))
+    if last_s - kept[-1] < 0.999 * spacing_s and len(kept) > 1:
+        kept.pop()
+    return np.asarray(np.r_[kept, last_s + 1e-6])
+
+
+def turning_points(time_s: Array, value: Array, least: float) -> Array:
+    """Times at which a signal turns, excursions smaller than `least` ignored."""
+    turns: list[float] = []
+    if len(value) < 3:
+        return np.empty(0)
+    high = low = float(value[0])
+    high_at = low_at = float(time_s[0])
+    way = 0
+    for t, v in zip(time_s.tolist(), value.tolist(), strict=True):
+        if v > high:
+            high, high_at = v, t
+        if v < low:
+            low, low_at = v, t
+        if way >= 0 and v < high - least:
+            if way > 0 or high_at > time_s[0]:
+                turns.append(high_at)
+            way, low, low_at = -1, v, t
+            high, high_at = v, t
+        elif way <= 0 and v > low + least:
+            if way < 0 or low_at > time_s[0]:
+                turns.append(low_at)
+            way, high, high_at = 1, v, t
+            low, low_at = v, t
+    return np.array(turns)
+
+
+def fold(time_s: Array, value: Array, turns: Array, parts: int) -> Whole:
+    """Bins of a signal that swings faster than bins in time can follow: shape of `time_s`.
+
+    Time part, direction and third of the swing together number the bin.
+    """
+    part = np.minimum(
+        parts * (time_s - time_s[0]) / max(time_s[-1] - time_s[0], 1e-9), parts - 1
+    ).astype(np.int64)
+    half = np.searchsorted(turns, time_s)
+    low, high = np.quantile(value, [0.02, 0.98])
+    third = np.clip(4 * (value - low) / max(high - low, 1e-12), 0, 3).astype(np.int64)
+    return np.asarray((part * 2 + half % 2) * 4 + third)

@@ -1,0 +1,86 @@
+"""Whether the data are fit to be diagnosed: gaps, saturation, stuck or starved channels.
+
+Clock offsets and two-sided smoothing are suspects in the search itself (`gap.suspects`), because
+only against the other channels do they show; what a channel shows alone is checked here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gap.dataset import Channel, DataSet
+
+
+@dataclass(frozen=True)
+class Unfit:
+    """A defect of one channel that a diagnosis cannot look past."""
+
+    channel: str
+    defect: str
+    trial: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.channel} {self.defect}"
+
+
+_CHECKED = ("pressure_kpa", "force_n", "length_mm")
+_RAIL_SHARE = 0.04
+_GAP_SHARE = 0.25
+
+
+def unfit_channels(data: DataSet) -> list[Unfit]:
+    """Defects found in single channels, worst first; empty when there are none."""
+    found: list[Unfit] = []
+    for name in _CHECKED:
+        there = [
+            (trial.name, trial[name])
+            for trial in data.trials
+            if name in trial and not trial.settled
+        ]
+        if not there:
+            continue
+        rail = _saturated([channel for _, channel in there])
+        if rail is not None:
+            found.append(Unfit(name, f"is saturated at {rail:g} for part of the data", there[0][0]))
+        holes = [(trial, hole) for trial, channel in there if (hole := _hole(channel)) > 0.0]
+        if len(holes) > 0.3 * len(there):
+            worst = max(holes, key=lambda item: item[1])
+            found.append(
+                Unfit(name, f"has gaps of up to {worst[1]:.3g} s in {len(holes)} trials", worst[0])
+            )
+    return found
+
+
+def _saturated(channels: list[Channel]) -> float | None:
+    """Value at which a channel is clipped: its extreme, reached again and again, exactly."""
+    values = np.concatenate([channel.value for channel in channels])
+    if len(values) < 200:
+        return None
+    for extreme, inside in (
+        (values.max(), values < values.max()),
+        (values.min(), values > values.min()),
+    ):
+        share = 1.0 - float(inside.mean())
+        if share < _RAIL_SHARE or not inside.any():
+            continue
+        # Many readings on the very edge, and few just inside it: a rail, not a resting value.
+        spread = float(values.max() - values.min())
+        near = np.abs(values - extreme) < 0.01 * spread
+        if spread > 0.0 and share > 0.7 * float(near.mean()) and abs(extreme) > 0.2 * spread:
+            distinct = len(np.unique(np.round(values[near], 9)))
+            if distinct <= 3:
+                return float(extreme)
+    return None
+
+
+def _hole(channel: Channel) -> float:
+    """Length in s of the longest hole when holes take a good part of the trial, else 0."""
+    if len(channel) < 20:
+        return 0.0
+    step = np.diff(channel.time_s)
+    usual = float(np.median(step))
+    long = step[step > 8.0 * usual]
+    span = float(channel.time_s[-1] - channel.time_s[0])
+    return float(long.max()) if len(long) and long.sum() > _GAP_SHARE * span else 0.0

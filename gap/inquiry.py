@@ -1,0 +1,284 @@
+"""One data set under question: fits constants and suspects to it, nonlinearly.
+
+Everything above (naming, shrinking, advice) asks this object for fits; it keeps the grid, the
+noise and the signatures, and counts nothing twice.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gap.columns import constant_columns, suspect_columns
+from gap.dataset import DataSet
+from gap.evidence import Evidence, gather, tolerance
+from gap.grid import make_grid
+from gap.laws import Active
+from gap.model import Model
+from gap.noise import learn_noise
+from gap.rows import BLOCKS
+from gap.suspects import SUSPECTS, Suspect
+from plant.catalogue import CATALOGUE
+from plant.constants import KEYS, PlantConstants
+
+Array = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+
+_ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class State:
+    """A fitted plant: constants moved by `shift` sd, suspects with their amounts.
+
+    Attributes:
+        residual: measured minus predicted at this state, shape (rows,).
+        cost: whitened sum of squares, the constants' prior included.
+        cover: covariance of [constants in sd, amounts].
+    """
+
+    shift: Array
+    suspects: tuple[Suspect, ...]
+    amounts: Array
+    residual: Array
+    cost: float
+    cover: Array
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Catalogue ids (or defects) in force, each once, in order of entry."""
+        return tuple(dict.fromkeys(suspect.id for suspect in self.suspects))
+
+    @property
+    def active(self) -> Active:
+        """What the model takes."""
+        return [
+            (s.id, s.option, float(a), s.shape)
+            for s, a in zip(self.suspects, self.amounts, strict=True)
+        ]
+
+
+class Inquiry:
+    """Fits to one data set; see `State`.
+
+    Attributes:
+        names: constants that are recalibrated, in the order of `State.shift`.
+        base: the state with no suspect: constants recalibrated within their tolerances.
+        untouched: rows of the nominal plant as stated, shape (rows,).
+    """
+
+    def __init__(self, data: DataSet, suspects: Sequence[Suspect] = SUSPECTS) -> None:
+        self.data = data
+        self.suspects = tuple(suspects)
+        self.grid = make_grid(data)
+        self.model = Model(self.grid)
+        self.given: Active = _given(data)
+        self.rows = self.grid.rows
+        self.untouched = self._residual(data.constants, [])
+        self.noise = learn_noise(self.model, data.constants, self.untouched)
+        self.names, self.stated_columns = constant_columns(
+            self.model, data.constants, self.given, data.constants
+        )
+        self.columns = self.stated_columns
+        self.units = self._units()
+        self.base = self._recalibrate()
+
+    def _residual(self, c: PlantConstants, active: Active) -> Array:
+        rows = self.model.stacked(self.model.residual(c, [*self.given, *active]))
+        return np.nan_to_num(rows, nan=0.0, posinf=3e3, neginf=-3e3)
+
+    def _units(self) -> Whole:
+        slots = {slot: k for k, slot in enumerate(self.data.slots)}
+        return np.array([slots[trial.slot] for trial in self.data.trials], dtype=np.int64)
+
+    def constants(self, shift: Array) -> PlantConstants:
+        """Constants of the bench moved by `shift` sd of their tolerances."""
+        c = self.data.constants
+        changes = {}
+        for key, sd in zip(self.names, shift, strict=True):
+            field = KEYS[key].field
+            value = getattr(c, field) + float(sd) * c.tolerance_si(key)
+            if getattr(c, field) > 0.0 and not field.endswith("per_pa"):
+                value = max(value, 0.02 * getattr(c, field))
+            changes[field] = value
+        return dataclasses.replace(c, **changes)
+
+    def fit(self, suspects: Sequence[Suspect], start: Sequence[float] = ()) -> State:
+        """Gauss-Newton over constants (with their prior) and the amounts of `suspects`.
+
+        Starts from the recalibrated plant, and from the plant as stated where a large effect has
+        bent the recalibration; the better end counts.
+        """
+        amounts = np.array(start or [0.0] * len(suspects), dtype=np.float64)
+        return self._descend(self.base.shift, suspects, amounts, self.columns)
+
+    def fit_afresh(self, suspects: Sequence[Suspect], start: Sequence[float] = ()) -> State:
+        """Return what `fit` gives when it starts from the constants as stated."""
+        amounts = np.array(start or [0.0] * len(suspects), dtype=np.float64)
+        return self._descend(np.zeros(len(self.names)), suspects, amounts, self.stated_columns)
+
+    def polish(self, state: State) -> State:
+        """Fit again from a state, with signatures of the constants taken there."""
+        shift, suspects, amounts = state.shift, state.suspects, state.amounts
+        for _ in range(2):
+            columns = self._columns_at(shift, suspects, amounts)
+            better = self._descend(shift, suspects, amounts, columns)
+            if better.cost >= state.cost - 0.5:
+                return better if better.cost < state.cost else state
+            state = better
+            shift, amounts = state.shift, state.amounts
+        return state
+
+    def _recalibrate(self) -> State:
+        state = self._descend(np.zeros(len(self.names)), (), np.empty(0), self.stated_columns)
+        for _ in range(4):
+            self.columns = self._columns_at(state.shift, (), np.empty(0))
+            better = self._descend(state.shift, (), np.empty(0), self.columns)
+            done = better.cost > state.cost - max(1.0, 1e-3 * state.cost)
+            state = better if better.cost < state.cost else state
+            if done:
+                break
+        return state
+
+    def _columns_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
+        active = [
+            (s.id, s.option, float(a), s.shape) for s, a in zip(suspects, amounts, strict=True)
+        ]
+        c = self.constants(shift)
+        names, columns = constant_columns(
+            self.model, c, [*self.given, *active], self.data.constants
+        )
+        made = np.zeros((len(self.rows), len(self.names)))
+        for j, name in enumerate(self.names):
+            if name in names:
+                made[:, j] = columns[:, names.index(name)]
+        return np.nan_to_num(made)
+
+    def _descend(
+        self, shift: Array, suspects: Sequence[Suspect], amounts: Array, constants: Array
+    ) -> State:
+        n = len(self.names)
+        shift = shift.copy()
+        residual, cost = self._at(shift, suspects, amounts)
+        cover = np.eye(n + len(suspects))
+        for turn in range(_ROUNDS):
+            columns = np.hstack([constants, self._slopes(shift, suspects, amounts)])
+            beta, cover = self._solve(columns, residual, shift)
+            moved = False
+            length = 1.0
+            for _ in range(5):
+                new_shift = shift + length * beta[:n]
+                new_amounts = _bounded(suspects, amounts + length * beta[n:])
+                trial, trial_cost = self._at(new_shift, suspects, new_amounts)
+                if trial_cost < cost:
+                    moved = True
+                    break
+                length *= 0.4
+            if not moved:
+                break
+            gain = cost - trial_cost
+            shift, amounts, residual, cost = new_shift, new_amounts, trial, trial_cost
+            if gain < max(0.3, 2e-4 * cost) and turn:
+                break
+        return State(shift, tuple(suspects), amounts, residual, cost, cover)
+
+    def _at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> tuple[Array, float]:
+        active = [
+            (s.id, s.option, float(a), s.shape) for s, a in zip(suspects, amounts, strict=True)
+        ]
+        residual = self._residual(self.constants(shift), active)
+        return residual, self.whitened(residual) + tolerance(shift)[0]
+
+    def whitened(self, residual: Array) -> float:
+        """Sum of squares of a residual in the noise's own measure."""
+        total = 0.0
+        for trial, rows in enumerate(self.noise.trial_rows):
+            if len(rows):
+                total += float(self.noise.solve(trial, residual[rows][:, None])[0][0, 0])
+        return total
+
+    def _slopes(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
+        """Signatures of the suspects in force, at their present amounts."""
+        made = np.zeros((len(self.rows), len(suspects)))
+        c = self.constants(shift)
+        active = [
+            (s.id, s.option, float(a), s.shape) for s, a in zip(suspects, amounts, strict=True)
+        ]
+        for j, suspect in enumerate(suspects):
+            there = [block for block in suspect.blocks if block in self.grid.points]
+            step = max(0.3 * suspect.step, 0.02 * abs(amounts[j]))
+            if suspect.id == "transport_delay":
+                step = 1.0
+            low = [*active]
+            high = [*active]
+            low[j] = (suspect.id, suspect.option, max(amounts[j] - step, 0.0) if suspect.sign
+                      else amounts[j] - step, suspect.shape)  # fmt: skip
+            high[j] = (suspect.id, suspect.option, amounts[j] + step, suspect.shape)
+            a = self.model.residual(c, [*self.given, *low], there)
+            b = self.model.residual(c, [*self.given, *high], there)
+            span = high[j][2] - low[j][2]
+            made[:, j] = self.model.stacked({k: (a[k] - b[k]) / span for k in there})
+        return np.nan_to_num(made)
+
+    def _solve(self, columns: Array, residual: Array, shift: Array) -> tuple[Array, Array]:
+        n = len(self.names)
+        width = columns.shape[1]
+        matrix = np.zeros((width, width))
+        right = np.zeros(width)
+        both = np.hstack([columns, residual[:, None]])
+        for trial, rows in enumerate(self.noise.trial_rows):
+            if len(rows):
+                gram, _ = self.noise.solve(trial, both[rows])
+                matrix += gram[:width, :width]
+                right += gram[:width, width]
+        _, slope, stiffness = tolerance(shift)
+        matrix[range(n), range(n)] += stiffness
+        right[:n] -= slope
+        cover = np.linalg.pinv(matrix, hermitian=True, rcond=1e-13)
+        return np.asarray(cover @ right), np.asarray(cover)
+
+    def stated(self) -> State:
+        """The plant as stated, nothing fitted: where a large effect leaves constants alone."""
+        shift = np.zeros(len(self.names))
+        residual, cost = self._at(shift, (), np.empty(0))
+        return State(shift, (), np.empty(0), residual, cost, np.eye(len(shift)))
+
+    def evidence(self, state: State) -> Evidence:
+        """Inner products of constants, residual and all suspects at `state`."""
+        c = self.constants(state.shift)
+        constants = self.columns if np.any(state.shift) else self.stated_columns
+        columns = suspect_columns(self.model, c, [*self.given, *state.active], self.suspects)
+        return gather(
+            self.noise, constants, state.residual, np.nan_to_num(columns), self.rows.block,
+            self.rows.span_s, self.units, state.shift,
+        )  # fmt: skip
+
+    def blocks(self) -> list[str]:
+        """Blocks that the data set fills."""
+        return [name for number, name in enumerate(BLOCKS) if np.any(self.rows.block == number)]
+
+
+def _bounded(suspects: Sequence[Suspect], amounts: Array) -> Array:
+    low = np.array([0.0 if s.sign else -np.inf for s in suspects])
+    high = np.array([1.0 if s.id == "transport_delay" else np.inf for s in suspects])
+    return np.asarray(np.minimum(np.maximum(amounts, low), high))
+
+
+def _given(data: DataSet) -> Active:
+    """Effects that `bench.toml` states, in the suspects' terms: they are no gap."""
+    made: Active = []
+    for name, table in data.effects.values.items():
+        entry = CATALOGUE[name]
+        shape = next(s.shape for s in SUSPECTS if s.id == name)
+        option = next((str(v) for v in table.values() if isinstance(v, str)), "")
+        amount = float(table[entry.headline]) if entry.headline else 1.0
+        if name in ("flow_area", "polytropic"):
+            amount -= 1.0
+        elif name == "critical_ratio":
+            amount -= data.constants.critical_ratio
+        made.append((name, option, amount, shape))
+    return made

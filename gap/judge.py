@@ -1,0 +1,309 @@
+"""The verdict on what a search found: named, one of several, a mimic, unknown, or nothing there.
+
+Probabilities compare what each explanation leaves: like a likelihood where little is left, and
+blunter where the best explanation itself leaves a pattern, because then its form is not exact and
+small differences mean little. The constants of that map were set on practice sets (docs/gap.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gap.inquiry import Inquiry, State
+from gap.mimic import Mimic, Mimicry
+from gap.naming import ALARM, Choice, Naming
+from gap.parameters import headline_estimates, limits_of
+from gap.rows import BLOCKS
+from gap.shrink import Held, gap_of, held_out
+from gap.suspects import DEFECTS
+from gap.verdict import Explanation, Gap, Verdict
+from gap.where import contrasts_of, stage_shares
+from plant.catalogue import CATALOGUE
+
+BLUNT = 4.0
+"""How fast an explanation loses credit as it leaves more than the best one."""
+FORM = 100.0
+"""Whitened excess that the best explanation may leave before differences count for less."""
+MIMIC = 0.9
+KNOWN = 0.5
+FORM_FULL = 0.85
+UNSEEN = 0.2
+COVER = 0.9
+_LEAST = 0.03
+NEEDED_REPLICATES = 3
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """Explanations with probabilities, best first, and what none and unknown get."""
+
+    entries: list[tuple[Choice, float]]
+    none: float
+    unknown: float
+
+
+def judge(q: Inquiry, naming: Naming) -> Verdict:
+    """Turn the outcome of a search into a verdict."""
+    chosen = naming.chosen
+    held = held_out(q, chosen.state)
+    if not chosen.keys:
+        return _without_name(q, naming, held)
+    if chosen.state.suspects[0].defect:
+        return _defect(q, naming, held)
+    return _with_name(q, naming, held)
+
+
+def _without_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
+    unseen = naming.excess / max(len(q.rows), 1)
+    floor = _floor_source(q)
+    if floor is None:
+        return _verdict(
+            q, naming, held, "below_resolution",
+            f"{q.noise.freedom} replicates beyond the first: too few to tell a gap from noise, "
+            f"{NEEDED_REPLICATES} are needed", none=0.5, unknown=0.5,
+        )  # fmt: skip
+    if unseen > UNSEEN:
+        block = _block(held, q.base)
+        stage = _stage_of_block(q, naming, block)
+        return _verdict(
+            q, naming, held, "unknown",
+            f"a gap that no entry of the catalogue explains, in the {block} residual",
+            none=0.02, unknown=0.98, stage=stage,
+        )  # fmt: skip
+    best = max(naming.first_gain.values(), default=0.0)
+    unknown = 0.02 + 0.2 * min(unseen / UNSEEN, 1.0) ** 2
+    none = (1.0 - unknown) * (1.0 - 0.15 * min(best / ALARM, 1.0))
+    return _verdict(
+        q, naming, held, "no_gap_above_floor",
+        "the plant, recalibrated within its tolerances, agrees with the data to within the floor",
+        none=none, unknown=1.0 - none,
+    )  # fmt: skip
+
+
+def _defect(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
+    suspect = naming.chosen.state.suspects[0]
+    amount = float(naming.chosen.state.amounts[0])
+    more = f" by about {amount:.3g} ms" if suspect.id.endswith("clock") else ""
+    return _verdict(
+        q, naming, held, "data_unfit", DEFECTS[suspect.id] + more, none=0.0, unknown=1.0,
+        evidence={"defect": suspect.id, "amount": amount},
+    )  # fmt: skip
+
+
+def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
+    chosen = naming.chosen
+    block = _block(held, chosen.state)
+    gap = gap_of(block, held[block], True, _floor_source(q), "slot")
+    share = 1.0 - naming.left / max(naming.excess, 1.0)
+    names = " and ".join(chosen.state.ids)
+    if _floor_source(q) is None:
+        return _verdict(
+            q, naming, held, "below_resolution",
+            f"the data look like {names}, but with {q.noise.freedom} replicates beyond the first "
+            "nothing can be told from noise", none=0.3, unknown=0.5, gap=gap,
+        )  # fmt: skip
+    if share < KNOWN:
+        return _verdict(
+            q, naming, held, "unknown",
+            f"a gap of which the best entry ({names}) explains {100 * share:.0f} %",
+            none=0.0, unknown=1.0, gap=gap, stage=_stage_of_block(q, naming, block),
+        )  # fmt: skip
+    weighed = _weigh(naming, share)
+    one, two = _mimics(q, chosen.state)
+    entries = _ambiguity_set(weighed)
+    ids = {frozenset(choice.state.ids) for choice, _ in entries}
+    status, reason = _status(naming, gap, share, one, two, len(ids), names)
+    extra = [m for m in (one, two) if m is not None and m.share >= MIMIC]
+    return _verdict(
+        q, naming, held, status, reason, none=weighed.none, unknown=weighed.unknown, gap=gap,
+        stage=CATALOGUE[chosen.state.ids[0]].stage, entries=entries, mimics=extra,
+        evidence={
+            "share_explained": share,
+            "mimics": [{"ids": m.ids, "share": m.share} for m in (one, two) if m],
+            "steps": [{"entry": k, "gain": g} for k, g in naming.steps],
+        },
+    )  # fmt: skip
+
+
+def _mimics(q: Inquiry, state: State) -> tuple[Mimic | None, Mimic | None]:
+    signature = q.base.residual - state.residual
+    return Mimicry(q).of(signature, frozenset(state.ids))
+
+
+def _status(
+    naming: Naming, gap: Gap, share: float, one: Mimic | None, two: Mimic | None, rivals: int,
+    names: str,
+) -> tuple[str, str]:  # fmt: skip
+    if rivals > 1 or (one is not None and one.share >= MIMIC):
+        other = f"; {' + '.join(one.ids)} would look alike" if one and one.share >= MIMIC else ""
+        return (
+            "indistinguishable",
+            f"{names} or another entry of the set: these data fit both{other}",
+        )
+    if two is not None and two.share >= MIMIC:
+        return "mimicable", f"{names}, or {' and '.join(two.ids)} acting together"
+    if share < FORM_FULL:
+        return (
+            "named_form_inadequate",
+            f"{names} explains {100 * share:.0f} % of the gap; its form leaves a pattern",
+        )
+    if gap.closed_low is not None and gap.closed_low <= KNOWN:
+        return (
+            "named_form_inadequate",
+            f"{names}; held out, the closed fraction is not certain to exceed one half",
+        )
+    return "named", f"{names} explains the gap"
+
+
+def _weigh(naming: Naming, share: float) -> _Weighed:
+    choices = [naming.chosen, *(c for c in naming.rivals if not c.state.suspects[-1].defect)]
+    best = naming.chosen.cost
+    blunt = max(1.0, naming.left / FORM)
+    more = np.maximum(np.array([choice.cost for choice in choices]) - best, 0.0)
+    scores = -BLUNT * np.log1p(more / blunt / (2.0 * BLUNT))
+    weights = np.exp(scores - scores.max())
+    unknown = 1.0 / (1.0 + np.exp((share - 0.55) / 0.08))
+    none = float(np.exp(-max(naming.steps[0][1] - 20.0, 0.0) / 6.0)) if naming.steps else 1.0
+    none = min(none, 0.5)
+    left = max(1.0 - unknown - none, 0.0)
+    probabilities = left * weights / weights.sum()
+    order = np.argsort(-probabilities, kind="stable")
+    entries = [(choices[i], float(probabilities[i])) for i in order]
+    return _Weighed(entries, none, float(unknown))
+
+
+def _ambiguity_set(weighed: _Weighed) -> list[tuple[Choice, float]]:
+    """Best explanations until together they hold most of what none and unknown leave."""
+    whole = sum(p for _, p in weighed.entries)
+    kept: list[tuple[Choice, float]] = []
+    held = 0.0
+    for choice, p in weighed.entries:
+        if kept and (held >= COVER * whole or p < _LEAST):
+            break
+        kept.append((choice, p))
+        held += p
+    return kept
+
+
+def _verdict(
+    q: Inquiry,
+    naming: Naming,
+    held: dict[str, Held],
+    status: str,
+    reason: str,
+    none: float,
+    unknown: float,
+    gap: Gap | None = None,
+    stage: str | None = None,
+    entries: list[tuple[Choice, float]] | None = None,
+    mimics: list[Mimic] | None = None,
+    evidence: dict[str, object] | None = None,
+) -> Verdict:
+    if gap is None and held:
+        block = _block(held, naming.chosen.state)
+        gap = gap_of(block, held[block], False, _floor_source(q), "slot")
+    effects = _explanations(q, entries or [], mimics or [], none, unknown)
+    whole = none + unknown + sum(effect.probability for effect in effects)
+    scale = 1.0 / whole if whole > 0.0 else 1.0
+    return Verdict(
+        status=status,
+        reason=reason,
+        stage=None if stage == "any" else stage,
+        effects=tuple(
+            Explanation(e.ids, e.family, e.probability * scale, e.parameters) for e in effects
+        ),
+        probability_none=none * scale,
+        probability_unknown=unknown * scale,
+        gap=gap,
+        stages=stage_shares(q, naming.chosen.state),
+        contrasts=contrasts_of(q),
+        limits=limits_of(q, ALARM),
+        next_experiment=None,
+        why_not=_why_not(q, naming, {i for e in effects for i in e.ids}),
+        notes=q.data.notes,
+        evidence=evidence or {},
+    )
+
+
+def _explanations(
+    q: Inquiry, entries: list[tuple[Choice, float]], mimics: list[Mimic], none: float,
+    unknown: float,
+) -> list[Explanation]:  # fmt: skip
+    made: dict[frozenset[str], Explanation] = {}
+    for choice, p in entries:
+        ids = choice.state.ids
+        key = frozenset(ids)
+        if key in made:
+            kept = made[key]
+            made[key] = Explanation(kept.ids, kept.family, kept.probability + p, kept.parameters)
+            continue
+        families = dict.fromkeys(CATALOGUE[name].family for name in ids)
+        made[key] = Explanation(ids, "+".join(families), p, headline_estimates(q, choice.state))
+    # What mimics the best entry shares its credit: on these data nothing tells them apart.
+    for mimic in mimics:
+        key = frozenset(mimic.ids)
+        if key not in made and made:
+            first = next(iter(made.values()))
+            families = dict.fromkeys(CATALOGUE[name].family for name in mimic.ids)
+            made[key] = Explanation(mimic.ids, "+".join(families), 0.4 * first.probability, {})
+    return sorted(made.values(), key=lambda e: -e.probability)
+
+
+def _floor_source(q: Inquiry) -> str | None:
+    if q.noise.pairs and q.noise.freedom >= NEEDED_REPLICATES:
+        return "replicates"
+    return "smoothness" if q.data.settled else None
+
+
+def _block(held: dict[str, Held], state: State) -> str:
+    """The block whose gap stands highest above its floor, or is closed most."""
+
+    def height(block: str) -> float:
+        part = held[block]
+        floor = max(part.rms("floor"), 1e-6) ** 2
+        gained = part.rms("recalibrated") ** 2 - (
+            part.rms("after") ** 2 if state.suspects else part.rms("floor") ** 2
+        )
+        return gained / floor * (0.2 if block == "camera" else 1.0)
+
+    return max(held, key=height)
+
+
+def _stage_of_block(q: Inquiry, naming: Naming, block: str) -> str | None:
+    """Stage of the suspect that comes nearest among those that touch the block."""
+    known = {s.key: s for s in q.suspects if not s.defect and block in s.blocks}
+    gains = {k: g for k, g in naming.first_gain.items() if k in known}
+    if not gains:
+        return None
+    stage = CATALOGUE[known[max(gains, key=lambda k: gains[k])].id].stage
+    return None if stage == "any" else stage
+
+
+def _why_not(q: Inquiry, naming: Naming, named: set[str]) -> dict[str, str]:
+    """For each entry not in the set: what share of the gap it closes alone."""
+    made: dict[str, str] = {}
+    rivals = {c.state.ids[-1]: c for c in reversed(naming.rivals)}
+    for suspect in q.suspects:
+        name = suspect.id
+        if suspect.defect or name in named or name in made:
+            continue
+        gain = max(
+            (g for k, g in naming.first_gain.items() if k.split(":")[0] == name), default=0.0
+        )
+        if not any(block in q.grid.points for block in suspect.blocks):
+            made[name] = "no channel in these data would show it"
+        elif name in rivals and naming.chosen.keys:
+            worse = rivals[name].cost - naming.chosen.cost
+            made[name] = f"fits worse than the set by {worse:.0f} in chi-square"
+        elif naming.excess > 1.0:
+            made[name] = f"closes {100 * min(gain / naming.excess, 1.0):.0f} % of the gap"
+        else:
+            made[name] = f"chi-square falls by {gain:.0f} only"
+    return made
+
+
+def blocks_of(q: Inquiry) -> list[str]:
+    """Blocks that hold rows, in order."""
+    return [name for number, name in enumerate(BLOCKS) if np.any(q.rows.block == number)]

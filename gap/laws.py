@@ -1,0 +1,294 @@
+"""The force stage: measured pressure, length, speed and history in, predicted force out.
+
+Nominal physics is `plant.muscle`; on top come the effects of the catalogue in the shapes of
+`gap.suspects`. Sensor effects act on what was read before it is fed in: a gauge that reads high
+fed the model too much pressure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gap import history
+from gap.rows import Points
+from gap.suspects import Shape
+from plant.constants import PlantConstants
+from plant.muscle import liner_pressure
+
+Array = npt.NDArray[np.float64]
+Active = list[tuple[str, str, float, Shape]]
+"""Effects in force: id, option (side or edge), amount of the headline parameter, shape."""
+
+REFERENCE_C = 21.0
+_REFERENCE_BRAID_M = 0.0884
+_GRAVITY = 9.80665
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a law needs beside the points: constants, and the order of the trials from 0."""
+
+    constants: PlantConstants
+    order: Array
+
+
+def true_length(points: Points, active: Active, c: PlantConstants) -> Array:
+    """Length in m behind what was read or written down."""
+    length = points.length
+    for name, _, amount, shape in active:
+        if name == "length_label":
+            length = length + np.where(points.held, amount * 1e-3, 0.0)
+        elif name in _CAMERA:
+            length = length + np.where(
+                points.held, 0.0, _true_minus_read(name, amount, shape, points, c)
+            )
+    return length
+
+
+_CAMERA = ("camera_scale", "camera_distortion", "camera_delay", "camera_zero")
+
+
+def _middle(c: PlantConstants) -> float:
+    return 0.5 * (c.length_min_m + c.length_max_m)
+
+
+def read_minus_true(
+    name: str, amount: float, shape: Shape, length: Array, c: PlantConstants
+) -> Array:
+    """Error of the camera's reading in m at true length `length`."""
+    if name == "camera_zero":
+        return np.full(len(length), amount * 1e-3)
+    if name == "camera_scale":
+        origin = _middle(c) if "middle" in shape else 0.0
+        return amount * 1e-2 * (length - origin)
+    half = 0.5 * (c.length_max_m - c.length_min_m)
+    if "edge" in shape:
+        share = (length - c.length_min_m) / (2.0 * half)
+    else:
+        share = (length - _middle(c)) / half
+    return np.asarray(amount * 1e-3 * np.sign(share) * np.abs(share) ** shape.get("power", 3.0)
+                      if shape.get("power", 3.0) != 2.0 else amount * 1e-3 * share**2)  # fmt: skip
+
+
+def _true_minus_read(
+    name: str, amount: float, shape: Shape, points: Points, c: PlantConstants
+) -> Array:
+    if name == "camera_delay":
+        return moved(points, points.length, amount * 1e-3) - points.length
+    return -read_minus_true(name, amount, shape, points.length, c)
+
+
+def true_pressure(points: Points, active: Active) -> Array:
+    """Gauge pressure in Pa behind what was read."""
+    p = points.pressure
+    for name, _, amount, _shape in active:
+        if name == "pressure_lag":
+            p = p + amount * 1e-3 * points.pressure_slope
+        elif name == "pressure_clock":
+            p = moved(points, p, amount * 1e-3)
+    for name, _, amount, _shape in active:
+        if name == "pressure_gain":
+            p = p / (1.0 + amount * 1e-2)
+        elif name == "pressure_zero":
+            p = p - amount * 1e3
+    return p
+
+
+def moved(points: Points, values: Array, ahead_s: float) -> Array:
+    """Values of a signal `ahead_s` later, trial by trial, ends held."""
+    if ahead_s == 0.0:
+        return values
+    made = values.copy()
+    for a, b in zip(points.first[:-1].tolist(), points.first[1:].tolist(), strict=True):
+        if b - a > 2:
+            t = points.time_s[a:b]
+            made[a:b] = np.interp(t + ahead_s, t, values[a:b])
+    return made
+
+
+def muscle_force(points: Points, active: Active, context: Context) -> Array:
+    """True pull of the muscle in N at every point."""
+    c = context.constants
+    p = true_pressure(points, active)
+    length = true_length(points, active, c)
+    push, effective, braid = p, length, np.full(len(p), c.braid_length_m)
+    for name, _, amount, shape in active:
+        if name == "liner_threshold":
+            push = push - _liner_loss(p, amount, shape)
+        elif name == "end_cap":
+            effective = effective - amount * 1e-3 * _end_cap(length, shape, c)
+        elif name == "fibre_stretch":
+            braid = braid * (1.0 + amount * 1e-2 * _stretch(p, length, shape, c))
+    # `braid_force` with a braid length of each point's own.
+    slope = push / (4.0 * np.pi * c.turns**2)
+    force = np.asarray(slope * (3.0 * effective * effective - braid * braid))
+    base = force
+    for name, _, amount, shape in active:
+        law = _ADDED.get(name)
+        if law is not None:
+            force = force + amount * law(points, p, length, base, shape, context)
+    return force
+
+
+def _liner_loss(p: Array, lost_kpa: float, shape: Shape) -> Array:
+    lost = lost_kpa * 1e3
+    if "saturating" in shape:
+        knee = max(abs(lost), 1.0) * 1.5
+        return np.asarray(lost * (1.0 - np.exp(-np.maximum(p, 0.0) / knee)))
+    width = shape["width_kpa"] * 1e3
+    positive = np.maximum(p, 0.0)
+    return np.asarray(np.where(p > 0.0, positive - liner_pressure(positive, lost, width), 0.0))
+
+
+def _end_cap(length: Array, shape: Shape, c: PlantConstants) -> Array:
+    grow = shape["grow"]
+    if grow == 0.0:
+        return np.ones(len(length))
+    at = 0.06 * c.braid_length_m / _REFERENCE_BRAID_M
+    if grow < 0.0:
+        return length / at
+    rest = 1.02 * c.length_max_m
+    return np.asarray(np.maximum((rest - length) / (rest - at), 0.0) ** grow)
+
+
+def _stretch(p: Array, length: Array, shape: Shape, c: PlantConstants) -> Array:
+    if "tension" in shape:
+        # Tension of a thread: pressure on the wall, more where the muscle is thick and short.
+        return p / 5e5 * (c.braid_length_m**2 - length**2) / (c.braid_length_m**2 - 0.06**2)
+    share = np.maximum(p, 0.0) / 5e5
+    return np.asarray(share ** shape["power"])
+
+
+def _bladder(
+    points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
+) -> Array:
+    rest = shape["rest"] * context.constants.braid_length_m
+    stretch = (length - rest) * 1e3
+    if "cubic" in shape:
+        at = (0.06 * context.constants.braid_length_m / _REFERENCE_BRAID_M - rest) * 1e3
+        scale = 8.0
+        return (stretch + (stretch / scale) ** 3 * scale) / (1.0 + 3.0 * (at / scale) ** 2)
+    return stretch
+
+
+def _limit(
+    points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
+) -> Array:
+    beyond = (length - context.constants.length_min_m) * 1e3 - 1.0
+    loss = np.exp(-np.clip(beyond, -3.0, None) / shape["decay_mm"])
+    return -loss * (np.maximum(p, 0.0) / 3e5 if "pressure" in shape else 1.0)
+
+
+def _friction(
+    points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
+) -> Array:
+    reach = shape["travel"]
+    travel = p / (40e3 * reach) - length / (0.4e-3 * reach)
+    # Settled points bring their own direction where the table does not hold the whole path.
+    slip = np.zeros(len(p))
+    history.slip(points.first, np.ascontiguousarray(travel), slip)
+    slip = np.where(points.direction != 0.0, points.direction, slip)
+    scale = np.maximum(p, 0.0) / 3e5 if shape["pressure"] else np.where(p > 2e3, 1.0, 0.0)
+    return -slip * scale
+
+
+def _viscosity(
+    points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
+) -> Array:
+    v = np.where(points.held, 0.0, points.rate) * 1e3
+    knee = shape.get("knee_mm_s", 0.0)
+    if knee:
+        v = 10.0 * np.tanh(v / knee) / np.tanh(10.0 / knee)
+    elif "power" in shape:
+        v = 10.0 * np.sign(v) * (np.abs(v) / 10.0) ** shape["power"]
+    return np.asarray(v * (np.maximum(p, 0.0) / 3e5 if "pressure" in shape else 1.0))
+
+
+def _creep(
+    points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
+) -> Array:
+    slow = np.zeros(len(p))
+    tau = shape["tau_s"]
+    if np.all(np.diff(points.first) <= 1) or not len(p):
+        return slow
+    history.lag(points.first, points.time_s, np.ascontiguousarray(base), tau, slow)
+    start = base[np.minimum(points.first[:-1], len(base) - 1)][points.trial]
+    return np.asarray(-0.01 * (slow - start) / (1.0 - np.exp(-60.0 / tau)))
+
+
+def _temperature(
+    points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
+) -> Array:
+    warmer = np.nan_to_num(points.temperature - REFERENCE_C) * 0.01
+    if "additive" in shape:
+        return warmer * np.where(p > 1e3, 30.0, 0.0)
+    weight = np.maximum(p, 2e4) / 5e5
+    return np.asarray(warmer * base * weight ** shape.get("pressure", 0.0))
+
+
+def _wear(
+    points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
+) -> Array:
+    order = context.order[points.trial] / 100.0
+    power = shape.get("power", 1.0)
+    if power != 1.0:
+        order = order**power
+    return 0.01 * order * (np.full(len(p), 30.0) if "additive" in shape else base)
+
+
+_ADDED = {
+    "bladder_elasticity": _bladder,
+    "contraction_limit": _limit,
+    "braid_friction": _friction,
+    "viscosity": _viscosity,
+    "creep": _creep,
+    "temperature_stiffening": _temperature,
+    "wear": _wear,
+}
+
+
+def force_read(force: Array, points: Points, active: Active) -> Array:
+    """What the force sensor shows at true force `force`."""
+    for name, _, amount, _shape in active:
+        if name == "force_gain":
+            force = force * (1.0 + amount * 1e-2)
+        elif name == "force_zero":
+            force = force + amount
+    return force
+
+
+def force_true(reading: Array, active: Active) -> Array:
+    """True force behind a reading."""
+    for name, _, amount, _shape in active:
+        if name == "force_gain":
+            reading = reading / (1.0 + amount * 1e-2)
+        elif name == "force_zero":
+            reading = reading - amount
+    return reading
+
+
+def load_pull(points: Points, active: Active, context: Context) -> Array:
+    """Force in N that the hung load asks of the muscle: m (g - L'') - c L' - friction."""
+    mass = points.mass
+    friction = np.zeros(len(mass))
+    for name, _, amount, shape in active:
+        if name == "payload":
+            mass = mass + amount
+        elif name == "link_friction":
+            friction = friction + amount * _slide(points, shape)
+    damping = context.constants.load_damping_n_s_m * points.rate
+    return np.asarray(mass * (_GRAVITY - points.acceleration) - damping - friction)
+
+
+def _slide(points: Points, shape: Shape) -> Array:
+    """Direction of sliding, -1 to 1; settled points have come the way their table says."""
+    if "travel_mm" in shape:
+        slip = np.zeros(len(points.length))
+        travel = points.length / (shape["travel_mm"] * 1e-3)
+        history.slip(points.first, np.ascontiguousarray(travel), slip)
+    else:
+        slip = np.tanh(points.rate * 1e3 / shape["knee_mm_s"])
+    return np.where(points.direction != 0.0, -points.direction, slip)

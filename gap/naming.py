@@ -1,0 +1,179 @@
+"""Which effects explain the gap: forward over effects, forms left free, rivals kept.
+
+An effect enters when it takes away more than chance could and a fair share of the gap; shapes of
+the same effect may share its place, so that one effect of another form does not take two. Every
+effect that was nearly as good stays on the list of rivals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from gap.evidence import projected
+from gap.inquiry import Inquiry, State
+from gap.suspects import Suspect
+
+Array = npt.NDArray[np.float64]
+
+ALARM = 45.0
+"""Least gain (drop of the whitened sum of squares) of a first effect; see docs/gap.md."""
+SHARE_NEXT = 0.06
+"""Least share of the gap's excess that a further effect must take away."""
+MOST = 3
+_REFINED = 7
+_SHAPES = 2
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One explanation that was fitted: its keys (id, or id:edge) and the fitted state."""
+
+    keys: tuple[str, ...]
+    state: State
+
+    @property
+    def cost(self) -> float:
+        """Whitened sum of squares left."""
+        return self.state.cost
+
+
+@dataclass
+class Naming:
+    """What the search found.
+
+    Attributes:
+        chosen: the explanation kept; no keys at all when nothing alarmed.
+        rivals: other explanations with as many effects, best first.
+        first_gain: gain of the best single effect, by key, linearised at the base.
+        excess: whitened gap beyond noise at the base.
+        left: the same after the explanation.
+        steps: (key, gain) of each effect in order of entry.
+    """
+
+    chosen: Choice
+    rivals: list[Choice]
+    first_gain: dict[str, float]
+    excess: float
+    left: float
+    steps: list[tuple[str, float]] = field(default_factory=list)
+
+
+def name_effects(q: Inquiry) -> Naming:
+    """Search for up to three effects that explain the gap of `q`."""
+    state = q.base
+    gains, amounts = linear_gains(q, state)
+    if np.abs(state.shift).max(initial=0.0) > 2.5:
+        # Constants at their limits: the suspects are also asked at the plant as stated.
+        stated_gains, stated_amounts = linear_gains(q, q.stated())
+        amounts = np.where(stated_gains > gains, stated_amounts, amounts)
+        gains = np.maximum(gains, stated_gains)
+    naming = Naming(Choice((), state), [], _by_key(q, gains), excess(q, state), excess(q, state))
+    keys: tuple[str, ...] = ()
+    for step in range(MOST):
+        best = _by_key(q, gains)
+        open_keys = [k for k in best if k not in keys]
+        least = ALARM if step == 0 else max(ALARM, SHARE_NEXT * naming.excess)
+        top = sorted(open_keys, key=lambda k: -best[k])
+        if not top or best[top[0]] < least:
+            break
+        tried = [
+            refine(q, state, keys, key, gains, amounts)
+            for key in top[:_REFINED]
+            if best[key] > 0.3 * best[top[0]]
+        ]
+        tried.sort(key=lambda choice: choice.cost)
+        if state.cost - tried[0].cost < least:
+            break
+        naming.steps.append((tried[0].keys[-1], state.cost - tried[0].cost))
+        naming.chosen = tried[0]
+        naming.rivals = tried[1:]
+        state = q.polish(tried[0].state)
+        naming.chosen = Choice(tried[0].keys, state)
+        keys = tried[0].keys
+        gains, amounts = linear_gains(q, state)
+        flexed = _flexed(q, naming.chosen, gains, amounts, naming.excess)
+        if flexed is not None:
+            naming.chosen = flexed
+            state = flexed.state
+            gains, amounts = linear_gains(q, state)
+    naming.left = excess(q, state)
+    return naming
+
+
+def excess(q: Inquiry, state: State) -> float:
+    """Whitened sum of squares beyond what noise alone leaves."""
+    return max(state.cost - len(q.rows), 0.0)
+
+
+def linear_gains(q: Inquiry, state: State) -> tuple[Array, Array]:
+    """Gain and amount of each suspect alone, linearised at `state`; both shape (suspects,)."""
+    evidence = q.evidence(state)
+    p = projected(evidence, evidence.total)
+    norm = np.maximum(np.diag(p)[1:], 1e-9)
+    amounts = p[0, 1:] / norm
+    gains = p[0, 1:] ** 2 / norm
+    low = np.array([s.sign > 0 for s in q.suspects])
+    gains = np.where(low & (amounts < 0.0), 0.0, gains)
+    return gains, amounts
+
+
+def _by_key(q: Inquiry, gains: Array) -> dict[str, float]:
+    best: dict[str, float] = {}
+    for suspect, gain in zip(q.suspects, gains.tolist(), strict=True):
+        best[suspect.key] = max(best.get(suspect.key, 0.0), gain)
+    return best
+
+
+def refine(
+    q: Inquiry, state: State, keys: tuple[str, ...], key: str, gains: Array, amounts: Array
+) -> Choice:
+    """Fit `key` on top of `state` in its best shapes; the best fit wins."""
+    at = [j for j, suspect in enumerate(q.suspects) if suspect.key == key]
+    at.sort(key=lambda j: -gains[j])
+    best: State | None = None
+    bent = np.abs(q.base.shift).max(initial=0.0) > 2.5
+    for j in at[:_SHAPES]:
+        if best is not None and gains[j] < 0.7 * gains[at[0]]:
+            continue
+        suspects = [*state.suspects, q.suspects[j]]
+        start = [*state.amounts, _start(q.suspects[j], amounts[j])]
+        ends = [q.fit(suspects, start)]
+        if bent:
+            ends.append(q.fit_afresh(suspects, start))
+        fitted = min(ends, key=lambda end: end.cost)
+        if best is None or fitted.cost < best.cost:
+            best = fitted
+    assert best is not None
+    return Choice((*keys, key), best)
+
+
+def _start(suspect: Suspect, amount: float) -> float:
+    if suspect.id == "transport_delay":
+        return 1.0
+    return max(amount, 0.0) if suspect.sign else amount
+
+
+def _flexed(q: Inquiry, choice: Choice, gains: Array, amounts: Array, gap: float) -> Choice | None:
+    """Let the last effect use a second shape where that takes a visible share of the gap."""
+    key = choice.keys[-1]
+    used = {id(suspect) for suspect in choice.state.suspects}
+    at = [j for j, s in enumerate(q.suspects) if s.key == key and id(s) not in used]
+    if not at:
+        return None
+    j = max(at, key=lambda k: gains[k])
+    if gains[j] < max(20.0, 0.01 * gap):
+        return None
+    fitted = q.fit(
+        [*choice.state.suspects, q.suspects[j]],
+        [*choice.state.amounts, _start(q.suspects[j], amounts[j])],
+    )
+    return Choice(choice.keys, fitted) if fitted.cost < choice.cost - 15.0 else None
+
+
+def describe(choices: Sequence[Choice]) -> list[str]:
+    """One line for each explanation, for people who tune."""
+    return [f"{'+'.join(c.keys)} {c.cost:.0f} {np.round(c.state.amounts, 4)}" for c in choices]

@@ -1,0 +1,207 @@
+"""Reads a folder in the EXCHANGE form: trials.csv, samples.csv or .parquet, bench.toml.
+
+A number that is silently wrong costs more than a file that is refused: whatever could be another
+unit, a slip of the hand or a broken clock stops the reading with the file, the row and the column.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from gap.dataset import CHANNELS, COMMANDS, Array, Channel, DataSet, Trial
+from gap.errors import GapError
+from gap.tables import Table, numbers, read_table, unit_check
+from plant.constants import PlantConstants, nominal
+from plant.effects import NONE, Effects
+from plant.errors import PlantError
+
+TRIAL_TEXT = ("trial", "slot", "replicate", "protocol", "mounting")
+TRIAL_NUMBERS = ("order", "held_length_mm", "load_kg", "temperature_c", "start_s")
+SAMPLE_NUMBERS = ("time_s", *COMMANDS, *CHANNELS)
+
+
+def read_dataset(folder: str | Path) -> DataSet:
+    """Read a data set from a folder in the EXCHANGE form.
+
+    Raises:
+        GapError: names the file, the row and the column, what came and what was expected.
+    """
+    path = Path(folder)
+    if not path.exists():
+        raise GapError(str(path), "no such folder", "check the path")
+    if not path.is_dir():
+        raise GapError(str(path), "is a file", "give the folder that holds trials.csv")
+    constants, effects = _bench(path / "bench.toml")
+    trials = _trials_table(path / "trials.csv")
+    samples = _samples_table(path)
+    return _join(path, trials, samples, constants, effects)
+
+
+def _bench(path: Path) -> tuple[PlantConstants, Effects]:
+    if not path.exists():
+        return nominal(), NONE
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as exc:
+        raise GapError(str(path), f"cannot be read as TOML ({exc})") from exc
+    effects = table.pop("effects", {})
+    try:
+        constants = nominal().with_overrides(table, str(path))
+        return constants, Effects.from_config(effects, f"{path} effects")
+    except PlantError as exc:
+        raise GapError(str(path), str(exc).removeprefix(f"{path}: ")) from exc
+
+
+def _trials_table(path: Path) -> Table:
+    table = read_table(path, ("trial",), TRIAL_TEXT)
+    unit_check(table, (*TRIAL_TEXT, *TRIAL_NUMBERS, "note"))
+    names = table.frame["trial"]
+    for row, name in enumerate(names):
+        if not isinstance(name, str) or not name.strip():
+            raise table.error(row, "trial", "is empty", "give every trial a name")
+    repeated = names[names.duplicated()]
+    if len(repeated):
+        raise table.error(
+            int(repeated.index[0]), "trial", f"{repeated.iloc[0]!r} appears a second time"
+        )
+    return table
+
+
+def _samples_table(folder: Path) -> Table:
+    found = [folder / name for name in ("samples.parquet", "samples.csv")]
+    there = [path for path in found if path.exists()]
+    if not there:
+        raise GapError(str(folder), "holds neither samples.parquet nor samples.csv")
+    if len(there) == 2:
+        raise GapError(str(folder), "holds samples.parquet and samples.csv", "remove one of them")
+    table = read_table(there[0], ("trial",), ("trial", "direction"))
+    unit_check(table, ("trial", "direction", *SAMPLE_NUMBERS))
+    if not any(name in table.frame for name in CHANNELS):
+        raise GapError(
+            str(there[0]), "has no measured column", f"expected some of {', '.join(CHANNELS)}"
+        )
+    return table
+
+
+def _join(
+    path: Path, trials: Table, samples: Table, constants: PlantConstants, effects: Effects
+) -> DataSet:
+    known = {name: row for row, name in enumerate(trials.frame["trial"])}
+    owner = samples.frame["trial"]
+    strange = np.flatnonzero(~owner.isin(list(known)).to_numpy())
+    if len(strange):
+        row = int(strange[0])
+        raise samples.error(
+            row, "trial", f"{owner.iloc[row]!r} is not in trials.csv", "add it there or drop it"
+        )
+    columns = {
+        name: numbers(samples, name, constants) for name in SAMPLE_NUMBERS if name in samples.frame
+    }
+    facts = {name: numbers(trials, name, constants) for name in TRIAL_NUMBERS}
+    direction = _directions(samples)
+    rows_of = owner.groupby(owner, sort=False).indices
+    notes = list(samples.notes + trials.notes)
+    made: list[Trial] = []
+    for name, row in known.items():
+        rows = np.asarray(rows_of.get(name, ()), dtype=np.int64)
+        if not len(rows):
+            notes.append(f"trial {name} has no samples and is left out")
+            continue
+        made.append(_trial(samples, trials, row, np.sort(rows), columns, facts, direction))
+    made.sort(key=lambda trial: trial.order)
+    return DataSet(str(path), tuple(made), constants, effects, tuple(notes))
+
+
+def _trial(
+    samples: Table,
+    trials: Table,
+    row: int,
+    rows: npt.NDArray[np.int64],
+    columns: dict[str, Array],
+    facts: dict[str, Array],
+    direction: npt.NDArray[np.int64],
+) -> Trial:
+    text = {name: _text(trials.frame, name, row) for name in TRIAL_TEXT}
+    time_s, settled = _times(samples, rows, columns)
+    channels: dict[str, Channel] = {}
+    for name in (*COMMANDS, *CHANNELS):
+        if name not in columns:
+            continue
+        value = columns[name][rows]
+        here = np.isfinite(value)
+        if here.any():
+            channels[name] = Channel(time_s[here], value[here])
+    order = facts["order"][row]
+    return Trial(
+        name=text["trial"],
+        slot=text["slot"] or text["trial"],
+        replicate=text["replicate"],
+        protocol=text["protocol"] or "unnamed",
+        mounting=text["mounting"],
+        order=float(order) if np.isfinite(order) else float(row),
+        held_length_mm=float(facts["held_length_mm"][row]),
+        load_kg=float(facts["load_kg"][row]),
+        temperature_c=float(facts["temperature_c"][row]),
+        start_s=float(facts["start_s"][row]),
+        settled=settled,
+        channels=channels,
+        direction=direction[rows],
+    )
+
+
+def _times(
+    samples: Table, rows: npt.NDArray[np.int64], columns: dict[str, Array]
+) -> tuple[Array, bool]:
+    """Times of the rows of one trial, and whether it is a table of settled points."""
+    count = np.arange(len(rows), dtype=np.float64)
+    if "time_s" not in columns:
+        return count, True
+    time_s = columns["time_s"][rows]
+    empty = ~np.isfinite(time_s)
+    if empty.all():
+        return count, True
+    if empty.any():
+        raise samples.error(
+            int(rows[np.argmax(empty)]),
+            "time_s",
+            "is empty",
+            "other rows of this trial have a time",
+        )
+    step = np.diff(time_s)
+    wrong = np.flatnonzero(step <= 0.0)
+    if len(wrong):
+        at = int(wrong[0])
+        what = (
+            f"{time_s[at + 1]:g} s appears a second time in this trial"
+            if step[at] == 0.0
+            else f"runs backwards, from {time_s[at]:g} to {time_s[at + 1]:g} s"
+        )
+        raise samples.error(int(rows[at + 1]), "time_s", what, "one row for one trial and time")
+    return time_s, False
+
+
+def _directions(samples: Table) -> npt.NDArray[np.int64]:
+    made = np.zeros(len(samples.frame), dtype=np.int64)
+    if "direction" not in samples.frame:
+        return made
+    words = samples.frame["direction"]
+    for row, word in enumerate(words):
+        if not isinstance(word, str) or not word.strip():
+            continue
+        if word.strip() not in ("up", "down"):
+            raise samples.error(row, "direction", f"{word!r}", "expected up or down")
+        made[row] = 1 if word.strip() == "up" else -1
+    return made
+
+
+def _text(frame: pd.DataFrame, name: str, row: int) -> str:
+    if name not in frame:
+        return ""
+    value: Any = frame[name].iloc[row]
+    return value.strip() if isinstance(value, str) else ""

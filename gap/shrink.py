@@ -1,0 +1,169 @@
+"""How far the gap shrinks: before, recalibrated, after and floor, on data that was held out.
+
+Errors are root mean squares over time (or points) of one block, in its own unit. Whole slots are
+left out in turn: constants and effects are fitted to the others, the error is taken on the one
+left out. The floor is what replicates of a slot differ by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import t as student
+
+from gap.evidence import gather, tolerance
+from gap.inquiry import Inquiry, State
+from gap.rows import BLOCKS, UNITS
+from gap.verdict import Gap
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Held:
+    """Sums over each held-out unit of one block: squared errors and weights, shape (units,)."""
+
+    before: Array
+    recalibrated: Array
+    after: Array
+    floor: Array
+    weight: Array
+
+    def rms(self, which: str) -> float:
+        """Root mean square error over all units."""
+        total = float(self.weight.sum())
+        return float(np.sqrt(max(float(getattr(self, which).sum()), 0.0) / max(total, 1e-12)))
+
+    def closed(self) -> tuple[float, float, float] | None:
+        """Closed fraction with its 95 % interval by the jackknife over units.
+
+        None where the gap beyond the floor is not certain.
+        """
+        a = self.recalibrated - self.after
+        b = self.recalibrated - self.floor
+        use = self.weight > 0.0
+        a, b = a[use], b[use]
+        n = len(a)
+        if n < 3 or b.sum() <= 0.0:
+            return None
+        ratio = float(a.sum() / b.sum())
+        left = (a.sum() - a) / np.where(np.abs(b.sum() - b) < 1e-12, np.nan, b.sum() - b)
+        left = left[np.isfinite(left)]
+        if len(left) < 3:
+            return None
+        spread = float(np.sqrt((len(left) - 1) / len(left) * np.sum((left - left.mean()) ** 2)))
+        reach = float(student.ppf(0.975, max(len(left) - 1, 1))) * spread
+        return ratio, ratio - reach, ratio + reach
+
+
+def held_out(
+    q: Inquiry, state: State, units: npt.NDArray[np.int64] | None = None
+) -> dict[str, Held]:
+    """Squared errors of every block on held-out units (slots unless `units` says otherwise)."""
+    of_trial = q.units if units is None else units
+    base = _left_out(q, q.base, of_trial)
+    after = _left_out(q, state, of_trial) if state.suspects else base
+    floor = floor_squares(q, of_trial)
+    made: dict[str, Held] = {}
+    count = int(of_trial.max(initial=-1)) + 1
+    for number, block in enumerate(BLOCKS):
+        here = q.rows.block == number
+        if not here.any():
+            continue
+        unit = of_trial[q.rows.trial[here]]
+        span = q.rows.span_s[here]
+        weight = np.asarray(np.bincount(unit, weights=span, minlength=count), dtype=np.float64)
+        squares = span * q.untouched[here] ** 2
+        before = np.asarray(np.bincount(unit, weights=squares, minlength=count), dtype=np.float64)
+        made[block] = Held(before, base[block], after[block], floor[block], weight)
+    return made
+
+
+def _left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> dict[str, Array]:
+    """Squared errors on each unit of the model fitted (near `state`) to all other units."""
+    n = len(q.names)
+    slopes = q._slopes(state.shift, state.suspects, state.amounts)
+    columns = np.hstack([q._columns_at(state.shift, state.suspects, state.amounts), slopes])
+    evidence = gather(
+        q.noise, columns, state.residual, np.zeros((len(q.rows), 0)), q.rows.block,
+        q.rows.span_s, of_trial, np.zeros(columns.shape[1]),
+    )  # fmt: skip
+    width = columns.shape[1]
+    total = evidence.total
+    _, slope, stiffness = tolerance(state.shift)
+    errors = {block: np.zeros(len(evidence.gram)) for block in evidence.plain}
+    for unit in range(len(evidence.gram)):
+        gram = total - evidence.gram[unit]
+        matrix = gram[:width, :width].copy()
+        matrix[range(n), range(n)] += stiffness
+        right = gram[:width, width].copy()
+        right[:n] -= slope
+        beta = np.linalg.pinv(matrix, hermitian=True, rcond=1e-13) @ right
+        vector = np.r_[-beta, 1.0]
+        for block, plain in evidence.plain.items():
+            errors[block][unit] = float(vector @ plain[unit] @ vector)
+    return errors
+
+
+def floor_squares(q: Inquiry, of_trial: npt.NDArray[np.int64]) -> dict[str, Array]:
+    """What replicates differ by, as squared errors of each unit and block.
+
+    Bessel-corrected within slots; slots without replicates get the noise model's variance.
+    """
+    rows = q.rows
+    count = int(of_trial.max(initial=-1)) + 1
+    made = {
+        name: np.zeros(count) for number, name in enumerate(BLOCKS) if np.any(rows.block == number)
+    }
+    for members in q.data.slots.values():
+        for number, name in enumerate(BLOCKS):
+            if name not in made:
+                continue
+            at = [
+                q.noise.trial_rows[t][rows.block[q.noise.trial_rows[t]] == number] for t in members
+            ]
+            at = [a for a in at if len(a)]
+            unit = of_trial[members[0]]
+            if not at:
+                continue
+            weight = sum(float(rows.span_s[a].sum()) for a in at)
+            common = set(rows.bin[at[0]].tolist())
+            for a in at[1:]:
+                common &= set(rows.bin[a].tolist())
+            if len(at) < 2 or len(common) < 3:
+                made[name][unit] += sum(_expected(q, t, number) for t in members)
+                continue
+            keep = [a[np.isin(rows.bin[a], list(common))] for a in at]
+            table = np.stack([q.base.residual[a] for a in keep])
+            span = np.mean([rows.span_s[a] for a in keep], axis=0)
+            variance = table.var(axis=0, ddof=1)
+            made[name][unit] += float((span * variance).sum() / max(span.sum(), 1e-12)) * weight
+    return made
+
+
+def _expected(q: Inquiry, trial: int, number: int) -> float:
+    """Squared errors that the noise model expects of one trial and block."""
+    rows = q.noise.trial_rows[trial]
+    here = q.rows.block[rows] == number
+    v = np.array([q.noise.scales[kind] ** 2 for kind in q.noise.kinds[trial]])
+    variance = q.noise.white[rows] + (q.noise.columns[trial] ** 2) @ v
+    return float((variance * q.rows.span_s[rows])[here].sum())
+
+
+def gap_of(block: str, held: Held, named: bool, source: str | None, scheme: str) -> Gap:
+    """The verdict's gap of one block."""
+    closed = held.closed() if named else None
+    return Gap(
+        unit=UNITS[block],
+        before=held.rms("before"),
+        recalibrated=held.rms("recalibrated"),
+        after=held.rms("after") if named else None,
+        floor=held.rms("floor"),
+        floor_source=source,
+        closed=closed[0] if closed else None,
+        closed_low=closed[1] if closed else None,
+        closed_high=closed[2] if closed else None,
+        held_out=scheme,
+    )

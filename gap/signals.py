@@ -1,0 +1,262 @@
+"""The measured signals of one trial at any instant: pressure, length, their slopes, valve edges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+
+from gap.dataset import Array, Channel, Trial
+from plant.constants import PlantConstants
+
+_MOVED_M = 0.8e-3
+_NEAR_STOP_M = 0.8e-3
+_AFTER_STOP_S = 0.08
+_RISE_KPA = 25.0
+
+
+def edges_of(trial: Trial) -> tuple[Array, Array, npt.NDArray[np.int64]]:
+    """Command edges: times, value after each (0 or 1), and which valve (0 inlet, 1 outlet).
+
+    A command that is on at the first row counts as an edge there.
+    """
+    times: list[Array] = []
+    values: list[Array] = []
+    which: list[npt.NDArray[np.int64]] = []
+    for number, name in enumerate(("inlet_cmd", "outlet_cmd")):
+        channel = trial.get(name)
+        if trial.settled or not len(channel):
+            continue
+        changed = np.r_[channel.value[0] != 0.0, np.diff(channel.value) != 0.0]
+        times.append(channel.time_s[changed])
+        values.append(channel.value[changed])
+        which.append(np.full(int(changed.sum()), number))
+    if not times:
+        return np.empty(0), np.empty(0), np.empty(0, dtype=np.int64)
+    time_s = np.concatenate(times)
+    order = np.argsort(time_s, kind="stable")
+    return time_s[order], np.concatenate(values)[order], np.concatenate(which)[order]
+
+
+def moving(length_m: Array) -> bool:
+    """Whether a length moves by more than noise and settling."""
+    if len(length_m) < 3:
+        return False
+    low, high = np.quantile(length_m, [0.03, 0.97])
+    return bool(high - low > _MOVED_M)
+
+
+def smooth_slope(channel: Channel, half_s: float) -> Array:
+    """|slope| in units per second over +/- half_s at each sample."""
+    t = channel.time_s
+    if len(t) < 3:
+        return np.zeros(len(t))
+    span = max(half_s, 2.0 * float(np.median(np.diff(t))))
+    return np.abs(np.interp(t + span, t, channel.value) - np.interp(t - span, t, channel.value)) / (
+        2.0 * span
+    )
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One trial's inputs as functions of time; SI.
+
+    Attributes:
+        held: the length is held, and the one written down is used.
+        loaded: a known mass hangs on the muscle and moves.
+        regulated: the pressure comes from elsewhere than the valves whose commands are known.
+    """
+
+    trial: Trial
+    held: bool
+    loaded: bool
+    regulated: bool
+    has_length: bool
+    _time: Array
+    _length: Array
+    _rate: Array
+    _acceleration: Array
+    _stops: tuple[float, float]
+    _doubt: tuple[Array, Array]
+
+    @classmethod
+    def of(cls, trial: Trial, constants: PlantConstants) -> Signal:
+        """Decide what is held, loaded and regulated, and prepare the length."""
+        camera = trial.get("length_mm")
+        moves = moving(camera.value * 1e-3)
+        known = np.isfinite(trial.held_length_mm)
+        held = bool(known and not moves)
+        loaded = bool(np.isfinite(trial.load_kg) and trial.load_kg > 0.0 and not held)
+        time_s, length, rate, acceleration = _length_of(trial, camera, held)
+        stops = (constants.length_min_m + _NEAR_STOP_M, constants.length_max_m - _NEAR_STOP_M)
+        return cls(
+            trial, held, loaded, _regulated(trial), held or len(camera) > 0,
+            time_s, length, rate, acceleration, stops, _doubts(time_s, acceleration),
+        )  # fmt: skip
+
+    def covered(self, time_s: Array) -> npt.NDArray[np.bool_]:
+        """Where pressure and length are known: inside their records and not in a long gap."""
+        if self.trial.settled:
+            return self._here("pressure_kpa", time_s) & (
+                np.ones(len(time_s), dtype=bool) if self.held else self._here("length_mm", time_s)
+            )
+        good = np.ones(len(time_s), dtype=bool)
+        for name in ("pressure_kpa",) if self.held else ("pressure_kpa", "length_mm"):
+            channel = self.trial.get(name)
+            if not len(channel):
+                continue
+            t = channel.time_s
+            reach = 3.0 * float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+            after = np.clip(np.searchsorted(t, time_s), 1, max(len(t) - 1, 1))
+            before = t[after - 1]
+            behind = t[np.minimum(after, len(t) - 1)]
+            good &= (time_s >= t[0] - 1e-9) & (time_s <= t[-1] + 1e-9)
+            good &= (behind - before <= reach) | (np.abs(time_s - before) < 1e-6)
+        return good
+
+    def _here(self, name: str, time_s: Array) -> npt.NDArray[np.bool_]:
+        channel = self.trial.get(name)
+        if not len(channel):
+            return np.ones(len(time_s), dtype=bool)
+        return np.isin(time_s, channel.time_s)
+
+    def pressure_at(self, time_s: Array) -> Array:
+        """Read gauge pressure in Pa; NaN without the channel."""
+        channel = self.trial.get("pressure_kpa")
+        if not len(channel):
+            return np.full(len(time_s), np.nan)
+        return np.interp(time_s, channel.time_s, channel.value) * 1e3
+
+    def pressure_slope_at(self, time_s: Array) -> Array:
+        """Slope of the reading in Pa/s over +/- 10 ms, or a sample where that is longer."""
+        channel = self.trial.get("pressure_kpa")
+        if self.trial.settled or len(channel) < 3:
+            return np.zeros(len(time_s))
+        t = channel.time_s
+        spacing = float(np.median(np.diff(t)))
+        half = max(0.01, spacing)
+        taps = np.linspace(-0.4, 0.4, 5) * half if spacing < 0.2 * half else np.zeros(1)
+        total = np.zeros(len(time_s))
+        for tap in taps:
+            total += np.interp(time_s + half + tap, t, channel.value)
+            total -= np.interp(time_s - half + tap, t, channel.value)
+        return total / len(taps) / (2.0 * half) * 1e3
+
+    def length_at(self, time_s: Array) -> Array:
+        """Length in m: the one written down where it is held, else the one read."""
+        if self.held:
+            return np.full(len(time_s), self.trial.held_length_mm * 1e-3)
+        if len(self._time) < 3 or self.trial.settled:
+            if not len(self._time):
+                return np.full(len(time_s), np.nan)
+            return np.interp(time_s, self._time, self._length)
+        inside = np.clip(time_s, self._time[0], self._time[-1])
+        return np.asarray(CubicSpline(self._time, self._length)(inside))
+
+    def rate_at(self, time_s: Array) -> Array:
+        """Speed of lengthening in m/s."""
+        return self._interpolated(time_s, self._rate)
+
+    def acceleration_at(self, time_s: Array) -> Array:
+        """Second derivative of the length in m/s2."""
+        return self._interpolated(time_s, self._acceleration)
+
+    def length_doubt_at(self, time_s: Array) -> Array:
+        """How far, in m, the length may be off between frames of a quickly moving muscle."""
+        return self._interpolated(time_s, self._doubt[0])
+
+    def acceleration_doubt_at(self, time_s: Array) -> Array:
+        """How far, in m/s2, the acceleration may be off where it changes between frames."""
+        return self._interpolated(time_s, self._doubt[1])
+
+    def _interpolated(self, time_s: Array, values: Array) -> Array:
+        if self.held or not len(self._time) or self.trial.settled:
+            return np.zeros(len(time_s))
+        return np.interp(time_s, self._time, values)
+
+    def temperature_at(self, time_s: Array) -> Array:
+        """Temperature in degC, NaN where unknown."""
+        channel = self.trial.get("temperature_c")
+        if len(channel):
+            return np.interp(time_s, channel.time_s, channel.value)
+        return np.full(len(time_s), self.trial.temperature_c)
+
+    def direction_at(self, time_s: Array) -> Array:
+        """+1 up, -1 down for settled points, else 0."""
+        if not self.trial.settled:
+            return np.zeros(len(time_s))
+        return self.trial.direction[np.round(time_s).astype(np.int64)].astype(np.float64)
+
+    def free_of_stops(self, time_s: Array) -> npt.NDArray[np.bool_]:
+        """Where the load hangs freely, away from both stops and a moment after leaving them."""
+        low, high = self._stops
+        reach = np.zeros(len(self._time))
+        if len(self._time) > 4 and not self.trial.settled:
+            reach = np.abs(self._rate) * np.gradient(self._time)
+        touching = (self._length - reach < low) | (self._length + reach > high)
+        if not touching.any():
+            return np.ones(len(time_s), dtype=bool)
+        at = self._time[touching]
+        after = np.searchsorted(at, time_s)
+        near = np.full(len(time_s), np.inf)
+        near = np.minimum(near, np.abs(time_s - at[np.clip(after, 0, len(at) - 1)]))
+        near = np.minimum(near, np.abs(time_s - at[np.clip(after - 1, 0, len(at) - 1)]))
+        return np.asarray(near > (0.0 if self.trial.settled else _AFTER_STOP_S))
+
+
+def _length_of(trial: Trial, camera: Channel, held: bool) -> tuple[Array, Array, Array, Array]:
+    length = camera.value * 1e-3
+    t = camera.time_s
+    flat = np.zeros(len(t))
+    if held or trial.settled or len(t) < 5:
+        return t, length, flat, flat
+    before = np.diff(t)[:-1]
+    after = np.diff(t)[1:]
+    bend = np.zeros(len(t))
+    bend[1:-1] = (
+        2.0 * (np.diff(length)[1:] / after - np.diff(length)[:-1] / before) / (before + after)
+    )
+    bend[0], bend[-1] = bend[1], bend[-2]
+    # Second differences fall short of a quick swing by as much as a spline overshoots it.
+    spline = CubicSpline(t, length)
+    return t, length, np.asarray(spline(t, 1)), 0.5 * (bend + np.asarray(spline(t, 2)))
+
+
+def _doubts(time_s: Array, acceleration: Array) -> tuple[Array, Array]:
+    """What is lost between frames: h² |L''| / 16 in length, its own roughness in acceleration.
+
+    What noise alone makes of second differences (their middle size) does not count.
+    """
+    if len(time_s) < 5 or not np.any(acceleration):
+        return np.zeros(len(time_s)), np.zeros(len(time_s))
+    step = np.gradient(time_s)
+    quiet = 3.0 * float(np.median(np.abs(acceleration)))
+    bend = np.maximum(np.abs(acceleration) - quiet, 0.0)
+    rough = np.zeros(len(time_s))
+    rough[1:-1] = np.abs(acceleration[1:-1] - 0.5 * (acceleration[:-2] + acceleration[2:]))
+    rough = np.maximum(0.5 * rough - quiet, 0.0)
+
+    def spread(x: Array) -> Array:
+        return np.maximum(x, np.maximum(np.r_[x[1:], 0.0], np.r_[0.0, x[:-1]]))
+
+    return spread(bend * step**2 / 16.0), spread(rough)
+
+
+def _regulated(trial: Trial) -> bool:
+    """Whether something other than the commanded valves sets the pressure."""
+    if trial.settled or not ("inlet_cmd" in trial or "outlet_cmd" in trial):
+        return True
+    pressure = trial.get("pressure_kpa")
+    if len(pressure) < 5:
+        return True
+    if np.any(trial.get("inlet_cmd").value > 0.5):
+        return False
+    # Pressure that rises with the inlet never commanded open comes from elsewhere, unless the
+    # muscle is being squeezed.
+    value = pressure.value
+    width = max(1, len(value) // 200)
+    block = value[: len(value) // width * width].reshape(-1, width).mean(axis=1)
+    rise = float(np.max(block - np.minimum.accumulate(block)))
+    return rise > _RISE_KPA and not moving(trial.get("length_mm").value * 1e-3)

@@ -1,0 +1,189 @@
+"""The verdict of a diagnosis, and its JSON form."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+STATUSES = (
+    "named", "named_form_inadequate", "indistinguishable", "mimicable", "unknown",
+    "no_gap_above_floor", "below_resolution", "data_unfit",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter with its 95 % interval; `value` may be a word (a side, an edge)."""
+
+    value: float | str
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One entry of the ambiguity set: effects that together explain the gap."""
+
+    ids: tuple[str, ...]
+    family: str
+    probability: float
+    parameters: Mapping[str, Estimate] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """How large the gap is, in `unit`, and how much of it is closed.
+
+    `closed` = (recalibrated² - after²) / (recalibrated² - floor²), on held-out data.
+    """
+
+    unit: str
+    before: float
+    recalibrated: float
+    after: float | None
+    floor: float | None
+    floor_source: str | None
+    closed: float | None = None
+    closed_low: float | None = None
+    closed_high: float | None = None
+    held_out: str | None = None
+
+
+@dataclass(frozen=True)
+class Share:
+    """A stage's share of the gap, with its interval."""
+
+    stage: str
+    share: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """One designed comparison of residuals, as a z-score; `alarm` after family-wise control."""
+
+    name: str
+    z: float
+    alarm: bool = False
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to measure next, or which reference standard to bring."""
+
+    protocol: str
+    settings: Mapping[str, Any]
+    separation_now: float
+    separation_after: float
+    trials: int
+    between: tuple[str, ...] = ()
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a diagnosis found. `as_dict` gives the object of the EXCHANGE form."""
+
+    status: str
+    reason: str
+    stage: str | None
+    effects: tuple[Explanation, ...]
+    probability_none: float
+    probability_unknown: float
+    gap: Gap | None
+    stages: tuple[Share, ...]
+    contrasts: tuple[Contrast, ...]
+    limits: Mapping[str, float]
+    next_experiment: Experiment | None
+    why_not: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The verdict as plain values: null where something does not apply, never NaN."""
+        return {
+            "schema": 1,
+            "status": self.status,
+            "reason": self.reason,
+            "stage": self.stage,
+            "effects": [_explanation(effect) for effect in self.effects],
+            "probability_none": _number(self.probability_none),
+            "probability_unknown": _number(self.probability_unknown),
+            "gap": _gap(self.gap),
+            "where": {
+                "stages": [
+                    {
+                        "stage": s.stage, "share": _number(s.share),
+                        "low": _number(s.low), "high": _number(s.high),
+                    }
+                    for s in self.stages
+                ],
+                "contrasts": [
+                    {"name": c.name, "z": _number(c.z), "alarm": c.alarm} for c in self.contrasts
+                ],
+            },
+            "limits": {key: _number(value) for key, value in self.limits.items()},
+            "next_experiment": _experiment(self.next_experiment),
+            "why_not": dict(self.why_not),
+            "notes": list(self.notes),
+            "evidence": plain(self.evidence),
+        }  # fmt: skip
+
+
+def _gap(gap: Gap | None) -> dict[str, Any]:
+    """Return the gap's table, all null where nothing could be compared."""
+    names = (
+        "unit", "before", "recalibrated", "after", "floor", "floor_source", "closed",
+        "closed_low", "closed_high", "held_out",
+    )  # fmt: skip
+    return {name: plain(getattr(gap, name, None)) for name in names}
+
+
+def _explanation(effect: Explanation) -> dict[str, Any]:
+    parameters = {
+        name: {"value": plain(e.value), "low": plain(e.low), "high": plain(e.high)}
+        for name, e in effect.parameters.items()
+    }
+    return {
+        "ids": list(effect.ids),
+        "family": effect.family,
+        "probability": _number(effect.probability),
+        "parameters": parameters,
+    }
+
+
+def _experiment(experiment: Experiment | None) -> dict[str, Any] | None:
+    if experiment is None:
+        return None
+    return {
+        "protocol": experiment.protocol,
+        "settings": plain(experiment.settings),
+        "separation_now": _number(experiment.separation_now),
+        "separation_after": _number(experiment.separation_after),
+        "trials": experiment.trials,
+        "between": list(experiment.between),
+        "why": experiment.why,
+    }
+
+
+def _number(value: float | None) -> float | None:
+    """Return a float to six figures; None for what is not a number."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(f"{float(value):.6g}")
+
+
+def plain(value: Any) -> Any:
+    """Values that JSON can carry: numpy numbers and arrays unpacked, NaN and infinity as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return _number(value)
+    return value
