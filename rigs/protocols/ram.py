@@ -1,7 +1,8 @@
 """The ram test (thesis 5.9): move a large ram until a proximity switch triggers, and hold it there.
 
 The controller's scheme ``ram`` does it, as the thesis's short program did: two-position control,
-and both valves shut while a switch is on. A switch that is on when a new set-point comes is left first.
+and both valves shut while a switch is on. A switch that is on when a new set-point comes is left
+first.
 """
 
 from __future__ import annotations
