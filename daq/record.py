@@ -186,7 +186,7 @@ class RecordWriter:
             self._streams[name] = stream
 
     def append(self, stream: str, columns: Columns) -> int:
-        """Append one batch.
+        """Append one batch; nothing any more once the record is finalised.
 
         Returns:
             the number of its first row within the stream.
@@ -197,6 +197,8 @@ class RecordWriter:
         """
         with self._lock:
             s = self._streams[stream]
+            if self._closed:  # a device still talks while the bench is being closed
+                return s.rows
             message, rows = s.encoder.encode(columns)
             first_row = s.rows
             if rows == 0:
@@ -255,7 +257,7 @@ class RecordWriter:
 
     def wire(self, device: str, host_ns: int, data: bytes) -> None:
         """Append raw received bytes: what a fixture or a post-mortem needs."""
-        if not data:
+        if not data or self._closed:
             return
         with self._lock:
             wire = self._wires.get(device)

@@ -14,6 +14,7 @@ import typer
 
 from gap.cli import gap_app
 from gap.effects_cli import gap_effects
+from gap.report_cli import gap_report
 from gap.runs_cli import gap_export
 from rigs.calibrate_cli import calibrate_app
 from rigs.models_cli import fit, models_app
@@ -38,6 +39,7 @@ app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(gap_app, name="gap")
 gap_app.command("effects")(gap_effects)
 gap_app.command("export")(gap_export)
+gap_app.command("report")(gap_report)
 add_protocols(app, runs_app)
 add_simulation(app)
 

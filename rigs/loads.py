@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 LOWER_STEP_S = 0.05
 LOWEST_KPA = 5.0
 """From here on it vents: no valve holds less."""
+RATED_KPA = 300.0
+SLOWEST_KPA_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -71,13 +73,18 @@ class LowerLoad(Act):
 
 
 def ramp_down(runner: Runner) -> float:
-    """Lead the set-point from the pressure of now to none; returns where it began, in kPa."""
+    """Lead the set-point from the pressure of now to none; returns where it began, in kPa.
+
+    The lower the pressure, the further a load sinks for each kPa: the rate, the rig's at 300 kPa,
+    falls with the pressure.
+    """
     rig = runner.rig
     calibration = rig.config.calibrations["pressure_kpa"]
     rate = rig.config.instruments.load.lower_kpa_s
     start = pressure = rig.pressure_kpa
     while pressure > LOWEST_KPA:
-        pressure = max(0.0, pressure - rate * LOWER_STEP_S)
+        now = max(rate * min(pressure / RATED_KPA, 2.0), SLOWEST_KPA_S)
+        pressure = max(0.0, pressure - now * LOWER_STEP_S)
         rig.valve.progress(1.0)
         rig.valve.set_point(max(float(calibration.raw(pressure)), 0.0))
         rig.pump.for_seconds(LOWER_STEP_S)

@@ -17,6 +17,7 @@ from rigs.protocols.method import Method, read_method
 from rigs.protocols.procedure import Findings, Procedure
 from rigs.protocols.trials import Logbook, Path
 from rigs.reduction import Reduction, reduce_points
+from rigs.setpoint import at_set_pressure
 from rigs.steps import State, Steps
 from rigs.toml_reader import load_toml
 
@@ -122,16 +123,15 @@ def reduce(run: Run) -> Reduction:
 
 
 def findings(run: Run, reduction: Reduction) -> Findings:
-    """Of both kinds of cycle, each by itself."""
+    """Of both kinds of cycle, each by itself, at the set pressures."""
     hung = reduction.table["mass_kg"].notna()
-    if not hung.any() or hung.all():
-        return hysteresis_findings(run, reduction)
-    parts = [
-        hysteresis_findings(
-            run, replace(reduction, table=reduction.table[use].reset_index(drop=True))
-        )
-        for use in (~hung, hung)
-    ]
+    parts = []
+    for use, value in ((~hung, "force_n"), (hung, "length_mm")):
+        table = at_set_pressure(reduction.table[use].reset_index(drop=True), value)
+        if len(table) or (value == "force_n" and not hung.any()):
+            parts.append(hysteresis_findings(run, replace(reduction, table=table)))
+    if len(parts) == 1:
+        return parts[0]
     return Findings(
         " ".join(part.headline for part in parts),
         tuple(section for part in parts for section in part.sections),

@@ -16,127 +16,22 @@ import time
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from daq.clock import RealClock
 from daq.errors import ConfigError, PamrigError
 from rigs.config import RigConfig, load_rig
 from rigs.interrupt import stop_on_signals
-from rigs.operator_port import decode
 from rigs.virtual.bench import VirtualBench
+from rigs.virtual.byteports import LOOPBACK, Port, PtyPort, TcpPort
+from rigs.virtual.operatorport import OperatorPort
 
 TICK_NS = 1_000_000
 TRUTH_NS = 10_000_000
-LOOPBACK = "127.0.0.1"
-HAND_S = 0.3
-"""How long the person of a bench in real time takes: nobody likes to wait for one."""
 LATENESS_KEPT = 2_000_000
 BENCH_FILE = "bench.toml"
 """Beside the clients' rig file: what is known of the bench's plant, for whoever diagnoses it."""
-
-
-class Port(Protocol):
-    """One end of a byte line that a client may open and leave at will."""
-
-    address: str
-
-    def read(self) -> bytes:
-        """What came, without waiting."""
-        ...
-
-    def write(self, data: bytes) -> None:
-        """Send; what nobody reads is lost, as on a wire."""
-        ...
-
-    def close(self) -> None:
-        """Let go."""
-        ...
-
-
-class PtyPort:
-    """A pseudo-terminal under a stable name."""
-
-    def __init__(self, link: Path) -> None:
-        import tty
-
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        link.unlink(missing_ok=True)
-        link.symlink_to(os.ttyname(self._slave))
-        self._link = link
-        self.address = str(link)
-
-    def read(self) -> bytes:
-        """What came, without waiting."""
-        try:
-            return os.read(self._master, 65536)
-        except (BlockingIOError, OSError):
-            return b""
-
-    def write(self, data: bytes) -> None:
-        """Send; what nobody reads is lost."""
-        with contextlib.suppress(BlockingIOError, OSError):
-            os.write(self._master, data)
-
-    def close(self) -> None:
-        """Let go."""
-        self._link.unlink(missing_ok=True)
-        for fd in (self._master, self._slave):
-            with contextlib.suppress(OSError):
-                os.close(fd)
-
-
-class TcpPort:
-    """A loopback TCP socket that one client at a time may connect to."""
-
-    def __init__(self) -> None:
-        self._server = socket.create_server((LOOPBACK, 0))
-        self._server.setblocking(False)
-        self._client: socket.socket | None = None
-        self.address = f"socket://{LOOPBACK}:{self._server.getsockname()[1]}"
-
-    def read(self) -> bytes:
-        """What came, without waiting."""
-        with contextlib.suppress(BlockingIOError, OSError):
-            client, _ = self._server.accept()
-            client.setblocking(False)
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._drop()
-            self._client = client
-        if self._client is None:
-            return b""
-        try:
-            data = self._client.recv(65536)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:
-            self._drop()
-        return data
-
-    def write(self, data: bytes) -> None:
-        """Send; what nobody reads is lost."""
-        if self._client is not None:
-            try:
-                self._client.send(data)
-            except BlockingIOError:
-                pass  # nobody reads
-            except OSError:
-                self._drop()
-
-    def _drop(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None
-
-    def close(self) -> None:
-        """Let go."""
-        self._drop()
-        self._server.close()
 
 
 class CameraPort:
@@ -171,46 +66,6 @@ class CameraPort:
 
     def close(self) -> None:
         """Refuse further clients."""
-        self._server.close()
-
-
-class OperatorPort:
-    """The bench's person on request over loopback TCP; see ``rigs.operator_port``."""
-
-    def __init__(self, bench: VirtualBench) -> None:
-        self._person = bench.extras.operator(RealClock(), HAND_S)
-        self._server = socket.create_server((LOOPBACK, 0))
-        self._server.setblocking(False)
-        self._client: socket.socket | None = None
-        self._buffer = b""
-        self.address = f"tcp://{LOOPBACK}:{self._server.getsockname()[1]}"
-
-    def step(self) -> None:
-        """Take a request, and answer it when it is done; in the bench's own thread."""
-        assert self._person is not None
-        with contextlib.suppress(BlockingIOError, OSError):
-            client, _ = self._server.accept()
-            client.setblocking(False)
-            self._client, self._buffer = client, b""
-        if self._client is None:
-            return
-        try:
-            with contextlib.suppress(BlockingIOError):
-                self._buffer += self._client.recv(4096)
-            line, found, rest = self._buffer.partition(b"\n")
-            if found:
-                self._buffer = rest
-                self._person.begin(decode(line))
-            answer = self._person.answer()
-            if answer is not None:
-                self._client.send(json.dumps({"answer": answer}).encode() + b"\n")
-        except (OSError, ValueError):
-            self._client = None
-
-    def close(self) -> None:
-        """Go home."""
-        if self._client is not None:
-            self._client.close()
         self._server.close()
 
 

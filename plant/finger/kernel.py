@@ -1,0 +1,199 @@
+"""Valve edges and control ticks of a finger in compiled code; between edges see `stepping`.
+
+Each muscle is a row of its own in the layout of the one-muscle bench (`plant.layout`), so that
+valves, flow and muscle laws are those of `plant.kernel` and `plant.rates`. Pending valve edges of
+all muscles act exactly when due.
+
+Importing this module loads numba and, the first time after an installation, compiles.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from plant import layout as at
+from plant.compiled import called, entry_point, fingerprint
+from plant.finger.stepping import integrate, pull_of
+from plant.kernel import SAME_INSTANT_S, _act, _command, _due
+from plant.links.kernel import WORK
+from plant.rates import chamber, power
+
+Array = npt.NDArray[np.float64]
+
+
+@called
+def _run_until(
+    muscles: Array,
+    params: Array,
+    tendons: Array,
+    stops: Array,
+    box: Any,
+    end: float,
+    step_max: float,
+) -> bool:
+    """Advance to time `end` with no new command; pending valve edges act exactly when due."""
+    m = muscles.shape[0]
+    fine = True
+    while True:
+        due = math.inf
+        which = 0
+        for i in range(m):
+            for valve in range(2):
+                this = _due(muscles[i], valve)
+                if this < due:
+                    due = this
+                    which = 2 * i + valve
+        stretch = min(due, end) - muscles[0, at.TIME]
+        # An edge due at `end` itself waits: a command given there may still withdraw it.
+        last = due >= end - SAME_INSTANT_S
+        if last:
+            stretch = end - muscles[0, at.TIME]
+        if stretch > 0.0:
+            fine = fine and integrate(muscles, params, tendons, stops, box, stretch, step_max)
+            for i in range(m):
+                muscles[i, at.TIME] = end if last else due
+        if last:
+            return fine
+        _act(muscles[which // 2], which % 2)
+
+
+@called
+def _tick(
+    muscles: Array,
+    params: Array,
+    tendons: Array,
+    stops: Array,
+    box: Any,
+    dt: float,
+    step_max: float,
+    on_s: Array,
+) -> bool:
+    """One control tick: fill for the first on_s[i, 0] of it, vent for the first on_s[i, 1]."""
+    m = muscles.shape[0]
+    begin = muscles[0, at.TIME]
+    fine = True
+    for i in range(m):
+        for valve in range(2):
+            _command(muscles[i], params[i], valve, 1.0 if on_s[i, valve] > 0.0 else 0.0)
+    done = 0.0
+    while True:
+        following = dt
+        for i in range(m):
+            for valve in range(2):
+                on = on_s[i, valve]
+                if on > done and on < dt - SAME_INSTANT_S:
+                    following = min(following, on)
+        fine = fine and _run_until(
+            muscles, params, tendons, stops, box, begin + following, step_max
+        )
+        if following == dt:
+            return fine
+        done = following
+        for i in range(m):
+            for valve in range(2):
+                if on_s[i, valve] == done:
+                    _command(muscles[i], params[i], valve, 0.0)
+
+
+@called
+def _open(muscles: Array, params: Array, joints: Array, box: Any) -> None:
+    """Z of the muscles' rows and the joints."""
+    n = box[0].shape[0]
+    z = box[11]
+    for i in range(2 * n):
+        z[i] = joints[i]
+    for i in range(muscles.shape[0]):
+        absolute = muscles[i, at.PRESSURE] + params[i, at.ATMOSPHERE]
+        volume = chamber(params[i], muscles[i, at.LENGTH])
+        z[2 * n + i] = absolute * power(volume, params[i, at.EXPONENT])
+
+
+@called
+def _close(muscles: Array, params: Array, joints: Array, box: Any) -> None:
+    """Joints and pulls back to the caller."""
+    n = box[0].shape[0]
+    z = box[11]
+    for i in range(2 * n):
+        joints[i] = z[i]
+    for i in range(muscles.shape[0]):
+        state = muscles[i]
+        rate = state[at.LENGTH_RATE]
+        state[at.FORCE] = pull_of(state, params[i], state[at.PRESSURE], state[at.LENGTH], rate)
+
+
+_CONTENT = zlib.crc32(
+    b"".join(
+        resources.files("plant").joinpath(*parts).read_bytes()
+        for parts in (("links", "kernel.py"), ("finger", "stepping.py"), ("finger", "kernel.py"))
+    ),
+    fingerprint(),
+)
+_TABLE = "float64[:,::1]"
+
+
+def _build(content: int) -> Callable[..., bool]:
+    # `content` is used so that it becomes a closure variable; it is never negative.
+    @entry_point(
+        f"boolean({_TABLE},{_TABLE},float64[::1],{_TABLE},{_TABLE},{_TABLE},float64[::1],"
+        f"float64,float64,float64[:,:,::1],{_TABLE})"
+    )
+    def advance(
+        muscles: Array,
+        params: Array,
+        joints: Array,
+        tendons: Array,
+        stops: Array,
+        table: Array,
+        gravity: Array,
+        dt: float,
+        step_max: float,
+        on_s: Array,
+        traces: Array,
+    ) -> bool:
+        n = table.shape[0]
+        m = muscles.shape[0] if content >= 0 else 0
+        size = 2 * n + m
+        # Work space of the whole call: nothing below allocates.
+        box = (
+            table,
+            gravity,
+            np.zeros((n, WORK)),
+            np.zeros((n, n)),
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(m),
+            np.zeros(n),
+            np.zeros((n, n)),
+            np.zeros((n, n)),
+            np.zeros(size),
+            np.zeros(size),
+            np.zeros(size),
+            np.zeros((4, size)),
+            np.zeros(size),
+        )
+        _open(muscles, params, joints, box)
+        z = box[11]
+        fine = True
+        for tick in range(on_s.shape[0]):
+            fine = fine and _tick(muscles, params, tendons, stops, box, dt, step_max, on_s[tick])
+            if tick < traces.shape[0]:
+                for i in range(2 * n):
+                    traces[tick, i] = z[i]
+                for i in range(muscles.shape[0]):
+                    traces[tick, 2 * n + i] = muscles[i, at.PRESSURE]
+        _close(muscles, params, joints, box)
+        return fine
+
+    return advance
+
+
+advance = _build(_CONTENT)
+"""Control ticks one after the other; see `plant.finger.sim`. False where it lost the state."""

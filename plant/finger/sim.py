@@ -1,0 +1,198 @@
+"""A finger that is advanced tick by tick under valve commands, or replays a recording of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from plant import layout
+from plant.bench import build_params, build_state
+from plant.constants import PlantConstants
+from plant.effects import NONE, Effects
+from plant.errors import PlantError
+from plant.finger import kernel
+from plant.finger.body import Finger
+from plant.links.dynamics import total_energy
+from plant.links.kinematics import tip_position
+from plant.muscle import braid_volume
+
+Array = npt.NDArray[np.float64]
+
+STEP_MAX_S = 1e-3
+SUPPORTED_EFFECTS = (
+    "bladder_elasticity",
+    "braid_friction",
+    "contraction_limit",
+    "critical_ratio",
+    "dead_volume",
+    "end_cap",
+    "fibre_stretch",
+    "flow_area",
+    "leak",
+    "liner_threshold",
+    "polytropic",
+    "supply_droop",
+    "temperature_stiffening",
+    "transport_delay",
+    "valve_delay",
+    "valve_delay_pressure",
+    "viscosity",
+    "wear",
+)
+"""Effects of the catalogue that the finger's equations hold: all on muscle, valve and gas but those
+with a memory of their own (creep) and those on sensors."""
+
+
+class FingerSim:
+    """Four joints and eight muscles, or however many the finger has: n joints, 2 n muscles.
+
+    Starts at rest at angles `q_rad` with all muscles at `pressure_kpa` (one, or (2 n,)), valves
+    shut. `muscles` (2 n, STATE_SIZE) and `params` (2 n, PARAMS_SIZE) are rows in the layout of the
+    one-muscle bench; `joints` (2 n,) holds angles and rates. Muscle 2 j is joint j's agonist.
+
+    Raises:
+        PlantError: a payload that is negative, a range that takes a muscle outside its braid,
+            angles outside their range, an effect the finger's equations do not hold.
+    """
+
+    def __init__(
+        self,
+        finger: Finger,
+        constants: PlantConstants,
+        effects: Effects = NONE,
+        payload_kg: float = 0.0,
+        q_rad: npt.ArrayLike | None = None,
+        pressure_kpa: npt.ArrayLike = 0.0,
+        step_max_s: float = STEP_MAX_S,
+    ) -> None:
+        for name in effects.values:
+            if name not in SUPPORTED_EFFECTS:
+                raise PlantError(
+                    f"effect {name!r}: not in the finger's equations; it has "
+                    f"{', '.join(SUPPORTED_EFFECTS)}"
+                )
+        if not step_max_s > 0.0:
+            raise PlantError(f"step_max_s = {step_max_s!r}; expected more than 0")
+        finger.check_lengths(constants)
+        self.finger = finger.with_payload(payload_kg) if payload_kg else finger.with_payload(0.0)
+        self.constants = constants
+        self.step_max_s = step_max_s
+        n = finger.arm.degrees
+        self.tendons = finger.tendons
+        self.stops = finger.stops
+        self.table = np.array(self.finger.arm.table)
+        self.gravity = np.array(self.finger.arm.gravity)
+        self.joints = np.zeros(2 * n)
+        if q_rad is not None:
+            self.joints[:n] = self._angles(q_rad)
+        self.params = np.stack([build_params(constants, effects) for _ in range(2 * n)])
+        pressure = np.broadcast_to(np.asarray(pressure_kpa, dtype=float), (2 * n,))
+        if not np.all((pressure > -constants.atmosphere_pa * 1e-3) & (pressure <= 1200.0)):
+            raise PlantError(f"pressure_kpa = {pressure_kpa!r}; allowed above vacuum, up to 1200")
+        rows = []
+        for i in range(2 * n):
+            row = build_state(constants, self._length(i))
+            row[layout.OUTLET_OPEN] = row[layout.OUTLET_COMMAND] = 0.0
+            row[layout.PRESSURE] = pressure[i] * 1e3
+            rows.append(row)
+        self.muscles = np.stack(rows)
+        self._no_traces = np.empty((0, 4 * n))
+
+    def advance(self, dt_s: float, on_s: Array) -> None:
+        """One control tick: `on_s` (2 n, 2) how long from its start each inlet and outlet is on.
+
+        A value of at least `dt_s` keeps the command on at the end, as in `plant.bench.advance`.
+        """
+        self._run(dt_s, on_s.reshape(1, *on_s.shape), self._no_traces)
+
+    def replay(self, dt_s: float, on_s: Array) -> Array:
+        """Many ticks, `on_s` (ticks, 2 n, 2), in one compiled call.
+
+        Returns (ticks, 4 n): angles (rad), rates (rad/s) and gauge pressures (Pa) after each.
+        """
+        n = self.finger.arm.degrees
+        if on_s.ndim != 3 or on_s.shape[1:] != (2 * n, 2):
+            raise PlantError(f"on_s has shape {on_s.shape}; expected (ticks, {2 * n}, 2)")
+        traces = np.empty((len(on_s), 4 * n))
+        self._run(dt_s, np.ascontiguousarray(on_s, dtype=np.float64), traces)
+        return traces
+
+    def _run(self, dt_s: float, on_s: Array, traces: Array) -> None:
+        fine = kernel.advance(
+            self.muscles,
+            self.params,
+            self.joints,
+            self.tendons,
+            self.stops,
+            self.table,
+            self.gravity,
+            dt_s,
+            self.step_max_s,
+            on_s,
+            traces,
+        )
+        if not fine:
+            raise PlantError(
+                f"finger {self.finger.name!r}: its inertia matrix is singular at "
+                f"{self.time_s:g} s; give the links beyond each joint mass or inertia"
+            )
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        return float(self.muscles[0, layout.TIME])
+
+    @property
+    def q_rad(self) -> Array:
+        """Angles, (n,)."""
+        return np.array(self.joints[: len(self.joints) // 2])
+
+    @property
+    def qd_rad_s(self) -> Array:
+        """Rates, (n,)."""
+        return np.array(self.joints[len(self.joints) // 2 :])
+
+    @property
+    def pressure_kpa(self) -> Array:
+        """True gauge pressures, (2 n,)."""
+        return np.array(self.muscles[:, layout.PRESSURE] * 1e-3)
+
+    @property
+    def tip_m(self) -> Array:
+        """Position of the fingertip in the base frame, (3,)."""
+        return tip_position(self.finger.arm, self.q_rad)
+
+    @property
+    def energy_j(self) -> float:
+        """Energy of links and gas, which shut valves and frictionless joints leave alone.
+
+        For isothermal gas: kinetic and gravity's potential, and for each chamber the work
+        -P V ln(V / 6 ml) + P_atm V that its gas at constant temperature and the atmosphere can do.
+        """
+        c = self.constants
+        total = float(total_energy(self.finger.arm, self.q_rad, self.qd_rad_s))
+        for row in self.muscles:
+            volume = float(braid_volume(row[layout.LENGTH], c.braid_length_m, c.turns))
+            chamber = volume + c.dead_volume_m3
+            content = (row[layout.PRESSURE] + c.atmosphere_pa) * chamber
+            total += float(c.atmosphere_pa * chamber - content * np.log(chamber / 6e-6))
+        return total
+
+    def _length(self, i: int) -> float:
+        joint, rest, arm = self.tendons[i]
+        return float(rest + arm * self.joints[int(joint)])
+
+    def _angles(self, q_rad: npt.ArrayLike) -> Any:
+        q = np.asarray(q_rad, dtype=float)
+        arm = self.finger.arm
+        if q.shape != (arm.degrees,):
+            raise PlantError(f"q_rad has shape {q.shape}; expected ({arm.degrees},)")
+        for angle, link in zip(q, arm.links, strict=True):
+            if not link.low_rad <= angle <= link.high_rad:
+                raise PlantError(
+                    f"joint {link.joint!r} at {np.degrees(angle):g} degrees; its range is "
+                    f"{np.degrees(link.low_rad):g} to {np.degrees(link.high_rad):g}"
+                )
+        return q

@@ -1,0 +1,186 @@
+"""Every controller on both valves, with and without payload; and on plants it was not told of."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from plant.constants import PlantConstants
+from plant.effects import NONE, Effects
+from plant.errors import PlantError
+from plant.finger import Finger
+from plant.finger.reader import load_valve
+from rigs.controllers.figures import PathFigures, StepFigures, path_figures, step_figures
+from rigs.controllers.laws import HOST_LAWS, LAWS, build_law
+from rigs.controllers.loop import Trial, run_law
+from rigs.controllers.reference import Reference, circle, step
+
+PAYLOAD_KG = 0.020
+STEP_JOINT = "flexion"
+MOST_PATH_RMS_MM = 1.0
+MOST_STEADY_DEG = 1.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """One plant: what differs from what law and firmware know."""
+
+    title: str
+    payload_kg: float = 0.0
+    plant: tuple[tuple[str, float], ...] = ()
+    effects: tuple[tuple[str, tuple[tuple[str, float | str], ...]], ...] = ()
+
+    def constants(self, known: PlantConstants) -> PlantConstants:
+        """The plant's own."""
+        return known.with_overrides(dict(self.plant), f"case {self.title!r}")
+
+    def additions(self) -> Effects:
+        """The effects in force."""
+        if not self.effects:
+            return NONE
+        return Effects.from_config({name: dict(given) for name, given in self.effects})
+
+
+BARE = Case("no payload")
+LADEN = Case("20 g", PAYLOAD_KG)
+PERTURBED = (
+    Case("braid friction 2 N", 0.0, (), (("braid_friction", (("friction_n", 2.0),)),)),
+    Case("braid friction 2 N, 20 g", PAYLOAD_KG, (), (("braid_friction", (("friction_n", 2.0),)),)),
+    Case("liner takes 30 kPa", 0.0, (), (("liner_threshold", (("threshold_kpa", 30.0),)),)),
+    Case("supply 500 for 550 kPa", 0.0, (("supply_kpa", 500.0),)),
+    Case(
+        "outlets 20 % wider",
+        0.0,
+        (),
+        (("flow_area", (("ratio", 1.2), ("side", "outlet"))),),
+    ),
+    Case(
+        "inlets shut 0.5 ms later",
+        0.0,
+        (),
+        (("valve_delay", (("edge", "inlet_off"), ("delay_ms", 0.5))),),
+    ),
+    Case("dead volume 1 for 0.5 ml", 0.0, (("dead_volume_ml", 1.0),)),
+)
+"""What no law was tuned for. Kinds and sizes were chosen before any was run."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One controller on one valve and plant. `learned_g` is what the adaptive law believes."""
+
+    law: str
+    valve: str
+    case: str
+    step: StepFigures
+    path: PathFigures
+    learned_g: float | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Fingertip within 1 mm rms of the circle, joint within 1 degree of the step."""
+        return (
+            self.path.rms_mm <= MOST_PATH_RMS_MM
+            and self.step.steady_error_deg <= MOST_STEADY_DEG
+            and not self.step.faults
+            and not self.path.faults
+        )
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON."""
+        return {
+            "law": self.law,
+            "valve": self.valve,
+            "case": self.case,
+            "step": self.step.as_dict(),
+            "path": self.path.as_dict(),
+            "learned_g": self.learned_g,
+            "accepted": self.accepted,
+        }
+
+
+def run_trial(
+    finger: Finger, law: str, valve: str, case: Case, reference: Reference, **options: object
+) -> Trial:
+    """One controller on one plant. Raises `PlantError` for a law or valve that is not known."""
+    known = load_valve(valve)
+    controller, scheme = build_law(law, finger, known)
+    return run_law(
+        finger,
+        known,
+        controller,
+        reference,
+        scheme=scheme,
+        plant=case.constants(known),
+        payload_kg=case.payload_kg,
+        effects=case.additions(),
+        **options,  # type: ignore[arg-type]
+    )
+
+
+def run_case(finger: Finger, law: str, valve: str, case: Case, seed: int = 1) -> Row:
+    """Step and circle of one controller on one plant."""
+    joint = finger.arm.joint(STEP_JOINT)
+    stepped = run_trial(finger, law, valve, case, step(finger, STEP_JOINT), seed=seed)
+    turned = run_trial(finger, law, valve, case, circle(finger), seed=seed)
+    learned = None
+    if law == "adaptive":
+        learned = float(np.asarray(turned.notes["note"])[-1, 0] * 1e3)
+    return Row(law, valve, case.title, step_figures(stepped, joint), path_figures(turned), learned)
+
+
+def table(
+    finger: Finger,
+    laws: Iterable[str] = LAWS,
+    valves: Iterable[str] = ("thesis", "cured"),
+    cases: Iterable[Case] = (BARE, LADEN),
+    seed: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> list[Row]:
+    """Rows for every combination, in that order; `progress` is told each before it runs."""
+    chosen = list(laws)
+    for law in chosen:
+        if law not in LAWS:
+            raise PlantError(f"controller {law!r}: choose one of {', '.join(LAWS)}")
+    rows = []
+    for valve in valves:
+        for law in chosen:
+            for case in cases:
+                if progress is not None:
+                    progress(f"{valve} valve, {law}, {case.title}")
+                rows.append(run_case(finger, law, valve, case, seed))
+    return rows
+
+
+def perturbed(
+    finger: Finger,
+    laws: Iterable[str] = HOST_LAWS,
+    valve: str = "cured",
+    progress: Callable[[str], None] | None = None,
+) -> list[Row]:
+    """The host's laws on plants that they were not told of."""
+    return table(finger, laws, (valve,), PERTURBED, progress=progress)
+
+
+def halved(finger: Finger, law: str, valve: str, case: Case) -> tuple[Row, Row]:
+    """The same case with the plant's step at its usual length and at half of it."""
+    rows = []
+    for step_max_s in (1e-3, 5e-4):
+        joint = finger.arm.joint(STEP_JOINT)
+        stepped = run_trial(
+            finger, law, valve, case, step(finger, STEP_JOINT), step_max_s=step_max_s
+        )
+        turned = run_trial(finger, law, valve, case, circle(finger), step_max_s=step_max_s)
+        rows.append(Row(law, valve, case.title, step_figures(stepped, joint), path_figures(turned)))
+    return rows[0], rows[1]
+
+
+def named_case(title: str) -> Case:
+    """A case by its title. Raises `PlantError`."""
+    for case in (BARE, LADEN, *PERTURBED):
+        if case.title == title:
+            return dataclasses.replace(case)
+    raise PlantError(f"case {title!r}: not one of {', '.join(c.title for c in PERTURBED)}")

@@ -1,0 +1,59 @@
+"""Small data sets of settled points with an effect in them, made by the plant itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from plant.constants import nominal
+from plant.effects import Effects
+from plant.forcelaw import ForceLaw
+from plant.readings import read_force, read_pressure
+
+PRESSURES = (0.0, 60.0, 120.0, 200.0, 300.0, 400.0, 500.0)
+
+
+def settled_set(
+    folder: Path, effects: dict[str, dict[str, Any]], replicates: int = 3, seed: int = 1
+) -> Path:
+    """Isometric tables at five lengths, each `replicates` times, in the EXCHANGE form."""
+    rng = np.random.default_rng(seed)
+    on = Effects.from_config(effects)
+    law = ForceLaw(nominal(), on)
+    trials, samples = [], []
+    order = 0
+    for replicate in range(1, replicates + 1):
+        for length in rng.permutation([53.0, 57.0, 61.0, 65.0, 69.0]):
+            order += 1
+            name = f"t{order:02d}"
+            zero_p, zero_f = rng.normal(0.0, 0.3), rng.normal(0.0, 0.1)
+            p = np.array(PRESSURES)
+            force = law.lasting(p * 1e3, np.full(len(p), length * 1e-3), 21.0, float(order))
+            rows = pd.DataFrame(
+                {
+                    "trial": name,
+                    "pressure_kpa": read_pressure(p, on) + zero_p + rng.normal(0, 0.2, len(p)),
+                    "force_n": read_force(force, on) + zero_f + rng.normal(0, 0.05, len(p)),
+                    "direction": "up",
+                }
+            )
+            samples.append(rows)
+            trials.append(
+                {
+                    "trial": name,
+                    "slot": f"L{length:g}",
+                    "replicate": str(replicate),
+                    "protocol": "isometric",
+                    "mounting": "m1" if replicate < replicates else "m2",
+                    "order": order,
+                    "held_length_mm": length,
+                    "temperature_c": 21.0,
+                }
+            )
+    folder.mkdir(parents=True)
+    pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
+    pd.concat(samples).to_csv(folder / "samples.csv", index=False)
+    return folder

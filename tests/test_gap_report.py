@@ -1,0 +1,135 @@
+"""The letter: true to its verdict, whole in one file, and safe to show whatever the data hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from gap.examination import Examination, examine
+from gap.opening import open_data
+from gap.report import render_report
+from gap.reporttext import headline, parameter_text, rivals
+from gap.verdict import Contrast, Estimate, Experiment, Explanation, Gap, Share, Verdict
+from gap_sets import settled_set
+from rigs.cli import app
+
+PLAIN = Verdict(
+    status="named",
+    reason="liner_threshold explains the gap",
+    stage="muscle",
+    effects=(
+        Explanation(
+            ("liner_threshold",),
+            "dead_space",
+            0.93,
+            {"threshold_kpa": Estimate(104.1, 98.0, 110.3)},
+        ),
+    ),
+    probability_none=0.01,
+    probability_unknown=0.06,
+    gap=Gap("N", 4.1, 4.0, 0.7, 0.6, "replicates", 0.98, 0.9, 1.05, "slot"),
+    stages=(Share("muscle", 0.9, 0.8, 0.95), Share("valve", 0.1, 0.02, 0.2)),
+    contrasts=(Contrast("low-high pressure", 12.3, True), Contrast("up-down", 0.4)),
+    limits={"creep": 1.2},
+    next_experiment=None,
+    why_not={"creep": "closes 3 % of the gap", "wear": "fits worse than the set by 40",
+             "payload": "no channel in these data would show it"},
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def liner(tmp_path_factory: pytest.TempPathFactory) -> Examination:
+    folder = tmp_path_factory.mktemp("sets") / "liner"
+    settled_set(folder, {"liner_threshold": {"threshold_kpa": 60.0}})
+    return examine(open_data(folder))
+
+
+def with_verdict(examined: Examination, **changes: Any) -> Examination:
+    return dataclasses.replace(examined, verdict=dataclasses.replace(PLAIN, **changes))
+
+
+def test_the_letter_of_a_real_data_set_tells_the_verdict_and_its_reasons(
+    liner: Examination,
+) -> None:
+    page = render_report(liner)
+    assert "liner_threshold" in headline(liner.verdict)
+    assert headline(liner.verdict).split(" (")[0] in page
+    for part in ("What it could be", "And why not", "What to do next", liner.digest):
+        assert part in page
+    assert page.count("data:image/svg+xml;base64,") == 3
+    labels = [rung.label for rung in liner.ladder]
+    assert labels[:2] == ["as stated", "recalibrated"]
+    assert liner.ladder[-1].rms < 0.5 * liner.ladder[1].rms
+
+
+def test_it_stands_alone(liner: Examination) -> None:
+    page = render_report(liner)
+    assert not re.search(r'(?:src|href)="(?!data:)', page)
+    assert "<script" not in page
+    assert "@import" not in page
+
+
+def test_what_came_from_data_is_escaped(liner: Examination) -> None:
+    evil = '<script>alert("x")</script>'
+    data = dataclasses.replace(liner.data, origin=evil, notes=(evil,))
+    examined = dataclasses.replace(
+        liner,
+        data=data,
+        verdict=dataclasses.replace(PLAIN, status="unknown", reason=evil, effects=()),
+    )
+    page = render_report(examined)
+    assert evil not in page
+    assert "&lt;script&gt;" in page
+
+
+@pytest.mark.parametrize(
+    ("status", "told"),
+    [
+        ("data_unfit", "Mend the recording"),
+        ("below_resolution", "at least three trials"),
+        ("no_gap_above_floor", "Nothing that these data ask for"),
+        ("unknown", "does not hold"),
+    ],
+)
+def test_every_kind_of_verdict_has_its_letter(liner: Examination, status: str, told: str) -> None:
+    examined = with_verdict(liner, status=status, effects=(), gap=None, reason="because of this")
+    page = render_report(dataclasses.replace(examined, field=None, ladder=()))
+    assert told in page
+    assert "Because of this." in page
+
+
+def test_stages_contrasts_and_the_next_experiment_are_shown(liner: Examination) -> None:
+    following = Experiment("triangle", {"rates_mm_s": [1, 10]}, 1.1, 4.9, 6, ("creep", "wear"))
+    page = render_report(with_verdict(liner, next_experiment=following))
+    assert "Where it lies" in page
+    assert "beyond chance" in page
+    assert "6 trials of triangle" in page
+    assert "from 1.1 to 4.9" in page
+    assert page.count("data:image/svg+xml;base64,") == 4
+
+
+def test_the_sentence_has_value_unit_interval_and_what_it_closes() -> None:
+    told = headline(PLAIN)
+    assert "threshold 104 kPa (98 to 110)" in told
+    assert "closes 98 % (90 to 100 %)" in told
+    assert parameter_text("edge", Estimate("inlet_on")) == "edge inlet_on"
+    assert parameter_text("percent", Estimate(2.0, 1.0, 3.0)) == "2 % (1 to 3)"
+    assert parameter_text("stiffness_n_mm", Estimate(0.5)) == "stiffness 0.5 N/mm"
+
+
+def test_rivals_come_nearest_first() -> None:
+    assert [rival.id for rival in rivals(PLAIN)] == ["wear", "creep", "payload"]
+
+
+def test_the_command_writes_the_page_and_says_the_sentence(tmp_path: Path) -> None:
+    folder = settled_set(tmp_path / "set", {"pressure_zero": {"offset_kpa": 0.0}})
+    out = tmp_path / "letters" / "gap.html"
+    done = CliRunner().invoke(app, ["gap", "report", str(folder), "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert out.read_text().startswith("<!DOCTYPE html>")
+    assert len(done.output.splitlines()[0]) > 20
