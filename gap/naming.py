@@ -24,6 +24,8 @@ ALARM = 45.0
 SHARE_NEXT = 0.06
 """Least share of the gap's excess that a further effect must take away."""
 MOST = 3
+BENT = 2.2
+"""Shift of a constant, in sd, from which an effect may have bent the recalibration."""
 _REFINED = 7
 _SHAPES = 2
 
@@ -66,11 +68,12 @@ def name_effects(q: Inquiry) -> Naming:
     """Search for up to three effects that explain the gap of `q`."""
     state = q.base
     gains, amounts = linear_gains(q, state)
-    if np.abs(state.shift).max(initial=0.0) > 2.5:
+    fresh: Array | None = None
+    if np.abs(state.shift).max(initial=0.0) > BENT:
         # Constants at their limits: the suspects are also asked at the plant as stated.
-        stated_gains, stated_amounts = linear_gains(q, q.stated())
-        amounts = np.where(stated_gains > gains, stated_amounts, amounts)
-        gains = np.maximum(gains, stated_gains)
+        fresh_gains, fresh = linear_gains(q, q.stated())
+        fresh_gains = fresh_gains * max(naming_scale(q, gains, fresh_gains), 0.0)
+        gains = np.maximum(gains, np.minimum(fresh_gains, excess(q, state)))
     naming = Naming(Choice((), state), [], _by_key(q, gains), excess(q, state), excess(q, state))
     keys: tuple[str, ...] = ()
     for step in range(MOST):
@@ -81,7 +84,7 @@ def name_effects(q: Inquiry) -> Naming:
         if not top or best[top[0]] < least:
             break
         tried = [
-            refine(q, state, keys, key, gains, amounts)
+            refine(q, state, keys, key, gains, amounts, fresh if step == 0 else None)
             for key in top[:_REFINED]
             if best[key] > 0.3 * best[top[0]]
         ]
@@ -102,6 +105,11 @@ def name_effects(q: Inquiry) -> Naming:
             gains, amounts = linear_gains(q, state)
     naming.left = excess(q, state)
     return naming
+
+
+def naming_scale(q: Inquiry, gains: Array, fresh: Array) -> float:
+    """Factor that brings gains at the stated plant to those at the recalibrated one."""
+    return float(gains.max(initial=0.0) / max(fresh.max(initial=0.0), 1e-9))
 
 
 def excess(q: Inquiry, state: State) -> float:
@@ -129,21 +137,26 @@ def _by_key(q: Inquiry, gains: Array) -> dict[str, float]:
 
 
 def refine(
-    q: Inquiry, state: State, keys: tuple[str, ...], key: str, gains: Array, amounts: Array
+    q: Inquiry,
+    state: State,
+    keys: tuple[str, ...],
+    key: str,
+    gains: Array,
+    amounts: Array,
+    fresh: Array | None = None,
 ) -> Choice:
     """Fit `key` on top of `state` in its best shapes; the best fit wins."""
     at = [j for j, suspect in enumerate(q.suspects) if suspect.key == key]
     at.sort(key=lambda j: -gains[j])
     best: State | None = None
-    bent = np.abs(q.base.shift).max(initial=0.0) > 2.5
     for j in at[:_SHAPES]:
         if best is not None and gains[j] < 0.7 * gains[at[0]]:
             continue
         suspects = [*state.suspects, q.suspects[j]]
         start = [*state.amounts, _start(q.suspects[j], amounts[j])]
         ends = [q.fit(suspects, start)]
-        if bent:
-            ends.append(q.fit_afresh(suspects, start))
+        if fresh is not None:
+            ends.append(q.fit_afresh(suspects, [*state.amounts, _start(q.suspects[j], fresh[j])]))
         fitted = min(ends, key=lambda end: end.cost)
         if best is None or fitted.cost < best.cost:
             best = fitted

@@ -98,7 +98,7 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     noise.freedom = sum(len(members) - 1 for members in data.slots.values())
     if pairs:
         _learn(noise, pairs, prior, classes)
-    noise.white += rows.doubt**2
+    noise.white += rows.doubt**2 + rows.floor**2
     return noise
 
 
@@ -132,8 +132,6 @@ def _start_white(model: Model, residual: Array) -> Array:
         sd = _roughness(residual[here], rows, here) if settled else _WHITE[block]
         samples = 1.0 if settled else rows.samples[here]
         white[here] = np.maximum(sd, 0.3 * _WHITE[block]) ** 2 / samples
-        if block == "pressure":
-            white[here] += 0.02**2
     return white
 
 
