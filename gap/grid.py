@@ -183,7 +183,9 @@ def _piece(
         count = np.diff(np.r_[starts, len(time_s)]).astype(np.float64)
         columns = [np.add.reduceat(column, starts) / count for column in columns]
         weight = count
-    t, p, slope, path, length, rate, acceleration, temperature, reading, direction, doubt, floor = columns
+    t, p, slope, path, length, rate, acceleration, temperature, reading, direction, doubt, floor = (
+        columns
+    )
     return _Piece(
         t, weight, p, slope, path, length, rate, acceleration, signal.held, temperature, np.nan,
         reading, direction, np.empty(0), trial.settled, doubt, floor,
@@ -276,7 +278,9 @@ def _assign(
 
 def _joined(pieces: list[_Piece], number: int, trials: int) -> tuple[Points, Rows]:
     """All pieces of a block as one set of points, with its rows."""
-    columns: dict[str, list[Array]] = {name: [] for name in _ARRAYS if name not in ("doubt", "floor")}
+    columns: dict[str, list[Array]] = {
+        name: [] for name in _ARRAYS if name not in ("doubt", "floor")
+    }
     row: list[Whole] = []
     sizes = np.zeros(trials, dtype=np.int64)
     held: list[Array] = []

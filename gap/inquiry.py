@@ -86,6 +86,7 @@ class Inquiry:
         self.columns = self.stated_columns
         self.units = self._units()
         self.base = self._recalibrate()
+        self.floor_variance = self.noise.variance()
 
     def _residual(self, c: PlantConstants, active: Active) -> Array:
         rows = self.model.stacked(self.model.residual(c, [*self.given, *active]))
@@ -179,7 +180,7 @@ class Inquiry:
             damping = damping / 10.0
             if gain < max(0.2, 1e-4 * cost):
                 break
-        cover = np.linalg.pinv(matrix, hermitian=True, rcond=1e-13)
+        cover = np.asarray(np.linalg.pinv(matrix, hermitian=True, rcond=1e-13))
         return State(shift, tuple(suspects), amounts, residual, cost, cover)
 
     def _at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> tuple[Array, float]:
@@ -188,6 +189,10 @@ class Inquiry:
         ]
         residual = self._residual(self.constants(shift), active)
         return residual, self.whitened(residual) + tolerance(shift)[0]
+
+    def cost_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> float:
+        """Whitened sum of squares at given constants and amounts, prior included."""
+        return self._at(shift, suspects, amounts)[1]
 
     def whitened(self, residual: Array) -> float:
         """Sum of squares of a residual in the noise's own measure."""

@@ -53,6 +53,14 @@ class Noise:
         whitened = self.whiten(trial, a)
         return whitened.T @ whitened, whitened
 
+    def variance(self) -> Array:
+        """Variance of every row, all kinds of noise together."""
+        made = self.white.copy()
+        for trial, rows in enumerate(self.trial_rows):
+            v = np.array([self.scales[kind] ** 2 for kind in self.kinds[trial]])
+            made[rows] += (self.columns[trial] ** 2) @ v
+        return made
+
     def whiten(self, trial: int, a: Array) -> Array:
         """Rows of one trial in units of noise: white, of variance one, shape of `a`.
 

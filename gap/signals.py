@@ -86,6 +86,7 @@ class Signal:
     _acceleration: Array
     _stops: tuple[float, float]
     _doubt: tuple[Array, Array]
+    _give: float
 
     @classmethod
     def of(cls, trial: Trial, constants: PlantConstants) -> Signal:
@@ -100,6 +101,7 @@ class Signal:
         return cls(
             trial, held, loaded, _regulated(trial), held or len(camera) > 0,
             time_s, length, rate, acceleration, stops, _doubts(time_s, acceleration),
+            _give_of_stops(trial, constants),
         )  # fmt: skip
 
     def covered(self, time_s: Array) -> npt.NDArray[np.bool_]:
@@ -147,13 +149,13 @@ class Signal:
         return total / len(taps) * 1e3
 
     def pressure_slope_at(self, time_s: Array) -> Array:
-        """Slope of the reading in Pa/s over +/- 10 ms, or a sample where that is longer."""
+        """Slope of the reading in Pa/s over +/- 4 ms, or a sample where that is longer."""
         channel = self.trial.get("pressure_kpa")
         if self.trial.settled or len(channel) < 3:
             return np.zeros(len(time_s))
         t = channel.time_s
         spacing = float(np.median(np.diff(t)))
-        half = max(0.01, spacing)
+        half = max(0.004, spacing)
         taps = np.linspace(-0.4, 0.4, 5) * half if spacing < 0.2 * half else np.zeros(1)
         total = np.zeros(len(time_s))
         for tap in taps:
@@ -217,9 +219,9 @@ class Signal:
             # A stop within its tolerance is where the length goes no further.
             top, bottom = float(self._length.max()), float(self._length.min())
             if top > high - _STOP_ZONE_M:
-                touching |= self._length > top - _REST_M
+                touching |= self._length > top - _REST_M - self._give
             if bottom < low + _STOP_ZONE_M:
-                touching |= self._length < bottom + _REST_M
+                touching |= self._length < bottom + _REST_M + self._give
         if not touching.any():
             return np.ones(len(time_s), dtype=bool)
         at = self._time[touching]
@@ -228,6 +230,13 @@ class Signal:
         near = np.minimum(near, np.abs(time_s - at[np.clip(after, 0, len(at) - 1)]))
         near = np.minimum(near, np.abs(time_s - at[np.clip(after - 1, 0, len(at) - 1)]))
         return np.asarray(near > (0.0 if self.trial.settled else _AFTER_STOP_S))
+
+
+def _give_of_stops(trial: Trial, constants: PlantConstants) -> float:
+    """How far in m the stops yield under the whole load, at most 3 mm."""
+    if not np.isfinite(trial.load_kg) or constants.stop_stiffness_n_m <= 0.0:
+        return 0.0
+    return float(min(max(trial.load_kg, 0.0) * 9.81 / constants.stop_stiffness_n_m, 3e-3))
 
 
 def _length_of(trial: Trial, camera: Channel, held: bool) -> tuple[Array, Array, Array, Array]:

@@ -111,7 +111,15 @@ def _make() -> tuple[Suspect, ...]:
     made += [Suspect("flow_area", 0.03, 0, _GAS, {}, side) for side in ("inlet", "outlet")]
     made += _shapes("critical_ratio", 0.03, 0, _GAS, {}, {"inlet": 1.0}, {"outlet": 1.0})
     made += _shapes(
-        "supply_droop", 5.0, 1, _GAS, {}, {"tau_s": 0.03}, {"tau_s": 0.15}, {"tau_s": 0.6}
+        "supply_droop",
+        5.0,
+        1,
+        _GAS,
+        {},
+        {"tau_s": 0.03},
+        {"tau_s": 0.15},
+        {"tau_s": 0.6},
+        {"tau_s": 2.5},
     )
     edges = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
     made += [Suspect("valve_delay", 0.3, 0, _GAS, {}, edge) for edge in edges]
