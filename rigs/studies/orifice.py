@@ -22,6 +22,7 @@ from plant.constants import (
 from plant.muscle import chamber_volume
 from rigs.studies.command import Progress
 from rigs.studies.result import CONFIRMED, CONTRADICTED, Grid, Statement, Study
+from rigs.studies.schemes import measure
 from rigs.studies.trial import INTENDED, TITLES, Bench
 
 if TYPE_CHECKING:
