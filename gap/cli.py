@@ -7,10 +7,13 @@ from typing import Annotated, Optional
 
 import typer
 
+from gap.check.cli import add_check
+
 gap_app = typer.Typer(
     help="Where simulation and bench part, which effect causes it, what to measure next.",
     no_args_is_help=True,
 )
+add_check(gap_app)
 
 DataArgument = Annotated[Path, typer.Argument(help="Folder in the EXCHANGE form.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON value, nothing else.")]

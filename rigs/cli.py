@@ -16,6 +16,7 @@ from gap.cli import gap_app
 from gap.effects_cli import gap_effects
 from gap.report_cli import gap_report
 from gap.runs_cli import gap_export
+from gap.thesis_cli import gap_thesis
 from rigs.calibrate_cli import calibrate_app
 from rigs.models_cli import fit, models_app
 from rigs.protocols_cli import add_protocols
@@ -40,6 +41,7 @@ app.add_typer(gap_app, name="gap")
 gap_app.command("effects")(gap_effects)
 gap_app.command("export")(gap_export)
 gap_app.command("report")(gap_report)
+gap_app.command("thesis")(gap_thesis)
 add_protocols(app, runs_app)
 add_simulation(app)
 

@@ -7,13 +7,17 @@ thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016) 3932), or 
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from gap.columns import suspect_columns
+from gap.inquiry import Inquiry
+from gap.reader import read_dataset
+from plant.catalogue import CATALOGUE
 
 Floats = np.ndarray
 BIC_GAIN = 10.0
@@ -37,14 +41,9 @@ class Features:
 
 def features(folder: Path, without: Sequence[str]) -> Features:
     """Read a folder into rows; what the diagnosis itself compares, before any weighting."""
-    columns_of, asked, reader = (
-        importlib.import_module(f"gap.{name}") for name in ("columns", "inquiry", "reader")
-    )
-    inquiry = asked.Inquiry(reader.read_dataset(folder))
+    inquiry = Inquiry(read_dataset(folder))
     chosen = [s for s in inquiry.suspects if not s.defect and s.id not in without]
-    columns = columns_of.suspect_columns(
-        inquiry.model, inquiry.data.constants, inquiry.given, chosen
-    )
+    columns = suspect_columns(inquiry.model, inquiry.data.constants, inquiry.given, chosen)
     residual, constants = inquiry.untouched.copy(), inquiry.columns.copy()
     left = residual - constants @ np.linalg.lstsq(constants, residual, rcond=None)[0]
     scale = np.ones(len(residual))
@@ -137,8 +136,6 @@ def verdict_of(keys: Sequence[tuple[str, str]]) -> dict[str, Any]:
 
 def stage_of(name: str) -> str:
     """Stage of a catalogue entry."""
-    from plant.catalogue import CATALOGUE
-
     return str(CATALOGUE[name].stage)
 
 

@@ -18,7 +18,7 @@ from typing import Any
 from gap.check.errors import CheckError
 from gap.check.examine import Task, examine
 
-ENGINE = "gap.diagnose:diagnose"
+ENGINE = "gap.check.engine:verdict_of_folder"
 RESULTS, SEALS = "results.jsonl", "seals.jsonl"
 
 

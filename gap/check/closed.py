@@ -1,46 +1,74 @@
-"""How much of a gap a named effect really closes, on noise-free readings of the blind bench."""
+"""How much of a gap the diagnosis's own model really closes: judged on noise-free readings.
+
+The same trials are recorded once more without noise, zeros, gains and mishaps, and the fitted
+plant predicts them: what it leaves, against what the recalibrated plant leaves, is the true
+closed fraction that the verdict's interval should hold.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from blind.recalibrate import Recalibration
+from blind.exchange import write
+from blind.noise import Noise
+from blind.recording import record
 from blind.sets import BlindSet
+from gap.grid import make_grid
+from gap.inquiry import Inquiry, State
+from gap.model import Model
+from gap.naming import name_effects
+from gap.reader import read_dataset
+from gap.rows import BLOCKS, UNITS
+from gap.suspects import SUSPECTS
 
-CHANNELS = {"N": "force_n", "kPa": "pressure_kpa", "mm": "length_mm"}
+Floats = np.ndarray
 
 
-def closed_fraction(one: BlindSet, best: Mapping[str, Any], unit: str | None) -> float | None:
-    """Closed fraction of the named effects at the stated amounts, in the form they really have.
+def silent(noise: Noise) -> Noise:
+    """The same bench with nothing that shakes."""
+    levels = {f.name: 0.0 for f in fields(noise) if isinstance(getattr(noise, f.name), float)}
+    steps = {"pressure_step_kpa": 1e-6, "force_step_n": 1e-6}
+    times = {"pressure_slow_s": 1.0, "force_slow_s": 1.0}
+    return replace(noise, **{**levels, **steps, **times})  # type: ignore[arg-type]
 
-    Constants are fitted anew with and without; the channel is the one whose unit the verdict
-    states. None if the verdict states no value or there is no gap in that channel.
+
+def closed_fraction(
+    one: BlindSet, folder: Path, without: Sequence[str], gap: Mapping[str, Any]
+) -> float | None:
+    """True closed fraction of the diagnosis's fit to `folder`, in the channel of its verdict.
+
+    The channel is the block in the verdict's unit whose recalibrated gap is nearest to the one it
+    states. None where the fit names nothing or the noise-free gap vanishes.
     """
-    recalibration = Recalibration(one.design, one.noise)
-    explained = np.zeros(recalibration.layout.size)
-    for hidden in one.hidden:
-        if hidden.id not in best["ids"]:
+    suspects = [s for s in SUSPECTS if s.id not in without]
+    asked = Inquiry(read_dataset(folder), suspects)
+    state = name_effects(asked).chosen.state
+    if not state.suspects:
+        return None
+    clean = folder.with_name("clean")
+    write(record(replace(one, noise=silent(one.noise))), clean)
+    grid = make_grid(read_dataset(clean))
+    model = Model(grid)
+
+    def left(fit: State) -> Floats:
+        active = [*asked.given, *fit.active]
+        return np.nan_to_num(model.stacked(model.residual(asked.constants(fit.shift), active)))
+
+    before, after = left(asked.base) ** 2, left(state) ** 2
+    rows, best, miss = grid.rows, None, np.inf
+    for number, block in enumerate(BLOCKS):
+        here = rows.block == number
+        if UNITS[block] != gap.get("unit") or not here.any():
             continue
-        strength = 1.0
-        if hidden.entry.parameter:
-            stated = (best.get("parameters") or {}).get(hidden.entry.parameter) or {}
-            value = stated.get("value")
-            if not isinstance(value, (int, float)):
-                return None
-            strength = float(value) - hidden.entry.neutral
-        # The hidden form at the stated value: what is judged is the effect and its amount.
-        scale = strength / hidden.strength if hidden.id == "supply_droop" else 1.0
-        shape = (hidden.shape[0] * scale, *hidden.shape[1:])
-        stated_one = replace(hidden, strength=strength, shape=shape)
-        explained += recalibration.signature(stated_one)
-    before = recalibration.recalibrated(recalibration.signature_of(list(one.hidden)))
-    after = recalibration.recalibrated(recalibration.signature_of(list(one.hidden)) - explained)
-    for channel, protocol, index in recalibration.blocks():
-        if channel == CHANNELS.get(str(unit)) and protocol == "all":
-            total = float(np.sum(before[index] ** 2))
-            return None if total <= 0.0 else 1.0 - float(np.sum(after[index] ** 2)) / total
-    return None
+        weight = rows.span_s[here]
+        total = float(np.sum(weight * before[here]))
+        size = np.sqrt(total / max(float(weight.sum()), 1e-12))
+        off = abs(float(size) - float(gap["recalibrated"] or 0.0))
+        if total > 0.0 and off < miss:
+            best, miss = 1.0 - float(np.sum(weight * after[here])) / total, off
+    return best

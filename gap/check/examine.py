@@ -46,8 +46,7 @@ class Task:
 def call_engine(engine: str, folder: Path, without: Sequence[str]) -> dict[str, Any]:
     """The verdict as plain values."""
     module, _, name = engine.partition(":")
-    function = getattr(importlib.import_module(module), name)
-    found = function(folder, without=tuple(without)) if without else function(folder)
+    found = getattr(importlib.import_module(module), name)(folder, without=tuple(without))
     plain = found.as_dict() if hasattr(found, "as_dict") else dict(found)
     return dict(json.loads(json.dumps(plain, allow_nan=False)))
 
@@ -90,8 +89,8 @@ def examine(task: Task) -> dict[str, Any]:
             from gap.check.baselines import baseline_verdicts
 
             rivals = baseline_verdicts(folder, one.without)
-    truth = opened(envelope, digest)
-    scored = judged(one, truth, verdict)
+        truth = opened(envelope, digest)
+        scored = judged(one, truth, verdict, folder)
     return {
         "stream": task.stream,
         "number": task.number,
@@ -103,9 +102,11 @@ def examine(task: Task) -> dict[str, Any]:
     }
 
 
-def judged(one: BlindSet, truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> dict[str, Any]:
-    """The score, with the generator's own figure of the closed fraction where it applies."""
+def judged(
+    one: BlindSet, truth: Mapping[str, Any], verdict: Mapping[str, Any], folder: Path
+) -> dict[str, Any]:
+    """The score, with the true closed fraction of the diagnosis's fit where that applies."""
     scored = score(truth, verdict)
     if scored["named_right"] and scored["size"] >= 2.0 and scored["closed"] is not None:
-        scored["closed_true"] = closed_fraction(one, verdict["effects"][0], scored["unit"])
+        scored["closed_true"] = closed_fraction(one, folder, one.without, verdict["gap"])
     return scored

@@ -1,0 +1,15 @@
+"""The diagnosis as the blind check calls it: a folder on disk in, a verdict out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from gap.diagnose import diagnose
+from gap.reader import read_dataset
+from gap.verdict import Verdict
+
+
+def verdict_of_folder(folder: Path, without: Sequence[str] = ()) -> Verdict:
+    """What `pamrig gap diagnose FOLDER --without ...` says."""
+    return diagnose(read_dataset(folder), without)
