@@ -45,8 +45,8 @@ class TestCriticalGain:
     def test_a_plant_of_third_order_has_its_analytic_one(self) -> None:
         """1/(s+1)^3: phase -180 degrees at sqrt(3) rad/s, where the plant's gain is 1/8."""
         found = critical_gain(third_order, 1.0, 40.0, rounds=20)
-        # Sustained means to lose less than 3 % in 80 s: a thousandth below the true one.
-        assert found.gain == pytest.approx(8.0, rel=2e-3)
+        # Sustained means to lose less than a tenth in 80 s: 0.4 % below the true one.
+        assert 0.995 * 8.0 < found.gain < 8.0
         assert found.period_s == pytest.approx(2.0 * math.pi / math.sqrt(3.0), rel=1e-3)
 
     @pytest.mark.parametrize(("low", "high"), [(9.0, 40.0), (1.0, 7.0)])
