@@ -27,6 +27,8 @@ BLOCK = (
     ["nominal"] * 10 + ["single"] * 25 + ["pair"] * 5 + ["outside"] * 5
     + ["degenerate"] * 3 + ["unfit"] * 2 + ["left_out"] * 10
 )  # fmt: skip
+# Sizes are met from above, within a few percent (in the logarithm).
+ABOVE = 0.05
 MAGNITUDES = (0.5, 1.0, 2.0, 4.0, 8.0)
 # Effects that muscle data alone seldom tell apart.
 DEGENERATE = (
@@ -114,10 +116,10 @@ def sized(hidden: Hidden, aim: float, recalibration: Recalibration, design: Desi
         one = scaled(factor)
         left = recalibration.recalibrated(recalibration.signature(one))
         ratio = max(recalibration.ratio(left)["gap_over_floor"], 1e-9)
-        off = float(np.log(ratio / aim))
+        off = float(np.log(ratio / aim)) - ABOVE
         if abs(off) < miss:
             best, miss = one, abs(off)
-        if miss < 0.08 or (off < 0.0 and factor >= high):
+        if miss < 0.045 or (off < 0.0 and factor >= high):
             break
         if off < 0.0:
             low = factor

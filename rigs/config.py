@@ -111,6 +111,7 @@ class VirtualBenchConfig:
     blur_px: float
     frame_noise_levels: float
     camera_delay_ms: float
+    load: str = "muscle"
 
 
 @dataclass(frozen=True)
@@ -379,6 +380,7 @@ def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
         seed=t.integer("seed", 0, 2**63 - 1, 1) if seed is None else seed,
         draw_calibration_errors=t.flag("draw_calibration_errors", True),
         source=t.text("source", "valve", choices=("valve", "regulator")),
+        load=t.text("load", "muscle", choices=("muscle", "ram")),
         plant=dict(t.raw("plant", {})),
         effects=effects,
         pressure_noise_kpa=sensors.number("pressure_noise_kpa", 0, 50, 0.5, unit="kPa"),

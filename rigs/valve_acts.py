@@ -28,6 +28,17 @@ QUIET_S = 0.06
 
 
 @dataclass(frozen=True)
+class Release(Act):
+    """Let the air out, whatever scheme a test has chosen meanwhile, and shut both valves."""
+
+    seconds = 1.0
+
+    def perform(self, runner: Runner) -> None:
+        """See :func:`release`."""
+        release(runner)
+
+
+@dataclass(frozen=True)
 class Supply(Act):
     """Have the pressure of the supply set by hand; a rig without that axis keeps its own."""
 

@@ -11,6 +11,8 @@ PROTOCOLS: dict[str, str] = {
     "switching-time": "Measure a valve's switching times at a range of pressures.",
     "switching-voltage": "Measure the voltages at which a valve turns on and off.",
     "flow": "Measure air velocity against pressure behind a valve.",
+    "step": "Compare closed-loop schemes on the same steps of pressure.",
+    "ram": "Move a ram from one proximity switch to the next and hold it there.",
 }
 """Name of each protocol's command and what it does; its module is ``rigs.protocols.NAME`` with _
 for -, and holds PROCEDURE."""
@@ -20,6 +22,8 @@ DEFAULT_RIG: dict[str, str] = {
     "switching-time": "virtual-valve-stand",
     "switching-voltage": "virtual-valve-stand",
     "flow": "virtual-valve-stand",
+    "step": "virtual-thesis-loop",
+    "ram": "virtual-ram",
 }
 """The shipped rig that has all a protocol needs, where that is not "virtual"."""
 

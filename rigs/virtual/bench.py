@@ -22,6 +22,7 @@ from rigs.virtual.board import Advance, PressureSensor, SimBoard
 from rigs.virtual.camera import CameraModel, led_exposure, render
 from rigs.virtual.extras import Extras
 from rigs.virtual.misreading import Misreading
+from rigs.virtual.ramload import RamLoad
 from rigs.virtual.solenoids import Solenoids
 from rigs.virtual.stage import VirtualStage
 
@@ -29,6 +30,7 @@ DRIFT = 25e-6
 """The controller's crystal is slower than the host's by this much: a clock fit has work."""
 
 Send = Callable[[int, bytes], None]
+Slots = npt.NDArray[np.float64]
 
 
 class VirtualBench:
@@ -105,6 +107,8 @@ class VirtualBench:
             effects = Effects.from_config(self._v.effects)
             low = self.config.limits.length_min_mm
             high = self.config.limits.length_max_mm
+            if self._v.load == "ram":
+                return RamLoad(constants, effects)
             return BenchSim(
                 constants,
                 effects,
@@ -189,8 +193,19 @@ class VirtualBench:
             advance=self._make_step(),
         )
 
+    def _ram_step(self, ram: RamLoad) -> Advance:
+        """One tick of the ram; its proximity switches reach the board."""
+
+        def step(state: Slots, params: Slots, dt_s: float, fill_s: float, vent_s: float) -> None:
+            ram.ram.step(state, params, dt_s, fill_s, vent_s)
+            self.board.prox_bits = ram.ram.prox_bits
+
+        return step
+
     def _make_step(self) -> Advance | None:
         """With a bench supply the solenoids need its voltage; without, they always have it."""
+        if isinstance(self.plant, RamLoad):
+            return self._ram_step(self.plant)
         if "supply" not in self.extras.devices:
             return None
         return Solenoids(self.plant.constants, self.extras.solenoid_volts).advance

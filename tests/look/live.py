@@ -1,6 +1,7 @@
 """Pictures of the live view and of a run's view file, in headless Chromium.
 
 python -m tests.look.live --out docs/images/live-isometric.png   (a test on the virtual bench)
+python -m tests.look.live --protocol isotonic --points 100 --out docs/images/live-isotonic.png
 python -m tests.look.live --run runs/<run> --out out/view.png
 """
 
@@ -16,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from daq.layout import GREEN, SKY, Colour
+from daq.layout import ORANGE, SKY, Colour
 from daq.live import LiveView
 from daq.run import open_run
 from daq.viewfile import open_view
@@ -45,7 +46,7 @@ def photograph(browser: Browser, out: Path, still: int = 3) -> npt.NDArray[np.ui
             raise AssertionError(f"no still picture in {LOAD_S:g} s; see {out}; {said[-3:]}")
         time.sleep(1.5)
         picture = np.asarray(cv2.imread(str(browser.picture(out))), dtype=np.uint8)
-        drawn = all(pixels_of(picture, colour) > DRAWN for colour in (SKY, GREEN))
+        drawn = all(pixels_of(picture, colour) > DRAWN for colour in (SKY, ORANGE))
         moved = picture.shape != last.shape or np.mean(picture != last) > 1e-4
         same = same + 1 if drawn and not moved else 0
         last = picture
@@ -77,18 +78,25 @@ def look_at_live(out: Path, width: int = 1600, height: int = 1000) -> npt.NDArra
 
 
 def look_at_bench(
-    root: Path, out: Path, points: int = 130, width: int = 1600, height: int = 1000
+    root: Path,
+    out: Path,
+    protocol: str = "isometric",
+    points: int = 130,
+    width: int = 1600,
+    height: int = 1000,
 ) -> npt.NDArray[np.uint8]:
     """Photograph the live view of a real run on the virtual bench, held after some points."""
     from rigs.config import load_rig
     from rigs.interrupt import StopFlag
-    from rigs.isometric import load_isometric
     from rigs.livefeed import LiveFeed
-    from rigs.session import run_isometric
+    from rigs.protocols.names import default_rig
+    from rigs.protocols.registry import procedure
+    from rigs.session import run_protocol
 
-    config = load_rig("virtual")
-    protocol = load_isometric("isometric", config.limits)
-    layout = isometric_layout(pressure_max_kpa=max(protocol.pressures_kpa))
+    config = load_rig(default_rig(protocol))
+    kind = procedure(protocol)
+    plan = kind.read(protocol, config)
+    layout = kind.layout(plan.as_dict())
     stop, done = StopFlag(), []
     taken: list[npt.NDArray[np.uint8]] = []
 
@@ -111,7 +119,7 @@ def look_at_bench(
         return LiveFeed(view, layout)
 
     with Browser(width, height) as browser:
-        run_isometric(config, protocol, root, stop=stop, make_live=make_live, derive=False)
+        run_protocol(kind, config, plan, root, stop=stop, make_live=make_live, derive=False)
     return taken[0]
 
 
@@ -133,6 +141,8 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Pictures of the live view.")
     parser.add_argument("--out", type=Path, default=Path("docs/images/live-isometric.png"))
+    parser.add_argument("--protocol", default="isometric")
+    parser.add_argument("--points", type=int, default=130, help="settled points before the picture")
     parser.add_argument("--run", type=Path, help="a run folder instead of a live test")
     parser.add_argument("--synthetic", action="store_true", help="no bench, made-up curves")
     parser.add_argument("--width", type=int, default=1600)
@@ -142,7 +152,8 @@ def main() -> None:
         look_at_run(given.run, given.out, given.width, given.height)
     elif not given.synthetic:
         with tempfile.TemporaryDirectory() as root:
-            look_at_bench(Path(root), given.out, width=given.width, height=given.height)
+            size = {"width": given.width, "height": given.height}
+            look_at_bench(Path(root), given.out, given.protocol, given.points, **size)
     else:
         look_at_live(given.out, given.width, given.height)
     print(f"{given.out}: {given.out.stat().st_size / 1000:.0f} kB")

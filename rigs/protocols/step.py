@@ -1,0 +1,170 @@
+"""The step test (thesis 5.8): closed-loop schemes compared on the same steps of pressure.
+
+Each scheme of the controller is asked for the same staircase of set-points; what the pressure did
+is recorded at 1 kHz and judged from the record alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rigs.findings_step import step_findings
+from rigs.protocols.procedure import Procedure
+from rigs.step_reduction import reduce_step
+from rigs.steps import Act, EndTrial, SetLength, State, Steps, Trial
+from rigs.toml_reader import load_toml
+from rigs.valve_acts import Release
+from rigs.valve_layout import valve_layout
+
+if TYPE_CHECKING:
+    from daq.layout import LiveLayout
+    from rigs.config import RigConfig
+    from rigs.runner import Runner
+
+SCHEMES = ("two", "duty_in", "duty", "slide", "burst", "pwm")
+
+
+@dataclass(frozen=True)
+class Step:
+    """Parameters of a step test, as read from its protocol file."""
+
+    name: str
+    schemes: tuple[str, ...]
+    pressures_kpa: tuple[float, ...]
+    step_s: float
+    last_s: float
+    band_percent: float
+    supply_kpa: float
+    length_mm: float
+    repeats: int
+    mounting: str
+    source: str = ""
+    frames: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for run.json."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+
+    def steps(self) -> Steps:
+        """The method: for each scheme, from vented, one set-point after another."""
+        yield SetLength(self.length_mm)
+        order = trial = 0
+        for replicate in range(1, self.repeats + 1):
+            for scheme in self.schemes:
+                trial += 1
+                yield State(f"{scheme}, replicate {replicate}")
+                yield Trial(
+                    trial, scheme, replicate, trial, self.mounting, "step",
+                    (("held_length_mm", self.length_mm),),
+                )  # fmt: skip
+                yield Release()
+                before = 0.0
+                for number, pressure in enumerate(self.pressures_kpa):
+                    order += 1
+                    yield Response(
+                        trial, replicate, order, self.mounting, scheme, before, pressure,
+                        self.step_s, first=number == 0,
+                    )  # fmt: skip
+                    before = pressure
+                yield Release()
+                yield EndTrial(trial)
+        yield State("done")
+
+
+@dataclass(frozen=True)
+class Response(Act):
+    """One step of the set-point, and what follows it."""
+
+    trial: int
+    replicate: int
+    order: int
+    mounting: str
+    scheme: str
+    from_kpa: float
+    set_pressure_kpa: float
+    step_s: float
+    first: bool
+    points = 1
+
+    @property
+    def seconds(self) -> float:  # type: ignore[override]
+        """About how long it takes."""
+        return self.step_s
+
+    def perform(self, runner: Runner) -> None:
+        """Ask, and let the time pass; a repeated step begins at the pressure before it again."""
+        valve = runner.rig.valve
+        take = runner.steering.take
+        if self.first or take > 1:
+            valve.request(f"scheme {self.scheme}")
+        if take > 1 and self.from_kpa > 0:
+            self._ask(runner, self.from_kpa)
+            runner.rig.pump.for_seconds(self.step_s)
+        first = valve.seq_end
+        self._ask(runner, self.set_pressure_kpa)
+        runner.rig.pump.for_seconds(self.step_s)
+        more = {"take": take} if take > 1 else {}
+        runner.record.event(
+            "point",
+            trial=self.trial, slot=f"{self.scheme} {self.from_kpa:g} to {self.set_pressure_kpa:g}",
+            replicate=self.replicate, order=self.order, mounting=self.mounting,
+            scheme=self.scheme, from_kpa=self.from_kpa, set_pressure_kpa=self.set_pressure_kpa,
+            direction="up" if self.set_pressure_kpa > self.from_kpa else "down", settled=True,
+            valve_seq=[first, valve.seq_end], **more,
+        )  # fmt: skip
+        runner.progress.done += 1 if take == 1 else 0
+
+    def _ask(self, runner: Runner, pressure_kpa: float) -> None:
+        counts = float(runner.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
+        runner.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
+        runner.watch.set_point("pressure", pressure_kpa)
+        runner.rig.valve.set_point(counts)
+
+
+def read(name: str, config: RigConfig) -> Step:
+    """The protocol file, held against the rig.
+
+    Raises:
+        ConfigError: names file and key.
+    """
+    t = load_toml(name, "protocols")
+    t.text("protocol", choices=("step",))
+    if config.virtual is not None and config.virtual.source == "regulator":
+        raise t.fail(
+            "protocol",
+            f"tries the valve, and on {config.source} a regulator stands in its place"
+            ' (virtual.source = "regulator")',
+            "use the rig virtual-thesis-loop",
+        )
+    top = config.limits.pressure_kpa
+    low, high = config.limits.length_min_mm, config.limits.length_max_mm
+    step_s = t.number("step_s", 0.3, 60, 2.0, unit="s")
+    plan = Step(
+        name=t.text("name", "step"),
+        schemes=t.texts("schemes", SCHEMES),
+        pressures_kpa=t.numbers("pressures_kpa", 10, top, unit="kPa"),
+        step_s=step_s,
+        last_s=t.number("last_s", 0.1, step_s, min(0.5, step_s), unit="s"),
+        band_percent=t.number("band_percent", 0.1, 50, 3.0),
+        supply_kpa=t.number("supply_kpa", 1, 1200, unit="kPa"),
+        length_mm=t.number("length_mm", low, high, unit="mm"),
+        repeats=t.integer("repeats", 1, 1000, 1),
+        mounting=t.text("mounting", "m1"),
+        source=t.source,
+    )
+    t.finish()
+    return plan
+
+
+def layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    return valve_layout("Step test", parameters, window_s=10.0)
+
+
+PROCEDURE = Procedure(
+    "step", "Step test", read, reduce_step, layout, step_findings,
+    # Schemes that swing keep their valves busy; what they do to a valve is the test's business.
+    firmware={"leak_counts": 0},
+)  # fmt: skip
