@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import tomllib
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,10 @@ from plant.constants import PlantConstants, nominal
 from plant.effects import NONE, Effects
 from plant.errors import PlantError
 from rigs.rig import Rig
-from rigs.runner import Watch
+from rigs.runner import Runner, Watch
+
+if TYPE_CHECKING:
+    from rigs.livefeed import LiveFeed
 
 PRESSURE_PATH = "pressure/predicted_kpa"
 FORCE_PATH = "force/predicted_n"
@@ -126,6 +130,30 @@ class LivePrediction:
             told.append(gas.pressure_kpa)
             gas.advance(TICK_S, float(inlet[k]), float(vent[k]))
         return told
+
+
+def predicting(
+    path: Path, feeds: Sequence[LiveFeed], begin: Callable[[Runner, RecordWriter], None]
+) -> Callable[[Runner, RecordWriter], None]:
+    """What to call at the start of a run so that the plant of a file is drawn in its live view.
+
+    Args:
+        path: see :func:`load_plant`; it is read at once.
+        feeds: holds the run's live view by the time the run begins.
+        begin: what else is to be called.
+
+    Raises:
+        ConfigError: see :func:`load_plant`.
+    """
+    constants, effects = load_plant(path)
+
+    def start(runner: Runner, record: RecordWriter) -> None:
+        begin(runner, record)
+        for feed in feeds:
+            prediction = LivePrediction(feed.view, constants, effects)
+            prediction.attach(runner.rig, record, runner.watch)
+
+    return start
 
 
 def load_plant(path: Path) -> tuple[PlantConstants, Effects]:
