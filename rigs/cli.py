@@ -18,6 +18,7 @@ from gap.report_cli import gap_report
 from gap.runs_cli import gap_export
 from gap.thesis_cli import gap_thesis
 from rigs.calibrate_cli import calibrate_app
+from rigs.investigate_cli import gap_investigate
 from rigs.models_cli import fit, models_app
 from rigs.protocols_cli import add_protocols
 from rigs.simulate_cli import add_simulation
@@ -40,6 +41,7 @@ app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(gap_app, name="gap")
 gap_app.command("effects")(gap_effects)
 gap_app.command("export")(gap_export)
+gap_app.command("investigate")(gap_investigate)
 gap_app.command("report")(gap_report)
 gap_app.command("thesis")(gap_thesis)
 add_protocols(app, runs_app)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +36,7 @@ class Order:
     browser: bool = True
     wire: bool = False
     as_json: bool = False
+    predict: Path | None = None
 
 
 class ProgressLine:
@@ -121,11 +123,19 @@ def protocol_command(name: str, order: Order) -> int:
         state=line.state, point=lambda *_: line.redraw(), log=lambda t: typer.echo(t, err=True)
     )
     make_live = None
+    begin: Callable[[Runner, Any], None] = line.start
     if order.live:
         from rigs.livefeed import LiveFeed, open_live
 
+        feeds: list[LiveFeed] = []
+        if order.predict is not None:
+            from rigs.liveprediction import predicting
+
+            begin = predicting(order.predict, feeds, line.start)
+
         def make_live(run_id: str) -> LiveFeed:
             feed = open_live(run_id, kind.layout(plan.as_dict()), open_browser=order.browser)
+            feeds.append(feed)
             view = feed.view
             if view.error:
                 typer.echo(f"live view: none ({view.error}); the test goes on", err=True)
@@ -142,7 +152,7 @@ def protocol_command(name: str, order: Order) -> int:
         result = run_protocol(
             kind, config, plan, order.out,
             specimen=order.specimen, operator=order.operator, note=order.note,
-            stop=stop, make_live=make_live, watch=watch, on_start=line.start, wire=order.wire,
+            stop=stop, make_live=make_live, watch=watch, on_start=begin, wire=order.wire,
         )  # fmt: skip
     line.close()
     status = {"clean": 0, "stopped": 130}.get(result.outcome, 2)

@@ -41,12 +41,17 @@ def _command(name: str, summary: str) -> Callable[..., None]:
             bool, typer.Option("--wire", help="Record every received byte, too.")
         ] = False,
         as_json: JsonOption = False,
+        predict: Annotated[
+            Optional[Path],  # noqa: UP045
+            typer.Option("--predict", help="Plant or rig file: draw what it predicts, live."),
+        ] = None,
     ) -> None:
         from rigs.protocol_command import Order, protocol_command
 
         order = Order(
-            rig, protocol, out, specimen, operator, note, seed, live, browser, wire, as_json
-        )
+            rig, protocol, out, specimen, operator, note, seed, live or predict is not None,
+            browser, wire, as_json, predict,
+        )  # fmt: skip
         raise typer.Exit(protocol_command(name, order))
 
     command.__doc__ = summary

@@ -33,6 +33,9 @@ from rigs.virtual.misreading import FRESH_KPA, USED_KPA, Misreading
 
 Array = npt.NDArray[np.float64]
 SHORTEST_S = 1e-7
+HAND_MM = 0.5
+HAND_MM_S = 10.0
+"""Lengths that are set further than the one are gone to at the other."""
 
 
 class Live(Protocol):
@@ -131,9 +134,17 @@ class WithheldPlant(BenchSim):
         self.state[FORCE] = shown.force_n - self.zero_n
 
     def set_length(self, length_mm: float) -> None:
-        """Hold the muscle at another written length at once."""
+        """Hold the muscle at another written length; it is led there by hand, with its valves as
+        they are, in time that passes for the muscle alone.
+        """
+        far_mm = abs(length_mm - self._written_mm)
         self._written_mm = length_mm
         self.state[LENGTH_RATE] = 0.0
+        if far_mm > HAND_MM and self.params[LOAD] == 0.0:
+            vent = int(self.state[OUTLET_COMMAND])
+            seconds = far_mm / HAND_MM_S
+            self.shown = self.live.step(seconds, 0, vent, length_mm=length_mm, load_kg=0.0)
+            self._show()
 
     def set_length_rate(self, rate_mm_s: float) -> None:
         """Move the stage at a steady rate."""
