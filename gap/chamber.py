@@ -51,7 +51,10 @@ GAIN = 26
 LAG = 27
 CLOCK = 28
 FOLLOW = 29
-SIZE = 32
+ELASTIC = 30
+LINE = 31
+LINE_TIME = 32
+SIZE = 40
 
 _factor = inlined(flow.subsonic_factor)
 _braid_volume = inlined(muscle.braid_volume)
@@ -86,7 +89,7 @@ def _flows(
 def _advance(
     q: Any, s: Any, span: float, v0: float, v1: float, supply: float, inlet: bool, outlet: bool
 ) -> None:
-    """Move gas state s = (gauge pressure, isothermal pressure, reading, fall) over `span` s."""
+    """Move gas state s = (pressure, isothermal pressure, reading, fall, line) over `span` s."""
     left = span
     v = v0
     slope = (v1 - v0) / span
@@ -94,10 +97,15 @@ def _advance(
     heat = GAS_CONSTANT_J_KG_K * q[TEMPERATURE]
     at = q[ATMOSPHERE]
     quiet = not inlet and not outlet and q[LEAK] == 0.0 and q[LEAK_LAMINAR] == 0.0
+    quiet = quiet and q[LINE] == 0.0 and q[ELASTIC] == 0.0
     while left > 1e-12:
         p = s[0]
         flow_in, flow_out, share = _flows(q, p, supply, inlet, outlet, s[3])
-        rate = k * heat * (flow_in - flow_out) / v - k * (p + at) * slope / v
+        # A hose that widens takes gas as if the volume were larger by this much.
+        wide = q[ELASTIC] * (2.0 * max(p, 0.0) + at)
+        rate = k * heat * (flow_in - flow_out) / (v + wide) - k * (p + at) * slope / v
+        if q[LINE] > 0.0:
+            rate -= q[LINE] / v * (p - s[4]) / q[LINE_TIME]
         h = left
         if not quiet:
             # A step changes the pressure by a third of what drives the flow, at most.
@@ -108,6 +116,8 @@ def _advance(
                 drive = min(drive, abs(p) + 200.0)
             h = min(left, max(0.3 * drive / (abs(rate) + 1.0), 2e-5))
             h = min(h, 2e-3)
+        if q[LINE] > 0.0:
+            h = min(h, 0.3 * q[LINE_TIME])
         if q[DROOP_TIME] > 0.0 and inlet:
             h = min(h, 0.3 * q[DROOP_TIME])
         v_next = v + slope * h
@@ -117,15 +127,21 @@ def _advance(
         else:
             p_try = max(p + h * rate, -0.95 * at)
             in2, out2, share = _flows(q, p_try, supply, inlet, outlet, s[3])
-            rate2 = k * heat * (in2 - out2) / v_next - k * (p_try + at) * slope / v_next
+            wide = q[ELASTIC] * (2.0 * max(p_try, 0.0) + at)
+            rate2 = k * heat * (in2 - out2) / (v_next + wide) - k * (p_try + at) * slope / v_next
+            if q[LINE] > 0.0:
+                rate2 -= q[LINE] / v_next * (p_try - s[4]) / q[LINE_TIME]
             p1 = p + 0.5 * h * (rate + rate2)
             mass = 0.5 * h * (flow_in - flow_out + in2 - out2)
             iso = ((s[1] + at) * v + heat * mass) / v_next - at
             # Flow ends at equal pressure; no step may carry the gas beyond.
-            if inlet and not outlet and p <= supply - s[3] and slope == 0.0:
+            alone = slope == 0.0 and q[LINE] == 0.0
+            if inlet and not outlet and p <= supply - s[3] and alone:
                 p1 = min(p1, supply - s[3])
-            if outlet and not inlet and p >= 0.0 and slope == 0.0:
+            if outlet and not inlet and p >= 0.0 and alone:
                 p1 = max(p1, 0.0)
+        if q[LINE] > 0.0:
+            s[4] += (p - s[4]) * (1.0 - math.exp(-h / q[LINE_TIME]))
         if q[HEAT_RATE] > 0.0:
             p1 += (iso - p1) * (1.0 - math.exp(-h * q[HEAT_RATE]))
         target = q[DROOP] * share if inlet else 0.0
@@ -157,6 +173,7 @@ def _trial(
     s[0] = max(true, -0.9 * q[ATMOSPHERE])
     s[1] = s[0]
     s[2] = s[0]
+    s[4] = s[0]
     edge = 0
     now = time[0]
     out[0] = reading[0]
@@ -241,7 +258,7 @@ def _build(sources: int) -> Callable[..., None]:
         waiting = np.zeros(2, dtype=np.int64)
         opened = np.zeros(2, dtype=np.bool_)
         command = np.zeros(2)
-        s = np.zeros(4)
+        s = np.zeros(5)
         for t in range(len(first) - 1):
             a = first[t]
             b = first[t + 1]

@@ -21,6 +21,10 @@ from plant.muscle import braid_force_slope, braid_volume, braid_volume_slope
 
 MOST_POINTS = 2400
 QUIET_S = 0.02
+# What no replicate shows because all share it: interpolation, integration, edges in time.
+_FORCE_FLOOR_N = 0.015
+_LENGTH_FLOOR_M = 0.008e-3
+_EDGE_FLOOR_S = 0.03e-3
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,7 @@ class _Piece:
     weight: Array
     pressure: Array
     pressure_slope: Array
+    path: Array
     length: Array
     rate: Array
     acceleration: Array
@@ -103,6 +108,7 @@ class _Piece:
     extra: Array
     settled: bool
     doubt: Array
+    floor: Array
     trial: int = 0
     bin: Whole | None = None
 
@@ -127,7 +133,9 @@ def _pieces(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> list[t
         if free.sum() >= 3 or trial.settled:
             made.append(("load", _kept(piece, free)))
     if signal.held and "length_mm" in trial:
-        made.append(("camera", _piece(trial, signal, trial["length_mm"], 1e-3, c)))
+        piece = _piece(trial, signal, trial["length_mm"], 1e-3, c)
+        piece.floor = np.zeros(len(piece.time_s))
+        made.append(("camera", piece))
     return [(block, piece) for block, piece in made if len(piece.time_s)]
 
 
@@ -138,8 +146,8 @@ def _kept(piece: _Piece, keep: npt.NDArray[np.bool_]) -> _Piece:
 
 
 _ARRAYS = (
-    "time_s", "weight", "pressure", "pressure_slope", "length", "rate", "acceleration",
-    "temperature", "reading", "direction", "doubt",
+    "time_s", "weight", "pressure", "pressure_slope", "path", "length", "rate", "acceleration",
+    "temperature", "reading", "direction", "doubt", "floor",
 )  # fmt: skip
 
 
@@ -158,6 +166,7 @@ def _piece(
         time_s,
         signal.pressure_at(time_s),
         signal.pressure_slope_at(time_s),
+        signal.path_at(time_s),
         signal.length_at(time_s),
         signal.rate_at(time_s),
         signal.acceleration_at(time_s),
@@ -165,6 +174,7 @@ def _piece(
         output.value[inside] * scale,
         signal.direction_at(time_s),
         _stiffness(signal, time_s, c) * signal.length_doubt_at(time_s),
+        _FORCE_FLOOR_N + _stiffness(signal, time_s, c) * _sync(signal),
     ]
     block = 1 if trial.settled else -(-len(time_s) // MOST_POINTS)
     weight = np.full(len(time_s), 1.0)
@@ -173,11 +183,18 @@ def _piece(
         count = np.diff(np.r_[starts, len(time_s)]).astype(np.float64)
         columns = [np.add.reduceat(column, starts) / count for column in columns]
         weight = count
-    t, p, slope, length, rate, acceleration, temperature, reading, direction, doubt = columns
+    t, p, slope, path, length, rate, acceleration, temperature, reading, direction, doubt, floor = (
+        columns
+    )
     return _Piece(
-        t, weight, p, slope, length, rate, acceleration, signal.held, temperature, np.nan,
-        reading, direction, np.empty(0), trial.settled, doubt,
+        t, weight, p, slope, path, length, rate, acceleration, signal.held, temperature, np.nan,
+        reading, direction, np.empty(0), trial.settled, doubt, floor,
     )  # fmt: skip
+
+
+def _sync(signal: Signal) -> float:
+    """Least error in m of a moving length between frames."""
+    return 0.0 if signal.held or signal.trial.settled else _LENGTH_FLOOR_M
 
 
 def _stiffness(signal: Signal, time_s: Array, c: PlantConstants) -> Array:
@@ -222,9 +239,10 @@ def _chamber(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> _Piec
     volume = braid_volume(length, c.braid_length_m, c.turns) + c.dead_volume_m3
     squeeze = braid_volume_slope(length, c.braid_length_m, c.turns) / volume
     doubt = np.abs(squeeze * (p + c.atmosphere_pa)) * signal.length_doubt_at(t) * 1e-3
+    floor = 0.02 + np.minimum(np.abs(np.gradient(p, t)), 1e7) * _EDGE_FLOOR_S * 1e-3
     return _Piece(
-        t, count, p, zero, length, signal.rate_at(t), signal.acceleration_at(t),
-        signal.held, signal.temperature_at(t), np.nan, p, zero, feed, False, doubt,
+        t, count, p, zero, p, length, signal.rate_at(t), signal.acceleration_at(t),
+        signal.held, signal.temperature_at(t), np.nan, p, zero, feed, False, doubt, floor,
     )  # fmt: skip
 
 
@@ -260,7 +278,9 @@ def _assign(
 
 def _joined(pieces: list[_Piece], number: int, trials: int) -> tuple[Points, Rows]:
     """All pieces of a block as one set of points, with its rows."""
-    columns: dict[str, list[Array]] = {name: [] for name in _ARRAYS if name != "doubt"}
+    columns: dict[str, list[Array]] = {
+        name: [] for name in _ARRAYS if name not in ("doubt", "floor")
+    }
     row: list[Whole] = []
     sizes = np.zeros(trials, dtype=np.int64)
     held: list[Array] = []
@@ -292,6 +312,7 @@ def _joined(pieces: list[_Piece], number: int, trials: int) -> tuple[Points, Row
                 length=mean(piece.length),
                 rate=mean(piece.rate),
                 doubt=mean(piece.doubt),
+                floor=mean(piece.floor),
             )
         )
         count += len(found)

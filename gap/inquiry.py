@@ -28,7 +28,7 @@ from plant.constants import KEYS, PlantConstants
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
-_ROUNDS = 4
+_ROUNDS = 12
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,7 @@ class Inquiry:
         self.columns = self.stated_columns
         self.units = self._units()
         self.base = self._recalibrate()
+        self.floor_variance = self.noise.variance()
 
     def _residual(self, c: PlantConstants, active: Active) -> Array:
         rows = self.model.stacked(self.model.residual(c, [*self.given, *active]))
@@ -121,27 +122,22 @@ class Inquiry:
         amounts = np.array(start or [0.0] * len(suspects), dtype=np.float64)
         return self._descend(np.zeros(len(self.names)), suspects, amounts, self.stated_columns)
 
-    def polish(self, state: State) -> State:
+    def polish(self, state: State, rounds: int = 3) -> State:
         """Fit again from a state, with signatures of the constants taken there."""
-        shift, suspects, amounts = state.shift, state.suspects, state.amounts
-        for _ in range(2):
-            columns = self._columns_at(shift, suspects, amounts)
-            better = self._descend(shift, suspects, amounts, columns)
-            if better.cost >= state.cost - 0.5:
-                return better if better.cost < state.cost else state
-            state = better
-            shift, amounts = state.shift, state.amounts
+        for _ in range(rounds):
+            columns = self._columns_at(state.shift, state.suspects, state.amounts)
+            better = self._descend(state.shift, state.suspects, state.amounts, columns)
+            gained = state.cost - better.cost
+            if gained > -1e-9:
+                state = better
+            if gained < max(1.0, 3e-4 * state.cost):
+                break
         return state
 
     def _recalibrate(self) -> State:
         state = self._descend(np.zeros(len(self.names)), (), np.empty(0), self.stated_columns)
-        for _ in range(4):
-            self.columns = self._columns_at(state.shift, (), np.empty(0))
-            better = self._descend(state.shift, (), np.empty(0), self.columns)
-            done = better.cost > state.cost - max(1.0, 1e-3 * state.cost)
-            state = better if better.cost < state.cost else state
-            if done:
-                break
+        state = self.polish(state, 6)
+        self.columns = self._columns_at(state.shift, (), np.empty(0))
         return state
 
     def _columns_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
@@ -164,26 +160,27 @@ class Inquiry:
         n = len(self.names)
         shift = shift.copy()
         residual, cost = self._at(shift, suspects, amounts)
-        cover = np.eye(n + len(suspects))
-        for turn in range(_ROUNDS):
-            columns = np.hstack([constants, self._slopes(shift, suspects, amounts)])
-            beta, cover = self._solve(columns, residual, shift)
-            moved = False
-            length = 1.0
-            for _ in range(5):
-                new_shift = shift + length * beta[:n]
-                new_amounts = _bounded(suspects, amounts + length * beta[n:])
-                trial, trial_cost = self._at(new_shift, suspects, new_amounts)
-                if trial_cost < cost:
-                    moved = True
-                    break
-                length *= 0.4
-            if not moved:
-                break
+        matrix, right = np.eye(n + len(suspects)), np.zeros(n + len(suspects))
+        damping = 1e-6
+        stale = True
+        for _ in range(_ROUNDS):
+            if stale:
+                columns = np.hstack([constants, self._slopes(shift, suspects, amounts)])
+                matrix, right = self._normal(columns, residual, shift)
+            beta = _solved(matrix, right, damping)
+            new_shift = shift + beta[:n]
+            new_amounts = _bounded(suspects, amounts + beta[n:])
+            trial, trial_cost = self._at(new_shift, suspects, new_amounts)
+            stale = trial_cost < cost
+            if not stale:
+                damping = max(damping, 1e-4) * 8.0
+                continue
             gain = cost - trial_cost
             shift, amounts, residual, cost = new_shift, new_amounts, trial, trial_cost
-            if gain < max(0.3, 2e-4 * cost) and turn:
+            damping = damping / 10.0
+            if gain < max(0.2, 1e-4 * cost):
                 break
+        cover = np.asarray(np.linalg.pinv(matrix, hermitian=True, rcond=1e-13))
         return State(shift, tuple(suspects), amounts, residual, cost, cover)
 
     def _at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> tuple[Array, float]:
@@ -192,6 +189,10 @@ class Inquiry:
         ]
         residual = self._residual(self.constants(shift), active)
         return residual, self.whitened(residual) + tolerance(shift)[0]
+
+    def cost_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> float:
+        """Whitened sum of squares at given constants and amounts, prior included."""
+        return self._at(shift, suspects, amounts)[1]
 
     def whitened(self, residual: Array) -> float:
         """Sum of squares of a residual in the noise's own measure."""
@@ -224,22 +225,21 @@ class Inquiry:
             made[:, j] = self.model.stacked({k: (a[k] - b[k]) / span for k in there})
         return np.nan_to_num(made)
 
-    def _solve(self, columns: Array, residual: Array, shift: Array) -> tuple[Array, Array]:
+    def _normal(self, columns: Array, residual: Array, shift: Array) -> tuple[Array, Array]:
+        """Matrix and right side of the normal equations, the constants' prior included."""
         n = len(self.names)
         width = columns.shape[1]
-        matrix = np.zeros((width, width))
-        right = np.zeros(width)
         both = np.hstack([columns, residual[:, None]])
+        gram = np.zeros((width + 1, width + 1))
         for trial, rows in enumerate(self.noise.trial_rows):
             if len(rows):
-                gram, _ = self.noise.solve(trial, both[rows])
-                matrix += gram[:width, :width]
-                right += gram[:width, width]
+                gram += self.noise.solve(trial, both[rows])[0]
+        matrix = gram[:width, :width].copy()
+        right = gram[:width, width].copy()
         _, slope, stiffness = tolerance(shift)
         matrix[range(n), range(n)] += stiffness
         right[:n] -= slope
-        cover = np.linalg.pinv(matrix, hermitian=True, rcond=1e-13)
-        return np.asarray(cover @ right), np.asarray(cover)
+        return matrix, right
 
     def stated(self) -> State:
         """The plant as stated, nothing fitted: where a large effect leaves constants alone."""
@@ -260,6 +260,16 @@ class Inquiry:
     def blocks(self) -> list[str]:
         """Blocks that the data set fills."""
         return [name for number, name in enumerate(BLOCKS) if np.any(self.rows.block == number)]
+
+
+def _solved(matrix: Array, right: Array, damping: float) -> Array:
+    """Step of the damped normal equations (Marquardt)."""
+    diagonal = np.diag(matrix)
+    stiff = matrix + np.diag(damping * diagonal + 1e-12 * diagonal.max(initial=1.0))
+    try:
+        return np.asarray(np.linalg.solve(stiff, right))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(stiff, hermitian=True) @ right)
 
 
 def _bounded(suspects: Sequence[Suspect], amounts: Array) -> Array:

@@ -27,8 +27,9 @@ BLUNT = 4.0
 FORM = 100.0
 """Whitened excess that the best explanation may leave before differences count for less."""
 MIMIC = 0.9
-KNOWN = 0.5
-FORM_FULL = 0.85
+KNOWN = 0.78
+HALF = 0.5
+FORM_FULL = 0.9
 UNSEEN = 0.2
 COVER = 0.9
 _LEAST = 0.03
@@ -50,7 +51,8 @@ def judge(q: Inquiry, naming: Naming) -> Verdict:
     held = held_out(q, chosen.state)
     if not chosen.keys:
         return _without_name(q, naming, held)
-    if chosen.state.suspects[0].defect:
+    share = 1.0 - naming.left / max(naming.excess, 1.0)
+    if chosen.state.suspects[0].defect and share > HALF:
         return _defect(q, naming, held)
     return _with_name(q, naming, held)
 
@@ -149,7 +151,7 @@ def _status(
             "named_form_inadequate",
             f"{names} explains {100 * share:.0f} % of the gap; its form leaves a pattern",
         )
-    if gap.closed_low is not None and gap.closed_low <= KNOWN:
+    if gap.closed_low is not None and gap.closed_low <= HALF:
         return (
             "named_form_inadequate",
             f"{names}; held out, the closed fraction is not certain to exceed one half",
@@ -164,7 +166,7 @@ def _weigh(naming: Naming, share: float) -> _Weighed:
     more = np.maximum(np.array([choice.cost for choice in choices]) - best, 0.0)
     scores = -BLUNT * np.log1p(more / blunt / (2.0 * BLUNT))
     weights = np.exp(scores - scores.max())
-    unknown = 1.0 / (1.0 + np.exp((share - 0.55) / 0.08))
+    unknown = 1.0 / (1.0 + np.exp((share - 0.75) / 0.04))
     none = float(np.exp(-max(naming.steps[0][1] - 20.0, 0.0) / 6.0)) if naming.steps else 1.0
     none = min(none, 0.5)
     left = max(1.0 - unknown - none, 0.0)

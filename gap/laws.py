@@ -185,8 +185,7 @@ def _limit(
 def _friction(
     points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
 ) -> Array:
-    reach = shape["travel"]
-    travel = p / (40e3 * reach) - length / (0.4e-3 * reach)
+    travel = points.path / (shape["kpa"] * 1e3) - length / (shape["mm"] * 1e-3)
     # Settled points bring their own direction where the table does not hold the whole path.
     slip = np.zeros(len(p))
     history.slip(points.first, np.ascontiguousarray(travel), slip)

@@ -138,7 +138,14 @@ class Model:
 def _switch(q: Array, name: str, option: str, amount: float, shape: Shape) -> None:
     """Put one effect into the parameters of the pressure stage; others leave it alone."""
     if name == "dead_volume":
-        q[chamber.VOLUME] += amount * 1e-6
+        if "elastic" in shape:
+            # Stated as the extra volume that 300 kPa makes.
+            q[chamber.ELASTIC] += amount * 1e-6 / 3e5
+        elif "line_s" in shape:
+            q[chamber.LINE] = max(amount, 0.0) * 1e-6
+            q[chamber.LINE_TIME] = shape["line_s"]
+        else:
+            q[chamber.VOLUME] += amount * 1e-6
     elif name == "polytropic":
         q[chamber.EXPONENT] += amount
         q[chamber.HEAT_RATE] = 1.0 / shape["heat_s"] if "heat_s" in shape else 0.0

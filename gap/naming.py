@@ -19,12 +19,18 @@ from gap.suspects import Suspect
 
 Array = npt.NDArray[np.float64]
 
-ALARM = 45.0
+ALARM = 32.0
 """Least gain (drop of the whitened sum of squares) of a first effect; see docs/gap.md."""
-SHARE_NEXT = 0.06
+SHARE_NEXT = 0.03
+SHARE_SURE = 0.06
 """Least share of the gap's excess that a further effect must take away."""
+SEEN_NEXT = 0.45
+"""Least change of the residual in some block, in units of its floor, for an effect to count."""
 MOST = 3
+BENT = 2.2
+"""Shift of a constant, in sd, from which an effect may have bent the recalibration."""
 _REFINED = 7
+_CLOCKS_MS = (8.0, 20.0, 45.0, 80.0, 120.0, 170.0, 230.0, 300.0, 380.0, 480.0)
 _SHAPES = 2
 
 
@@ -52,6 +58,7 @@ class Naming:
         excess: whitened gap beyond noise at the base.
         left: the same after the explanation.
         steps: (key, gain) of each effect in order of entry.
+        last_gain: gain of each key on top of the explanation, linearised.
     """
 
     chosen: Choice
@@ -60,33 +67,37 @@ class Naming:
     excess: float
     left: float
     steps: list[tuple[str, float]] = field(default_factory=list)
+    last_gain: dict[str, float] = field(default_factory=dict)
 
 
 def name_effects(q: Inquiry) -> Naming:
     """Search for up to three effects that explain the gap of `q`."""
     state = q.base
     gains, amounts = linear_gains(q, state)
-    if np.abs(state.shift).max(initial=0.0) > 2.5:
+    fresh: Array | None = None
+    if np.abs(state.shift).max(initial=0.0) > BENT:
         # Constants at their limits: the suspects are also asked at the plant as stated.
-        stated_gains, stated_amounts = linear_gains(q, q.stated())
-        amounts = np.where(stated_gains > gains, stated_amounts, amounts)
-        gains = np.maximum(gains, stated_gains)
+        fresh_gains, fresh = linear_gains(q, q.stated())
+        fresh_gains = fresh_gains * max(naming_scale(q, gains, fresh_gains), 0.0)
+        gains = np.maximum(gains, np.minimum(fresh_gains, excess(q, state)))
     naming = Naming(Choice((), state), [], _by_key(q, gains), excess(q, state), excess(q, state))
     keys: tuple[str, ...] = ()
     for step in range(MOST):
         best = _by_key(q, gains)
         open_keys = [k for k in best if k not in keys]
-        least = ALARM if step == 0 else max(ALARM, SHARE_NEXT * naming.excess)
+        least = ALARM if step == 0 else max(40.0, SHARE_NEXT * naming.excess)
         top = sorted(open_keys, key=lambda k: -best[k])
         if not top or best[top[0]] < least:
             break
         tried = [
-            refine(q, state, keys, key, gains, amounts)
+            refine(q, state, keys, key, gains, amounts, fresh if step == 0 else None)
             for key in top[:_REFINED]
             if best[key] > 0.3 * best[top[0]]
         ]
         tried.sort(key=lambda choice: choice.cost)
         if state.cost - tried[0].cost < least:
+            break
+        if step and not _worth(q, naming, state, tried[0].state):
             break
         naming.steps.append((tried[0].keys[-1], state.cost - tried[0].cost))
         naming.chosen = tried[0]
@@ -101,7 +112,62 @@ def name_effects(q: Inquiry) -> Naming:
             state = flexed.state
             gains, amounts = linear_gains(q, state)
     naming.left = excess(q, state)
+    naming.last_gain = _by_key(q, gains)
     return naming
+
+
+def _scan_clocks(q: Inquiry) -> dict[str, tuple[float, float]]:
+    """Gain and amount of whole clock offsets, too large for a signature to point at."""
+    found: dict[str, tuple[float, float]] = {}
+    if excess(q, q.base) < 0.3 * len(q.rows):
+        return found
+    for suspect in q.suspects:
+        if suspect.id not in ("force_clock", "pressure_clock", "camera_delay"):
+            continue
+        best = (0.0, 0.0)
+        for start in (q.base.shift, np.zeros(len(q.names))):
+
+            def gain(
+                amount: float, at: Array = start, of: Suspect = suspect
+            ) -> tuple[float, float]:
+                return q.base.cost - q.cost_at(at, (of,), np.array([amount])), amount
+
+            for size in _CLOCKS_MS:
+                best = max(best, gain(size), gain(-size))
+            step = 0.2 * abs(best[1])
+            while best[0] > 0.0 and step > 1.0:
+                best = max(best, gain(best[1] + step), gain(best[1] - step))
+                step *= 0.6
+        if best[0] > 0.0:
+            found[suspect.key] = best
+    return found
+
+
+def naming_scale(q: Inquiry, gains: Array, fresh: Array) -> float:
+    """Factor that brings gains at the stated plant to those at the recalibrated one."""
+    return float(gains.max(initial=0.0) / max(fresh.max(initial=0.0), 1e-9))
+
+
+def _worth(q: Inquiry, naming: Naming, before: State, after: State) -> bool:
+    """Whether a further effect takes a fair share of the gap, or most of what is left of it."""
+    gain = before.cost - after.cost
+    if gain > SHARE_SURE * naming.excess:
+        return True
+    most_left = gain > 0.35 * max(excess(q, before), 1.0) > 0.02 * naming.excess
+    return most_left and seen(q, before, after) > SEEN_NEXT
+
+
+def seen(q: Inquiry, before: State, after: State) -> float:
+    """Largest drop of the residual in any block: root of the drop in squares over the floor's."""
+    rows = q.rows
+    best = 0.0
+    for number in np.unique(rows.block).tolist():
+        here = rows.block == number
+        span = rows.span_s[here] / rows.span_s[here].sum()
+        drop = float(span @ (before.residual[here] ** 2 - after.residual[here] ** 2))
+        floor = float(span @ q.floor_variance[here])
+        best = max(best, drop / max(floor, 1e-12))
+    return float(np.sqrt(best))
 
 
 def excess(q: Inquiry, state: State) -> float:
@@ -129,21 +195,26 @@ def _by_key(q: Inquiry, gains: Array) -> dict[str, float]:
 
 
 def refine(
-    q: Inquiry, state: State, keys: tuple[str, ...], key: str, gains: Array, amounts: Array
+    q: Inquiry,
+    state: State,
+    keys: tuple[str, ...],
+    key: str,
+    gains: Array,
+    amounts: Array,
+    fresh: Array | None = None,
 ) -> Choice:
     """Fit `key` on top of `state` in its best shapes; the best fit wins."""
     at = [j for j, suspect in enumerate(q.suspects) if suspect.key == key]
     at.sort(key=lambda j: -gains[j])
     best: State | None = None
-    bent = np.abs(q.base.shift).max(initial=0.0) > 2.5
     for j in at[:_SHAPES]:
         if best is not None and gains[j] < 0.7 * gains[at[0]]:
             continue
         suspects = [*state.suspects, q.suspects[j]]
         start = [*state.amounts, _start(q.suspects[j], amounts[j])]
         ends = [q.fit(suspects, start)]
-        if bent:
-            ends.append(q.fit_afresh(suspects, start))
+        if fresh is not None:
+            ends.append(q.fit_afresh(suspects, [*state.amounts, _start(q.suspects[j], fresh[j])]))
         fitted = min(ends, key=lambda end: end.cost)
         if best is None or fitted.cost < best.cost:
             best = fitted

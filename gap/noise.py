@@ -53,6 +53,14 @@ class Noise:
         whitened = self.whiten(trial, a)
         return whitened.T @ whitened, whitened
 
+    def variance(self) -> Array:
+        """Variance of every row, all kinds of noise together."""
+        made = self.white.copy()
+        for trial, rows in enumerate(self.trial_rows):
+            v = np.array([self.scales[kind] ** 2 for kind in self.kinds[trial]])
+            made[rows] += (self.columns[trial] ** 2) @ v
+        return made
+
     def whiten(self, trial: int, a: Array) -> Array:
         """Rows of one trial in units of noise: white, of variance one, shape of `a`.
 
@@ -98,7 +106,7 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     noise.freedom = sum(len(members) - 1 for members in data.slots.values())
     if pairs:
         _learn(noise, pairs, prior, classes)
-    noise.white += rows.doubt**2
+    noise.white += rows.doubt**2 + rows.floor**2
     return noise
 
 
@@ -132,8 +140,6 @@ def _start_white(model: Model, residual: Array) -> Array:
         sd = _roughness(residual[here], rows, here) if settled else _WHITE[block]
         samples = 1.0 if settled else rows.samples[here]
         white[here] = np.maximum(sd, 0.3 * _WHITE[block]) ** 2 / samples
-        if block == "pressure":
-            white[here] += 0.02**2
     return white
 
 

@@ -23,6 +23,7 @@ class Points:
         first: points of trial t are first[t]:first[t + 1].
         row: feature row each point belongs to, counted within the block.
         weight: samples that each point stands for.
+        path: pressure without its sampling noise, for what depends on turning points.
         held: whether the length is the one written down, not one that was read.
         reading: measured output: force in N, pressure in Pa or length in m.
     """
@@ -34,6 +35,7 @@ class Points:
     weight: Array
     pressure: Array
     pressure_slope: Array
+    path: Array
     length: Array
     rate: Array
     acceleration: Array
@@ -49,7 +51,7 @@ class Rows:
     """What each feature row is: block, trial, mean time, samples, slot-wide bin number.
 
     `doubt` is what the length's interpolation between frames may cost, in the block's unit (kPa,
-    N, mm).
+    N, mm), `floor` what no model of this kind gets right.
     """
 
     block: Whole
@@ -62,6 +64,7 @@ class Rows:
     length: Array
     rate: Array
     doubt: Array
+    floor: Array
 
     def __len__(self) -> int:
         return len(self.trial)
@@ -98,4 +101,5 @@ def stacked(rows: list[Rows]) -> Rows:
         length=whole("length"),
         rate=whole("rate"),
         doubt=whole("doubt"),
+        floor=whole("floor"),
     )

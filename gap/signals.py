@@ -15,6 +15,12 @@ _MOVED_M = 0.8e-3
 _NEAR_STOP_M = 0.8e-3
 _AFTER_STOP_S = 0.08
 _RISE_KPA = 25.0
+_FRAME_NOISE_M = 0.015e-3
+# Three sd of what white noise of one sd makes of a second difference's second difference.
+_NOISE_OF_BEND = 9.0
+# Stops stand where they should to half a millimetre (PLANT.md): three sd of that.
+_STOP_ZONE_M = 1.5e-3
+_REST_M = 0.35e-3
 
 
 def edges_of(trial: Trial) -> tuple[Array, Array, npt.NDArray[np.int64]]:
@@ -80,6 +86,7 @@ class Signal:
     _acceleration: Array
     _stops: tuple[float, float]
     _doubt: tuple[Array, Array]
+    _give: float
 
     @classmethod
     def of(cls, trial: Trial, constants: PlantConstants) -> Signal:
@@ -94,6 +101,7 @@ class Signal:
         return cls(
             trial, held, loaded, _regulated(trial), held or len(camera) > 0,
             time_s, length, rate, acceleration, stops, _doubts(time_s, acceleration),
+            _give_of_stops(trial, constants),
         )  # fmt: skip
 
     def covered(self, time_s: Array) -> npt.NDArray[np.bool_]:
@@ -129,14 +137,25 @@ class Signal:
             return np.full(len(time_s), np.nan)
         return np.interp(time_s, channel.time_s, channel.value) * 1e3
 
+    def path_at(self, time_s: Array) -> Array:
+        """Pressure in Pa, eased over +/- 25 ms so that noise makes no turning points."""
+        channel = self.trial.get("pressure_kpa")
+        if self.trial.settled or len(channel) < 3:
+            return self.pressure_at(time_s)
+        taps = np.linspace(-0.025, 0.025, 11)
+        total = np.zeros(len(time_s))
+        for tap in taps:
+            total += np.interp(time_s + tap, channel.time_s, channel.value)
+        return total / len(taps) * 1e3
+
     def pressure_slope_at(self, time_s: Array) -> Array:
-        """Slope of the reading in Pa/s over +/- 10 ms, or a sample where that is longer."""
+        """Slope of the reading in Pa/s over +/- 4 ms, or a sample where that is longer."""
         channel = self.trial.get("pressure_kpa")
         if self.trial.settled or len(channel) < 3:
             return np.zeros(len(time_s))
         t = channel.time_s
         spacing = float(np.median(np.diff(t)))
-        half = max(0.01, spacing)
+        half = max(0.004, spacing)
         taps = np.linspace(-0.4, 0.4, 5) * half if spacing < 0.2 * half else np.zeros(1)
         total = np.zeros(len(time_s))
         for tap in taps:
@@ -196,6 +215,13 @@ class Signal:
         if len(self._time) > 4 and not self.trial.settled:
             reach = np.abs(self._rate) * np.gradient(self._time)
         touching = (self._length - reach < low) | (self._length + reach > high)
+        if len(self._length):
+            # A stop within its tolerance is where the length goes no further.
+            top, bottom = float(self._length.max()), float(self._length.min())
+            if top > high - _STOP_ZONE_M:
+                touching |= self._length > top - _REST_M - self._give
+            if bottom < low + _STOP_ZONE_M:
+                touching |= self._length < bottom + _REST_M + self._give
         if not touching.any():
             return np.ones(len(time_s), dtype=bool)
         at = self._time[touching]
@@ -204,6 +230,13 @@ class Signal:
         near = np.minimum(near, np.abs(time_s - at[np.clip(after, 0, len(at) - 1)]))
         near = np.minimum(near, np.abs(time_s - at[np.clip(after - 1, 0, len(at) - 1)]))
         return np.asarray(near > (0.0 if self.trial.settled else _AFTER_STOP_S))
+
+
+def _give_of_stops(trial: Trial, constants: PlantConstants) -> float:
+    """How far in m the stops yield under the whole load, at most 3 mm."""
+    if not np.isfinite(trial.load_kg) or constants.stop_stiffness_n_m <= 0.0:
+        return 0.0
+    return float(min(max(trial.load_kg, 0.0) * 9.81 / constants.stop_stiffness_n_m, 3e-3))
 
 
 def _length_of(trial: Trial, camera: Channel, held: bool) -> tuple[Array, Array, Array, Array]:
@@ -225,23 +258,23 @@ def _length_of(trial: Trial, camera: Channel, held: bool) -> tuple[Array, Array,
 
 
 def _doubts(time_s: Array, acceleration: Array) -> tuple[Array, Array]:
-    """What is lost between frames: h² |L''| / 16 in length, its own roughness in acceleration.
+    """What is lost between frames of a bouncing load, from how rough the acceleration is.
 
-    What noise alone makes of second differences (their middle size) does not count.
+    A kink of the motion costs h² / 8 times the roughness in length. What the camera's own noise
+    makes of second differences does not count.
     """
     if len(time_s) < 5 or not np.any(acceleration):
         return np.zeros(len(time_s)), np.zeros(len(time_s))
     step = np.gradient(time_s)
-    quiet = 3.0 * float(np.median(np.abs(acceleration)))
-    bend = np.maximum(np.abs(acceleration) - quiet, 0.0)
+    quiet = _NOISE_OF_BEND * _FRAME_NOISE_M / np.maximum(step, 1e-4) ** 2
     rough = np.zeros(len(time_s))
     rough[1:-1] = np.abs(acceleration[1:-1] - 0.5 * (acceleration[:-2] + acceleration[2:]))
-    rough = np.maximum(0.5 * rough - quiet, 0.0)
+    rough = np.maximum(rough - quiet, 0.0)
 
     def spread(x: Array) -> Array:
         return np.maximum(x, np.maximum(np.r_[x[1:], 0.0], np.r_[0.0, x[:-1]]))
 
-    return spread(bend * step**2 / 16.0), spread(rough)
+    return spread(spread(rough * step**2 / 8.0)), spread(0.5 * rough)
 
 
 def _regulated(trial: Trial) -> bool:

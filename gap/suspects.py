@@ -55,6 +55,10 @@ _GAS = ("pressure",)
 _ALL = ("pressure", "force", "load", "camera")
 
 
+# Pressure and length over which all fibres come to slip.
+_TRAVELS = ((40.0, 0.4), (10.0, 0.1), (120.0, 1.2), (40.0, 0.1), (10.0, 0.5), (60.0, 2.5))
+
+
 def _shapes(
     name: str, step: float, sign: int, blocks: tuple[str, ...], *shapes: Shape
 ) -> list[Suspect]:
@@ -85,7 +89,7 @@ def _make() -> tuple[Suspect, ...]:
     )
     made += _shapes(
         "braid_friction", 0.5, 1, _MUSCLE,
-        *({"travel": t, "pressure": p} for t in (0.25, 1.0, 2.5) for p in (0.0, 1.0)),
+        *({"kpa": k, "mm": m, "pressure": p} for k, m in _TRAVELS for p in (1.0, 0.0)),
     )  # fmt: skip
     made += _shapes(
         "viscosity", 0.02, 1, _MUSCLE,
@@ -97,7 +101,9 @@ def _make() -> tuple[Suspect, ...]:
         "temperature_stiffening", 0.1, 0, _MUSCLE,
         {}, {"pressure": 1.0}, {"pressure": -0.5}, {"additive": 1.0},
     )  # fmt: skip
-    made += _shapes("dead_volume", 0.1, 1, _GAS)
+    made += _shapes(
+        "dead_volume", 0.1, 1, _GAS, {}, {"elastic": 1.0}, {"line_s": 0.01}, {"line_s": 0.06},
+    )  # fmt: skip
     made += _shapes(
         "polytropic", 0.02, 1, _GAS, {}, {"heat_s": 0.2}, {"heat_s": 1.0}, {"heat_s": 5.0}
     )
@@ -105,7 +111,15 @@ def _make() -> tuple[Suspect, ...]:
     made += [Suspect("flow_area", 0.03, 0, _GAS, {}, side) for side in ("inlet", "outlet")]
     made += _shapes("critical_ratio", 0.03, 0, _GAS, {}, {"inlet": 1.0}, {"outlet": 1.0})
     made += _shapes(
-        "supply_droop", 5.0, 1, _GAS, {}, {"tau_s": 0.03}, {"tau_s": 0.15}, {"tau_s": 0.6}
+        "supply_droop",
+        5.0,
+        1,
+        _GAS,
+        {},
+        {"tau_s": 0.03},
+        {"tau_s": 0.15},
+        {"tau_s": 0.6},
+        {"tau_s": 2.5},
     )
     edges = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
     made += [Suspect("valve_delay", 0.3, 0, _GAS, {}, edge) for edge in edges]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from daq.run import Run
     from gap.verdict import Verdict
 
-__all__ = ["RecordedRun", "diagnose", "open_run", "runs"]
+__all__ = ["RecordedRun", "diagnose", "open_run", "runs", "simulate"]
 
 
 class RecordedRun:
@@ -107,3 +107,17 @@ def diagnose(data: str | Path, without: Iterable[str] = ()) -> Verdict:
     from gap.reader import read_dataset
 
     return ask(read_dataset(data), without)
+
+
+def simulate(scenario: str | Path, runs: str | Path = "runs") -> RecordedRun:
+    """Simulate a scenario, by file or shipped name, with the firmware in the loop; its run.
+
+    Raises:
+        daq.errors.PamrigError: names file and key of what cannot be, or why it ended early.
+    """
+    from daq.run import open_run as open_folder
+    from rigs.simulation.scenario import load_scenario
+    from rigs.simulation.session import simulate as run_scenario
+
+    result = run_scenario(load_scenario(str(scenario)), runs)
+    return RecordedRun(open_folder(result.folder))

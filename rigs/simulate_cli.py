@@ -2,13 +2,34 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated, Optional
+
 import typer
 
 from rigs.finger_cli import add_finger_studies
+from rigs.studies_cli import add_valve_studies
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON value, nothing else.")]
+RUNS = Path("runs")
 
 
 def add_simulation(app: typer.Typer) -> None:
     """Add the commands that simulate to `app`."""
+    app.command("simulate")(simulate)
     study_app = typer.Typer(help="Questions put to the simulation.", no_args_is_help=True)
     app.add_typer(study_app, name="study")
     add_finger_studies(study_app)
+    add_valve_studies(study_app)
+
+
+def simulate(
+    scenario: Annotated[str, typer.Argument(help="Scenario file, or the name of a shipped one.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder of runs.")] = RUNS,
+    seed: Annotated[Optional[int], typer.Option(help="Another seed of the noise.")] = None,  # noqa: UP045
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate the whole bench with the firmware in the loop; leaves a run like any other."""
+    from rigs.simulation.command import simulate_command
+
+    raise typer.Exit(simulate_command(scenario, out, seed, as_json))

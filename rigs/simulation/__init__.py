@@ -1,0 +1,1 @@
+"""Scenarios of the whole bench: read, simulated with the firmware in the loop, recorded as runs."""

@@ -1,0 +1,1 @@
+"""Questions put to the simulation, with answers in figures: `pamrig study NAME`."""
