@@ -114,7 +114,7 @@ def write_page(path: Path, found: dict[str, Any]) -> None:
         "",
         "It can be stopped at any moment and goes on where it stopped. A few sets, to see it work:",
         "",
-        "    pamrig gap check --sets 1,5 --no-baselines --out few",
+        "    pamrig gap check --sets 1,5 --no-baselines --jobs 1 --out few",
         "",
         NOTE,
         "## Figures and targets",
