@@ -55,10 +55,16 @@ def judge(q: Inquiry, naming: Naming) -> Verdict:
     held = held_out(q, chosen.state)
     if not chosen.keys:
         return _without_name(q, naming, held)
-    share = 1.0 - naming.left / max(naming.excess, 1.0)
+    share = _share(q, naming)
     if chosen.state.suspects[0].defect and share > HALF:
         return _defect(q, naming, held)
     return _with_name(q, naming, held)
+
+
+def _share(q: Inquiry, naming: Naming) -> float:
+    """Share of the gap that is explained; what chance may leave does not count as left."""
+    chance = float(np.sqrt(2.0 * len(q.rows)))
+    return 1.0 - max(naming.left - chance, 0.0) / max(naming.excess, 1.0)
 
 
 def _without_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
@@ -102,7 +108,7 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
     chosen = naming.chosen
     block = _block(held, chosen.state)
     gap = gap_of(block, held[block], True, _floor_source(q), "slot")
-    share = 1.0 - naming.left / max(naming.excess, 1.0)
+    share = _share(q, naming)
     names = " and ".join(chosen.state.ids)
     if _floor_source(q) is None:
         return _verdict(
