@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from gap.dataset import DataSet
-from gap.diagnose import diagnose
+from gap.diagnose import diagnose, examine
 from gap.reader import read_dataset
-from gap.verdict import Verdict
+from gap.verdict import Verdict, plain
 
 
 def struck(text: str) -> list[str]:
@@ -45,23 +45,77 @@ def where_command(data: Path, as_json: bool) -> None:
 
 
 def shrink_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:
-    """`pamrig gap shrink`."""
-    verdict = diagnose(read_dataset(data), struck(without))
+    """`pamrig gap shrink`: the gap before and after, by block and by what was held out."""
+    from gap.shrink import gap_of, held_out, improved_plant
+
+    verdict, inquiry, state = examine(read_dataset(data), struck(without))
     table = verdict.as_dict()
+    blocks: dict[str, Any] = {}
+    if inquiry is not None and state is not None:
+        for scheme, units in inquiry.schemes().items():
+            for block, held in held_out(inquiry, state, units).items():
+                gap = gap_of(block, held, bool(state.suspects), "replicates", scheme)
+                blocks.setdefault(scheme, {})[block] = plain(asdict(gap))
+        if out is not None:
+            out.write_text(improved_plant(inquiry, state), encoding="utf-8")
     if as_json:
-        show({"gap": table["gap"], "status": table["status"], "effects": table["effects"]})
-    else:
-        typer.echo("\n".join(_gap_text(verdict)))
+        show(
+            {
+                "gap": table["gap"], "status": table["status"], "effects": table["effects"],
+                "held_out": blocks, "plant": str(out) if out else None,
+            }
+        )  # fmt: skip
+        return
+    lines = [f"{verdict.status.replace('_', ' ')}: {verdict.reason}", *_gap_text(verdict)]
+    for scheme, found in blocks.items():
+        for block, gap in found.items():
+            after = f", after {gap['after']:.3g}" if gap["after"] is not None else ""
+            lines.append(
+                f"by {scheme:9s} {block:9s} recalibrated {gap['recalibrated']:.3g}{after}, "
+                f"floor {gap['floor']:.3g} {gap['unit']}"
+            )
+    if out is not None:
+        lines.append(f"improved plant written to {out}")
+    typer.echo("\n".join(lines))
 
 
 def next_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:
     """`pamrig gap next`."""
+    from gap.advise import protocol_text
+
     verdict = diagnose(read_dataset(data), struck(without))
-    table = verdict.as_dict()
+    experiment = verdict.next_experiment
+    written = None
+    if experiment is not None and out is not None:
+        text = protocol_text(experiment)
+        if text is not None:
+            out.write_text(text, encoding="utf-8")
+            written = str(out)
     if as_json:
-        show({"next_experiment": table["next_experiment"], "status": table["status"]})
-    else:
-        typer.echo(str(table["next_experiment"]))
+        table = verdict.as_dict()
+        show(
+            {
+                "status": table["status"], "next_experiment": table["next_experiment"],
+                "protocol_file": written,
+            }
+        )  # fmt: skip
+        return
+    typer.echo("\n".join(_next_text(verdict, written)))
+
+
+def _next_text(verdict: Verdict, written: str | None) -> list[str]:
+    lines = [f"{verdict.status.replace('_', ' ')}: {verdict.reason}"]
+    experiment = verdict.next_experiment
+    if experiment is None:
+        return [*lines, "next        nothing is open that another experiment would settle"]
+    settings = ", ".join(f"{k} {v}" for k, v in experiment.settings.items())
+    lines.append(f"next        {experiment.trials} x {experiment.protocol} ({settings})")
+    lines.append(
+        f"separation  {experiment.separation_now:.1f} now, {experiment.separation_after:.1f} after "
+        f"({' against '.join(experiment.between)})"
+    )
+    lines.append(f"why         {experiment.why}")
+    return [*lines, f"written     {written}"] if written else lines
 
 
 def as_text(verdict: Verdict) -> list[str]:
@@ -114,8 +168,3 @@ def _where_text(verdict: Verdict) -> list[str]:
 
 def _notes(notes: Iterable[str]) -> list[str]:
     return [f"note        {note}" for note in notes]
-
-
-def load(data: Path) -> DataSet:
-    """Read the data set of a command."""
-    return read_dataset(data)

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from gap.dataset import DataSet
 from gap.errors import GapError
 from gap.fitness import Unfit, unfit_channels
-from gap.inquiry import Inquiry
+from gap.inquiry import Inquiry, State
 from gap.judge import judge
 from gap.naming import name_effects
 from gap.suspects import SUSPECTS
@@ -27,6 +27,13 @@ def diagnose(data: DataSet, without: Iterable[str] = ()) -> Verdict:
     Raises:
         GapError: an unknown effect in `without`, or a data set in which nothing can be compared.
     """
+    return examine(data, without)[0]
+
+
+def examine(
+    data: DataSet, without: Iterable[str] = ()
+) -> tuple[Verdict, Inquiry | None, State | None]:
+    """Diagnose, and hand back the fits behind the verdict as well; see `diagnose`."""
     struck = frozenset(without)
     for name in struck:
         if name not in CATALOGUE:
@@ -35,12 +42,12 @@ def diagnose(data: DataSet, without: Iterable[str] = ()) -> Verdict:
             )
     unfit = unfit_channels(data)
     if unfit:
-        return _unfit(unfit)
+        return _unfit(unfit), None, None
     inquiry = Inquiry(data, [suspect for suspect in SUSPECTS if suspect.id not in struck])
     if not len(inquiry.rows):
-        return nothing_to_compare(data)
+        return nothing_to_compare(data), None, None
     naming = name_effects(inquiry)
-    return judge(inquiry, naming)
+    return judge(inquiry, naming), inquiry, naming.chosen.state
 
 
 def _unfit(found: list[Unfit]) -> Verdict:

@@ -257,6 +257,16 @@ class Inquiry:
             self.rows.span_s, self.units, state.shift,
         )  # fmt: skip
 
+    def schemes(self) -> dict[str, Whole]:
+        """What can be held out whole: slots, and protocols and mountings with three or more."""
+        made = {"slot": self.units}
+        for name in ("protocol", "mounting"):
+            labels = [str(getattr(trial, name)) for trial in self.data.trials]
+            known = {label: k for k, label in enumerate(dict.fromkeys(labels))}
+            if len(known) >= 3:
+                made[name] = np.array([known[label] for label in labels], dtype=np.int64)
+        return made
+
     def blocks(self) -> list[str]:
         """Blocks that the data set fills."""
         return [name for number, name in enumerate(BLOCKS) if np.any(self.rows.block == number)]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gap.advise import advise
 from gap.inquiry import Inquiry, State
 from gap.mimic import Mimic, Mimicry
 from gap.naming import ALARM, Choice, Naming
@@ -27,6 +28,9 @@ BLUNT = 4.0
 FORM = 100.0
 """Whitened excess that the best explanation may leave before differences count for less."""
 MIMIC = 0.9
+SURE = 0.985
+TOLD_APART = 120.0
+"""Whitened sum of squares that a mimic may leave more than the named effect does."""
 KNOWN = 0.78
 HALF = 0.5
 FORM_FULL = 0.9
@@ -51,10 +55,16 @@ def judge(q: Inquiry, naming: Naming) -> Verdict:
     held = held_out(q, chosen.state)
     if not chosen.keys:
         return _without_name(q, naming, held)
-    share = 1.0 - naming.left / max(naming.excess, 1.0)
+    share = _share(q, naming)
     if chosen.state.suspects[0].defect and share > HALF:
         return _defect(q, naming, held)
     return _with_name(q, naming, held)
+
+
+def _share(q: Inquiry, naming: Naming) -> float:
+    """Share of the gap that is explained; what chance may leave does not count as left."""
+    chance = float(np.sqrt(2.0 * len(q.rows)))
+    return 1.0 - max(naming.left - chance, 0.0) / max(naming.excess, 1.0)
 
 
 def _without_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
@@ -98,7 +108,7 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
     chosen = naming.chosen
     block = _block(held, chosen.state)
     gap = gap_of(block, held[block], True, _floor_source(q), "slot")
-    share = 1.0 - naming.left / max(naming.excess, 1.0)
+    share = _share(q, naming)
     names = " and ".join(chosen.state.ids)
     if _floor_source(q) is None:
         return _verdict(
@@ -113,7 +123,7 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             none=0.0, unknown=1.0, gap=gap, stage=_stage_of_block(q, naming, block),
         )  # fmt: skip
     weighed = _weigh(naming, share)
-    one, two = _mimics(q, chosen.state)
+    one, two = _mimics(q, chosen.state, naming)
     entries = _ambiguity_set(weighed)
     ids = {frozenset(choice.state.ids) for choice, _ in entries}
     status, reason = _status(naming, gap, share, one, two, len(ids), names)
@@ -129,9 +139,21 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
     )  # fmt: skip
 
 
-def _mimics(q: Inquiry, state: State) -> tuple[Mimic | None, Mimic | None]:
-    signature = q.base.residual - state.residual
-    return Mimicry(q).of(signature, frozenset(state.ids))
+def _mimics(q: Inquiry, state: State, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
+    """Best single and pair that could stand in, their shares capped where the data rule them out.
+
+    A mimic that leaves more than noise and inexact forms could is no mimic on these data.
+    """
+    found = Mimicry(q).of(q.base.residual - state.residual, frozenset(state.ids))
+    whole = max(q.base.cost - state.cost, 0.0)
+    bearable = max(TOLD_APART, 3.0 * naming.left)
+
+    def fair(mimic: Mimic | None) -> Mimic | None:
+        if mimic is None or mimic.share >= SURE or (1.0 - mimic.share) * whole < bearable:
+            return mimic
+        return Mimic(mimic.ids, min(mimic.share, 0.99 * MIMIC))
+
+    return fair(found[0]), fair(found[1])
 
 
 def _status(
@@ -219,14 +241,34 @@ def _verdict(
         probability_none=none * scale,
         probability_unknown=unknown * scale,
         gap=gap,
-        stages=stage_shares(q, naming.chosen.state),
+        stages=stage_shares(q, naming.chosen.state, held) if held else (),
         contrasts=contrasts_of(q),
         limits=limits_of(q, ALARM),
-        next_experiment=None,
+        next_experiment=advise(q, _leader(entries), _others(q, naming, entries, mimics)),
         why_not=_why_not(q, naming, {i for e in effects for i in e.ids}),
         notes=q.data.notes,
         evidence=evidence or {},
     )
+
+
+def _leader(entries: list[tuple[Choice, float]] | None) -> State | None:
+    return entries[0][0].state if entries else None
+
+
+def _others(
+    q: Inquiry,
+    naming: Naming,
+    entries: list[tuple[Choice, float]] | None,
+    mimics: list[Mimic] | None,
+) -> list[State]:
+    """Rivals an experiment should tell from the best: the set, its mimics, or the runner-up."""
+    if not entries:
+        return []
+    others = [choice.state for choice, _ in entries[1:]]
+    for mimic in mimics or []:
+        suspects = [next(s for s in q.suspects if s.id == name) for name in mimic.ids]
+        others.append(q.fit(suspects, [s.step for s in suspects]))
+    return others or [c.state for c in naming.rivals[:1]]
 
 
 def _explanations(
@@ -268,7 +310,8 @@ def _block(held: dict[str, Held], state: State) -> str:
         gained = part.rms("recalibrated") ** 2 - (
             part.rms("after") ** 2 if state.suspects else part.rms("floor") ** 2
         )
-        return gained / floor * (0.2 if block == "camera" else 1.0)
+        sure = not state.suspects or part.closed() is not None
+        return gained / floor * (0.2 if block == "camera" else 1.0) * (1.0 if sure else 0.1)
 
     return max(held, key=height)
 

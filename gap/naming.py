@@ -80,6 +80,10 @@ def name_effects(q: Inquiry) -> Naming:
         fresh_gains, fresh = linear_gains(q, q.stated())
         fresh_gains = fresh_gains * max(naming_scale(q, gains, fresh_gains), 0.0)
         gains = np.maximum(gains, np.minimum(fresh_gains, excess(q, state)))
+    for key, (gain, amount) in _scan_clocks(q).items():
+        for j, suspect in enumerate(q.suspects):
+            if suspect.key == key and gain > gains[j]:
+                gains[j], amounts[j] = gain, amount
     naming = Naming(Choice((), state), [], _by_key(q, gains), excess(q, state), excess(q, state))
     keys: tuple[str, ...] = ()
     for step in range(MOST):

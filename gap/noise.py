@@ -14,9 +14,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from gap.columns import TrialEffect, slow_columns, trial_columns
+from gap.columns import TrialEffect, slow_columns, suspect_columns, trial_columns
 from gap.model import Model
 from gap.rows import BLOCKS
+from gap.suspects import SUSPECTS
 from plant.constants import PlantConstants
 
 Array = npt.NDArray[np.float64]
@@ -37,6 +38,7 @@ class Noise:
         scales: one standard deviation of each kind of trial effect and slow wave.
         pairs: number of replicate pairs the scales were learnt from.
         freedom: replicates beyond the first, over all slots.
+        trend: slow change over trials that replicates show, one entry a row, not part of noise.
     """
 
     white: Array
@@ -46,6 +48,7 @@ class Noise:
     scales: dict[str, float]
     pairs: int
     freedom: int
+    trend: Array | None = None
     _factors: dict[int, tuple[Array, Array, Array]] = field(default_factory=dict)
 
     def solve(self, trial: int, a: Array) -> tuple[Array, Array]:
@@ -105,7 +108,17 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     noise.pairs = len(pairs)
     noise.freedom = sum(len(members) - 1 for members in data.slots.values())
     if pairs:
+        start = noise.white.copy()
         _learn(noise, pairs, prior, classes)
+        trend = _trend(model, c, noise, pairs)
+        if trend is not None:
+            # Replicates far apart share no slow change: what they differ by through it is not
+            # noise, or wear would raise the very floor it has to rise above.
+            noise.white = start
+            for pair in pairs:
+                pair.take_out(trend)
+            _learn(noise, pairs, prior, classes)
+            noise.trend = trend
     noise.white += rows.doubt**2 + rows.floor**2
     return noise
 
@@ -204,6 +217,10 @@ class _Pair:
             self.kinds = noise.kinds[a] + noise.kinds[b]
             self.double = 1.0
         self.white = noise.white[rows_a[ia]] + noise.white[rows_b[ib]]
+        self.rows = (rows_a[ia], rows_b[ib])
+        self._weigh()
+
+    def _weigh(self) -> None:
         self.gram: dict[int, Array] = {}
         self.project: dict[int, Array] = {}
         for number in np.unique(self.block).astype(int).tolist():
@@ -211,6 +228,41 @@ class _Pair:
             weighted = self.b[here] / self.white[here][:, None]
             self.gram[number] = self.b[here].T @ weighted
             self.project[number] = weighted.T @ self.d[here]
+
+    def take_out(self, trend: Array) -> None:
+        """Subtract what a slow trend makes of the difference, `trend` with one entry a row."""
+        self.d = self.d - (trend[self.rows[0]] - trend[self.rows[1]])
+        self._weigh()
+
+    def products(self, noise: Noise, column: Array) -> tuple[float, float]:
+        """Inner products of a column's difference with the pair's and with itself."""
+        w = column[self.rows[0]] - column[self.rows[1]]
+        white = noise.white[self.rows[0]] + noise.white[self.rows[1]]
+        v = self.double * np.array([noise.scales[kind] ** 2 for kind in self.kinds])
+        weighted = self.b / white[:, None]
+        small = self.b.T @ weighted + np.diag(1.0 / np.maximum(v, 1e-14))
+        both = np.stack([self.d, w], axis=1)
+        solved = both / white[:, None] - weighted @ np.linalg.solve(small, weighted.T @ both)
+        return float(w @ solved[:, 0]), float(w @ solved[:, 1])
+
+
+_TREND_Z = 3.5
+
+
+def _trend(model: Model, c: PlantConstants, noise: Noise, pairs: list[_Pair]) -> Array | None:
+    """The slow change over trials that replicates show, one entry a row; None if they show none."""
+    wear = [suspect for suspect in SUSPECTS if suspect.id == "wear"]
+    columns = suspect_columns(model, c, [], wear)
+    best: tuple[float, Array] | None = None
+    for j in range(columns.shape[1]):
+        products = np.array([pair.products(noise, columns[:, j]) for pair in pairs])
+        across, self_product = products.sum(axis=0)
+        if self_product <= 0.0:
+            continue
+        z = float(across / np.sqrt(self_product))
+        if best is None or abs(z) > best[0]:
+            best = (abs(z), columns[:, j] * across / self_product)
+    return best[1] if best is not None and best[0] > _TREND_Z else None
 
 
 def _learn(noise: Noise, pairs: list[_Pair], prior: dict[str, float], block: Whole) -> None:

@@ -15,8 +15,10 @@ from scipy.stats import t as student
 
 from gap.evidence import gather, tolerance
 from gap.inquiry import Inquiry, State
+from gap.parameters import headline_estimates
 from gap.rows import BLOCKS, UNITS
 from gap.verdict import Gap
+from plant.catalogue import CATALOGUE
 
 Array = npt.NDArray[np.float64]
 
@@ -136,7 +138,8 @@ def floor_squares(q: Inquiry, of_trial: npt.NDArray[np.int64]) -> dict[str, Arra
                 made[name][unit] += sum(_expected(q, t, number) for t in members)
                 continue
             keep = [a[np.isin(rows.bin[a], list(common))] for a in at]
-            table = np.stack([q.base.residual[a] for a in keep])
+            slow = np.zeros(len(rows)) if q.noise.trend is None else q.noise.trend
+            table = np.stack([(q.base.residual - slow)[a] for a in keep])
             span = np.mean([rows.span_s[a] for a in keep], axis=0)
             variance = table.var(axis=0, ddof=1)
             made[name][unit] += float((span * variance).sum() / max(span.sum(), 1e-12)) * weight
@@ -167,3 +170,38 @@ def gap_of(block: str, held: Held, named: bool, source: str | None, scheme: str)
         closed_high=closed[2] if closed else None,
         held_out=scheme,
     )
+
+
+def improved_plant(q: Inquiry, state: State) -> str:
+    """The improved plant as TOML: recalibrated constants and a table for each effect.
+
+    The simulator, the virtual bench and `bench.toml` read it.
+    """
+    lines = ["# The plant as recalibrated on these data, with the effects that explain the gap."]
+    constants = q.constants(state.shift)
+    lines += [f"{name} = {constants.value(name):.8g}" for name in q.names]
+    for name in state.ids:
+        if name not in CATALOGUE:
+            continue
+        lines += ["", f"[effects.{name}]"]
+        entry = CATALOGUE[name]
+        known = {parameter.name: parameter for parameter in entry.parameters}
+        for key, estimate in headline_estimates(q, only(state, name)).items():
+            value = estimate.value
+            if isinstance(value, str):
+                lines.append(f'{key} = "{value}"')
+            elif key in known:
+                value = min(max(value, known[key].low), known[key].high)
+                lines.append(f"{key} = {value:.6g}")
+    return "\n".join(lines) + "\n"
+
+
+def only(state: State, name: str) -> State:
+    """The state with the suspects of one effect, for its parameters."""
+    at = [j for j, suspect in enumerate(state.suspects) if suspect.id == name]
+    n = len(state.shift)
+    index = [*range(n), *(n + j for j in at)]
+    return State(
+        state.shift, tuple(state.suspects[j] for j in at), state.amounts[at], state.residual,
+        state.cost, state.cover[np.ix_(index, index)],
+    )  # fmt: skip
