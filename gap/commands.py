@@ -11,7 +11,7 @@ import typer
 
 from gap.dataset import DataSet
 from gap.diagnose import diagnose
-from gap.reader import read_dataset
+from gap.opening import open_data as read_dataset
 from gap.verdict import Verdict
 
 
