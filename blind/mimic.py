@@ -75,11 +75,11 @@ def measure(recalibration: Recalibration, hidden: list[Hidden]) -> dict[str, obj
     """
     rivals, unit = recalibration.rival_signatures()
     together = recalibration.signature_of(hidden)
-    left = recalibration.recalibrated(together)
+    left = recalibration.left_of(hidden)
     ids = {h.id for h in hidden}
     members = []
     for one in hidden:
-        alone = recalibration.signature(one)
+        alone = recalibration.left_of([one])
         bare = recalibration.bare(alone)
         others = [i for i, r in enumerate(rivals) if r.id in ids - {one.id}]
         target = bare
@@ -87,7 +87,7 @@ def measure(recalibration: Recalibration, hidden: list[Hidden]) -> dict[str, obj
             basis = np.linalg.qr(unit[:, others])[0]
             target = bare - basis @ (basis.T @ bare)
         found = best_rivals(target, rivals, unit, ids)
-        ratio = recalibration.ratio(recalibration.recalibrated(alone))
+        ratio = recalibration.ratio(alone)
         members.append(
             {
                 "id": one.id,
@@ -102,8 +102,8 @@ def measure(recalibration: Recalibration, hidden: list[Hidden]) -> dict[str, obj
     return {
         **recalibration.ratio(left),
         "untouched_over_floor": recalibration.ratio(together)["gap_over_floor"],
-        "separation": float(np.linalg.norm(recalibration.bare(together))),
+        "separation": float(np.linalg.norm(recalibration.bare(left))),
         "mimic_index": round(max(shares, default=0.0), 4),
-        "reach": round(family_reach(recalibration.bare(together), rivals, unit, ids), 4),
+        "reach": round(family_reach(recalibration.bare(left), rivals, unit, ids), 4),
         "members": members,
     }

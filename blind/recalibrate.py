@@ -26,6 +26,8 @@ GRAVITY = 9.80665
 # Independent looks that one channel of one trial gives, whatever its rate: noise is correlated.
 LOOKS = 12.0
 ROUGH = 4.0
+END_SD = 3.0
+MOST_STEPS = 10
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,9 @@ class Recalibration:
         self.layout = self._layout()
         self.floor = self._floors()
         self.weight = self._weights()
-        self.jacobian, self.sd = self._jacobian()
+        self.jacobian, self.shift = self._jacobian()
         self._nuisances: tuple[Floats, Floats] | None = None
+        self._warm: dict[tuple[Any, ...], tuple[Floats, Floats]] = {}
 
     def _read(self, trial: Trial, c: Floats, e: Floats) -> tuple[Floats, ...]:
         """Shown pressure and pull at the force instants, pressure, length there and on its own."""
@@ -206,35 +209,94 @@ class Recalibration:
         return out
 
     def _jacobian(self) -> tuple[Floats, Floats]:
-        true, sd = self.design.true, tolerances(self.design.stated)
-        columns, kept = [], []
+        """Residuals of one sd of each constant, and how far this bench's own are from stated."""
+        true, stated = self.design.true, self.design.stated
+        sd = tolerances(stated)
+        columns, shift = [], []
         for name, place, _, tolerance, _ in CONSTANTS:
             if tolerance == 0.0:
                 continue
             c = true.copy()
             c[place] += 0.5 * sd[place]
+            off = true[place] - stated[place]
             if name == "atmosphere_kpa":
                 c[n.SUPPLY] += 0.5 * sd[place]  # the supply is a gauge pressure
+            elif name == "supply_kpa":
+                off -= true[n.ATMOSPHERE] - stated[n.ATMOSPHERE]
             touches = touched_by_constant(place)
             columns.append(self.difference(c, no_effect(), touches) / 0.5)
-            kept.append(sd[place])
-        return np.column_stack(columns), np.ones(len(kept))
+            shift.append(off / sd[place])
+        return np.column_stack(columns), np.array(shift)
 
-    def recalibrated(self, signal: Floats) -> Floats:
-        """What is left of a residual once the constants are fitted, within two and a half sd."""
-        a = self.jacobian * self.weight[:, None]
-        b = signal * self.weight
-        free = np.ones(a.shape[1], dtype=bool)
-        x = np.zeros(a.shape[1])
+    def _constants(self, x: Floats) -> Floats:
+        """Constants x sd from the stated ones; the supply is a gauge pressure."""
+        c, sd = self.design.stated.copy(), tolerances(self.design.stated)
+        kept = [(name, place) for name, place, _, tolerance, _ in CONSTANTS if tolerance > 0.0]
+        for (name, place), amount in zip(kept, x, strict=True):
+            c[place] += amount * sd[place]
+            if name == "atmosphere_kpa":
+                c[n.SUPPLY] += amount * sd[place]
+        return c
+
+    def left_of(self, hidden: list[Hidden]) -> Floats:
+        """What effects leave once the stated constants are fitted to the bench that has them.
+
+        The bench's own constants are off too, and the fit starts from the stated ones: an effect
+        that leads back to them is no gap. Each constant has its tolerance as prior, and three sd
+        as its end. Gauss-Newton with Broyden's update of the slopes.
+        """
+        signal = self.signature_of(hidden)
+        slopes, w = self.jacobian * self.weight[:, None], self.weight
+        x, left = self.shift.copy(), signal
+        cost = float(np.sum((left * w) ** 2) + x @ x)
+
+        def tried(at: Floats) -> tuple[Floats, float]:
+            made = signal - self.difference(self._constants(at), no_effect())
+            return made, float(np.sum((made * w) ** 2) + at @ at)
+
+        key = tuple((h.id, h.variant) for h in hidden)
+        if key in self._warm:  # the same effect at another strength: start where that ended
+            start, bent = self._warm[key]
+            made, fresh_cost = tried(start)
+            if fresh_cost < cost:
+                x, left, cost, slopes = start, made, fresh_cost, bent
+        failed = 0
+        for _ in range(MOST_STEPS):
+            step = self._step(slopes, left * w, x)
+            if float(np.abs(step).max()) < 0.02:
+                break
+            before = cost
+            for length in (1.0, 0.4):
+                fresh = np.clip(x + length * step, -END_SD, END_SD)
+                made, fresh_cost = tried(fresh)
+                moved = fresh - x
+                miss = (left - made) * w - slopes @ moved
+                slopes = slopes + np.outer(miss, moved) / max(float(moved @ moved), 1e-12)
+                if fresh_cost < cost:
+                    x, left, cost = fresh, made, fresh_cost
+                    break
+            failed += cost > 0.97 * before
+            if failed == 2:
+                break
+        self._warm[key] = x, slopes
+        return left
+
+    @staticmethod
+    def _step(slopes: Floats, white: Floats, x: Floats) -> Floats:
+        """Step of the constants that fits best and stays within three sd."""
+        free = np.ones(len(x), dtype=bool)
+        step = np.zeros_like(x)
         for _ in range(6):
-            h = a[:, free].T @ a[:, free] + np.eye(int(free.sum()))
-            x[free] = np.linalg.solve(h, a[:, free].T @ (b - a[:, ~free] @ x[~free]))
-            beyond = free & (np.abs(x) > 2.5)
+            a = slopes[:, free]
+            rest = white - slopes[:, ~free] @ step[~free]
+            h = a.T @ a + np.eye(int(free.sum()))
+            step[free] = np.linalg.solve(h, a.T @ rest - x[free])
+            beyond = free & (np.abs(x + step) > END_SD + 1e-9)
             if not beyond.any():
                 break
-            x[beyond] = np.clip(x[beyond], -2.5, 2.5)
+            step[beyond] = np.clip(x + step, -END_SD, END_SD)[beyond] - x[beyond]
             free &= ~beyond
-        return np.asarray(signal - self.jacobian @ x)
+        return step
 
     def blocks(self) -> Iterator[tuple[str, str, Floats]]:
         """Channel, protocol (or 'all') and the indices of its residuals."""

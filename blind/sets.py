@@ -114,7 +114,7 @@ def sized(hidden: Hidden, aim: float, recalibration: Recalibration, design: Desi
     factor, best, miss = min(1.0, high), hidden, np.inf
     for _ in range(12):
         one = scaled(factor)
-        left = recalibration.recalibrated(recalibration.signature(one))
+        left = recalibration.left_of([one])
         ratio = max(recalibration.ratio(left)["gap_over_floor"], 1e-9)
         off = float(np.log(ratio / aim)) - ABOVE
         if abs(off) < miss:

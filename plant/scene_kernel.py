@@ -91,7 +91,9 @@ def _integrate(w: World, begin: float, duration: float) -> None:
             for k in range(w.units.shape[0]):
                 how = w.work[sc.OPEN, k]
                 still = how == sc.SEALED or how == sc.LEVEL
-                idle = idle and still and w.params[k, at.REMEMBERS] == 0.0
+                follows = w.params[k, at.REMEMBERS] != 0.0
+                follows = follows or w.shape[k, sc.MEMORY_KIND] == sc.LATE
+                idle = idle and still and not follows
             if idle:
                 return
         for _ in range(_TRIES):

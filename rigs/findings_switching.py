@@ -162,7 +162,7 @@ def _wide(table: pd.DataFrame, unit: str, title: str, unit_words: str) -> Sectio
             name = "_".join((*each, unit))
             row[name], row[f"u_{name}"] = mean, u
         if "air_delay_ms" in table:
-            row["air_delay_ms"] = float(table["air_delay_ms"].mean())
+            row["air_delay_ms"] = round(float(table["air_delay_ms"].mean()), 3)
         rows.append(row)
     heads = [("_".join((*each, unit)), " ".join(each) + unit_words) for each in EACH]
     if "air_delay_ms" in table:

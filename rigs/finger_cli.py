@@ -19,6 +19,7 @@ def add_finger_studies(study_app: typer.Typer) -> None:
     """Add the studies of the finger to `pamrig study`."""
     study_app.command("finger")(finger)
     study_app.command("controllers")(controllers)
+    study_app.command("pressure")(pressure)
 
 
 def finger(
@@ -33,6 +34,13 @@ def finger(
     from rigs.finger_commands import finger_command
 
     finger_command(finger, laws, valve, as_json)
+
+
+def pressure(as_json: JsonOption = False) -> None:
+    """Controllers of one muscle's pressure on both valves, side by side."""
+    from rigs.finger_commands import pressure_command
+
+    pressure_command(as_json)
 
 
 def controllers(

@@ -73,6 +73,23 @@ def controllers_command(
         typer.echo(f"figure: {path}")
 
 
+def pressure_command(as_json: bool) -> None:
+    """The table of controllers of a pressure.
+
+    Raises:
+        ConfigError: a critical gain that cannot be found.
+    """
+    from rigs.controllers.pressure import pressure_table
+    from rigs.controllers.report import pressure_text
+
+    with _one_line_errors():
+        rows = pressure_table()
+    if as_json:
+        typer.echo(json.dumps([row.as_dict() for row in rows], allow_nan=False))
+        return
+    typer.echo(pressure_text(rows))
+
+
 def _draw(finger: Any, folder: Path) -> list[Path]:
     from rigs.controllers.pictures import draw_circles, draw_steps
 

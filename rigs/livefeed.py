@@ -59,6 +59,8 @@ class LiveFeed:
             **rig.config.calibrations,
             **{n: i.calibration for n, i in rig.instruments.items() if i.calibration is not None},
         }
+        if rig.supply is not None and any(feed.stream == "supply" for feed in self._feeds):
+            rig.supply.on_rows.append(self._listener("supply"))
         inner = replace(watch)
         length = rig.config.calibrations["length_mm"]
 
@@ -98,6 +100,10 @@ class LiveFeed:
             if channel == "length":
                 self.view.series(paths.SET_LENGTH, [now_s()], [value])
 
+        def result(x: float, y: float, label: str) -> None:
+            inner.result(x, y, label)
+            self.view.points(paths.POINTS, x, y, label, time_s=now_s())
+
         on_event = rig.valve.on_event
 
         def event(text: str) -> None:
@@ -110,7 +116,7 @@ class LiveFeed:
 
         rig.valve.on_event = event
         watch.state, watch.log, watch.point = state, log, point
-        watch.picture, watch.set_point = picture, set_point
+        watch.picture, watch.set_point, watch.result = picture, set_point, result
 
     def _listener(self, stream: str) -> Callable[[Batch], None]:
         return lambda batch: self._batch(stream, batch)

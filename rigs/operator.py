@@ -63,7 +63,7 @@ class ConsoleOperator:
         """Print the request and listen."""
         while not self._lines.empty():  # what was typed before the question answers nothing
             self._lines.get_nowait()
-        print(f"\n>> {request.text}", flush=True)
+        print(f"\n>> {request.text}", file=sys.stderr, flush=True)
         self._asking = True
         self.listen()
 

@@ -34,8 +34,10 @@ QUIET_EVENTS = (
     "controller",
     "trial",
     "marker",
-    "lowered",
     "manual",
+    "load",
+    "mounted",
+    "leak",
     "try",
 )
 """Events of a run as it should be; any other kind is shown among faults and gaps."""

@@ -21,6 +21,8 @@ Floats = npt.NDArray[np.float64]
 BEFORE = 20
 """Pressure samples before a pulse that tell what was upstream; so many around its end, too."""
 AROUND = 3
+ALIKE = 0.85
+"""Readings of one opening are averaged down to this share of the highest pressure among them."""
 
 
 class ValveRecord:
@@ -171,6 +173,8 @@ def reduce_flow(run: Run) -> Reduction:
                 put(row, name, math.nan, math.nan, math.nan)
             row["settled"] = False
         else:
+            # Flow bends with pressure: only readings at much the same pressure may be averaged.
+            pairs = pairs[pairs[:, 0] >= ALIKE * pairs[:, 0].max()]
             v = np.asarray(meter.apply(pairs[:, 1]), dtype=np.float64)
             kpa = pairs[:, 0]
             n = len(pairs)

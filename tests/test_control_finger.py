@@ -65,12 +65,11 @@ class TestLawsOnIdealMuscles:
         q, qd = reference.q[0].copy(), np.zeros(4)
         law.start(reference, q)
         rows = []
-        small = GRID_S / 5
+        small = GRID_S / 3
         for k in range(-1500, len(reference.q)):  # the approach first, as through the firmware
             if k % 10 == 0:
                 delta = law.delta(k * GRID_S, q)
-            for _ in range(5):
-                # Semi-implicit in the damping, which is stiff.
+            for _ in range(3):
                 push = forward_dynamics(arm, q, qd, pairs.torque(q, delta))
                 middle = qd + 0.5 * small * push
                 push = forward_dynamics(arm, q + 0.5 * small * qd, middle, pairs.torque(q, delta))
@@ -96,13 +95,13 @@ class TestLawsOnIdealMuscles:
         t = tuning(FINGER, CURED)
         # Held for 10 ms, a value is 5 ms old on average.
         law = FeedForward(Pairs(FINGER, CURED), t.model, lead_s=0.005, rate=0.0)
-        reference = circle(FINGER, turns=1)
+        reference = circle(FINGER, turns=1, lead_s=0.2)
         got = self.follow(law, reference, 0.0)
         assert reference.tip is not None
         missed = np.linalg.norm(tips(FINGER.arm, got) - reference.tip, axis=1)
         assert np.sqrt(np.mean(missed**2)) < 1e-4
 
-    @pytest.mark.parametrize("payload", [0.0, 0.012, 0.020])
+    @pytest.mark.parametrize("payload", [0.0, 0.020])
     def test_the_adaptive_law_learns_the_payload(self, payload: float) -> None:
         t = tuning(FINGER, CURED)
         law = Adaptive(Pairs(FINGER, CURED), t.model, 0.005, t.critical_rate / 3.0)

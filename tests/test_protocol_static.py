@@ -78,6 +78,18 @@ def test_isobaric_points_agree_with_the_plant_as_often_as_they_say(tmp_path: Pat
         assert share(inside) <= 0.985
 
 
+def test_a_vented_muscle_is_not_left_under_vacuum(tmp_path: Path) -> None:
+    """Shortening draws one that the pressure sensor cannot show; the force would."""
+    config = with_virtual(load_rig("virtual", 6), draw_calibration_errors=False)
+    result, run, _ = run_short(
+        "isobaric", tmp_path, config=config, pressures_kpa=(0.0,), lengths_mm=(55.0, 61.0, 67.0)
+    )
+    assert result.outcome == "clean", result.error
+    table = table_of(run)
+    assert len(table) == 6
+    assert (table["force_n"].abs() < 0.1).all(), list(table["force_n"])
+
+
 def test_isotonic_lengths_lie_where_the_load_is_at_rest(tmp_path: Path) -> None:
     """Regulator bench whose sensors do not err: 0.02 mm from the plant's own equilibrium."""
     config = with_virtual(load_rig("virtual-thesis", 5), draw_calibration_errors=False)

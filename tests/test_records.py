@@ -250,8 +250,10 @@ class Killed(BaseException):
 def broken_off(folder: Path, how: str, rounds: int, before: Run | None = None) -> Run:
     """A run (or a continuation) that ends after so many rounds of the bench, one way or other."""
     stop = StopFlag()
+    made: list[Path] = []
 
     def start(runner: Any, record: Any) -> None:
+        made.append(record.folder)
         left = [rounds]
 
         def look() -> None:
@@ -276,8 +278,7 @@ def broken_off(folder: Path, how: str, rounds: int, before: Run | None = None) -
         result = continue_run(before, stop=stop, on_start=start, derive=False)
         return open_run(result.folder)
     except Killed:
-        newest = list_runs(folder / "runs")[-1]
-        return open_run(newest.folder)
+        return open_run(made[-1])
 
 
 def whole_test(folder: Path, seed: int) -> tuple[Run, int]:

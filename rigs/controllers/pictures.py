@@ -75,7 +75,7 @@ def draw_circles(finger: Finger, folder: Path, laws: tuple[str, ...] = PICTURED)
                 ax.set_xlim(centre[0] - 27, centre[0] + 27)
                 ax.set_ylim(centre[2] - 27, centre[2] + 27)
                 ax.set_title(
-                    f"{TITLES[law]}\n{errors[1]:.2f} mm, with 20 g {errors[0]:.2f} mm",
+                    f"{TITLES[law]}\n{errors[1]:.2f} mm rms, 20 g: {errors[0]:.2f}",
                     loc="left",
                     fontsize=7,
                     color=INK,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rigs.controllers.laws import TITLES
+from rigs.controllers.pressure import PressureFigures
 from rigs.controllers.study import MOST_PATH_RMS_MM, MOST_STEADY_DEG, Row
 
 _HEAD = (
@@ -81,3 +82,48 @@ def as_markdown(rows: list[Row]) -> str:
         *["| " + " | ".join(cells(row)) + " |" for row in rows],
     ]
     return "\n".join(lines)
+
+
+def pressure_cells(row: PressureFigures) -> list[str]:
+    """One row of the pressure's table as text."""
+    return [
+        row.valve,
+        row.law,
+        _number(row.error_mean_kpa, 1),
+        _number(row.error_worst_kpa, 1),
+        _number(row.ripple_worst_kpa, 1),
+        _number(row.overshoot_worst_kpa, 1),
+        _number(row.settling_worst_s, 2),
+        _number(row.switchings_per_s, 0),
+        row.fault,
+    ]
+
+
+def pressure_text(rows: list[PressureFigures]) -> str:
+    """The table of controllers of a pressure, with a legend."""
+    head = [
+        "valve",
+        "scheme",
+        "error kPa",
+        "worst",
+        "ripple",
+        "overshoot",
+        "settle s",
+        "switch/s",
+        "",
+    ]
+    lines = [head, *map(pressure_cells, rows)]
+    width = [max(len(line[k]) for line in lines) for k in range(len(head))]
+    text = [
+        "  ".join(
+            cell.ljust(width[k]) if k in (0, 1, 8) else cell.rjust(width[k])
+            for k, cell in enumerate(line)
+        ).rstrip()
+        for line in lines
+    ]
+    legend = (
+        "\nStaircase of five set-points, 2 s each, muscle at 62 mm. Error: mean and worst over\n"
+        "the steps, of the last half second; ripple (range), overshoot and settling within\n"
+        "5 kPa: the worst step. - : a step never settled."
+    )
+    return "\n".join(text) + "\n" + legend

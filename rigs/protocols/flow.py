@@ -10,12 +10,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rigs.findings_flow import flow_findings
+import numpy as np
+
+from rigs.findings_flow import Meter, flow_findings, flow_share
 from rigs.protocols.procedure import Procedure
 from rigs.protocols.schedule import arrange
 from rigs.steps import EndTrial, State, Steps, Trial
 from rigs.toml_reader import load_toml
-from rigs.valve_acts import ValvePoint
+from rigs.valve_acts import ValvePoint, pressure_now
 from rigs.valve_layout import valve_layout
 from rigs.valve_reduction import reduce_flow
 
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from rigs.config import RigConfig
     from rigs.runner import Runner
 
+THESIS_CONDUCTANCE = 1.25e-9
+"""m3/(s Pa) of a 1.0 mm orifice: what the live view draws beside the readings."""
 PULSE_US = 500_000
 """The longest opening that the controller grants the outlet at a time."""
 
@@ -83,7 +87,14 @@ class FlowPoint(ValvePoint):
         meter = rig.instruments["flow"]
         first, row = rig.valve.seq_end, meter.rows
         rig.valve.request(f"pulse vent {p.open_ms * 1000}")
-        rig.pump.for_seconds(p.open_ms * 1e-3 + 0.1)
+        rig.pump.for_seconds(p.open_ms * 1e-3 / 2)
+        kpa, speed = pressure_now(runner), meter.mean(1)
+        rig.pump.for_seconds(p.open_ms * 1e-3 / 2 + 0.1)
+        runner.watch.result(kpa, speed, "measured")
+        line = Meter(p.bore_mm)
+        share = float(flow_share(np.array([kpa]), 0.5, line.atmosphere_kpa)[0])
+        expected = THESIS_CONDUCTANCE * line.velocity_per_conductance * share
+        runner.watch.result(kpa, expected, "thesis's valve")
         self.put(
             runner, settled=came, valve_seq=[first, rig.valve.seq_end],
             flow_rows=[row, meter.rows],

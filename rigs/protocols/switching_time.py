@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -18,7 +18,14 @@ from rigs.findings_switching import time_findings
 from rigs.protocols.procedure import Procedure
 from rigs.protocols.schedule import arrange
 from rigs.steps import EndTrial, State, Steps, Trial
-from rigs.switching import AIR_M_S, LINE_MM, capture_block, switching_times
+from rigs.switching import (
+    AIR_M_S,
+    LINE_MM,
+    SwitchingTimes,
+    air_delay_ms,
+    capture_block,
+    switching_times,
+)
 from rigs.toml_reader import load_toml
 from rigs.valve_acts import ValvePoint, has_supply_axis
 from rigs.valve_layout import valve_layout
@@ -57,7 +64,8 @@ class SwitchingTime:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for run.json."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+        values = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+        return {**values, "result_axis": ["delay (ms)", 14.0]}
 
     def steps(self) -> Steps:
         """The method: at each pressure the supply or the vessel is set, then pulses follow."""
@@ -112,7 +120,8 @@ class CapturePoint(ValvePoint):
         )
         seen = True
         try:
-            switching_times(block, 0.0)
+            found = switching_times(block, air_delay_ms(p.line_mm, p.air_m_s))
+            show_delays(runner, self.valve, self.set_pressure_kpa, found)
         except DeviceError as error:
             seen = False
             runner.watch.log(f"{self.slot} kPa: {error.what}")
@@ -121,6 +130,22 @@ class CapturePoint(ValvePoint):
             lead_us=block.lead_us, period_us=block.period_us,
             capture_rows=[row, row + n], valve_seq=[first, valve.seq_end],
         )  # fmt: skip
+
+
+def show_delays(runner: Runner, valve: str, pressure_kpa: float, found: SwitchingTimes) -> None:
+    """Both delays in the live view, beside those of the thesis's own valve (its lines)."""
+    from plant.constants import nominal
+    from plant.valve import off_delay_s, on_delay_s
+
+    which: Literal["inlet", "outlet"] = "inlet" if valve == "inlet" else "outlet"
+    thesis = (
+        on_delay_s(which, pressure_kpa * 1e3, nominal()),
+        off_delay_s(which, pressure_kpa * 1e3, nominal()),
+    )
+    measured = (found.on_ms, found.off_ms)
+    for edge, value, expected in zip(("on", "off"), measured, thesis, strict=True):
+        runner.watch.result(pressure_kpa, value, f"{valve} {edge}")
+        runner.watch.result(pressure_kpa, expected * 1e3, f"{valve} {edge}, thesis")
 
 
 def read(name: str, config: RigConfig) -> SwitchingTime:

@@ -99,7 +99,9 @@ class VoltagePoint(ValvePoint):
         read_kpa, came = self.upstream(runner, self.plan.tolerance_kpa, self.plan.supply_kpa)
         try:
             on = self._halve(runner, supply, "on", 0.0, supply.voltage_v)
-            self._halve(runner, supply, "off", 0.0, on)
+            off = self._halve(runner, supply, "off", 0.0, on)
+            runner.watch.result(self.set_pressure_kpa, on, f"{self.valve} on")
+            runner.watch.result(self.set_pressure_kpa, off, f"{self.valve} off")
         finally:
             supply.safe()
         self.put(runner, settled=came, supply_kpa=read_kpa)

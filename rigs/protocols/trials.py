@@ -115,6 +115,8 @@ class Logbook:
             yield SetPressure(pressure_kpa)
         for direction, length in points:
             yield SetLength(length)
+            if pressure_kpa < VENTED_KPA:
+                yield from self._breath()
             yield from self._point(place, name, direction, pressure_kpa, length_mm=length)
         yield Vent()
         yield from self._end()
@@ -150,17 +152,21 @@ class Logbook:
         )
 
     def _tared(self) -> Steps:
-        """Slacken, breathe, vent, tare.
-
-        Shortening draws a slight vacuum that an outlet need not let go; a breath of air does
-        away with it, so that the tare is one at no pressure.
-        """
+        """Slacken, breathe, vent, tare: the tare is one at no pressure."""
         yield Vent()
         yield SetLength(self.slack_mm)
+        yield from self._breath()
+        yield Tare()
+
+    def _breath(self) -> Steps:
+        """A breath of air in and out.
+
+        Shortening a vented muscle draws a slight vacuum that an outlet need not let go, and that
+        a pressure sensor which begins at nothing does not show; the breath does away with it.
+        """
         yield SetPressure(BREATH_KPA)
         yield Dwell(BREATH_S)
         yield Vent()
-        yield Tare()
 
     def _point(
         self,

@@ -59,9 +59,8 @@ def _row(
     inside = (seq >= point["valve_seq"][0]) & (seq < point["valve_seq"][1])
     row["n_samples"] = int(inside.sum())
     if inside.any():
-        row["set_pressure_kpa"] = float(
-            run.calibration("pressure_kpa").apply(valve["setpoint_x16"][inside][-1] / 16.0)
-        )
+        goal = run.calibration("pressure_kpa").apply(valve["setpoint_x16"][inside][-1] / 16.0)
+        row["set_pressure_kpa"] = round(float(goal), 1)  # a set-point is sent in 1/16 counts
     begin, end = point["balance_rows"]
     held = (balance["row"] >= begin) & (balance["row"] < end)
     for quantity, raw in (
