@@ -11,7 +11,7 @@ from typing import Any
 import typer
 
 from gap.diagnose import diagnose, examine
-from gap.reader import read_dataset
+from gap.opening import open_data as read_dataset
 from gap.verdict import Verdict, plain
 
 

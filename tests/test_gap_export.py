@@ -151,3 +151,9 @@ def test_the_command_prints_one_json_value(recorded: tuple[Run, Any], tmp_path: 
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     assert json.loads(done.output)["trials"] == 4
+
+
+def test_a_run_folder_is_diagnosed_like_a_data_set(recorded: tuple[Run, Any]) -> None:
+    done = CliRunner().invoke(app, ["gap", "diagnose", str(recorded[0].folder), "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.output)["schema"] == 1

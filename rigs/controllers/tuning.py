@@ -1,7 +1,7 @@
 """Where the gains come from: critical gains, and how the pressure loop answers. All nominal.
 
-Nothing here is tuned on a case that is scored: gains follow from the rules of Ziegler and Nichols
-and of the laws' own modules, on the finger without payload or effects.
+Gains follow from the rules of Ziegler and Nichols and of the laws' own modules, on the finger
+without payload or effects.
 """
 
 from __future__ import annotations
