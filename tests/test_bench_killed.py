@@ -56,7 +56,7 @@ def kill_once(folder: Path, rig: str, after_s: float) -> dict[str, float]:
         pytest.skip(f"this machine was too busy for a bench in real time: {run.final['reason']}")
     assert run.outcome == "interrupted"
     samples = run.samples("valve")
-    assert all(problem.torn for problem in verify(run)), verify(run)
+    assert all(problem.tail for problem in verify(run)), verify(run)
     last_heartbeat_ns = max(line["last_heartbeat_ns"] for line in truth)
     vents = [line["vent_commanded_ns"] for line in truth if line["faults"]]
     venting_ns = vents[0]

@@ -190,7 +190,7 @@ def test_no_interruption_loses_or_doubles_a_trial(tmp_path: Path, seed: int) -> 
 
 def check_whole(run: Any, name: str) -> None:
     """Sound to the byte; every point of the table once, in a trial that began, none invented."""
-    assert all(problem.torn for problem in verify(run)), verify(run)
+    assert all(problem.tail for problem in verify(run)), verify(run)
     table = procedure(name).reduce(run).table
     assert table["order"].is_unique
     begun = [e["trial"] for e in events(run, "trial") if e["phase"] == "begin"]
