@@ -18,8 +18,8 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY)   ## an isometric test on the virtual bench, then the thesis's measured table
 	@$(BIN)/python -m rigs.demo $(RUNS)
 
-test: $(READY)   ## all tests at their small sizes
-	$(BIN)/python -m pytest
+test: $(READY)   ## all tests at their small sizes, files shared out over the cores
+	$(BIN)/python -m pytest -n logical --dist loadfile
 
 campaign: $(READY)   ## the same tests at full size, and the long ones
 	PAMRIG_CAMPAIGN=1 $(BIN)/python -m pytest -m "campaign or not look" -s
