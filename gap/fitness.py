@@ -28,6 +28,9 @@ class Unfit:
 _CHECKED = ("pressure_kpa", "force_n", "length_mm")
 _RAIL_SHARE = 0.04
 _GAP_SHARE = 0.25
+_RANDOM = 1.5
+# Spread from which a channel carries more than its own noise (20 times PLANT.md's and more).
+_LIVELY = {"force_n": 1.0, "length_mm": 0.5}
 
 
 def unfit_channels(data: DataSet) -> list[Unfit]:
@@ -44,6 +47,8 @@ def unfit_channels(data: DataSet) -> list[Unfit]:
         rail = _saturated([channel for _, channel in there])
         if rail is not None:
             found.append(Unfit(name, f"is saturated at {rail:g} for part of the data", there[0][0]))
+        if name in _LIVELY and _unordered(data, name):
+            found.append(Unfit(name, "has no order in time while pressure has", there[0][0]))
         holes = [(trial, hole) for trial, channel in there if (hole := _hole(channel)) > 0.0]
         if len(holes) > 0.3 * len(there):
             worst = max(holes, key=lambda item: item[1])
@@ -84,3 +89,29 @@ def _hole(channel: Channel) -> float:
     long = step[step > 8.0 * usual]
     span = float(channel.time_s[-1] - channel.time_s[0])
     return float(long.max()) if len(long) and long.sum() > _GAP_SHARE * span else 0.0
+
+
+def _unordered(data: DataSet, name: str) -> bool:
+    """Whether neighbouring samples differ as much as distant ones, in most trials that move.
+
+    Von Neumann's ratio (mean square of successive differences over the variance) is 2 for values
+    in random order and small for a signal that is sampled fast enough. Only trials count in which
+    the channel spans a good part of what it spans anywhere and pressure itself is in order.
+    """
+    trials = [t for t in data.trials if name in t and "pressure_kpa" in t and not t.settled]
+    if not trials:
+        return False
+    whole = float(np.concatenate([trial[name].value for trial in trials]).std())
+    judged = [
+        _von_neumann(trial[name]) > _RANDOM
+        for trial in trials
+        if min(len(trial[name]), len(trial["pressure_kpa"])) >= 20
+        and trial[name].value.std() > max(0.25 * whole, _LIVELY[name])
+        and _von_neumann(trial["pressure_kpa"]) < 0.25 * _RANDOM
+    ]
+    return len(judged) > 0 and float(np.mean(judged)) > 0.5
+
+
+def _von_neumann(channel: Channel) -> float:
+    spread = float(channel.value.var())
+    return float(np.mean(np.diff(channel.value) ** 2)) / spread if spread > 0.0 else 0.0

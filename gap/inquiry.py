@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.columns import constant_columns, suspect_columns
+from gap.copies import without_copies
 from gap.dataset import DataSet
 from gap.evidence import Evidence, gather, tolerance
 from gap.grid import make_grid
@@ -72,8 +73,13 @@ class Inquiry:
     """
 
     def __init__(self, data: DataSet, suspects: Sequence[Suspect] = SUSPECTS) -> None:
+        data = without_copies(data)
         self.data = data
-        self.suspects = tuple(suspects)
+        # A table of settled points has no time in it, so nothing in it can be out of time.
+        timed = not data.settled
+        self.suspects = tuple(
+            s for s in suspects if timed or not (s.defect or s.id == "camera_delay")
+        )
         self.grid = make_grid(data)
         self.model = Model(self.grid)
         self.given: Active = _given(data)
@@ -159,6 +165,7 @@ class Inquiry:
     ) -> State:
         n = len(self.names)
         shift = shift.copy()
+        amounts = _bounded(suspects, amounts)
         residual, cost = self._at(shift, suspects, amounts)
         matrix, right = np.eye(n + len(suspects)), np.zeros(n + len(suspects))
         damping = 1e-6
@@ -283,9 +290,8 @@ def _solved(matrix: Array, right: Array, damping: float) -> Array:
 
 
 def _bounded(suspects: Sequence[Suspect], amounts: Array) -> Array:
-    low = np.array([0.0 if s.sign else -np.inf for s in suspects])
-    high = np.array([1.0 if s.id == "transport_delay" else np.inf for s in suspects])
-    return np.asarray(np.minimum(np.maximum(amounts, low), high))
+    ranges = np.array([s.bounds for s in suspects]).reshape(-1, 2)
+    return np.asarray(np.clip(amounts, ranges[:, 0], ranges[:, 1]))
 
 
 def _given(data: DataSet) -> Active:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gap.advise import advise
+from gap.cleared import cleared
 from gap.inquiry import Inquiry, State
 from gap.mimic import Mimic, Mimicry
 from gap.naming import ALARM, Choice, Naming
@@ -34,6 +35,8 @@ TOLD_APART = 120.0
 KNOWN = 0.78
 HALF = 0.5
 FORM_FULL = 0.9
+SOME = 0.3
+"""Least whitened share for a held-out closed fraction to speak for a name."""
 UNSEEN = 0.2
 COVER = 0.9
 _LEAST = 0.03
@@ -51,13 +54,20 @@ class _Weighed:
 
 def judge(q: Inquiry, naming: Naming) -> Verdict:
     """Turn the outcome of a search into a verdict."""
-    chosen = naming.chosen
-    held = held_out(q, chosen.state)
-    if not chosen.keys:
-        return _without_name(q, naming, held)
-    share = _share(q, naming)
-    if chosen.state.suspects[0].defect and share > HALF:
+    outcome = cleared(q, naming)
+    naming = outcome.naming
+    held = held_out(q, naming.chosen.state)
+    if outcome.defect:
         return _defect(q, naming, held)
+    if outcome.blurred:
+        return _verdict(
+            q, naming, held, "unknown",
+            "a gap that a fault of the recording would explain better than any effect, but the "
+            "trials do not agree on the fault", none=0.0, unknown=1.0,
+            stage=_stage_of_block(q, naming, _block(held, naming.chosen.state)),
+        )  # fmt: skip
+    if not naming.chosen.keys:
+        return _without_name(q, naming, held)
     return _with_name(q, naming, held)
 
 
@@ -116,13 +126,14 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             f"the data look like {names}, but with {q.noise.freedom} replicates beyond the first "
             "nothing can be told from noise", none=0.3, unknown=0.5, gap=gap,
         )  # fmt: skip
-    if share < KNOWN:
+    surely = gap.closed_low is not None and gap.closed_low > HALF and share > SOME
+    if share < KNOWN and not surely:
         return _verdict(
             q, naming, held, "unknown",
             f"a gap of which the best entry ({names}) explains {100 * share:.0f} %",
             none=0.0, unknown=1.0, gap=gap, stage=_stage_of_block(q, naming, block),
         )  # fmt: skip
-    weighed = _weigh(naming, share)
+    weighed = _weigh(naming, max(share, KNOWN) if surely else share)
     one, two = _mimics(q, chosen.state, naming)
     entries = _ambiguity_set(weighed)
     ids = {frozenset(choice.state.ids) for choice, _ in entries}
@@ -182,7 +193,7 @@ def _status(
 
 
 def _weigh(naming: Naming, share: float) -> _Weighed:
-    choices = [naming.chosen, *(c for c in naming.rivals if not c.state.suspects[-1].defect)]
+    choices = [naming.chosen, *naming.rivals]
     best = naming.chosen.cost
     blunt = max(1.0, naming.left / FORM)
     more = np.maximum(np.array([choice.cost for choice in choices]) - best, 0.0)

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from plant.catalogue import CATALOGUE
 
 Shape = Mapping[str, float]
@@ -38,6 +40,19 @@ class Suspect:
     def defect(self) -> bool:
         """Whether it is a defect of the recording, not an effect of the catalogue."""
         return self.id not in CATALOGUE
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and greatest amount: the catalogue's range where the amount is the headline."""
+        least = 0.0 if self.sign else -np.inf
+        if self.id == "transport_delay":
+            return least, 1.0
+        if self.defect or self.id == "supply_droop":
+            return least, np.inf
+        headline = CATALOGUE[self.id].parameters[0]
+        # Ratios and exponents are amounts beyond one; the critical ratio beyond some half.
+        neutral = {"flow_area": 1.0, "polytropic": 1.0, "critical_ratio": 0.45}.get(self.id, 0.0)
+        return max(headline.low - neutral, least), headline.high - neutral
 
     @property
     def family(self) -> str:

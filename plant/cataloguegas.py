@@ -109,7 +109,7 @@ GAS_AND_LOAD: tuple[Entry, ...] = (
         "valve_timing",
         "valve",
         "the delays depend on pressure differently",
-        (Parameter("slope_ms_per_kpa", "ms/kPa", "extra slope", -0.05, 0.05), _EDGE),
+        (Parameter("slope_ms_per_kpa", "ms/kPa", "extra slope", -0.1, 0.1), _EDGE),
         "pulses at one pressure, but for a constant; all settled points",
         ("valve_delay",),
         "the same pulse at low and at high pressure",

@@ -37,11 +37,7 @@ def with_strengths(one: BlindSet, factor: float) -> BlindSet:
     return replace(one, hidden=hidden)
 
 
-OPEN_CRASH = pytest.mark.xfail(reason="open: a defect among the rivals of a name is a KeyError")
-OPEN_SHUFFLED = pytest.mark.xfail(reason="open: names sensor effects on shuffled force")
-
-
-@pytest.mark.parametrize("number", [12, pytest.param(13, marks=OPEN_CRASH), 14])
+@pytest.mark.parametrize("number", [12, 13, 14])
 def test_duplicated_trials_do_not_raise_confidence(number: int, tmp_path: Path) -> None:
     """A copy is no evidence: same files, twice the rows."""
     plain = record(blind_set("smoke", number))
@@ -85,7 +81,6 @@ def test_an_effect_with_its_sign_turned_is_not_named(name: str, tmp_path: Path) 
         assert name not in verdict.effects[0].ids
 
 
-@OPEN_SHUFFLED
 @pytest.mark.parametrize("number", [13, 14])
 def test_force_shuffled_among_trials_names_nobody(number: int, tmp_path: Path) -> None:
     recorded = record(blind_set("smoke", number))

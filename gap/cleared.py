@@ -1,0 +1,129 @@
+"""What a search found, cleared of defects of the recording and of effects it could do without.
+
+A defect of the recording bends to much that has nothing to do with it. It may stand as the answer
+only where it explains the gap alone and every trial asks for the same amount of it; otherwise the
+search is made again among effects alone.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import t as student
+
+from gap.inquiry import Inquiry, State
+from gap.naming import ALARM, Choice, Naming, excess, name_effects
+from gap.shrink import Held, held_out
+
+Array = npt.NDArray[np.float64]
+
+ALONE = 0.75
+"""Least share of the gap's excess that a defect must take away alone."""
+SAME = 0.15
+"""Most that trials may differ in the amount they ask for, beyond chance, over that amount."""
+FAR_WORSE = 0.1
+"""Share of the gap's excess by which effects may do worse than a defect and still be named."""
+SURE = 0.95
+LARGE = 0.2
+"""Share of the gap from which a further effect needs no held-out proof."""
+
+
+@dataclass(frozen=True)
+class Cleared:
+    """The search's outcome among effects alone.
+
+    Attributes:
+        naming: outcome without any defect, unless `defect`.
+        defect: whether a defect of the recording is the answer.
+        blurred: whether a defect, though not certain, explains far more than any effect.
+    """
+
+    naming: Naming
+    defect: bool = False
+    blurred: bool = False
+
+
+def cleared(q: Inquiry, naming: Naming) -> Cleared:
+    """Take defects and needless effects out of what a search found."""
+    suspects = naming.chosen.state.suspects
+    if not any(suspect.defect for suspect in suspects):
+        return Cleared(_needed(q, _rivals_cleared(naming)))
+    first = suspects[0].defect
+    if first and _is_defect(q, naming):
+        return Cleared(naming, defect=True)
+    clean = name_effects(without_defects(q))
+    worse = clean.chosen.cost - naming.chosen.cost
+    blurred = first and worse > ALARM + FAR_WORSE * naming.excess
+    return Cleared(_needed(q, _rivals_cleared(clean)), blurred=blurred)
+
+
+def without_defects(q: Inquiry) -> Inquiry:
+    """The same data and fits, asked about effects alone."""
+    other = copy.copy(q)
+    other.suspects = tuple(suspect for suspect in q.suspects if not suspect.defect)
+    return other
+
+
+def _rivals_cleared(naming: Naming) -> Naming:
+    rivals = [c for c in naming.rivals if not any(s.defect for s in c.state.suspects)]
+    return replace(naming, rivals=rivals)
+
+
+def _is_defect(q: Inquiry, naming: Naming) -> bool:
+    if naming.steps[0][1] < ALONE * naming.excess:
+        return False
+    state = naming.chosen.state
+    return _disagreement(q, state) < SAME * abs(float(state.amounts[0]))
+
+
+def _disagreement(q: Inquiry, state: State) -> float:
+    """Spread over trials, beyond chance, of the amount of the first suspect each asks for."""
+    slope = q._slopes(state.shift, state.suspects, state.amounts)[:, 0]
+    asked, weight = [], []
+    for trial, rows in enumerate(q.noise.trial_rows):
+        if len(rows):
+            gram, _ = q.noise.solve(trial, np.stack([slope[rows], state.residual[rows]], axis=1))
+            if gram[0, 0] > 0.0:
+                asked.append(gram[0, 1] / gram[0, 0])
+                weight.append(gram[0, 0])
+    if not weight:
+        return float("inf")
+    d, w = np.array(asked), np.array(weight)
+    return float(np.sqrt(max(float(w @ d**2) - len(d), 0.0) / w.sum()))
+
+
+def _needed(q: Inquiry, naming: Naming) -> Naming:
+    """Strike further effects, last first, whose own gain on held-out slots is not certain."""
+    while len(keys := naming.chosen.keys) > 1:
+        state = naming.chosen.state
+        if naming.steps[-1][1] > LARGE * naming.excess:
+            break
+        pairs = [
+            (suspect, float(amount))
+            for suspect, amount in zip(state.suspects, state.amounts, strict=True)
+            if suspect.key != keys[-1]
+        ]
+        less = q.polish(q.fit([s for s, _ in pairs], [a for _, a in pairs]))
+        if _gains_surely(held_out(q, less), held_out(q, state)):
+            break
+        naming = replace(
+            naming, chosen=Choice(keys[:-1], less), rivals=[], steps=naming.steps[:-1],
+            left=excess(q, less),
+        )  # fmt: skip
+    return naming
+
+
+def _gains_surely(less: dict[str, Held], more: dict[str, Held]) -> bool:
+    """Whether some block's held-out error falls for certain, over units, with the fuller state."""
+    for block, held in more.items():
+        use = held.weight > 0.0
+        gain = (less[block].after - held.after)[use]
+        if len(gain) < 3:
+            return True
+        error = float(gain.std(ddof=1) / np.sqrt(len(gain)))
+        if float(gain.mean()) > float(student.ppf(SURE, len(gain) - 1)) * error:
+            return True
+    return False
