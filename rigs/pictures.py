@@ -41,6 +41,9 @@ def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> Ga
     The live test, the reduction and the view all come through here. The gap is freed of the
     lens's distortion where the camera's calibration knows it.
     """
+    # Compiled code takes an array that may not be written for another type and is compiled anew:
+    # some seconds without a heartbeat, in the midst of a test, where a frame came off a socket.
+    gray = np.require(gray, np.uint8, ["C", "W"])
     region, sync, lens = (camera.get(key) for key in ("region", "sync", "lens"))
     gap = measure_gap(
         gray,

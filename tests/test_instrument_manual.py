@@ -44,7 +44,9 @@ def test_it_asks_waits_checks_and_tells_what_was_read() -> None:
     assert setting.checked_by == "load_cell"
     assert setting.waited_s == pytest.approx(5.0, abs=0.05)
     assert heard == [setting]
-    assert desk.person.asked[0].text == "set mass to 2 kg, then press Enter"
+    assert desk.person.asked[0].text == (
+        "hang 2 kg on the muscle and let it come to rest, then press Enter"
+    )
 
 
 def test_what_the_sensor_does_not_see_is_asked_again_and_then_refused() -> None:
