@@ -275,7 +275,6 @@ def test_a_load_is_hung_and_lifted_in_real_time(tmp_path: Path) -> None:
     in_real_time(tmp_path, "isotonic")
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("name", ["isobaric", "isothermal", "hysteresis"])
 def test_every_short_template_runs_in_real_time(tmp_path: Path, name: str) -> None:
     in_real_time(tmp_path, name)
