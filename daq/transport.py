@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
+import select
 import socket
 import threading
 from collections import deque
@@ -185,6 +187,7 @@ class _SerialPort:
         if "://" not in path:
             options["exclusive"] = True
         self._serial: Any = serial.serial_for_url(path, **options)
+        self._waits = os.name == "posix" and "://" not in path
         # Best effort: FTDI adapters else hold bytes back for up to 16 ms.
         with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):
             self._serial.set_low_latency_mode(True)
@@ -194,7 +197,16 @@ class _SerialPort:
         return bytes(self._serial.read(max(1, waiting)))
 
     def write(self, data: bytes) -> int:
-        return int(self._serial.write(data) or 0)
+        if not self._waits:
+            return int(self._serial.write(data) or 0)
+        # pyserial looks at the clock after the bytes have gone, so that a program kept from the
+        # processor for 0.2 s would take its device for lost. Only waiting for the port counts.
+        sent, port = 0, self._serial.fileno()
+        while sent < len(data):
+            if not select.select([], [port], [], WRITE_TIMEOUT_S)[1]:
+                raise TimeoutError(f"took {sent}, then nothing for {WRITE_TIMEOUT_S:g} s")
+            sent += os.write(port, data[sent:])
+        return sent
 
     def close(self) -> None:
         self._serial.close()

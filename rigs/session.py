@@ -196,6 +196,9 @@ def run_protocol(
     stop = stop or StopFlag()
     watch = watch or Watch()
     control = control or RunControl()
+    if not config.is_virtual:
+        # The record's encoder loads it with the first batch: two seconds without a heartbeat.
+        import pandas  # noqa: F401
     with open_rig(config) as rig:
         virtual = rig.clock.virtual
         if kind.firmware:

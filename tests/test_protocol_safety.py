@@ -24,12 +24,15 @@ from protocol_runs import events, run_short
 from rigs.control import RunControl
 from rigs.interrupt import StopFlag
 from rigs.leakcheck import LeakCheck
+from rigs.pictures import measure_stored
 from rigs.protocols.registry import procedure
 from rigs.runner import Runner, Watch
+from vision.coarse import _bands
 
 STATIC = ("isometric", "isobaric", "isotonic", "isothermal", "hysteresis")
-# Beyond this even the bench's own loop was kept waiting: the machine was busy with other things.
-STARVED_MS = 25.0
+# The firmware gives the host 300 ms. Where even the bench's loop, which has nothing to wait for,
+# once stood still for half of that, the machine was busy with other things.
+STARVED_MS = 150.0
 FULL = bool(os.environ.get("PAMRIG_CAMPAIGN"))
 
 
@@ -237,7 +240,7 @@ def in_real_time(root: Path, name: str) -> None:
             name, "--rig", bench.rig, "--protocol", f"{name}-short", "--out", root / "runs"
         )
         wall_s = time.monotonic() - start
-        late = re.search(r"p99\.9 ([\d.]+) ms", bench.stop())
+        late = re.search(r"worst ([\d.]+) ms", bench.stop())
     assert late
     if done.returncode and "host_silent" in done.stdout and float(late[1]) >= STARVED_MS:
         pytest.skip(f"this machine was too busy for a bench in real time: {done.stdout}")
@@ -245,12 +248,26 @@ def in_real_time(root: Path, name: str) -> None:
     (folder,) = (p for p in (root / "runs").iterdir() if p.is_dir())
     run = open_run(folder)
     assert run.final is not None
+    assert not events(run, "fault")
+    (armed,), (vented,) = events(run, "armed"), events(run, "vented")
+    test_s = (vented["t_ns"] - armed["t_ns"]) * 1e-9
     print(
-        f"\n{name}: {run.final['duration_s']:.1f} s of test, {wall_s:.1f} s with start and report"
+        f"\n{name}: {test_s:.1f} s armed to vented, {run.final['duration_s']:.1f} s of record"
+        f" (camera looked at first), {wall_s:.1f} s with start and report"
     )
     assert run.outcome == "clean"
-    assert run.final["duration_s"] <= 16.5
+    assert test_s <= 15.0
     check_whole(run, name)
+
+
+def test_a_frame_off_a_socket_compiles_nothing_anew() -> None:
+    """It may not be written to, and is measured in mid-test: there is no time to compile."""
+    gray = np.full((120, 640), 128, dtype=np.uint8)
+    measure_stored(gray, {})
+    compiled = len(_bands.signatures)
+    gray.flags.writeable = False
+    measure_stored(gray, {})
+    assert len(_bands.signatures) == compiled
 
 
 def test_a_load_is_hung_and_lifted_in_real_time(tmp_path: Path) -> None:
@@ -258,7 +275,6 @@ def test_a_load_is_hung_and_lifted_in_real_time(tmp_path: Path) -> None:
     in_real_time(tmp_path, "isotonic")
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("name", ["isobaric", "isothermal", "hysteresis"])
 def test_every_short_template_runs_in_real_time(tmp_path: Path, name: str) -> None:
     in_real_time(tmp_path, name)
