@@ -205,7 +205,8 @@ class _SerialPort:
         while sent < len(data):
             if not select.select([], [port], [], WRITE_TIMEOUT_S)[1]:
                 raise TimeoutError(f"took {sent}, then nothing for {WRITE_TIMEOUT_S:g} s")
-            sent += os.write(port, data[sent:])
+            with contextlib.suppress(BlockingIOError):  # room for less than select promised
+                sent += os.write(port, data[sent:])
         return sent
 
     def close(self) -> None:
