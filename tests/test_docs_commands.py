@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import shutil
@@ -72,10 +73,20 @@ def test_every_command_of_the_page_works(page: str, desk: Path) -> None:
         assert done.returncode == 0, f"{page}: {command}\n{done.stdout}\n{done.stderr}"
 
 
+def heed_ctrl_c() -> None:
+    """Undo what a shell does that runs tests in the background: it has Ctrl-C ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def serve(folder: Path, command: str) -> None:
     """Run a command that goes on until Ctrl-C, and end it so once it has said something."""
     process = subprocess.Popen(
-        argv(command), cwd=folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        argv(command),
+        cwd=folder,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        preexec_fn=heed_ctrl_c if os.name == "posix" else None,
     )
     assert process.stdout is not None
     try:
@@ -84,7 +95,7 @@ def serve(folder: Path, command: str) -> None:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
         rest, _ = process.communicate(timeout=30)
-    finally:  # a shell that runs tests in the background has Ctrl-C ignored: leave nothing behind
+    finally:
         process.terminate()
         process.wait(timeout=30)
         process.stdout.close()
