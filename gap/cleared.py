@@ -27,6 +27,9 @@ SAME = 0.15
 FAR_WORSE = 0.1
 """Share of the gap's excess by which effects may do worse than a defect and still be named."""
 SURE = 0.95
+FORM = 0.12
+"""Share of what is explained below which a further effect in the same channels only mends the
+form of the one before."""
 LARGE = 0.2
 """Share of the gap from which a further effect needs no held-out proof."""
 
@@ -99,7 +102,9 @@ def _needed(q: Inquiry, naming: Naming) -> Naming:
     """Strike further effects, last first, whose own gain on held-out slots is not certain."""
     while len(keys := naming.chosen.keys) > 1:
         state = naming.chosen.state
-        if naming.steps[-1][1] > LARGE * naming.excess:
+        whole = max(q.base.cost - state.cost, 1.0)
+        mends = naming.steps[-1][1] < FORM * whole and not _apart(q, state, keys[-1])
+        if not mends and naming.steps[-1][1] > LARGE * naming.excess:
             break
         pairs = [
             (suspect, float(amount))
@@ -107,13 +112,20 @@ def _needed(q: Inquiry, naming: Naming) -> Naming:
             if suspect.key != keys[-1]
         ]
         less = q.polish(q.fit([s for s, _ in pairs], [a for _, a in pairs]))
-        if _gains_surely(held_out(q, less), held_out(q, state)):
+        if not mends and _gains_surely(held_out(q, less), held_out(q, state)):
             break
         naming = replace(
             naming, chosen=Choice(keys[:-1], less), rivals=[], steps=naming.steps[:-1],
             left=excess(q, less),
         )  # fmt: skip
     return naming
+
+
+def _apart(q: Inquiry, state: State, key: str) -> bool:
+    """Whether the effect of `key` shows in channels that no other effect in force touches."""
+    own = {b for s in state.suspects if s.key == key for b in s.blocks}
+    others = {b for s in state.suspects if s.key != key for b in s.blocks}
+    return not own & others & set(q.grid.points)
 
 
 def _gains_surely(less: dict[str, Held], more: dict[str, Held]) -> bool:

@@ -41,6 +41,9 @@ def true_length(points: Points, active: Active, c: PlantConstants) -> Array:
     for name, _, amount, shape in active:
         if name == "length_label":
             length = length + np.where(points.held, amount * 1e-3, 0.0)
+        elif name == "mounting":
+            here = points.held & (points.mounting == int(shape["number"]))
+            length = length + np.where(here, amount * 1e-3, 0.0)
         elif name in _CAMERA:
             length = length + np.where(
                 points.held, 0.0, _true_minus_read(name, amount, shape, points, c)

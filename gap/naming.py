@@ -13,14 +13,22 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from gap.evidence import projected
+from gap.evidence import SLACK, projected
 from gap.inquiry import Inquiry, State
+from gap.null import carried, simulated_null
 from gap.suspects import Suspect
 
 Array = npt.NDArray[np.float64]
 
-ALARM = 32.0
+ALARM = 28.0
 """Least gain (drop of the whitened sum of squares) of a first effect; see docs/gap.md."""
+CHANCE = 0.002
+BEYOND_CHANCE = 1.7
+"""How far beyond the simulated null a first effect must reach: real noise has other forms too."""
+PLAIN = 100.0
+"""Gain from which a first effect needs no proof on slots it was not fitted to."""
+CARRIED = 0.3
+"""Least share of its gain that a first effect must carry over to such slots."""
 SHARE_NEXT = 0.03
 SHARE_SURE = 0.06
 """Least share of the gap's excess that a further effect must take away."""
@@ -57,6 +65,8 @@ class Naming:
         first_gain: gain of the best single effect, by key, linearised at the base.
         excess: whitened gap beyond noise at the base.
         left: the same after the explanation.
+        alarm: gain that a first effect needed on these data.
+        chance: share of simulated data sets without a gap whose best gain is as large.
         steps: (key, gain) of each effect in order of entry.
         last_gain: gain of each key on top of the explanation, linearised.
     """
@@ -66,6 +76,8 @@ class Naming:
     first_gain: dict[str, float]
     excess: float
     left: float
+    alarm: float = ALARM
+    chance: float = 1.0
     steps: list[tuple[str, float]] = field(default_factory=list)
     last_gain: dict[str, float] = field(default_factory=dict)
 
@@ -84,14 +96,23 @@ def name_effects(q: Inquiry) -> Naming:
         for j, suspect in enumerate(q.suspects):
             if suspect.key == key and gain > gains[j]:
                 gains[j], amounts[j] = gain, amount
-    naming = Naming(Choice((), state), [], _by_key(q, gains), excess(q, state), excess(q, state))
+    null = simulated_null(q)
+    alarm = max(ALARM, BEYOND_CHANCE * null.threshold(CHANCE))
+    naming = Naming(
+        Choice((), state), [], _by_key(q, gains), excess(q, state), excess(q, state), alarm,
+        null.chance(float(gains.max(initial=0.0))),
+    )  # fmt: skip
     keys: tuple[str, ...] = ()
     for step in range(MOST):
         best = _by_key(q, gains)
         open_keys = [k for k in best if k not in keys]
-        least = ALARM if step == 0 else max(40.0, SHARE_NEXT * naming.excess)
+        least = alarm if step == 0 else max(40.0, SHARE_NEXT * naming.excess)
         top = sorted(open_keys, key=lambda k: -best[k])
         if not top or best[top[0]] < least:
+            break
+        gain = best[top[0]]
+        small = step == 0 and gain < PLAIN and np.abs(state.shift).max(initial=0.0) < SLACK
+        if small and carried(q, top[0])[0] < CARRIED * gain:
             break
         tried = [
             refine(q, state, keys, key, gains, amounts, fresh if step == 0 else None)

@@ -179,7 +179,8 @@ def improved_plant(q: Inquiry, state: State) -> str:
     """
     lines = ["# The plant as recalibrated on these data, with the effects that explain the gap."]
     constants = q.constants(state.shift)
-    lines += [f"{name} = {constants.value(name):.8g}" for name in q.names]
+    recalibrated = q.names[: len(q.names) - q.mountings]
+    lines += [f"{name} = {constants.value(name):.8g}" for name in recalibrated]
     for name in state.ids:
         if name not in CATALOGUE:
             continue
