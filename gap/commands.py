@@ -34,14 +34,46 @@ def diagnose_command(data: Path, without: str, as_json: bool) -> None:
         typer.echo("\n".join(as_text(verdict)))
 
 
-def where_command(data: Path, as_json: bool) -> None:
-    """`pamrig gap where`."""
-    verdict = diagnose(read_dataset(data))
+def where_command(data: Path, out: Path | None, as_json: bool) -> None:
+    """`pamrig gap where`: stages, comparisons, and courses of the residual."""
+    from gap.mapfigures import write_courses
+    from gap.maps import residual_maps
+    from gap.where import MEANING, whereabouts
+
+    verdict, inquiry, state = examine(read_dataset(data))
+    found = whereabouts(inquiry, state) if inquiry is not None and state is not None else None
+    courses = residual_maps(inquiry, state) if inquiry is not None and state is not None else []
+    if out is not None:
+        write_courses(courses, bool(verdict.effects), out)
     table = verdict.as_dict()
     if as_json:
-        show({"where": table["where"], "gap": table["gap"], "status": table["status"]})
-    else:
-        typer.echo("\n".join(_where_text(verdict)))
+        show(
+            {
+                "where": table["where"], "gap": table["gap"], "status": table["status"],
+                "reason": table["reason"], "meaning": MEANING, **plain(found or {}),
+                "maps": [plain(course.as_dict()) for course in courses],
+                "figure": str(out) if out else None,
+            }
+        )  # fmt: skip
+        return
+    lines = [f"{verdict.status.replace('_', ' ')}: {verdict.reason}"]
+    if verdict.stages:
+        lines.append("share of the end-to-end gap by stage (Shapley; 95 % interval over slots)")
+    lines += _where_text(verdict) or ["no stage and no comparison stands out"]
+    if found:
+        lines.append("end to end, commands replayed    rms    floor")
+        lines += [
+            f"  {e['end']:9s}  {e['rms']:15.3g} {e['unit']:3s}  {e['floor']:.3g}"
+            for e in found["end_to_end"]
+        ]
+        lines.append("stage by stage, measured inputs  rms    floor")
+        lines += [
+            f"  {r['block']:9s}  {r['recalibrated']:15.3g} {r['unit']:3s}  {r['floor']:.3g}"
+            for r in found["stage_by_stage"]
+        ]
+    if out is not None:
+        lines.append(f"residual over pressure, length, temperature and time: {out}")
+    typer.echo("\n".join(lines))
 
 
 def shrink_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:

@@ -37,7 +37,10 @@ def diagnose(data: DataSet, without: Iterable[str] = ()) -> Verdict:
 def examine(
     data: DataSet, without: Iterable[str] = ()
 ) -> tuple[Verdict, Inquiry | None, State | None]:
-    """Diagnose, and hand back the fits behind the verdict as well; see `diagnose`."""
+    """Diagnose, and hand back the fits behind the verdict as well; see `diagnose`.
+
+    The state holds what the verdict speaks of: without what the search could not prove.
+    """
     verdict, inquiry, naming = searched(data, without)
     return verdict, inquiry, naming.chosen.state if naming is not None else None
 

@@ -65,8 +65,8 @@ def held_out(
 ) -> dict[str, Held]:
     """Squared errors of every block on held-out units (slots unless `units` says otherwise)."""
     of_trial = q.units if units is None else units
-    base = _left_out(q, q.base, of_trial)
-    after = _left_out(q, state, of_trial) if state.suspects else base
+    base = left_out(q, q.base, of_trial).squares
+    after = left_out(q, state, of_trial).squares if state.suspects else base
     floor = floor_squares(q, of_trial)
     made: dict[str, Held] = {}
     count = int(of_trial.max(initial=-1)) + 1
@@ -83,8 +83,21 @@ def held_out(
     return made
 
 
-def _left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> dict[str, Array]:
-    """Squared errors on each unit of the model fitted (near `state`) to all other units."""
+@dataclass(frozen=True)
+class Folds:
+    """Fits with one held-out unit left out at a time, linearised at one state.
+
+    Attributes:
+        change: change of [constants in sd, amounts] from that state, shape (units, columns).
+        squares: squared errors on the unit left out, by block, shape (units,) each.
+    """
+
+    change: Array
+    squares: dict[str, Array]
+
+
+def left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> Folds:
+    """Fit constants and amounts near `state` to all units but one, for each unit in turn."""
     n = len(q.names)
     slopes = q._slopes(state.shift, state.suspects, state.amounts)
     columns = np.hstack([q._columns_at(state.shift, state.suspects, state.amounts), slopes])
@@ -96,6 +109,7 @@ def _left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> dict
     total = evidence.total
     _, slope, stiffness = tolerance(state.shift)
     errors = {block: np.zeros(len(evidence.gram)) for block in evidence.plain}
+    change = np.zeros((len(evidence.gram), width))
     for unit in range(len(evidence.gram)):
         gram = total - evidence.gram[unit]
         matrix = gram[:width, :width].copy()
@@ -103,10 +117,11 @@ def _left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> dict
         right = gram[:width, width].copy()
         right[:n] -= slope
         beta = np.linalg.pinv(matrix, hermitian=True, rcond=1e-13) @ right
+        change[unit] = beta
         vector = np.r_[-beta, 1.0]
         for block, plain in evidence.plain.items():
             errors[block][unit] = float(vector @ plain[unit] @ vector)
-    return errors
+    return Folds(change, errors)
 
 
 def floor_squares(q: Inquiry, of_trial: npt.NDArray[np.int64]) -> dict[str, Array]:
