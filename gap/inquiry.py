@@ -96,6 +96,7 @@ class Inquiry:
         self.stated_columns = np.hstack([stated, own])
         self.columns = self.stated_columns
         self.units = self._units()
+        self._near: tuple[State, Array] | None = None
         self.base = self._recalibrate()
         self.floor_variance = self.noise.variance()
 
@@ -128,22 +129,31 @@ class Inquiry:
         ]
         return [*self.given, *mounted(own), *active]
 
-    def fit(self, suspects: Sequence[Suspect], start: Sequence[float] = ()) -> State:
+    def fit(
+        self, suspects: Sequence[Suspect], start: Sequence[float] = (), near: State | None = None
+    ) -> State:
         """Gauss-Newton over constants (with their prior) and the amounts of `suspects`.
 
-        Starts from the recalibrated plant, and from the plant as stated where a large effect has
-        bent the recalibration; the better end counts.
+        Starts from the constants of `near`, by default of the recalibrated plant.
         """
         amounts = np.array(start or [0.0] * len(suspects), dtype=np.float64)
+        at = self.base if near is None else near
+        columns = self.columns if at is self.base else self._columns_near(at)
         # An amount on top of constants that have already given way may lead far astray; the
         # descent moves both, and gets there from a smaller one.
         for _ in range(_SMALLER):
-            if self.cost_at(self.base.shift, suspects, amounts) < 1.5 * self.base.cost:
+            if self.cost_at(at.shift, suspects, amounts) < 1.5 * at.cost:
                 break
             amounts[-1:] *= 0.3
         else:
             amounts[-1:] = 0.0
-        return self._descend(self.base.shift, suspects, amounts, self.columns)
+        return self._descend(at.shift, suspects, amounts, columns)
+
+    def _columns_near(self, state: State) -> Array:
+        """Signatures of the constants at a state; those of the last one asked for are kept."""
+        if self._near is None or self._near[0] is not state:
+            self._near = (state, self._columns_at(state.shift, state.suspects, state.amounts))
+        return self._near[1]
 
     def fit_afresh(self, suspects: Sequence[Suspect], start: Sequence[float] = ()) -> State:
         """Return what `fit` gives when it starts from the constants as stated."""

@@ -29,15 +29,18 @@ PLAIN = 100.0
 """Gain from which a first effect needs no proof on slots it was not fitted to."""
 CARRIED = 0.3
 """Least share of its gain that a first effect must carry over to such slots."""
-SHARE_NEXT = 0.03
 SHARE_SURE = 0.06
 """Least share of the gap's excess that a further effect must take away."""
 SEEN_NEXT = 0.45
 """Least change of the residual in some block, in units of its floor, for an effect to count."""
+PLAINLY_SEEN = 1.5
+"""The same, from which an effect counts beside one of any size."""
 MOST = 3
 BENT = 2.2
 """Shift of a constant, in sd, from which an effect may have bent the recalibration."""
 _REFINED = 7
+_ELSEWHERE = 4
+_LEAST_NEXT = 40.0
 _CLOCKS_MS = (8.0, 20.0, 45.0, 80.0, 120.0, 170.0, 230.0, 300.0, 380.0, 480.0)
 _SHAPES = 2
 
@@ -105,10 +108,8 @@ def name_effects(q: Inquiry) -> Naming:
     keys: tuple[str, ...] = ()
     for step in range(MOST):
         best = _by_key(q, gains)
-        open_keys = [k for k in best if k not in keys]
-        least = alarm if step == 0 else max(40.0, SHARE_NEXT * naming.excess)
-        top = sorted(open_keys, key=lambda k: -best[k])
-        if not top or best[top[0]] < least:
+        top = sorted((k for k in best if k not in keys), key=lambda k: -best[k])
+        if not top or best[top[0]] < alarm:
             break
         gain = best[top[0]]
         small = step == 0 and gain < PLAIN and np.abs(state.shift).max(initial=0.0) < SLACK
@@ -116,14 +117,14 @@ def name_effects(q: Inquiry) -> Naming:
             break
         tried = [
             refine(q, state, keys, key, gains, amounts, fresh if step == 0 else None)
-            for key in top[:_REFINED]
-            if best[key] > 0.3 * best[top[0]]
+            for key in _candidates(q, state, top, best)
         ]
         tried.sort(key=lambda choice: choice.cost)
-        if state.cost - tried[0].cost < least:
+        fit = [choice for choice in tried if _counts(q, naming, state, choice)]
+        if not fit:
             break
-        if step and not _worth(q, naming, state, tried[0].state):
-            break
+        tried.remove(fit[0])
+        tried.insert(0, fit[0])
         naming.steps.append((tried[0].keys[-1], state.cost - tried[0].cost))
         naming.chosen = tried[0]
         naming.rivals = tried[1:]
@@ -139,6 +140,41 @@ def name_effects(q: Inquiry) -> Naming:
     naming.left = excess(q, state)
     naming.last_gain = _by_key(q, gains)
     return naming
+
+
+def _candidates(q: Inquiry, state: State, top: list[str], best: dict[str, float]) -> list[str]:
+    """Keys worth a nonlinear fit: the best, and the best that show in other channels.
+
+    What is left of a large effect whose form is not exact outweighs a second effect elsewhere.
+    """
+    made = [key for key in top[:_REFINED] if best[key] > 0.3 * best[top[0]]]
+    elsewhere = [key for key in top if apart(q, state, key)] if state.suspects else []
+    made += [
+        key for key in elsewhere[:_ELSEWHERE]
+        if key not in made and best[key] > 0.3 * best[elsewhere[0]]
+    ]  # fmt: skip
+    return made
+
+
+def apart(q: Inquiry, state: State, key: str) -> bool:
+    """Whether the effect of `key` shows in channels that no other effect in force touches."""
+    own = next(s.blocks for s in q.suspects if s.key == key)
+    others = {b for s in state.suspects if s.key != key for b in s.blocks}
+    return not set(own) & others & set(q.grid.points)
+
+
+def _counts(q: Inquiry, naming: Naming, before: State, choice: Choice) -> bool:
+    """Whether an effect that was fitted takes away enough to count as one more."""
+    gain = before.cost - choice.cost
+    if not before.suspects:
+        return gain >= naming.alarm
+    if apart(q, before, choice.keys[-1]):
+        return gain >= max(_LEAST_NEXT, naming.alarm) and (
+            seen(q, before, choice.state) > SEEN_NEXT
+        )
+    if gain < max(_LEAST_NEXT, naming.alarm):
+        return False
+    return _worth(q, naming, before, choice.state)
 
 
 def _scan_clocks(q: Inquiry) -> dict[str, tuple[float, float]]:
@@ -178,8 +214,11 @@ def _worth(q: Inquiry, naming: Naming, before: State, after: State) -> bool:
     gain = before.cost - after.cost
     if gain > SHARE_SURE * naming.excess:
         return True
-    most_left = gain > 0.35 * max(excess(q, before), 1.0) > 0.02 * naming.excess
-    return most_left and seen(q, before, after) > SEEN_NEXT
+    if gain < 0.35 * max(excess(q, before), 1.0):
+        return False
+    visible = seen(q, before, after)
+    large = max(excess(q, before), 1.0) > 0.02 / 0.35 * naming.excess
+    return visible > PLAINLY_SEEN or (large and visible > SEEN_NEXT)
 
 
 def seen(q: Inquiry, before: State, after: State) -> float:
@@ -237,7 +276,7 @@ def refine(
             continue
         suspects = [*state.suspects, q.suspects[j]]
         start = [*state.amounts, _start(q.suspects[j], amounts[j])]
-        ends = [q.fit(suspects, start)]
+        ends = [q.fit(suspects, start, state)]
         if fresh is not None:
             ends.append(q.fit_afresh(suspects, [*state.amounts, _start(q.suspects[j], fresh[j])]))
         fitted = min(ends, key=lambda end: end.cost)
@@ -266,6 +305,7 @@ def _flexed(q: Inquiry, choice: Choice, gains: Array, amounts: Array, gap: float
     fitted = q.fit(
         [*choice.state.suspects, q.suspects[j]],
         [*choice.state.amounts, _start(q.suspects[j], amounts[j])],
+        choice.state,
     )
     return Choice(choice.keys, fitted) if fitted.cost < choice.cost - 15.0 else None
 
