@@ -5,6 +5,11 @@ it follows the measurement from afar: the prediction is drawn towards the readin
 constant of seconds, so that one cause early in a trial does not drown what comes after it, while
 everything quicker, and every steady drift, stays in the residual. Whole data sets run in one
 compiled call, which is what lets the diagnosis try a hundred suspects in a second.
+
+`replay` runs free of the measurement instead. What the real gas did beyond the model is kept as one
+small step of pressure for each node: what the reading gains over the model sent off from the
+reading one node before. Summed up these steps are the measured pressure itself, never a slope of
+it: a replay without any of them is the model alone, one with all of them the measurement again.
 """
 
 from __future__ import annotations
@@ -59,6 +64,9 @@ SIZE = 40
 _factor = inlined(flow.subsonic_factor)
 _braid_volume = inlined(muscle.braid_volume)
 _PENDING = 32
+_FOLLOW, _LEARN, _APPLY = 0, 1, 2
+ACTS_S = 0.03
+"""Seconds after a command's edge in which a valve may still move."""
 
 
 @inlined
@@ -163,8 +171,12 @@ def _advance(
 def _trial(
     q: Any, time: Any, reading: Any, length: Any, supply: Any, edge_s: Any, edge_to: Any,
     edge_of: Any, out: Any, fall: Any, due: Any, waiting: Any, opened: Any, command: Any, s: Any,
+    step: Any, acting: Any, mode: int,
 ) -> None:  # fmt: skip
-    """Predict the reading at every node of one trial into `out`; the last five are scratch."""
+    """Predict the reading at every node of one trial into `out`.
+
+    `due` to `s` are scratch; `step` and `acting` are left alone where the reading is followed.
+    """
     waiting[:] = 0
     opened[:] = False
     command[:] = 0.0
@@ -176,6 +188,7 @@ def _trial(
     s[4] = s[0]
     edge = 0
     now = time[0]
+    acts = now - 1.0
     out[0] = reading[0]
     # Commands from before the first reading have long acted.
     while edge < len(edge_s) and edge_s[edge] + q[CLOCK] <= now - 0.05:
@@ -189,6 +202,7 @@ def _trial(
         v_end = _braid_volume(length[i], q[BRAID], q[TURNS]) + q[VOLUME]
         slope = (v_end - v_begin) / (end - begin)
         feed = supply[i] + q[SUPPLY_SHIFT]
+        busy = opened[0] or opened[1] or begin < acts
         while now < end:
             until = end
             what = -1
@@ -211,6 +225,8 @@ def _trial(
                 w = edge_of[edge]
                 value = edge_to[edge]
                 edge += 1
+                busy = True
+                acts = now + ACTS_S
                 if value != command[w]:
                     command[w] = value
                     if q[TRANSPORT] == 0.0 and waiting[w] > 0:
@@ -226,27 +242,40 @@ def _trial(
                         waiting[w] += 1
             elif what >= 0:
                 opened[what] = not opened[what]
+                busy = True
+                acts = now + ACTS_S
                 waiting[what] -= 1
                 for j in range(waiting[what]):
                     due[what, j] = due[what, j + 1]
         shown = s[2] * (1.0 + q[GAIN]) + q[ZERO]
         out[i] = shown
-        if q[FOLLOW] > 0.0:
+        if mode != _FOLLOW:
+            if mode == _LEARN:
+                step[i] = reading[i] - shown
+                acting[i] = 1.0 if busy else 0.0
+            out[i] = shown + step[i]
+            pull = step[i] / (1.0 + q[GAIN])
+            if pull != 0.0:
+                s[0] = max(s[0] + pull, -0.95 * q[ATMOSPHERE])
+                s[1] = max(s[1] + pull, -0.95 * q[ATMOSPHERE])
+                s[2] += pull
+        elif q[FOLLOW] > 0.0:
             pull = (reading[i] - shown) * (1.0 - math.exp(-(end - begin) / q[FOLLOW]))
             s[0] = max(s[0] + pull, -0.95 * q[ATMOSPHERE])
             s[1] = max(s[1] + pull, -0.95 * q[ATMOSPHERE])
             s[2] += pull
 
 
-def _build(sources: int) -> Callable[..., None]:
+def _build(sources: int) -> tuple[Callable[..., None], Callable[..., None]]:
     vector = "float64[::1]"
     whole = "int64[::1]"
+    taken = (
+        f"{vector}, {whole}, {vector}, {vector}, {vector}, {vector}, {whole}, {vector}, "
+        f"{vector}, {whole}, {vector}"
+    )
 
     # `sources` is used so that it becomes a closure variable; it is never negative.
-    @entry_point(
-        f"void({vector}, {whole}, {vector}, {vector}, {vector}, {vector}, {whole}, {vector}, "
-        f"{vector}, {whole}, {vector}, {vector})"
-    )
+    @entry_point(f"void({taken}, {vector})")
     def run(
         q: Any, first: Any, time: Any, reading: Any, length: Any, supply: Any, first_edge: Any,
         edge_s: Any, edge_to: Any, edge_of: Any, out: Any, fall: Any,
@@ -268,12 +297,43 @@ def _build(sources: int) -> Callable[..., None]:
                 _trial(
                     q, time[a:b], reading[a:b], length[a:b], supply[a:b], edge_s[c:d],
                     edge_to[c:d], edge_of[c:d], out[a:b], fall, due, waiting, opened, command, s,
+                    fall, fall, _FOLLOW,
                 )  # fmt: skip
 
-    return run
+    @entry_point(f"void({taken}, {vector}, {vector}, boolean)")
+    def free(
+        q: Any, first: Any, time: Any, reading: Any, length: Any, supply: Any, first_edge: Any,
+        edge_s: Any, edge_to: Any, edge_of: Any, out: Any, step: Any, acting: Any, learn: bool,
+    ) -> None:  # fmt: skip
+        if sources < 0:
+            return
+        fall = np.zeros(1)
+        due = np.empty((2, _PENDING))
+        waiting = np.zeros(2, dtype=np.int64)
+        opened = np.zeros(2, dtype=np.bool_)
+        command = np.zeros(2)
+        s = np.zeros(5)
+        for t in range(len(first) - 1):
+            a = first[t]
+            b = first[t + 1]
+            c = first_edge[t]
+            d = first_edge[t + 1]
+            if b > a:
+                _trial(
+                    q, time[a:b], reading[a:b], length[a:b], supply[a:b], edge_s[c:d],
+                    edge_to[c:d], edge_of[c:d], out[a:b], fall, due, waiting, opened, command, s,
+                    step[a:b], acting[a:b], _LEARN if learn else _APPLY,
+                )  # fmt: skip
+
+    return run, free
 
 
-predict = _build(fingerprint())
+predict, replay = _build(fingerprint())
 """`predict(q, first, time, reading, length, supply, first_edge, edge_s, edge_to, edge_of, out,
 fall)`: all trials one after the other; nodes of trial t are `first[t]:first[t+1]`, likewise its
-edges. SI throughout; `out` gets the predicted readings, `fall[0]` the largest fall of supply."""
+edges. SI throughout; `out` gets the predicted readings, `fall[0]` the largest fall of supply.
+
+`replay(..., out, step, acting, learn)` takes the same. With `learn` the steps that the real gas
+took beyond the model go to `step` (Pa, one a node), and `acting` says (1 or 0) whether a valve may
+have been open since the node before; without it `step` is applied as it stands. `out` gets the
+pressures as the gauge would read them."""

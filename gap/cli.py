@@ -29,11 +29,18 @@ def gap() -> None:
 
 
 @gap_app.command("where")
-def gap_where(data: DataArgument, as_json: JsonOption = False) -> None:
+def gap_where(
+    data: DataArgument,
+    out: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option("--out", help="Picture of the residual to write (.png, .svg, .pdf)."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
     """Fitness of the data, the gap by stage, and which comparisons show it."""
     from gap.commands import where_command
 
-    where_command(data, as_json)
+    where_command(data, out, as_json)
 
 
 @gap_app.command("diagnose")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from gap.cleared import cleared
 from gap.dataset import DataSet
 from gap.errors import GapError
 from gap.fitness import Unfit, unfit_channels
@@ -33,7 +34,10 @@ def diagnose(data: DataSet, without: Iterable[str] = ()) -> Verdict:
 def examine(
     data: DataSet, without: Iterable[str] = ()
 ) -> tuple[Verdict, Inquiry | None, State | None]:
-    """Diagnose, and hand back the fits behind the verdict as well; see `diagnose`."""
+    """Diagnose, and hand back the fits behind the verdict as well; see `diagnose`.
+
+    The state holds what the verdict speaks of: without what the search took in and could not prove.
+    """
     struck = frozenset(without)
     for name in struck:
         if name not in CATALOGUE:
@@ -47,7 +51,7 @@ def examine(
     if not len(inquiry.rows):
         return nothing_to_compare(data), None, None
     naming = name_effects(inquiry)
-    return judge(inquiry, naming), inquiry, naming.chosen.state
+    return judge(inquiry, naming), inquiry, cleared(inquiry, naming).naming.chosen.state
 
 
 def _unfit(found: list[Unfit]) -> Verdict:

@@ -19,6 +19,7 @@ from gap.parameters import headline_estimates
 from gap.rows import BLOCKS, UNITS
 from gap.verdict import Gap
 from plant.catalogue import CATALOGUE
+from plant.constants import CHOICES, KEYS, nominal
 
 Array = npt.NDArray[np.float64]
 
@@ -65,8 +66,8 @@ def held_out(
 ) -> dict[str, Held]:
     """Squared errors of every block on held-out units (slots unless `units` says otherwise)."""
     of_trial = q.units if units is None else units
-    base = _left_out(q, q.base, of_trial)
-    after = _left_out(q, state, of_trial) if state.suspects else base
+    base = left_out(q, q.base, of_trial).squares
+    after = left_out(q, state, of_trial).squares if state.suspects else base
     floor = floor_squares(q, of_trial)
     made: dict[str, Held] = {}
     count = int(of_trial.max(initial=-1)) + 1
@@ -83,9 +84,28 @@ def held_out(
     return made
 
 
-def _left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> dict[str, Array]:
-    """Squared errors on each unit of the model fitted (near `state`) to all other units."""
+@dataclass(frozen=True)
+class Folds:
+    """Fits with one held-out unit left out at a time, linearised at one state.
+
+    Attributes:
+        change: change of [constants in sd, amounts] from that state, shape (units, columns).
+        squares: squared errors on the unit left out, by block, shape (units,) each.
+    """
+
+    change: Array
+    squares: dict[str, Array]
+
+
+def left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> Folds:
+    """Fit constants and amounts near `state` to all units but one, for each unit in turn.
+
+    Amounts have the catalogue's range as a wide prior around no effect, and stay inside it: where
+    the other units say nothing of an effect, it is not there.
+    """
     n = len(q.names)
+    low, high = np.array([s.bounds for s in state.suspects]).reshape(-1, 2).T
+    loose = 4.0 / np.maximum(high - low, 1e-30) ** 2  # half the range is one sd
     slopes = q._slopes(state.shift, state.suspects, state.amounts)
     columns = np.hstack([q._columns_at(state.shift, state.suspects, state.amounts), slopes])
     evidence = gather(
@@ -96,17 +116,22 @@ def _left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> dict
     total = evidence.total
     _, slope, stiffness = tolerance(state.shift)
     errors = {block: np.zeros(len(evidence.gram)) for block in evidence.plain}
+    change = np.zeros((len(evidence.gram), width))
     for unit in range(len(evidence.gram)):
         gram = total - evidence.gram[unit]
         matrix = gram[:width, :width].copy()
         matrix[range(n), range(n)] += stiffness
         right = gram[:width, width].copy()
         right[:n] -= slope
+        matrix[range(n, width), range(n, width)] += loose
+        right[n:] -= loose * state.amounts
         beta = np.linalg.pinv(matrix, hermitian=True, rcond=1e-13) @ right
+        beta[n:] = np.clip(state.amounts + beta[n:], low, high) - state.amounts
+        change[unit] = beta
         vector = np.r_[-beta, 1.0]
         for block, plain in evidence.plain.items():
             errors[block][unit] = float(vector @ plain[unit] @ vector)
-    return errors
+    return Folds(change, errors)
 
 
 def floor_squares(q: Inquiry, of_trial: npt.NDArray[np.int64]) -> dict[str, Array]:
@@ -173,18 +198,32 @@ def gap_of(block: str, held: Held, named: bool, source: str | None, scheme: str)
 
 
 def improved_plant(q: Inquiry, state: State) -> str:
-    """The improved plant as TOML: recalibrated constants and a table for each effect.
+    """The improved plant as TOML: recalibrated and stated constants, and a table for each effect.
 
-    The simulator, the virtual bench and `bench.toml` read it.
+    The simulator (`pamrig simulate --plant`), the live prediction (`--predict`), the virtual bench
+    and `bench.toml` read it.
     """
     lines = ["# The plant as recalibrated on these data, with the effects that explain the gap."]
     constants = q.constants(state.shift)
-    lines += [f"{name} = {constants.value(name):.8g}" for name in q.names]
-    for name in state.ids:
+    usual = nominal()
+    lines += [
+        f"{name} = {constants.value(name):.8g}"
+        for name in KEYS
+        if name in q.names or constants.value(name) != usual.value(name)
+    ]
+    lines += [
+        f'{name} = "{getattr(constants, name)}"'
+        for name in CHOICES
+        if getattr(constants, name) != getattr(usual, name)
+    ]
+    for name in [*q.data.effects.values, *state.ids]:
         if name not in CATALOGUE:
             continue
         lines += ["", f"[effects.{name}]"]
         entry = CATALOGUE[name]
+        if name not in state.ids:
+            lines += [f"{k} = {_toml(v)}" for k, v in q.data.effects.values[name].items()]
+            continue
         known = {parameter.name: parameter for parameter in entry.parameters}
         for key, estimate in headline_estimates(q, only(state, name)).items():
             value = estimate.value
@@ -194,6 +233,10 @@ def improved_plant(q: Inquiry, state: State) -> str:
                 value = min(max(value, known[key].low), known[key].high)
                 lines.append(f"{key} = {value:.6g}")
     return "\n".join(lines) + "\n"
+
+
+def _toml(value: object) -> str:
+    return f'"{value}"' if isinstance(value, str) else repr(value)
 
 
 def only(state: State, name: str) -> State:

@@ -1,10 +1,7 @@
 """Where the gap lies: shares of the stages, and designed comparisons of residuals.
 
-Each block of the recalibrated residual belongs to a stage (pressure to the chamber or, with what
-was named, the valve; force to the muscle; a hung load to the load; camera against label to the
-sensors). A block's part of the gap is its excess over the floor, in units of the floor, so that
-blocks of different units can be added. What a named effect closes counts for the effect's stage.
-Intervals are a jackknife over slots.
+Shares are exact Shapley values of the chain run end to end (`gap.chain`, `gap.shapley`). The
+comparisons are of the recalibrated residual with measured signals fed into each block.
 """
 
 from __future__ import annotations
@@ -16,72 +13,58 @@ import numpy.typing as npt
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from gap.chain import Chain
+from gap.dataset import Trial
 from gap.inquiry import Inquiry, State
-from gap.rows import BLOCKS
-from gap.shrink import Held
+from gap.rows import BLOCKS, UNITS
+from gap.shapley import waterfall
+from gap.shrink import Held, held_out
 from gap.verdict import Contrast, Share
-from plant.catalogue import CATALOGUE
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_STAGE = {"pressure": "chamber", "force": "muscle", "load": "load", "camera": "sensor"}
 _FAMILY_WISE = 0.01
+
+MEANING = (
+    "Each stage is real (it gives the measured output for the measured input, and answers another "
+    "input as its model does) or modelled (the recalibrated plant). A share is what modelling the "
+    "stage adds to the squared end-to-end gap, averaged over all orders of doing so: recorded "
+    "valve commands replayed, all subsets of stages run, noise taken out by products of "
+    "replicates, pressure and pull added in units of their floors squared. Shares add up to one; "
+    "a negative one makes up for another stage's error. Without a flow meter, what arises while a "
+    "valve may be open counts to the valve, what arises while both are shut to the chamber, and "
+    "what a named effect takes away to that effect's stage."
+)
+"""What a share means, in the words that the JSON carries."""
 
 
 def stage_shares(q: Inquiry, state: State, held: Mapping[str, Held]) -> tuple[Share, ...]:
-    """Share of the gap by stage, largest first; none where no block stands above its floor."""
-    parts = _parts(q, state, held, np.ones(_units(held), dtype=bool))
-    whole = sum(parts.values())
-    if whole <= 0.0:
+    """Share of the end-to-end gap by stage, largest first; none where there is no gap for sure."""
+    if not held:
         return ()
-    used = np.flatnonzero(sum(h.weight for h in held.values()) > 0.0)
-    left: list[dict[str, float]] = []
-    for unit in used:
-        keep = np.ones(_units(held), dtype=bool)
-        keep[unit] = False
-        part = _parts(q, state, held, keep)
-        total = sum(part.values())
-        if total > 0.0:
-            left.append({stage: value / total for stage, value in part.items()})
-    made = []
-    for stage, value in parts.items():
-        share = value / whole
-        spread = 0.0
-        if len(left) > 2:
-            values = np.array([one.get(stage, 0.0) for one in left])
-            n = len(values)
-            spread = float(np.sqrt((n - 1) / n * np.sum((values - values.mean()) ** 2)))
-        if share > 0.005:
-            low, high = max(share - 1.96 * spread, 0.0), min(share + 1.96 * spread, 1.0)
-            made.append(Share(stage, share, low, high))
-    return tuple(sorted(made, key=lambda s: -s.share))
+    return waterfall(Chain(q, state)).shares(known=bool(state.suspects))
 
 
-def _units(held: Mapping[str, Held]) -> int:
-    return len(next(iter(held.values())).weight)
-
-
-def _parts(q: Inquiry, state: State, held: Mapping[str, Held], keep: Mask) -> dict[str, float]:
-    """Excess over the floor of each stage, in floors squared, over the units kept."""
-    made: dict[str, float] = {}
-    named = [CATALOGUE[name].stage for name in state.ids if name in CATALOGUE]
-    for block, part in held.items():
-        floor = max(float(part.floor[keep].sum()), 1e-12)
-        gap = (float(part.recalibrated[keep].sum()) - floor) / floor
-        if gap <= 0.0:
-            continue
-        closed = (float(part.recalibrated[keep].sum()) - float(part.after[keep].sum())) / floor
-        closed = min(max(closed, 0.0), gap) if named else 0.0
-        touched = [
-            stage
-            for stage, suspect in zip(named, state.suspects, strict=False)
-            if block in suspect.blocks
-        ]
-        stage = touched[0] if touched and touched[0] != "any" else _STAGE[block]
-        made[stage] = made.get(stage, 0.0) + closed
-        made[_STAGE[block]] = made.get(_STAGE[block], 0.0) + gap - closed
-    return made
+def whereabouts(q: Inquiry, state: State) -> dict[str, list[dict[str, object]]]:
+    """Free-running errors at the chain's ends and stage by stage with measured inputs, as plain
+    tables: `end_to_end` and `stage_by_stage`, each with its floor.
+    """
+    flow = waterfall(Chain(q, state))
+    return {
+        "end_to_end": [
+            {"end": name, "unit": UNITS[name], "rms": rms, "floor": floor}
+            for name, (rms, floor) in flow.ends.items()
+        ],
+        "stage_by_stage": [
+            {
+                "block": block, "unit": UNITS[block], "untouched": part.rms("before"),
+                "recalibrated": part.rms("recalibrated"), "after": part.rms("after"),
+                "floor": part.rms("floor"),
+            }
+            for block, part in held_out(q, state).items()
+        ],
+    }  # fmt: skip
 
 
 def contrasts_of(q: Inquiry) -> tuple[Contrast, ...]:
@@ -100,6 +83,9 @@ def contrasts_of(q: Inquiry) -> tuple[Contrast, ...]:
             z = _within(q, here & first, here & second)
             if z is not None:
                 made.append((f"{name} ({block})", z))
+        z = _warmth(q, here)
+        if z is not None:
+            made.append((f"hot-cold ({block})", z))
         z = _order(q, here)
         if z is not None:
             made.append((f"early-late trials ({block})", z))
@@ -122,7 +108,14 @@ def _designs(q: Inquiry, block: str) -> list[tuple[str, Mask, Mask]]:
             start[trial_rows] = rows.time_s[trial_rows].min()
             end[trial_rows] = rows.time_s[trial_rows].max()
     part = (rows.time_s - start) / np.maximum(end - start, 1e-9)
+    rise = _rise(q)
+    quiet = np.abs(rise) < 1.5e6
     designs = [
+        (
+            "fill-vent" if block == "pressure" else "up-down",
+            (rise > 1e3) & (quiet | (block == "pressure")),
+            (rise < -1e3) & (quiet | (block == "pressure")),
+        ),
         ("low-high pressure", rows.pressure < low, rows.pressure > high),
         ("vented-pressurised", rows.pressure < 8e3, rows.pressure > 50e3),
         ("first-last third", part < 0.33, part > 0.67),
@@ -134,6 +127,19 @@ def _designs(q: Inquiry, block: str) -> list[tuple[str, Mask, Mask]]:
             ("short-long", rows.length < short, rows.length > long),
         ]
     return designs
+
+
+def _rise(q: Inquiry) -> Array:
+    """Slope of the pressure at every row, Pa/s, from its neighbours in the trial."""
+    rows = q.rows
+    made = np.zeros(len(rows))
+    for at in q.noise.trial_rows:
+        for number in np.unique(rows.block[at]):
+            own = at[rows.block[at] == number]
+            own = own[np.argsort(rows.time_s[own], kind="stable")]
+            if len(own) > 2 and np.all(np.diff(rows.time_s[own]) > 0.0):
+                made[own] = np.gradient(rows.pressure[own], rows.time_s[own])
+    return made
 
 
 def _within(q: Inquiry, first: Mask, second: Mask) -> float | None:
@@ -175,6 +181,37 @@ def _order(q: Inquiry, here: Mask) -> float | None:
     freedom = max(len(a) // 2 - 1, 1)
     error = float(np.sqrt(rest @ rest / freedom / (a @ a)))
     return _normal(slope / error, freedom) if error > 0.0 else None
+
+
+_WARMER_K = 3.0
+
+
+def _warmth(q: Inquiry, here: Mask) -> float | None:
+    """Z of hot against cold trials that are otherwise set alike, over such settings."""
+    groups: dict[object, list[tuple[float, float]]] = {}
+    for members in q.data.slots.values():
+        first = q.data.trials[members[0]]
+        alike = (first.protocol, str(first.held_length_mm), str(first.load_kg))
+        for trial in members:
+            rows = q.noise.trial_rows[trial]
+            rows = rows[here[rows]]
+            warm = _temperature(q.data.trials[trial])
+            if len(rows) and np.isfinite(warm):
+                own = (warm, float(q.base.residual[rows].mean()))
+                groups.setdefault(alike, []).append(own)
+    values = []
+    for pairs in groups.values():
+        table = np.array(pairs)
+        middle = 0.5 * (table[:, 0].min() + table[:, 0].max())
+        if np.ptp(table[:, 0]) > _WARMER_K:
+            hot = table[:, 0] > middle
+            values.append(float(table[hot, 1].mean() - table[~hot, 1].mean()))
+    return _z(np.array(values))
+
+
+def _temperature(trial: Trial) -> float:
+    channel = trial.get("temperature_c")
+    return float(np.mean(channel.value)) if len(channel) else trial.temperature_c
 
 
 def _z(values: Array) -> float | None:
