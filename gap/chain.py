@@ -173,18 +173,16 @@ class Chain:
         context = Context(c, self.q.model.order)
         return laws.load_pull(points, active, context), laws.muscle_force(points, active, context)
 
-    def run(self, real: Iterable[str], shift: Array | None = None) -> dict[str, Array]:
+    def run(self, real: Iterable[str]) -> dict[str, Array]:
         """Measured minus predicted at the chain's ends, by kind of end, one a feature row.
 
-        Args:
-            real: stages that are real; all others are modelled.
-            shift: constants in sd, where they are to be others than those of the state.
-
-        Rows are those of the block of that name; trials that end in another are zero in it.
+        Stages in `real` are real, all others modelled. Rows are those of the block of the end's
+        name; trials that do not end in it are zero.
         """
         kept = frozenset(real)
-        c = self._c if shift is None else self.q.constants(shift)
-        active = self._active(kept)
+        return self._run(kept, self._active(kept), self._c)
+
+    def _run(self, kept: frozenset[str], active: Active, c: PlantConstants) -> dict[str, Array]:
         gas = self._gas(kept, c, active)
         made: dict[str, Array] = {}
         for name, ending in self.ends.items():
@@ -198,6 +196,23 @@ class Chain:
             rows = self.q.model._features(points, np.nan_to_num(raw)) * SCALE[name]
             made[name] = np.clip(rows, -3e3, 3e3)
         return made
+
+    def free(self, shift: Array, amounts: Array | None) -> dict[str, Array]:
+        """Measured minus predicted at the ends with every stage modelled, nothing measured fed in.
+
+        Args:
+            shift: constants in sd.
+            amounts: of the suspects of the state, all in force; None for the plant without them.
+        """
+        found = self._found
+        kept: tuple[str, ...] = ()
+        if amounts is not None:
+            kept = STAGES
+            self._found = [(s, float(a)) for (s, _), a in zip(found, amounts, strict=True)]
+        try:
+            return self._run(frozenset(), self._active(kept), self.q.constants(shift))
+        finally:
+            self._found = found
 
     def _missing(
         self, name: str, points: Points, c: PlantConstants, active: Active, real: frozenset[str]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -78,34 +77,31 @@ def where_command(data: Path, out: Path | None, as_json: bool) -> None:
 
 def shrink_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:
     """`pamrig gap shrink`: the gap before and after, by block and by what was held out."""
-    from gap.shrink import gap_of, held_out, improved_plant
+    from gap.shrink import improved_plant
+    from gap.shrinkage import as_lines, shrinkage
 
     verdict, inquiry, state = examine(read_dataset(data), struck(without))
     table = verdict.as_dict()
-    blocks: dict[str, Any] = {}
+    named = bool(verdict.effects)
+    found: dict[str, Any] = {}
     if inquiry is not None and state is not None:
-        for scheme, units in inquiry.schemes().items():
-            for block, held in held_out(inquiry, state, units).items():
-                gap = gap_of(block, held, bool(state.suspects), "replicates", scheme)
-                blocks.setdefault(scheme, {})[block] = plain(asdict(gap))
+        # An effect that the verdict does not stand by is no improvement of the plant.
+        kept = state if named else inquiry.base
+        found = plain(shrinkage(inquiry, kept, named))
         if out is not None:
-            out.write_text(improved_plant(inquiry, state), encoding="utf-8")
+            out.write_text(improved_plant(inquiry, kept), encoding="utf-8")
+    elif out is not None:
+        out = None
     if as_json:
         show(
             {
                 "gap": table["gap"], "status": table["status"], "effects": table["effects"],
-                "held_out": blocks, "plant": str(out) if out else None,
+                **(found or {"held_out": {}}), "plant": str(out) if out else None,
             }
         )  # fmt: skip
         return
     lines = [f"{verdict.status.replace('_', ' ')}: {verdict.reason}", *_gap_text(verdict)]
-    for scheme, found in blocks.items():
-        for block, gap in found.items():
-            after = f", after {gap['after']:.3g}" if gap["after"] is not None else ""
-            lines.append(
-                f"by {scheme:9s} {block:9s} recalibrated {gap['recalibrated']:.3g}{after}, "
-                f"floor {gap['floor']:.3g} {gap['unit']}"
-            )
+    lines += as_lines(found) if found else []
     if out is not None:
         lines.append(f"improved plant written to {out}")
     typer.echo("\n".join(lines))

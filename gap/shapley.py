@@ -130,10 +130,12 @@ def common_squares(chain: Chain, name: str, values: Array, noisy: bool) -> Array
     """
     slots = chain.grid.data.slots
     made = np.zeros(len(slots))
-    tables = _tables(chain, name, values)
+    tables = replicate_tables(chain, name, values)
     replicated = any(len(table) > 1 for _, table, _ in tables)
     variance = chain.q.floor_variance[chain.rows_of(name)]
-    expected = _tables(chain, name, _spread(chain, name, variance)) if not replicated else []
+    expected = (
+        replicate_tables(chain, name, _spread(chain, name, variance)) if not replicated else []
+    )
     for k, (slot, table, span) in enumerate(tables):
         count = len(table)
         if count > 1:
@@ -154,7 +156,7 @@ def _spread(chain: Chain, name: str, own: Array) -> Array:
     return made
 
 
-def _tables(chain: Chain, name: str, values: Array) -> list[tuple[int, Array, Array]]:
+def replicate_tables(chain: Chain, name: str, values: Array) -> list[tuple[int, Array, Array]]:
     """For each slot: its number, errors in the bins all replicates share, and the bins' seconds.
 
     Errors have shape (replicates, bins), seconds shape (bins,).
@@ -185,7 +187,7 @@ def _tables(chain: Chain, name: str, values: Array) -> list[tuple[int, Array, Ar
 def _floor(chain: Chain, name: str, values: Array) -> float:
     """What replicates differ by at this end, as one standard deviation."""
     total = weight = 0.0
-    for _, table, span in _tables(chain, name, values):
+    for _, table, span in replicate_tables(chain, name, values):
         if len(table) > 1:
             total += float(span @ table.var(axis=0, ddof=1))
             weight += float(span.sum())

@@ -19,6 +19,7 @@ from gap.parameters import headline_estimates
 from gap.rows import BLOCKS, UNITS
 from gap.verdict import Gap
 from plant.catalogue import CATALOGUE
+from plant.constants import CHOICES, KEYS, nominal
 
 Array = npt.NDArray[np.float64]
 
@@ -97,8 +98,14 @@ class Folds:
 
 
 def left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> Folds:
-    """Fit constants and amounts near `state` to all units but one, for each unit in turn."""
+    """Fit constants and amounts near `state` to all units but one, for each unit in turn.
+
+    Amounts have the catalogue's range as a wide prior around no effect, and stay inside it: where
+    the other units say nothing of an effect, it is not there.
+    """
     n = len(q.names)
+    low, high = np.array([s.bounds for s in state.suspects]).reshape(-1, 2).T
+    loose = 4.0 / np.maximum(high - low, 1e-30) ** 2  # half the range is one sd
     slopes = q._slopes(state.shift, state.suspects, state.amounts)
     columns = np.hstack([q._columns_at(state.shift, state.suspects, state.amounts), slopes])
     evidence = gather(
@@ -116,7 +123,10 @@ def left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> Folds
         matrix[range(n), range(n)] += stiffness
         right = gram[:width, width].copy()
         right[:n] -= slope
+        matrix[range(n, width), range(n, width)] += loose
+        right[n:] -= loose * state.amounts
         beta = np.linalg.pinv(matrix, hermitian=True, rcond=1e-13) @ right
+        beta[n:] = np.clip(state.amounts + beta[n:], low, high) - state.amounts
         change[unit] = beta
         vector = np.r_[-beta, 1.0]
         for block, plain in evidence.plain.items():
@@ -188,19 +198,32 @@ def gap_of(block: str, held: Held, named: bool, source: str | None, scheme: str)
 
 
 def improved_plant(q: Inquiry, state: State) -> str:
-    """The improved plant as TOML: recalibrated constants and a table for each effect.
+    """The improved plant as TOML: recalibrated and stated constants, and a table for each effect.
 
-    The simulator, the virtual bench and `bench.toml` read it.
+    The simulator (`pamrig simulate --plant`), the live prediction (`--predict`), the virtual bench
+    and `bench.toml` read it.
     """
     lines = ["# The plant as recalibrated on these data, with the effects that explain the gap."]
     constants = q.constants(state.shift)
-    recalibrated = q.names[: len(q.names) - q.mountings]
-    lines += [f"{name} = {constants.value(name):.8g}" for name in recalibrated]
-    for name in state.ids:
+    usual = nominal()
+    lines += [
+        f"{name} = {constants.value(name):.8g}"
+        for name in KEYS
+        if name in q.names or constants.value(name) != usual.value(name)
+    ]
+    lines += [
+        f'{name} = "{getattr(constants, name)}"'
+        for name in CHOICES
+        if getattr(constants, name) != getattr(usual, name)
+    ]
+    for name in [*q.data.effects.values, *state.ids]:
         if name not in CATALOGUE:
             continue
         lines += ["", f"[effects.{name}]"]
         entry = CATALOGUE[name]
+        if name not in state.ids:
+            lines += [f"{k} = {_toml(v)}" for k, v in q.data.effects.values[name].items()]
+            continue
         known = {parameter.name: parameter for parameter in entry.parameters}
         for key, estimate in headline_estimates(q, only(state, name)).items():
             value = estimate.value
@@ -210,6 +233,10 @@ def improved_plant(q: Inquiry, state: State) -> str:
                 value = min(max(value, known[key].low), known[key].high)
                 lines.append(f"{key} = {value:.6g}")
     return "\n".join(lines) + "\n"
+
+
+def _toml(value: object) -> str:
+    return f'"{value}"' if isinstance(value, str) else repr(value)
 
 
 def only(state: State, name: str) -> State:

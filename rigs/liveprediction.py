@@ -9,7 +9,6 @@ and is silent from then on: nothing on the acquisition path can notice.
 from __future__ import annotations
 
 import contextlib
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -18,12 +17,11 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.clock import NS_PER_S
-from daq.errors import ConfigError
 from daq.record import RecordWriter
 from plant.bench import PRESSURE, BenchSim
-from plant.constants import PlantConstants, nominal
+from plant.constants import PlantConstants
 from plant.effects import NONE, Effects
-from plant.errors import PlantError
+from rigs.plantfile import load_plant
 from rigs.rig import Rig
 from rigs.runner import Runner, Watch
 
@@ -138,12 +136,12 @@ def predicting(
     """What to call at the start of a run so that the plant of a file is drawn in its live view.
 
     Args:
-        path: see :func:`load_plant`; it is read at once.
+        path: see `rigs.plantfile.load_plant`; it is read at once.
         feeds: holds the run's live view by the time the run begins.
         begin: what else is to be called.
 
     Raises:
-        ConfigError: see :func:`load_plant`.
+        ConfigError: see `rigs.plantfile.load_plant`.
     """
     constants, effects = load_plant(path)
 
@@ -154,29 +152,3 @@ def predicting(
             prediction.attach(runner.rig, record, runner.watch)
 
     return start
-
-
-def load_plant(path: Path) -> tuple[PlantConstants, Effects]:
-    """Constants and `[effects.<id>]` of a plant file, over the nominal plant.
-
-    A rig file serves as well: its `[virtual.plant]` and effects are taken.
-
-    Raises:
-        ConfigError: the file cannot be read, or the plant refuses what it states.
-    """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(str(path), f"cannot be read as TOML ({error})") from None
-    effects = table.pop("effects", {})
-    virtual = table.get("virtual")
-    stated = virtual.get("plant", {}) if isinstance(virtual, dict) else table
-    return _plant(stated, effects, str(path))
-
-
-def _plant(stated: Any, effects: Any, origin: str) -> tuple[PlantConstants, Effects]:
-    try:
-        constants = nominal().with_overrides(stated, origin)
-        return constants, Effects.from_config(effects, f"{origin} effects")
-    except PlantError as error:
-        raise ConfigError(origin, str(error).removeprefix(f"{origin}: ")) from None

@@ -27,9 +27,13 @@ def simulate(
     scenario: Annotated[str, typer.Argument(help="Scenario file, or the name of a shipped one.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of runs.")] = RUNS,
     seed: Annotated[Optional[int], typer.Option(help="Another seed of the noise.")] = None,  # noqa: UP045
+    plant: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option("--plant", help="Plant file in place of the scenario's own plant."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Simulate the whole bench with the firmware in the loop; leaves a run like any other."""
     from rigs.simulation.command import simulate_command
 
-    raise typer.Exit(simulate_command(scenario, out, seed, as_json))
+    raise typer.Exit(simulate_command(scenario, out, seed, as_json, plant))

@@ -14,7 +14,8 @@ from daq.run import open_run
 from plant.constants import PlantConstants
 from plant.effects import NONE, Effects
 from rigs.config import load_rig
-from rigs.liveprediction import FORCE_PATH, PRESSURE_PATH, LivePrediction, load_plant
+from rigs.liveprediction import FORCE_PATH, PRESSURE_PATH, LivePrediction
+from rigs.plantfile import load_plant
 from rigs.runner import Runner
 from rigs.session import run_isometric
 

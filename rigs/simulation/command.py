@@ -12,13 +12,15 @@ import typer
 STATUS = {"clean": 0, "stopped": 130}
 
 
-def simulate_command(name: str, out: Path, seed: int | None, as_json: bool) -> int:
+def simulate_command(
+    name: str, out: Path, seed: int | None, as_json: bool, plant: Path | None = None
+) -> int:
     """Read, simulate, record, say what came of it; returns the exit status."""
     from rigs.interrupt import stop_on_signals
     from rigs.simulation.scenario import load_scenario
     from rigs.simulation.session import simulate
 
-    scenario = load_scenario(name)
+    scenario = load_scenario(name, plant)
     if seed is not None:
         scenario = dataclasses.replace(scenario, seed=seed)
     line = _Line(quiet=as_json or not sys.stderr.isatty())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from daq.errors import ConfigError
@@ -13,6 +14,7 @@ from plant.effects import Effects
 from plant.errors import PlantError
 from plant.models import catalogue as models
 from plant.models.model import Model
+from rigs.plantfile import load_plant
 from rigs.simulation.mechanism import Mechanism, read_mechanism
 from rigs.toml_reader import Table, find_config, load_toml
 from valvefw.config import bounds
@@ -100,8 +102,11 @@ class Scenario:
         return f"{zlib.crc32(self.text.encode()):08x}"
 
 
-def load_scenario(name: str) -> Scenario:
+def load_scenario(name: str, plant: Path | None = None) -> Scenario:
     """Read a scenario file, by path or by the name of a shipped one.
+
+    A `plant` file (constants and effects, as `pamrig gap shrink` writes them) takes the place of
+    the scenario's own plant and effects; what single muscles state stays.
 
     Raises:
         ConfigError: names file and key: an unknown key or joint, a value of the wrong type or out
@@ -111,6 +116,11 @@ def load_scenario(name: str) -> Scenario:
     text, _ = find_config(name, "scenarios")
     constants = _constants(t)
     effects = _effects(t, "effects")
+    if plant is not None:
+        constants, effects = load_plant(plant)
+        # The run keeps the text of its scenario: what was put in its place belongs there too.
+        used = plant.read_text(encoding="utf-8").splitlines()
+        text = "\n".join([text.rstrip(), f"# plant taken from {plant}:", *("# " + x for x in used)])
     mechanism = read_mechanism(t, constants, effects)
     muscles = _muscles(t, constants, effects, mechanism)
     duration = t.number("duration_s", 1e-3, LONGEST_S, unit="s")
