@@ -22,12 +22,12 @@ Array = npt.NDArray[np.float64]
 
 OUTCOMES = ("right", "other", "unknown")
 FEATURES = (
-    "left_share", "signal", "left_row", "margin", "alone", "pair", "more_effects", "last_share",
-    "mimic_one", "mimic_two", "bent", "closed_low", "next_share", "settled", "reach",
-    "member_one", "member_two", "apart",
+    "left_share", "left_row", "stands_out", "pair", "more_effects", "last_share", "settled",
 )  # fmt: skip
 _FILE = "belief.toml"
-_CAP = 3.0
+_MOST_LEFT = -0.5
+_MOST_AHEAD = 1.0
+_NO_RIVAL = 1e8
 
 
 def features(traits: Mapping[str, float]) -> Array:
@@ -35,30 +35,23 @@ def features(traits: Mapping[str, float]) -> Array:
     rows = max(traits["rows"], 1.0)
     chance = np.sqrt(2.0 * rows)
     left = traits["left"] + chance
-    whole = traits["excess"] + chance
-    rivals = traits["margin_family"] < 1e8
+    several = traits["effects"] > 1.0
+    # How much more than the best explanation the best of another family leaves, if one was near
+    # enough to be fitted at all.
+    met = traits["margin_family"] < _NO_RIVAL and not several
+    ahead = max(traits["margin_family"], 0.0) / left if met else 0.0
     return np.array(
         [
-            np.log10(left / whole),
-            np.log10(whole / rows),
-            np.log10(left / rows),
-            min(np.log10(1.0 + max(traits["margin_family"], 0.0) / left), _CAP) if rivals else 0.0,
-            0.0 if rivals else 1.0,
+            np.log10(left / (traits["excess"] + chance)),
+            # A strong signal shows every form to be inexact; that alone speaks against none.
+            min(np.log10(left / rows), _MOST_LEFT),
+            min(np.log10(1.0 + ahead), _MOST_AHEAD),
             float(traits["effects"] == 2.0),
             float(traits["effects"] >= 3.0),
-            min(traits["share"], 1.0) if traits["effects"] > 1.0 else 1.0,
-            traits["one"],
-            max(traits["two"] - 0.7, 0.0) / 0.3,
-            min(max(traits["bent"] - 3.0, 0.0), 5.0),
-            min(max(traits["closed_low"], -1.0), 1.0),
-            min(traits["more"] / left, 1.0),
+            min(traits["share"], 1.0) if several else 1.0,
             traits["settled"],
-            min(traits["range"], 1.5),
-            traits["member_one"] if traits["effects"] > 1.0 else 0.0,
-            max(traits["member_two"] - 0.7, 0.0) / 0.3 if traits["effects"] > 1.0 else 0.0,
-            traits["apart"] if traits["effects"] > 1.0 else 0.0,
         ]
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)

@@ -160,6 +160,11 @@ class Inquiry:
         amounts = np.array(start or [0.0] * len(suspects), dtype=np.float64)
         return self._descend(np.zeros(len(self.names)), suspects, amounts, self.stated_columns)
 
+    def fit_from(self, shift: Array, suspects: Sequence[Suspect], start: Sequence[float]) -> State:
+        """Return what `fit` gives when it starts from given constants, in sd."""
+        amounts = _bounded(suspects, np.array(start, dtype=np.float64))
+        return self._descend(shift, suspects, amounts, self._columns_at(shift, suspects, amounts))
+
     def polish(self, state: State, rounds: int = 3) -> State:
         """Fit again from a state, with signatures of the constants taken there."""
         for _ in range(rounds):

@@ -35,8 +35,11 @@ MIMIC = 0.9
 SURE = 0.985
 TOLD_APART = 120.0
 """Whitened sum of squares that a mimic may leave more than the named effect does."""
-NAMED = 0.6
+NAMED = 0.55
 """Least belief in an explanation for it to be named rather than offered beside others."""
+NAMED_EACH = 0.4
+NAMED_ANY = 0.75
+"""For several effects: least belief in all of them, and in the catalogue holding the truth."""
 HALF = 0.5
 FORM_FULL = 0.9
 UNSEEN = 0.2
@@ -146,7 +149,7 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
         "steps": [{"entry": k, "gain": g} for k, g in naming.steps],
         "traits": traits,
     }
-    if belief["unknown"] > max(belief["right"], belief["other"]):
+    if belief["unknown"] > belief["right"] + belief["other"]:
         return _verdict(
             q, naming, held, "unknown",
             f"a gap of which the best entry ({names}) explains {100 * share:.0f} %, in a way that "
@@ -157,7 +160,11 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
     entries = _ambiguity_set(weighed)
     ids = {frozenset(choice.state.ids) for choice, _ in entries}
     status, reason = _status(naming, gap, share, one, two, len(ids), names)
-    if status in ("named", "named_form_inadequate") and belief["right"] < NAMED:
+    several = len(chosen.state.ids) > 1
+    sure = belief["right"] >= (NAMED_EACH if several else NAMED)
+    if several:
+        sure = sure and belief["right"] + belief["other"] >= NAMED_ANY
+    if status in ("named", "named_form_inadequate") and not sure:
         status, reason = (
             "indistinguishable",
             f"{names} fits best, but an explanation that looks like this one is right in "
@@ -220,18 +227,15 @@ def _weigh(naming: Naming, belief: Mapping[str, float], none: float) -> _Weighed
     blunt = max(1.0, naming.left / FORM)
     weights = (1.0 + more / blunt / (2.0 * BLUNT)) ** -BLUNT
     # A rival that fits as well is as likely, whatever such an explanation is worth on its own.
-    alike = float(weights.sum())
-    top = belief["right"] / (1.0 + alike)
-    others = belief["right"] - top + belief["other"]
+    # Where none does, being wrong means something that was not thought of.
+    alike = 1.0 + float(weights.sum())
     real = 1.0 - none
-    entries = [(naming.chosen, top * real)]
-    if len(known):
-        entries += [(c, others * real * w / alike) for c, w in zip(known, weights, strict=True)]
-        unknown = belief["unknown"]
-    else:
-        unknown = belief["unknown"] + others
+    known_at_all = belief["right"] + belief["other"]
+    entries = [(naming.chosen, belief["right"] * real / alike)]
+    entries += [(c, known_at_all * real * w / alike) for c, w in zip(known, weights, strict=True)]
+    unknown = real - sum(p for _, p in entries)
     entries.sort(key=lambda entry: -entry[1])
-    return _Weighed(entries, none, unknown * real)
+    return _Weighed(entries, none, max(unknown, 0.0))
 
 
 def _ambiguity_set(weighed: _Weighed) -> list[tuple[Choice, float]]:

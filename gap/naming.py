@@ -17,6 +17,7 @@ from gap.evidence import SLACK, projected
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
 from gap.suspects import Suspect
+from plant.constants import KEYS
 
 Array = npt.NDArray[np.float64]
 
@@ -38,6 +39,7 @@ PLAINLY_SEEN = 1.5
 MOST = 3
 BENT = 2.2
 """Shift of a constant, in sd, from which an effect may have bent the recalibration."""
+EDGES = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
 _REFINED = 7
 _ELSEWHERE = 4
 _LEAST_NEXT = 40.0
@@ -109,15 +111,16 @@ def name_effects(q: Inquiry) -> Naming:
     for step in range(MOST):
         best = _by_key(q, gains)
         top = sorted((k for k in best if k not in keys), key=lambda k: -best[k])
-        if not top or best[top[0]] < alarm:
+        bent = _bent(q, state) if step == 0 else []
+        if not top or (best[top[0]] < alarm and not bent):
             break
         gain = best[top[0]]
-        small = step == 0 and gain < PLAIN and np.abs(state.shift).max(initial=0.0) < SLACK
+        small = step == 0 and gain < PLAIN and not bent
         if small and carried(q, top[0])[0] < CARRIED * gain:
             break
         tried = [
             refine(q, state, keys, key, gains, amounts, fresh if step == 0 else None)
-            for key in _candidates(q, state, top, best)
+            for key in dict.fromkeys([*_candidates(q, state, top, best), *bent])
         ]
         tried.sort(key=lambda choice: choice.cost)
         fit = [choice for choice in tried if _counts(q, naming, state, choice)]
@@ -154,6 +157,61 @@ def _candidates(q: Inquiry, state: State, top: list[str], best: dict[str, float]
         if key not in made and best[key] > 0.3 * best[elsewhere[0]]
     ]  # fmt: skip
     return made
+
+
+_STANDS_FOR = {
+    "supply_kpa": ("supply_droop", "pressure_gain"),
+    "gas_temperature_k": ("polytropic",),
+    "inlet_conductance_m3_s_pa": ("flow_area:inlet",),
+    "outlet_conductance_m3_s_pa": ("flow_area:outlet",),
+    "critical_ratio": ("critical_ratio",),
+    "dead_volume_ml": ("dead_volume",),
+    **{f"{e}_ms": (f"valve_delay:{e}",) for e in EDGES},
+    **{f"{e}_ms_per_kpa": (f"valve_delay_pressure:{e}",) for e in EDGES},
+}
+"""Effects that a constant may have moved for."""
+
+
+_PER_SI = {
+    "critical_ratio": 1.0, "dead_volume": 1e6, "valve_delay": 1e3, "valve_delay_pressure": 1e6,
+}  # fmt: skip
+
+
+def _bent(q: Inquiry, state: State) -> list[str]:
+    """Keys of effects in whose place a constant has left its tolerance.
+
+    Next to strong data a signature must match the constant's to the last digit to show that it
+    could take over, so these are always fitted.
+    """
+    known = {suspect.key for suspect in q.suspects}
+    far = [
+        (abs(shift), name)
+        for name, shift in zip(q.names, state.shift.tolist(), strict=True)
+        if abs(shift) > SLACK and name in _STANDS_FOR
+    ]
+    return [k for _, name in sorted(far, reverse=True) for k in _STANDS_FOR[name] if k in known][:4]
+
+
+def _swapped(q: Inquiry, state: State, key: str) -> tuple[Array, float] | None:
+    """Constants with the one that `key` may stand for put back, and the amount that does the same.
+
+    Along the valley between the two a descent would creep.
+    """
+    for at, name in enumerate(q.names):
+        if key not in _STANDS_FOR.get(name, ()) or abs(state.shift[at]) < BENT:
+            continue
+        c = q.data.constants
+        amount = float(state.shift[at]) * c.tolerance_si(name)
+        if key.startswith("flow_area"):
+            amount /= max(getattr(c, KEYS[name].field), 1e-300)
+        elif key.partition(":")[0] in _PER_SI:
+            amount *= _PER_SI[key.partition(":")[0]]
+        else:
+            continue
+        shift = state.shift.copy()
+        shift[at] = 0.0
+        return shift, amount
+    return None
 
 
 def apart(q: Inquiry, state: State, key: str) -> bool:
@@ -277,6 +335,9 @@ def refine(
         suspects = [*state.suspects, q.suspects[j]]
         start = [*state.amounts, _start(q.suspects[j], amounts[j])]
         ends = [q.fit(suspects, start, state)]
+        swapped = _swapped(q, state, key) if not state.suspects else None
+        if swapped is not None:
+            ends.append(q.fit_from(swapped[0], suspects, [swapped[1]]))
         if fresh is not None:
             ends.append(q.fit_afresh(suspects, [*state.amounts, _start(q.suspects[j], fresh[j])]))
         fitted = min(ends, key=lambda end: end.cost)

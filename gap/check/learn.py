@@ -24,7 +24,7 @@ from gap.check.totals import CLEAR
 from plant.catalogue import CATALOGUE
 
 FOLDS = 10
-RIDGE = 3.0
+RIDGE = 10.0
 """Weight of the prior that no feature matters, in sets."""
 LEAN = 1.0
 """Sets that the mean over all entries counts for."""
