@@ -60,6 +60,7 @@ class Chain:
         self.q = q
         self.grid = q.grid
         self._c = q.constants(state.shift)
+        self._stated = q.found(state.shift, (), np.empty(0))
         self._found = list(zip(state.suspects, state.amounts, strict=True))
         self._full = self._active(STAGES)
         self._points = {name: q.grid.points[name] for name in ENDS if name in q.grid.points}
@@ -72,7 +73,7 @@ class Chain:
         """Effects in force: those stated by the bench, and those found in real stages."""
         kept = set(real)
         made = [(s.id, s.option, float(a), s.shape) for s, a in self._found if stage_of(s) in kept]
-        return [*self.q.given, *made]
+        return [*self._stated, *made]
 
     def _ends(self) -> dict[str, Mask]:
         there = {name: np.diff(points.first) > 0 for name, points in self._points.items()}

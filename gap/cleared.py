@@ -15,7 +15,17 @@ import numpy.typing as npt
 from scipy.stats import t as student
 
 from gap.inquiry import Inquiry, State
-from gap.naming import ALARM, Choice, Naming, excess, name_effects
+from gap.naming import (
+    ALARM,
+    PLAIN,
+    PLAINLY_SEEN,
+    Choice,
+    Naming,
+    apart,
+    excess,
+    name_effects,
+    seen,
+)  # fmt: skip
 from gap.shrink import Held, held_out
 
 Array = npt.NDArray[np.float64]
@@ -27,6 +37,9 @@ SAME = 0.15
 FAR_WORSE = 0.1
 """Share of the gap's excess by which effects may do worse than a defect and still be named."""
 SURE = 0.95
+FORM = 0.12
+"""Share of what is explained below which a further effect in the same channels only mends the
+form of the one before."""
 LARGE = 0.2
 """Share of the gap from which a further effect needs no held-out proof."""
 
@@ -99,15 +112,21 @@ def _needed(q: Inquiry, naming: Naming) -> Naming:
     """Strike further effects, last first, whose own gain on held-out slots is not certain."""
     while len(keys := naming.chosen.keys) > 1:
         state = naming.chosen.state
-        if naming.steps[-1][1] > LARGE * naming.excess:
+        gain = naming.steps[-1][1]
+        elsewhere = apart(q, state, keys[-1])
+        if elsewhere and gain > PLAIN:
             break
         pairs = [
             (suspect, float(amount))
             for suspect, amount in zip(state.suspects, state.amounts, strict=True)
             if suspect.key != keys[-1]
         ]
-        less = q.polish(q.fit([s for s, _ in pairs], [a for _, a in pairs]))
-        if _gains_surely(held_out(q, less), held_out(q, state)):
+        less = q.polish(q.fit([s for s, _ in pairs], [a for _, a in pairs], state))
+        part = gain < FORM * max(q.base.cost - state.cost, 1.0)
+        mends = part and not elsewhere and seen(q, less, state) < PLAINLY_SEEN
+        if not mends and (
+            gain > LARGE * naming.excess or _gains_surely(held_out(q, less), held_out(q, state))
+        ):
             break
         naming = replace(
             naming, chosen=Choice(keys[:-1], less), rivals=[], steps=naming.steps[:-1],

@@ -98,6 +98,34 @@ def constant_columns(
     return names, np.stack(columns, axis=1) if columns else np.zeros((len(model.grid.rows), 0))
 
 
+MOUNTING_MM = 0.03
+"""One sd of the length that a muscle comes to sit off by when it is put back into the rig."""
+
+
+def mounted(shift: Array) -> Active:
+    """What lengths set by hand are off by, `shift` sd in each mounting."""
+    return [
+        ("mounting", "", MOUNTING_MM * float(sd), {"number": float(number)})
+        for number, sd in enumerate(shift)
+    ]
+
+
+def mounting_columns(model: Model, c: PlantConstants, active: Active, count: int) -> Array:
+    """What a rise of each mounting's own offset by one sd adds to the reading, (rows, mountings).
+
+    Replicates of one mounting share this error, so their differences do not show it.
+    """
+    there = [b for b in ("pressure", "force", "camera") if b in model.grid.points]
+    columns = np.zeros((len(model.grid.rows), count))
+    for number in range(count):
+        one = np.zeros(count)
+        one[number] = 0.5
+        low = model.stacked(model.residual(c, [*active, *mounted(-one)], there))
+        high = model.stacked(model.residual(c, [*active, *mounted(one)], there))
+        columns[:, number] = low - high
+    return columns
+
+
 def trial_columns(model: Model, c: PlantConstants) -> tuple[list[TrialEffect], Array]:
     """Change of all rows for one unit of each trial effect, shape (rows, effects)."""
     kinds: list[TrialEffect] = []

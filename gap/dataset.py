@@ -98,6 +98,13 @@ class DataSet:
         return slots
 
     @property
+    def mountings(self) -> npt.NDArray[np.int64]:
+        """Number of the mounting of each trial, in order of first appearance; -1 if not stated."""
+        labels = [trial.mounting for trial in self.trials]
+        known = {label: k for k, label in enumerate(dict.fromkeys(filter(None, labels)))}
+        return np.array([known.get(label, -1) for label in labels], dtype=np.int64)
+
+    @property
     def settled(self) -> bool:
         """Whether every trial is a table of settled points."""
         return all(trial.settled for trial in self.trials)

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gap.cleared import cleared
 from gap.dataset import DataSet
 from gap.errors import GapError
 from gap.fitness import Unfit, unfit_channels
 from gap.inquiry import Inquiry, State
 from gap.judge import judge
-from gap.naming import name_effects
+from gap.naming import Naming, excess, name_effects
 from gap.suspects import SUSPECTS
+from gap.timing import mistimed_channel
 from gap.verdict import Verdict
 from plant.catalogue import CATALOGUE
+
+_PLAIN = 0.2
+"""Gap, in noise squared a row, from which a channel out of time would not pass unseen."""
 
 
 def diagnose(data: DataSet, without: Iterable[str] = ()) -> Verdict:
@@ -36,7 +39,18 @@ def examine(
 ) -> tuple[Verdict, Inquiry | None, State | None]:
     """Diagnose, and hand back the fits behind the verdict as well; see `diagnose`.
 
-    The state holds what the verdict speaks of: without what the search took in and could not prove.
+    The state holds what the verdict speaks of: without what the search could not prove.
+    """
+    verdict, inquiry, naming = searched(data, without)
+    return verdict, inquiry, naming.chosen.state if naming is not None else None
+
+
+def searched(
+    data: DataSet, without: Iterable[str] = ()
+) -> tuple[Verdict, Inquiry | None, Naming | None]:
+    """Diagnose, and hand back the search behind the verdict as well; see `diagnose`.
+
+    Inquiry and search are None where the data are unfit or nothing can be compared.
     """
     struck = frozenset(without)
     for name in struck:
@@ -50,8 +64,12 @@ def examine(
     inquiry = Inquiry(data, [suspect for suspect in SUSPECTS if suspect.id not in struck])
     if not len(inquiry.rows):
         return nothing_to_compare(data), None, None
-    naming = name_effects(inquiry)
-    return judge(inquiry, naming), inquiry, cleared(inquiry, naming).naming.chosen.state
+    if excess(inquiry, inquiry.base) > _PLAIN * len(inquiry.rows):
+        mistimed = mistimed_channel(inquiry)
+        if mistimed is not None:
+            return _unfit([Unfit(mistimed.channel, str(mistimed).partition(" ")[2])]), None, None
+    verdict, naming = judge(inquiry, name_effects(inquiry))
+    return verdict, inquiry, naming
 
 
 def _unfit(found: list[Unfit]) -> Verdict:

@@ -10,14 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.dataset import DataSet
-from gap.diagnose import diagnose, nothing_to_compare
-from gap.fitness import unfit_channels
+from gap.diagnose import searched
 from gap.inquiry import Inquiry, State
-from gap.judge import judge
-from gap.naming import Naming, name_effects
+from gap.naming import Naming
 from gap.rows import BLOCKS, UNITS
 from gap.shrink import held_out
-from gap.suspects import SUSPECTS
 from gap.verdict import Verdict
 
 Array = npt.NDArray[np.float64]
@@ -66,18 +63,10 @@ def examine(data: DataSet, without: Iterable[str] = ()) -> Examination:
     Raises:
         GapError: as `gap.diagnose.diagnose`.
     """
-    struck = tuple(without)
     digest = fingerprint(data)
-    if struck or unfit_channels(data):
-        verdict = diagnose(data, struck)
-        if verdict.status == "data_unfit" and verdict.gap is None:
-            return Examination(data, verdict, (), None, digest)
-    suspects = [suspect for suspect in SUSPECTS if suspect.id not in struck]
-    inquiry = Inquiry(data, suspects)
-    if not len(inquiry.rows):
-        return Examination(data, nothing_to_compare(data), (), None, digest)
-    naming = name_effects(inquiry)
-    verdict = judge(inquiry, naming)
+    verdict, inquiry, naming = searched(data, without)
+    if inquiry is None or naming is None:
+        return Examination(data, verdict, (), None, digest)
     block = _block(inquiry, naming, verdict)
     if block is None:
         return Examination(data, verdict, (), None, digest)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gap.dataset import Channel, DataSet
+from gap.dataset import Array, Channel, DataSet
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,9 @@ class Unfit:
 _CHECKED = ("pressure_kpa", "force_n", "length_mm")
 _RAIL_SHARE = 0.04
 _GAP_SHARE = 0.25
+_PILE = 15.0
+"""How many times more readings a rail holds than a level beside it."""
+_USUAL_RUN = 10
 _RANDOM = 1.5
 # Spread from which a channel carries more than its own noise (20 times PLANT.md's and more).
 _LIVELY = {"force_n": 1.0, "length_mm": 0.5}
@@ -47,6 +50,12 @@ def unfit_channels(data: DataSet) -> list[Unfit]:
         rail = _saturated([channel for _, channel in there])
         if rail is not None:
             found.append(Unfit(name, f"is saturated at {rail:g} for part of the data", there[0][0]))
+        stuck = _stuck([channel for _, channel in there])
+        if stuck:
+            trials = ", ".join(there[k][0] for k in stuck[:3])
+            found.append(
+                Unfit(name, f"stands still in {len(stuck)} trials ({trials})", there[stuck[0]][0])
+            )
         if name in _LIVELY and _unordered(data, name):
             found.append(Unfit(name, "has no order in time while pressure has", there[0][0]))
         holes = [(trial, hole) for trial, channel in there if (hole := _hole(channel)) > 0.0]
@@ -70,14 +79,41 @@ def _saturated(channels: list[Channel]) -> float | None:
         share = 1.0 - float(inside.mean())
         if share < _RAIL_SHARE or not inside.any():
             continue
-        # Many readings on the very edge, and few just inside it: a rail, not a resting value.
+        # Many readings on the very edge, and few on each level just inside it: a rail, not a
+        # resting value.
         spread = float(values.max() - values.min())
-        near = np.abs(values - extreme) < 0.01 * spread
-        if spread > 0.0 and share > 0.7 * float(near.mean()) and abs(extreme) > 0.2 * spread:
-            distinct = len(np.unique(np.round(values[near], 9)))
-            if distinct <= 3:
-                return float(extreme)
+        near = values[(np.abs(values - extreme) < 0.05 * spread) & inside]
+        levels = np.unique(np.round(near, 9), return_counts=True)[1]
+        usual = float(np.median(levels)) if len(levels) else 0.0
+        count = share * len(values)
+        if abs(extreme) > 0.2 * spread > 0.0 and count > _PILE * max(usual, 1.0):
+            return float(extreme)
     return None
+
+
+def _stuck(channels: list[Channel]) -> list[int]:
+    """Trials in which a channel repeats one value for long while elsewhere it never does.
+
+    A channel without any noise rests on one value everywhere, and is not stuck.
+    """
+    runs = [_longest_run(channel.value) for channel in channels]
+    if len(runs) < 3 or float(np.median(runs)) > _USUAL_RUN:
+        return []
+    return [
+        k
+        for k, (run, channel) in enumerate(zip(runs, channels, strict=True))
+        if run > max(5 * _USUAL_RUN, 0.25 * len(channel)) and len(np.unique(channel.value)) > 1
+    ]
+
+
+def _longest_run(values: Array) -> int:
+    """Most neighbouring samples that equal each other, the lowest reading (a vent) aside."""
+    if len(values) < 2:
+        return len(values)
+    change = np.flatnonzero(np.r_[True, np.diff(values) != 0.0, True])
+    length = np.diff(change)
+    length[values[change[:-1]] <= values.min()] = 1
+    return int(length.max())
 
 
 def _hole(channel: Channel) -> float:

@@ -67,7 +67,7 @@ def make_grid(data: DataSet) -> Grid:
     for number, block in enumerate(BLOCKS):
         if not gathered[block]:
             continue
-        made, made_rows = _joined(gathered[block], number, len(data.trials))
+        made, made_rows = _joined(gathered[block], number, data.mountings)
         points[block] = made
         rows.append(made_rows)
         offset[block] = count
@@ -129,6 +129,10 @@ def _pieces(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> list[t
         )
         piece.mass = trial.load_kg
         piece.doubt = piece.doubt + trial.load_kg * signal.acceleration_doubt_at(piece.time_s)
+        # What the load's inertia makes of a swing is what the muscle's stiffness makes of it.
+        piece.doubt = piece.doubt + _stiffness(signal, piece.time_s, c) * _hidden_swing(
+            signal, piece.time_s, c
+        )
         free = signal.free_of_stops(piece.time_s)
         if free.sum() >= 3 or trial.settled:
             made.append(("load", _kept(piece, free)))
@@ -137,6 +141,10 @@ def _pieces(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> list[t
         piece.floor = np.zeros(len(piece.time_s))
         made.append(("camera", piece))
     return [(block, piece) for block, piece in made if len(piece.time_s)]
+
+
+_FOLLOWED = 0.4
+"""Share of the frame rate up to which frames follow a swing."""
 
 
 def _kept(piece: _Piece, keep: npt.NDArray[np.bool_]) -> _Piece:
@@ -173,7 +181,8 @@ def _piece(
         signal.temperature_at(time_s),
         output.value[inside] * scale,
         signal.direction_at(time_s),
-        _stiffness(signal, time_s, c) * signal.length_doubt_at(time_s),
+        _stiffness(signal, time_s, c)
+        * (signal.length_doubt_at(time_s) + _hidden_swing(signal, time_s, c)),
         _FORCE_FLOOR_N + _stiffness(signal, time_s, c) * _sync(signal),
     ]
     block = 1 if trial.settled else -(-len(time_s) // MOST_POINTS)
@@ -190,6 +199,19 @@ def _piece(
         t, weight, p, slope, path, length, rate, acceleration, signal.held, temperature, np.nan,
         reading, direction, np.empty(0), trial.settled, doubt, floor,
     )  # fmt: skip
+
+
+def _hidden_swing(signal: Signal, time_s: Array, c: PlantConstants) -> Array:
+    """Swing in m of a hung load where frames are too few to follow it, else zero.
+
+    A load bounces on its muscle at its own frequency; frames slower than twice that show it at a
+    wrong one, and what they show between them means nothing.
+    """
+    if not signal.loaded or signal.trial.settled:
+        return np.zeros(len(time_s))
+    own_hz = np.sqrt(_stiffness(signal, time_s, c) / signal.trial.load_kg) / (2.0 * np.pi)
+    hidden = own_hz > _FOLLOWED * signal.frame_rate_hz
+    return np.where(hidden, signal.swing_at(time_s), 0.0)
 
 
 def _sync(signal: Signal) -> float:
@@ -276,13 +298,13 @@ def _assign(
     piece.bin = np.searchsorted(ends[key], t, side="right")
 
 
-def _joined(pieces: list[_Piece], number: int, trials: int) -> tuple[Points, Rows]:
+def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points, Rows]:
     """All pieces of a block as one set of points, with its rows."""
     columns: dict[str, list[Array]] = {
         name: [] for name in _ARRAYS if name not in ("doubt", "floor")
     }
     row: list[Whole] = []
-    sizes = np.zeros(trials, dtype=np.int64)
+    sizes = np.zeros(len(mountings), dtype=np.int64)
     held: list[Array] = []
     mass: list[Array] = []
     made: list[Rows] = []
@@ -319,7 +341,8 @@ def _joined(pieces: list[_Piece], number: int, trials: int) -> tuple[Points, Row
     joined = {name: np.ascontiguousarray(np.concatenate(parts)) for name, parts in columns.items()}
     points = Points(
         first=np.r_[0, np.cumsum(sizes)].astype(np.int64),
-        trial=np.repeat(np.arange(trials), sizes),
+        trial=np.repeat(np.arange(len(mountings)), sizes),
+        mounting=np.repeat(mountings, sizes),
         row=np.concatenate(row),
         held=np.concatenate(held).astype(bool),
         mass=np.concatenate(mass),

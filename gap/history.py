@@ -14,7 +14,7 @@ from plant.layout import SLIP_ELEMENTS
 _element = inlined(element_slip)
 
 
-def _build(sources: int) -> tuple[Callable[..., None], Callable[..., None]]:
+def _build(sources: int) -> tuple[Callable[..., None], ...]:
     vector = "float64[::1]"
 
     @entry_point(f"void(int64[::1], {vector}, {vector})")
@@ -48,7 +48,23 @@ def _build(sources: int) -> tuple[Callable[..., None], Callable[..., None]]:
                     y = x[i] + (y - x[i]) * share
                 out[i] = y
 
-    return slip, lag
+    @entry_point(f"void(int64[::1], {vector}, {vector}, {vector})")
+    def play(first: Any, x: Any, half: Any, out: Any) -> None:
+        """Follow x with a play of `half` (one a trial) either way: its noise turns nothing."""
+        if sources < 0:
+            return
+        for t in range(len(first) - 1):
+            y = 0.0
+            for i in range(first[t], first[t + 1]):
+                if i == first[t]:
+                    y = x[i]
+                elif x[i] > y + half[t]:
+                    y = x[i] - half[t]
+                elif x[i] < y - half[t]:
+                    y = x[i] + half[t]
+                out[i] = y
+
+    return slip, lag, play
 
 
-slip, lag = _build(fingerprint())
+slip, lag, play = _build(fingerprint())

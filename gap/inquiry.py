@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.columns import constant_columns, suspect_columns
+from gap.columns import constant_columns, mounted, mounting_columns, suspect_columns
 from gap.copies import without_copies
 from gap.dataset import DataSet
 from gap.evidence import Evidence, gather, tolerance
@@ -30,6 +30,7 @@ Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
 _ROUNDS = 12
+_SMALLER = 3
 
 
 @dataclass(frozen=True)
@@ -84,18 +85,23 @@ class Inquiry:
         self.model = Model(self.grid)
         self.given: Active = _given(data)
         self.rows = self.grid.rows
-        self.untouched = self._residual(data.constants, [])
+        self.untouched = self._residual(data.constants, self.given)
         self.noise = learn_noise(self.model, data.constants, self.untouched)
-        self.names, self.stated_columns = constant_columns(
+        self.names, stated = constant_columns(
             self.model, data.constants, self.given, data.constants
         )
+        self.mountings = int(data.mountings.max(initial=-1)) + 1
+        self.names += [f"mounting {number + 1}" for number in range(self.mountings)]
+        own = mounting_columns(self.model, data.constants, self.given, self.mountings)
+        self.stated_columns = np.hstack([stated, own])
         self.columns = self.stated_columns
         self.units = self._units()
+        self._near: tuple[State, Array] | None = None
         self.base = self._recalibrate()
         self.floor_variance = self.noise.variance()
 
     def _residual(self, c: PlantConstants, active: Active) -> Array:
-        rows = self.model.stacked(self.model.residual(c, [*self.given, *active]))
+        rows = self.model.stacked(self.model.residual(c, active))
         return np.nan_to_num(rows, nan=0.0, posinf=3e3, neginf=-3e3)
 
     def _units(self) -> Whole:
@@ -106,7 +112,8 @@ class Inquiry:
         """Constants of the bench moved by `shift` sd of their tolerances."""
         c = self.data.constants
         changes = {}
-        for key, sd in zip(self.names, shift, strict=True):
+        recalibrated = len(self.names) - self.mountings
+        for key, sd in zip(self.names[:recalibrated], shift, strict=False):
             field = KEYS[key].field
             value = getattr(c, field) + float(sd) * c.tolerance_si(key)
             if getattr(c, field) > 0.0 and not field.endswith("per_pa"):
@@ -114,19 +121,49 @@ class Inquiry:
             changes[field] = value
         return dataclasses.replace(c, **changes)
 
-    def fit(self, suspects: Sequence[Suspect], start: Sequence[float] = ()) -> State:
+    def found(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Active:
+        """What the model takes: what is given, each mounting's offset, and suspects in force."""
+        own = shift[len(self.names) - self.mountings :]
+        active = [
+            (s.id, s.option, float(a), s.shape) for s, a in zip(suspects, amounts, strict=True)
+        ]
+        return [*self.given, *mounted(own), *active]
+
+    def fit(
+        self, suspects: Sequence[Suspect], start: Sequence[float] = (), near: State | None = None
+    ) -> State:
         """Gauss-Newton over constants (with their prior) and the amounts of `suspects`.
 
-        Starts from the recalibrated plant, and from the plant as stated where a large effect has
-        bent the recalibration; the better end counts.
+        Starts from the constants of `near`, by default of the recalibrated plant.
         """
         amounts = np.array(start or [0.0] * len(suspects), dtype=np.float64)
-        return self._descend(self.base.shift, suspects, amounts, self.columns)
+        at = self.base if near is None else near
+        columns = self.columns if at is self.base else self._columns_near(at)
+        # An amount on top of constants that have already given way may lead far astray; the
+        # descent moves both, and gets there from a smaller one.
+        for _ in range(_SMALLER):
+            if self.cost_at(at.shift, suspects, amounts) < 1.5 * at.cost:
+                break
+            amounts[-1:] *= 0.3
+        else:
+            amounts[-1:] = 0.0
+        return self._descend(at.shift, suspects, amounts, columns)
+
+    def _columns_near(self, state: State) -> Array:
+        """Signatures of the constants at a state; those of the last one asked for are kept."""
+        if self._near is None or self._near[0] is not state:
+            self._near = (state, self._columns_at(state.shift, state.suspects, state.amounts))
+        return self._near[1]
 
     def fit_afresh(self, suspects: Sequence[Suspect], start: Sequence[float] = ()) -> State:
         """Return what `fit` gives when it starts from the constants as stated."""
         amounts = np.array(start or [0.0] * len(suspects), dtype=np.float64)
         return self._descend(np.zeros(len(self.names)), suspects, amounts, self.stated_columns)
+
+    def fit_from(self, shift: Array, suspects: Sequence[Suspect], start: Sequence[float]) -> State:
+        """Return what `fit` gives when it starts from given constants, in sd."""
+        amounts = _bounded(suspects, np.array(start, dtype=np.float64))
+        return self._descend(shift, suspects, amounts, self._columns_at(shift, suspects, amounts))
 
     def polish(self, state: State, rounds: int = 3) -> State:
         """Fit again from a state, with signatures of the constants taken there."""
@@ -147,13 +184,11 @@ class Inquiry:
         return state
 
     def _columns_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
-        active = [
-            (s.id, s.option, float(a), s.shape) for s, a in zip(suspects, amounts, strict=True)
-        ]
+        active = self.found(shift, suspects, amounts)
         c = self.constants(shift)
-        names, columns = constant_columns(
-            self.model, c, [*self.given, *active], self.data.constants
-        )
+        names, columns = constant_columns(self.model, c, active, self.data.constants)
+        names += self.names[len(self.names) - self.mountings :]
+        columns = np.hstack([columns, mounting_columns(self.model, c, active, self.mountings)])
         made = np.zeros((len(self.rows), len(self.names)))
         for j, name in enumerate(self.names):
             if name in names:
@@ -191,15 +226,16 @@ class Inquiry:
         return State(shift, tuple(suspects), amounts, residual, cost, cover)
 
     def _at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> tuple[Array, float]:
-        active = [
-            (s.id, s.option, float(a), s.shape) for s, a in zip(suspects, amounts, strict=True)
-        ]
-        residual = self._residual(self.constants(shift), active)
+        residual = self.residual_at(shift, suspects, amounts)
         return residual, self.whitened(residual) + tolerance(shift)[0]
 
     def cost_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> float:
         """Whitened sum of squares at given constants and amounts, prior included."""
         return self._at(shift, suspects, amounts)[1]
+
+    def residual_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
+        """Measured minus predicted at given constants and amounts, shape (rows,)."""
+        return self._residual(self.constants(shift), self.found(shift, suspects, amounts))
 
     def whitened(self, residual: Array) -> float:
         """Sum of squares of a residual in the noise's own measure."""
@@ -213,9 +249,8 @@ class Inquiry:
         """Signatures of the suspects in force, at their present amounts."""
         made = np.zeros((len(self.rows), len(suspects)))
         c = self.constants(shift)
-        active = [
-            (s.id, s.option, float(a), s.shape) for s, a in zip(suspects, amounts, strict=True)
-        ]
+        active = self.found(shift, suspects, amounts)
+        ahead = len(active) - len(suspects)
         for j, suspect in enumerate(suspects):
             there = [block for block in suspect.blocks if block in self.grid.points]
             step = max(0.3 * suspect.step, 0.02 * abs(amounts[j]))
@@ -223,12 +258,12 @@ class Inquiry:
                 step = 1.0
             low = [*active]
             high = [*active]
-            low[j] = (suspect.id, suspect.option, max(amounts[j] - step, 0.0) if suspect.sign
-                      else amounts[j] - step, suspect.shape)  # fmt: skip
-            high[j] = (suspect.id, suspect.option, amounts[j] + step, suspect.shape)
-            a = self.model.residual(c, [*self.given, *low], there)
-            b = self.model.residual(c, [*self.given, *high], there)
-            span = high[j][2] - low[j][2]
+            less = max(amounts[j] - step, 0.0) if suspect.sign else amounts[j] - step
+            low[ahead + j] = (suspect.id, suspect.option, less, suspect.shape)
+            high[ahead + j] = (suspect.id, suspect.option, amounts[j] + step, suspect.shape)
+            a = self.model.residual(c, low, there)
+            b = self.model.residual(c, high, there)
+            span = high[ahead + j][2] - low[ahead + j][2]
             made[:, j] = self.model.stacked({k: (a[k] - b[k]) / span for k in there})
         return np.nan_to_num(made)
 
@@ -254,13 +289,20 @@ class Inquiry:
         residual, cost = self._at(shift, (), np.empty(0))
         return State(shift, (), np.empty(0), residual, cost, np.eye(len(shift)))
 
-    def evidence(self, state: State) -> Evidence:
-        """Inner products of constants, residual and all suspects at `state`."""
+    def signatures(self, state: State) -> Array:
+        """Columns [constants | residual | suspects] at `state`, shape (rows, columns)."""
         c = self.constants(state.shift)
         constants = self.columns if np.any(state.shift) else self.stated_columns
-        columns = suspect_columns(self.model, c, [*self.given, *state.active], self.suspects)
+        active = self.found(state.shift, state.suspects, state.amounts)
+        suspects = suspect_columns(self.model, c, active, self.suspects)
+        return np.hstack([constants, state.residual[:, None], np.nan_to_num(suspects)])
+
+    def evidence(self, state: State) -> Evidence:
+        """Inner products of constants, residual and all suspects at `state`."""
+        columns = self.signatures(state)
+        n = len(self.names)
         return gather(
-            self.noise, constants, state.residual, np.nan_to_num(columns), self.rows.block,
+            self.noise, columns[:, :n], state.residual, columns[:, n + 1 :], self.rows.block,
             self.rows.span_s, self.units, state.shift,
         )  # fmt: skip
 

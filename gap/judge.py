@@ -7,19 +7,22 @@ small differences mean little. The constants of that map were set on practice se
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from gap.advise import advise
-from gap.cleared import cleared
+from gap.belief import learnt
+from gap.cleared import Cleared, cleared
 from gap.inquiry import Inquiry, State
-from gap.mimic import Mimic, Mimicry
+from gap.mimic import Mimic, Mimicked, Mimicry
 from gap.naming import ALARM, Choice, Naming
 from gap.parameters import headline_estimates, limits_of
 from gap.rows import BLOCKS
 from gap.shrink import Held, gap_of, held_out
 from gap.suspects import DEFECTS
+from gap.traits import traits_of
 from gap.verdict import Explanation, Gap, Verdict
 from gap.where import contrasts_of, stage_shares
 from plant.catalogue import CATALOGUE
@@ -32,11 +35,13 @@ MIMIC = 0.9
 SURE = 0.985
 TOLD_APART = 120.0
 """Whitened sum of squares that a mimic may leave more than the named effect does."""
-KNOWN = 0.78
+NAMED = 0.55
+"""Least belief in an explanation for it to be named rather than offered beside others."""
+NAMED_EACH = 0.4
+NAMED_ANY = 0.75
+"""For several effects: least belief in all of them, and in the catalogue holding the truth."""
 HALF = 0.5
 FORM_FULL = 0.9
-SOME = 0.3
-"""Least whitened share for a held-out closed fraction to speak for a name."""
 UNSEEN = 0.2
 COVER = 0.9
 _LEAST = 0.03
@@ -52,9 +57,13 @@ class _Weighed:
     unknown: float
 
 
-def judge(q: Inquiry, naming: Naming) -> Verdict:
-    """Turn the outcome of a search into a verdict."""
+def judge(q: Inquiry, naming: Naming) -> tuple[Verdict, Naming]:
+    """Turn the outcome of a search into a verdict, and say which explanation it rests on."""
     outcome = cleared(q, naming)
+    return _judged(q, outcome), outcome.naming
+
+
+def _judged(q: Inquiry, outcome: Cleared) -> Verdict:
     naming = outcome.naming
     held = held_out(q, naming.chosen.state)
     if outcome.defect:
@@ -126,36 +135,55 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             f"the data look like {names}, but with {q.noise.freedom} replicates beyond the first "
             "nothing can be told from noise", none=0.3, unknown=0.5, gap=gap,
         )  # fmt: skip
-    surely = gap.closed_low is not None and gap.closed_low > HALF and share > SOME
-    if share < KNOWN and not surely:
+    mimicked = Mimicry(q).of_state(chosen.state)
+    traits = traits_of(q, naming, held, mimicked)
+    belief = learnt().of(traits)
+    none = min(naming.chance, 0.5)
+    weighed = _weigh(naming, belief, none)
+    one, two = _fair(q, chosen.state, naming, mimicked)
+    extra = [m for m in (one, two) if m is not None and m.share >= MIMIC]
+    evidence: dict[str, object] = {
+        "share_explained": share,
+        "belief": belief,
+        "mimics": [{"ids": m.ids, "share": m.share} for m in (one, two) if m],
+        "steps": [{"entry": k, "gain": g} for k, g in naming.steps],
+        "traits": traits,
+    }
+    if belief["unknown"] > belief["right"] + belief["other"]:
         return _verdict(
             q, naming, held, "unknown",
-            f"a gap of which the best entry ({names}) explains {100 * share:.0f} %",
-            none=0.0, unknown=1.0, gap=gap, stage=_stage_of_block(q, naming, block),
+            f"a gap of which the best entry ({names}) explains {100 * share:.0f} %, in a way that "
+            "points to something the catalogue does not hold",
+            none=none, unknown=weighed.unknown, gap=gap, stage=_stage_of_block(q, naming, block),
+            entries=weighed.entries, mimics=extra, evidence=evidence,
         )  # fmt: skip
-    weighed = _weigh(naming, max(share, KNOWN) if surely else share)
-    one, two = _mimics(q, chosen.state, naming)
     entries = _ambiguity_set(weighed)
     ids = {frozenset(choice.state.ids) for choice, _ in entries}
     status, reason = _status(naming, gap, share, one, two, len(ids), names)
-    extra = [m for m in (one, two) if m is not None and m.share >= MIMIC]
+    several = len(chosen.state.ids) > 1
+    sure = belief["right"] >= (NAMED_EACH if several else NAMED)
+    if several:
+        sure = sure and belief["right"] + belief["other"] >= NAMED_ANY
+    if status in ("named", "named_form_inadequate") and not sure:
+        status, reason = (
+            "indistinguishable",
+            f"{names} fits best, but an explanation that looks like this one is right in "
+            f"{100 * belief['right']:.0f} % of cases only",
+        )
     return _verdict(
         q, naming, held, status, reason, none=weighed.none, unknown=weighed.unknown, gap=gap,
         stage=CATALOGUE[chosen.state.ids[0]].stage, entries=entries, mimics=extra,
-        evidence={
-            "share_explained": share,
-            "mimics": [{"ids": m.ids, "share": m.share} for m in (one, two) if m],
-            "steps": [{"entry": k, "gain": g} for k, g in naming.steps],
-        },
+        evidence=evidence,
     )  # fmt: skip
 
 
-def _mimics(q: Inquiry, state: State, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
+def _fair(
+    q: Inquiry, state: State, naming: Naming, mimicked: Mimicked
+) -> tuple[Mimic | None, Mimic | None]:
     """Best single and pair that could stand in, their shares capped where the data rule them out.
 
     A mimic that leaves more than noise and inexact forms could is no mimic on these data.
     """
-    found = Mimicry(q).of(q.base.residual - state.residual, frozenset(state.ids))
     whole = max(q.base.cost - state.cost, 0.0)
     bearable = max(TOLD_APART, 3.0 * naming.left)
 
@@ -164,7 +192,7 @@ def _mimics(q: Inquiry, state: State, naming: Naming) -> tuple[Mimic | None, Mim
             return mimic
         return Mimic(mimic.ids, min(mimic.share, 0.99 * MIMIC))
 
-    return fair(found[0]), fair(found[1])
+    return fair(mimicked.one), fair(mimicked.two)
 
 
 def _status(
@@ -192,21 +220,22 @@ def _status(
     return "named", f"{names} explains the gap"
 
 
-def _weigh(naming: Naming, share: float) -> _Weighed:
-    choices = [naming.chosen, *naming.rivals]
-    best = naming.chosen.cost
+def _weigh(naming: Naming, belief: Mapping[str, float], none: float) -> _Weighed:
+    """Belief shared out: the best explanation has its own, the rivals share what others have."""
+    known = [choice for choice in naming.rivals if choice.keys != naming.chosen.keys]
+    more = np.array([max(choice.cost - naming.chosen.cost, 0.0) for choice in known])
     blunt = max(1.0, naming.left / FORM)
-    more = np.maximum(np.array([choice.cost for choice in choices]) - best, 0.0)
-    scores = -BLUNT * np.log1p(more / blunt / (2.0 * BLUNT))
-    weights = np.exp(scores - scores.max())
-    unknown = 1.0 / (1.0 + np.exp((share - 0.75) / 0.04))
-    none = float(np.exp(-max(naming.steps[0][1] - 20.0, 0.0) / 6.0)) if naming.steps else 1.0
-    none = min(none, 0.5)
-    left = max(1.0 - unknown - none, 0.0)
-    probabilities = left * weights / weights.sum()
-    order = np.argsort(-probabilities, kind="stable")
-    entries = [(choices[i], float(probabilities[i])) for i in order]
-    return _Weighed(entries, none, float(unknown))
+    weights = (1.0 + more / blunt / (2.0 * BLUNT)) ** -BLUNT
+    # A rival that fits as well is as likely, whatever such an explanation is worth on its own.
+    # Where none does, being wrong means something that was not thought of.
+    alike = 1.0 + float(weights.sum())
+    real = 1.0 - none
+    known_at_all = belief["right"] + belief["other"]
+    entries = [(naming.chosen, belief["right"] * real / alike)]
+    entries += [(c, known_at_all * real * w / alike) for c, w in zip(known, weights, strict=True)]
+    unknown = real - sum(p for _, p in entries)
+    entries.sort(key=lambda entry: -entry[1])
+    return _Weighed(entries, none, max(unknown, 0.0))
 
 
 def _ambiguity_set(weighed: _Weighed) -> list[tuple[Choice, float]]:
@@ -258,7 +287,11 @@ def _verdict(
         next_experiment=advise(q, _leader(entries), _others(q, naming, entries, mimics)),
         why_not=_why_not(q, naming, {i for e in effects for i in e.ids}),
         notes=q.data.notes,
-        evidence=evidence or {},
+        evidence={
+            "found": list(naming.chosen.state.ids),
+            "traits": traits_of(q, naming, held),
+            **(evidence or {}),
+        },
     )
 
 

@@ -8,6 +8,7 @@ fed the model too much pressure.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +42,9 @@ def true_length(points: Points, active: Active, c: PlantConstants) -> Array:
     for name, _, amount, shape in active:
         if name == "length_label":
             length = length + np.where(points.held, amount * 1e-3, 0.0)
+        elif name == "mounting":
+            here = points.held & (points.mounting == int(shape["number"]))
+            length = length + np.where(here, amount * 1e-3, 0.0)
         elif name in _CAMERA:
             length = length + np.where(
                 points.held, 0.0, _true_minus_read(name, amount, shape, points, c)
@@ -182,13 +186,34 @@ def _limit(
     return -loss * (np.maximum(p, 0.0) / 3e5 if "pressure" in shape else 1.0)
 
 
+_NOISE_TURNS = 3.0
+"""Sd of a path's noise that is no turning back."""
+
+
+def _turning(points: Points, travel: Array) -> Array:
+    """A path without the turns that only its reading noise makes.
+
+    Fibres that slip would come to rest at each of them, and friction would look too small.
+    """
+    if np.any(points.direction != 0.0):
+        return np.ascontiguousarray(travel)
+    half = np.zeros(len(points.first) - 1)
+    for trial, (a, b) in enumerate(pairwise(points.first.tolist())):
+        if b - a > 4:
+            bend = travel[a + 1 : b - 1] - 0.5 * (travel[a : b - 2] + travel[a + 2 : b])
+            half[trial] = _NOISE_TURNS * 1.4826 * float(np.median(np.abs(bend))) / np.sqrt(1.5)
+    made = np.empty(len(travel))
+    history.play(points.first, np.ascontiguousarray(travel), half, made)
+    return made
+
+
 def _friction(
     points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
 ) -> Array:
     travel = points.path / (shape["kpa"] * 1e3) - length / (shape["mm"] * 1e-3)
     # Settled points bring their own direction where the table does not hold the whole path.
     slip = np.zeros(len(p))
-    history.slip(points.first, np.ascontiguousarray(travel), slip)
+    history.slip(points.first, _turning(points, travel), slip)
     slip = np.where(points.direction != 0.0, points.direction, slip)
     scale = np.maximum(p, 0.0) / 3e5 if shape["pressure"] else np.where(p > 2e3, 1.0, 0.0)
     return -slip * scale

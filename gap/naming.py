@@ -13,23 +13,36 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from gap.evidence import projected
+from gap.evidence import SLACK, projected
 from gap.inquiry import Inquiry, State
+from gap.null import carried, simulated_null
 from gap.suspects import Suspect
+from plant.constants import KEYS
 
 Array = npt.NDArray[np.float64]
 
-ALARM = 32.0
+ALARM = 28.0
 """Least gain (drop of the whitened sum of squares) of a first effect; see docs/gap.md."""
-SHARE_NEXT = 0.03
+CHANCE = 0.002
+BEYOND_CHANCE = 1.7
+"""How far beyond the simulated null a first effect must reach: real noise has other forms too."""
+PLAIN = 100.0
+"""Gain from which a first effect needs no proof on slots it was not fitted to."""
+CARRIED = 0.3
+"""Least share of its gain that a first effect must carry over to such slots."""
 SHARE_SURE = 0.06
 """Least share of the gap's excess that a further effect must take away."""
 SEEN_NEXT = 0.45
 """Least change of the residual in some block, in units of its floor, for an effect to count."""
+PLAINLY_SEEN = 1.5
+"""The same, from which an effect counts beside one of any size."""
 MOST = 3
 BENT = 2.2
 """Shift of a constant, in sd, from which an effect may have bent the recalibration."""
+EDGES = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
 _REFINED = 7
+_ELSEWHERE = 4
+_LEAST_NEXT = 40.0
 _CLOCKS_MS = (8.0, 20.0, 45.0, 80.0, 120.0, 170.0, 230.0, 300.0, 380.0, 480.0)
 _SHAPES = 2
 
@@ -57,6 +70,8 @@ class Naming:
         first_gain: gain of the best single effect, by key, linearised at the base.
         excess: whitened gap beyond noise at the base.
         left: the same after the explanation.
+        alarm: gain that a first effect needed on these data.
+        chance: share of simulated data sets without a gap whose best gain is as large.
         steps: (key, gain) of each effect in order of entry.
         last_gain: gain of each key on top of the explanation, linearised.
     """
@@ -66,6 +81,8 @@ class Naming:
     first_gain: dict[str, float]
     excess: float
     left: float
+    alarm: float = ALARM
+    chance: float = 1.0
     steps: list[tuple[str, float]] = field(default_factory=list)
     last_gain: dict[str, float] = field(default_factory=dict)
 
@@ -84,25 +101,33 @@ def name_effects(q: Inquiry) -> Naming:
         for j, suspect in enumerate(q.suspects):
             if suspect.key == key and gain > gains[j]:
                 gains[j], amounts[j] = gain, amount
-    naming = Naming(Choice((), state), [], _by_key(q, gains), excess(q, state), excess(q, state))
+    null = simulated_null(q)
+    alarm = max(ALARM, BEYOND_CHANCE * null.threshold(CHANCE))
+    naming = Naming(
+        Choice((), state), [], _by_key(q, gains), excess(q, state), excess(q, state), alarm,
+        null.chance(float(gains.max(initial=0.0))),
+    )  # fmt: skip
     keys: tuple[str, ...] = ()
     for step in range(MOST):
         best = _by_key(q, gains)
-        open_keys = [k for k in best if k not in keys]
-        least = ALARM if step == 0 else max(40.0, SHARE_NEXT * naming.excess)
-        top = sorted(open_keys, key=lambda k: -best[k])
-        if not top or best[top[0]] < least:
+        top = sorted((k for k in best if k not in keys), key=lambda k: -best[k])
+        bent = _bent(q, state) if step == 0 else []
+        if not top or (best[top[0]] < alarm and not bent):
+            break
+        gain = best[top[0]]
+        small = step == 0 and gain < PLAIN and not bent
+        if small and carried(q, top[0])[0] < CARRIED * gain:
             break
         tried = [
             refine(q, state, keys, key, gains, amounts, fresh if step == 0 else None)
-            for key in top[:_REFINED]
-            if best[key] > 0.3 * best[top[0]]
+            for key in dict.fromkeys([*_candidates(q, state, top, best), *bent])
         ]
         tried.sort(key=lambda choice: choice.cost)
-        if state.cost - tried[0].cost < least:
+        fit = [choice for choice in tried if _counts(q, naming, state, choice)]
+        if not fit:
             break
-        if step and not _worth(q, naming, state, tried[0].state):
-            break
+        tried.remove(fit[0])
+        tried.insert(0, fit[0])
         naming.steps.append((tried[0].keys[-1], state.cost - tried[0].cost))
         naming.chosen = tried[0]
         naming.rivals = tried[1:]
@@ -118,6 +143,96 @@ def name_effects(q: Inquiry) -> Naming:
     naming.left = excess(q, state)
     naming.last_gain = _by_key(q, gains)
     return naming
+
+
+def _candidates(q: Inquiry, state: State, top: list[str], best: dict[str, float]) -> list[str]:
+    """Keys worth a nonlinear fit: the best, and the best that show in other channels.
+
+    What is left of a large effect whose form is not exact outweighs a second effect elsewhere.
+    """
+    made = [key for key in top[:_REFINED] if best[key] > 0.3 * best[top[0]]]
+    elsewhere = [key for key in top if apart(q, state, key)] if state.suspects else []
+    made += [
+        key for key in elsewhere[:_ELSEWHERE]
+        if key not in made and best[key] > 0.3 * best[elsewhere[0]]
+    ]  # fmt: skip
+    return made
+
+
+_STANDS_FOR = {
+    "supply_kpa": ("supply_droop", "pressure_gain"),
+    "gas_temperature_k": ("polytropic",),
+    "inlet_conductance_m3_s_pa": ("flow_area:inlet",),
+    "outlet_conductance_m3_s_pa": ("flow_area:outlet",),
+    "critical_ratio": ("critical_ratio",),
+    "dead_volume_ml": ("dead_volume",),
+    **{f"{e}_ms": (f"valve_delay:{e}",) for e in EDGES},
+    **{f"{e}_ms_per_kpa": (f"valve_delay_pressure:{e}",) for e in EDGES},
+}
+"""Effects that a constant may have moved for."""
+
+
+_PER_SI = {
+    "critical_ratio": 1.0, "dead_volume": 1e6, "valve_delay": 1e3, "valve_delay_pressure": 1e6,
+}  # fmt: skip
+
+
+def _bent(q: Inquiry, state: State) -> list[str]:
+    """Keys of effects in whose place a constant has left its tolerance.
+
+    Next to strong data a signature must match the constant's to the last digit to show that it
+    could take over, so these are always fitted.
+    """
+    known = {suspect.key for suspect in q.suspects}
+    far = [
+        (abs(shift), name)
+        for name, shift in zip(q.names, state.shift.tolist(), strict=True)
+        if abs(shift) > SLACK and name in _STANDS_FOR
+    ]
+    return [k for _, name in sorted(far, reverse=True) for k in _STANDS_FOR[name] if k in known][:4]
+
+
+def _swapped(q: Inquiry, state: State, key: str) -> tuple[Array, float] | None:
+    """Constants with the one that `key` may stand for put back, and the amount that does the same.
+
+    Along the valley between the two a descent would creep.
+    """
+    for at, name in enumerate(q.names):
+        if key not in _STANDS_FOR.get(name, ()) or abs(state.shift[at]) < BENT:
+            continue
+        c = q.data.constants
+        amount = float(state.shift[at]) * c.tolerance_si(name)
+        if key.startswith("flow_area"):
+            amount /= max(getattr(c, KEYS[name].field), 1e-300)
+        elif key.partition(":")[0] in _PER_SI:
+            amount *= _PER_SI[key.partition(":")[0]]
+        else:
+            continue
+        shift = state.shift.copy()
+        shift[at] = 0.0
+        return shift, amount
+    return None
+
+
+def apart(q: Inquiry, state: State, key: str) -> bool:
+    """Whether the effect of `key` shows in channels that no other effect in force touches."""
+    own = next(s.blocks for s in q.suspects if s.key == key)
+    others = {b for s in state.suspects if s.key != key for b in s.blocks}
+    return not set(own) & others & set(q.grid.points)
+
+
+def _counts(q: Inquiry, naming: Naming, before: State, choice: Choice) -> bool:
+    """Whether an effect that was fitted takes away enough to count as one more."""
+    gain = before.cost - choice.cost
+    if not before.suspects:
+        return gain >= naming.alarm
+    if apart(q, before, choice.keys[-1]):
+        return gain >= max(_LEAST_NEXT, naming.alarm) and (
+            seen(q, before, choice.state) > SEEN_NEXT
+        )
+    if gain < max(_LEAST_NEXT, naming.alarm):
+        return False
+    return _worth(q, naming, before, choice.state)
 
 
 def _scan_clocks(q: Inquiry) -> dict[str, tuple[float, float]]:
@@ -157,8 +272,11 @@ def _worth(q: Inquiry, naming: Naming, before: State, after: State) -> bool:
     gain = before.cost - after.cost
     if gain > SHARE_SURE * naming.excess:
         return True
-    most_left = gain > 0.35 * max(excess(q, before), 1.0) > 0.02 * naming.excess
-    return most_left and seen(q, before, after) > SEEN_NEXT
+    if gain < 0.35 * max(excess(q, before), 1.0):
+        return False
+    visible = seen(q, before, after)
+    large = max(excess(q, before), 1.0) > 0.02 / 0.35 * naming.excess
+    return visible > PLAINLY_SEEN or (large and visible > SEEN_NEXT)
 
 
 def seen(q: Inquiry, before: State, after: State) -> float:
@@ -216,7 +334,10 @@ def refine(
             continue
         suspects = [*state.suspects, q.suspects[j]]
         start = [*state.amounts, _start(q.suspects[j], amounts[j])]
-        ends = [q.fit(suspects, start)]
+        ends = [q.fit(suspects, start, state)]
+        swapped = _swapped(q, state, key) if not state.suspects else None
+        if swapped is not None:
+            ends.append(q.fit_from(swapped[0], suspects, [swapped[1]]))
         if fresh is not None:
             ends.append(q.fit_afresh(suspects, [*state.amounts, _start(q.suspects[j], fresh[j])]))
         fitted = min(ends, key=lambda end: end.cost)
@@ -245,6 +366,7 @@ def _flexed(q: Inquiry, choice: Choice, gains: Array, amounts: Array, gap: float
     fitted = q.fit(
         [*choice.state.suspects, q.suspects[j]],
         [*choice.state.amounts, _start(q.suspects[j], amounts[j])],
+        choice.state,
     )
     return Choice(choice.keys, fitted) if fitted.cost < choice.cost - 15.0 else None
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from gap.belief import learnt
 from gap.evidence import projected
 from gap.inquiry import Inquiry, State
 from gap.verdict import Estimate
 from plant.catalogue import CATALOGUE
 
 _Z95 = 1.96
+_FORM = 0.1
 
 
 def headline_estimates(q: Inquiry, state: State) -> dict[str, Estimate]:
@@ -29,10 +31,11 @@ def headline_estimates(q: Inquiry, state: State) -> dict[str, Estimate]:
         amount = float(state.amounts[at].sum())
         index = [n + j for j in at]
         sd = float(np.sqrt(max(state.cover[np.ix_(index, index)].sum(), 0.0))) * spread
-        # The headline has a form behind it that is never exact; a tenth of it is the form's.
-        sd = float(np.hypot(sd, 0.05 * amount))
+        # The headline has a form behind it that is never exact.
+        sd = float(np.hypot(sd, learnt().form.get(name, _FORM) * amount))
         if name == "supply_droop":
-            q.model.residual(q.constants(state.shift), [*q.given, *state.active], ["pressure"])
+            active = q.found(state.shift, state.suspects, state.amounts)
+            q.model.residual(q.constants(state.shift), active, ["pressure"])
             fall = q.model.fall_pa * 1e-3
             sd = sd * fall / max(abs(amount), 1e-9)
             amount = fall

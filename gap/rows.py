@@ -21,6 +21,7 @@ class Points:
 
     Attributes:
         first: points of trial t are first[t]:first[t + 1].
+        mounting: number of the mounting each point was taken in.
         row: feature row each point belongs to, counted within the block.
         weight: samples that each point stands for.
         path: pressure without its sampling noise, for what depends on turning points.
@@ -30,6 +31,7 @@ class Points:
 
     first: Whole
     trial: Whole
+    mounting: Whole
     time_s: Array
     row: Whole
     weight: Array

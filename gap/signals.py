@@ -12,6 +12,8 @@ from gap.dataset import Array, Channel, Trial
 from plant.constants import PlantConstants
 
 _MOVED_M = 0.8e-3
+Mask = npt.NDArray[np.bool_]
+
 _NEAR_STOP_M = 0.8e-3
 _AFTER_STOP_S = 0.08
 _RISE_KPA = 25.0
@@ -21,6 +23,8 @@ _NOISE_OF_BEND = 9.0
 # Stops stand where they should to half a millimetre (PLANT.md): three sd of that.
 _STOP_ZONE_M = 1.5e-3
 _REST_M = 0.35e-3
+_PROPPED_N = 2.0
+_LONG_REST = 0.15
 
 
 def edges_of(trial: Trial) -> tuple[Array, Array, npt.NDArray[np.int64]]:
@@ -104,7 +108,7 @@ class Signal:
             _give_of_stops(trial, constants),
         )  # fmt: skip
 
-    def covered(self, time_s: Array) -> npt.NDArray[np.bool_]:
+    def covered(self, time_s: Array) -> Mask:
         """Where pressure and length are known: inside their records and not in a long gap."""
         if self.trial.settled:
             return self._here("pressure_kpa", time_s) & (
@@ -124,7 +128,7 @@ class Signal:
             good &= (behind - before <= reach) | (np.abs(time_s - before) < 1e-6)
         return good
 
-    def _here(self, name: str, time_s: Array) -> npt.NDArray[np.bool_]:
+    def _here(self, name: str, time_s: Array) -> Mask:
         channel = self.trial.get(name)
         if not len(channel):
             return np.ones(len(time_s), dtype=bool)
@@ -138,11 +142,11 @@ class Signal:
         return np.interp(time_s, channel.time_s, channel.value) * 1e3
 
     def path_at(self, time_s: Array) -> Array:
-        """Pressure in Pa, eased over +/- 25 ms so that noise makes no turning points."""
+        """Pressure in Pa, eased over +/- 4 ms: noise is less, edges keep their place."""
         channel = self.trial.get("pressure_kpa")
         if self.trial.settled or len(channel) < 3:
             return self.pressure_at(time_s)
-        taps = np.linspace(-0.025, 0.025, 11)
+        taps = np.linspace(-0.004, 0.004, 9)
         total = np.zeros(len(time_s))
         for tap in taps:
             total += np.interp(time_s + tap, channel.time_s, channel.value)
@@ -190,6 +194,17 @@ class Signal:
         """How far, in m/s2, the acceleration may be off where it changes between frames."""
         return self._interpolated(time_s, self._doubt[1])
 
+    def swing_at(self, time_s: Array) -> Array:
+        """How far, in m, the length departs from a straight course over a few frames around."""
+        return self._interpolated(time_s, _swing(self._time, self._length))
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frames a second of the length; infinite where it is held."""
+        if self.held or len(self._time) < 3:
+            return float("inf")
+        return 1.0 / max(float(np.median(np.diff(self._time))), 1e-9)
+
     def _interpolated(self, time_s: Array, values: Array) -> Array:
         if self.held or not len(self._time) or self.trial.settled:
             return np.zeros(len(time_s))
@@ -202,19 +217,43 @@ class Signal:
             return np.interp(time_s, channel.time_s, channel.value)
         return np.full(len(time_s), self.trial.temperature_c)
 
+    def _propped(self, high: Mask, low: Mask) -> Mask:
+        """Frames at the ends of the travel where something other than the muscle has the load.
+
+        A camera that errs shows a stop elsewhere than it is. What gives it away is the force: it
+        falls short of the weight, or exceeds it, at the end of the travel alone. Without a force
+        nothing tells a rest on a stop from a rest in mid air, and long rests are left out.
+        """
+        force = self.trial.get("force_n")
+        between = ~(high | low)
+        made = np.zeros(len(high), dtype=bool)
+        if self.trial.settled or between.sum() < 5:
+            return made
+        if not len(force):
+            for end in (high, low):
+                made |= end & (float(end.mean()) > _LONG_REST)
+            return made
+        pull = np.interp(self._time, force.time_s, force.value)
+        hung = self.trial.load_kg * (9.80665 - self._acceleration) - pull
+        usual = float(np.median(hung[between]))
+        for end in (high, low):
+            if end.sum() >= 5 and abs(float(np.median(hung[end])) - usual) > _PROPPED_N:
+                made |= end
+        return made
+
     def direction_at(self, time_s: Array) -> Array:
         """+1 up, -1 down for settled points, else 0."""
         if not self.trial.settled:
             return np.zeros(len(time_s))
         return self.trial.direction[np.round(time_s).astype(np.int64)].astype(np.float64)
 
-    def free_of_stops(self, time_s: Array) -> npt.NDArray[np.bool_]:
+    def free_of_stops(self, time_s: Array) -> Mask:
         """Where the load hangs freely, away from both stops and a moment after leaving them."""
         low, high = self._stops
-        reach = np.zeros(len(self._time))
+        travel = np.zeros(len(self._time))
         if len(self._time) > 4 and not self.trial.settled:
-            reach = np.abs(self._rate) * np.gradient(self._time)
-        touching = (self._length - reach < low) | (self._length + reach > high)
+            travel = np.abs(self._rate) * np.gradient(self._time)
+        touching = (self._length - travel < low) | (self._length + travel > high)
         if len(self._length):
             # A stop within its tolerance is where the length goes no further.
             top, bottom = float(self._length.max()), float(self._length.min())
@@ -222,6 +261,8 @@ class Signal:
                 touching |= self._length > top - _REST_M - self._give
             if bottom < low + _STOP_ZONE_M:
                 touching |= self._length < bottom + _REST_M + self._give
+            reach = _REST_M + self._give
+            touching |= self._propped(self._length > top - reach, self._length < bottom + reach)
         if not touching.any():
             return np.ones(len(time_s), dtype=bool)
         at = self._time[touching]
@@ -275,6 +316,25 @@ def _doubts(time_s: Array, acceleration: Array) -> tuple[Array, Array]:
         return np.maximum(x, np.maximum(np.r_[x[1:], 0.0], np.r_[0.0, x[:-1]]))
 
     return spread(spread(rough * step**2 / 8.0)), spread(0.5 * rough)
+
+
+_SWING_FRAMES = 5
+
+
+def _swing(time_s: Array, length: Array) -> Array:
+    """Largest departure from the line through the frames around, shape of `length`."""
+    width = 2 * _SWING_FRAMES + 1
+    if len(length) < width:
+        return np.full(len(length), float(np.ptp(length)) if len(length) else 0.0)
+    window = np.lib.stride_tricks.sliding_window_view(length, width)
+    x = np.arange(width) - _SWING_FRAMES
+    slope = window @ x / float(x @ x)
+    off = window - window.mean(axis=1)[:, None] - slope[:, None] * x[None, :]
+    inside = np.abs(off).max(axis=1)
+    made = np.empty(len(length))
+    made[_SWING_FRAMES:-_SWING_FRAMES] = inside
+    made[:_SWING_FRAMES], made[-_SWING_FRAMES:] = inside[0], inside[-1]
+    return made
 
 
 def _regulated(trial: Trial) -> bool:

@@ -18,13 +18,12 @@ from blind.exchange import write
 from blind.noise import Noise
 from blind.recording import record
 from blind.sets import BlindSet
+from gap.diagnose import examine
 from gap.grid import make_grid
-from gap.inquiry import Inquiry, State
+from gap.inquiry import State
 from gap.model import Model
-from gap.naming import name_effects
 from gap.reader import read_dataset
 from gap.rows import BLOCKS, UNITS
-from gap.suspects import SUSPECTS
 
 Floats = np.ndarray
 
@@ -45,10 +44,8 @@ def closed_fraction(
     The channel is the block in the verdict's unit whose recalibrated gap is nearest to the one it
     states. None where the fit names nothing or the noise-free gap vanishes.
     """
-    suspects = [s for s in SUSPECTS if s.id not in without]
-    asked = Inquiry(read_dataset(folder), suspects)
-    state = name_effects(asked).chosen.state
-    if not state.suspects:
+    _, asked, state = examine(read_dataset(folder), without)
+    if asked is None or state is None or not state.suspects:
         return None
     clean = folder.with_name("clean")
     write(record(replace(one, noise=silent(one.noise))), clean)
