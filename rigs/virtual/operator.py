@@ -58,6 +58,10 @@ class VirtualOperator:
         if request is None or self._clock.now_ns() < self._due_ns:
             return None
         self._request = None
+        return self.perform(request)
+
+    def perform(self, request: Request) -> str:
+        """Do it now; what a person would answer: nothing, or the number that was read."""
         if np.isnan(request.value):
             return f"{self._reads[request.axis]():.4f}"
         spread = self._spread.get(request.axis, 0.0)
