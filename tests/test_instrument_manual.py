@@ -18,7 +18,7 @@ from rigs.isometric import load_isometric
 from rigs.operator import ManualAxis, Request, ask_number
 from rigs.protocols.registry import procedure
 from rigs.pump import Pump
-from rigs.rig import Rig, open_rig
+from rigs.rig import open_rig
 from rigs.runner import Runner
 from rigs.segments import reduce_run
 from rigs.session import run_isometric, run_protocol
@@ -141,37 +141,41 @@ def hand_regulator(folder: Path, tolerance: float = 3.0) -> str:
     return str(path)
 
 
-def with_both_valves_shut(rig: Rig) -> None:
-    """The controller holds no air and lets none out: the regulator alone makes the pressure."""
-    rig.valve.progress(600.0)
-    rig.pump.for_seconds(0.3)
-    rig.valve.arm()
-    rig.valve.request("scheme open")
+def test_an_isometric_test_with_a_regulator_turned_by_hand(tmp_path: Path) -> None:
+    config = load_rig(hand_regulator(tmp_path))
+    plan = quick(config, lengths_mm=(60.0,), pressures_kpa=(200.0, 400.0))
+    result = run_isometric(config, plan, tmp_path / "runs", derive=False)
+    assert result.outcome == "clean", result.error
+    run = open_run(result.folder)
+    turned = [e for e in run.events if e["kind"] == "manual"]
+    assert [e["asked"] for e in turned] == [20.0, 200.0, 400.0, 200.0]
+    for event in turned:
+        assert event["axis"] == "pressure"
+        assert event["checked_by"] == "pressure"
+        assert abs(event["read"] - event["asked"]) <= 3.0
+        assert event["waited_s"] >= 5.0
+    table = reduce_run(run).table
+    assert (abs(table["pressure_kpa"] - table["set_pressure_kpa"]) < 3.0).all()
+    assert (table["pressure_kpa"] != table["set_pressure_kpa"]).all()
 
 
-def test_a_regulator_turned_by_hand_is_looked_after_by_the_pressure_sensor(tmp_path: Path) -> None:
-    with open_rig(load_rig(hand_regulator(tmp_path))) as rig:
-        assert rig.bench is not None
-        with_both_valves_shut(rig)
-        for asked in (150.0, 400.0, 0.0):
-            setting = rig.axes["pressure"].set(asked)
-            assert setting.checked_by == "pressure"
-            assert setting.read == pytest.approx(asked, abs=3.0)
-            assert setting.read == pytest.approx(rig.bench.plant.pressure_kpa, abs=3.0)
-            assert setting.taken == setting.read
-            assert setting.waited_s >= 5.0
-
-
-def test_a_regulator_that_does_not_follow_is_asked_for_again_and_then_refused(
+def test_a_regulator_turned_the_wrong_way_is_asked_for_again_and_then_ends_the_test(
     tmp_path: Path,
 ) -> None:
-    with open_rig(load_rig(hand_regulator(tmp_path))) as rig:
-        assert rig.bench is not None
-        rig.bench.board.hold_sensor()  # a hose that is shut: nothing reaches the sensor
-        with pytest.raises(
-            DeviceError, match=r"asked for 300 kPa, pressure reads .* after 3 tries"
-        ):
-            rig.axes["pressure"].set(300.0)
+    config = load_rig(hand_regulator(tmp_path))
+    plan = quick(config, lengths_mm=(60.0,), pressures_kpa=(200.0,))
+
+    def shut(runner: Runner, record: object) -> None:
+        del record
+        person, bench = runner.rig.operator, runner.rig.bench
+        assert isinstance(person, VirtualOperator)
+        assert bench is not None
+        person._acts["pressure"] = lambda _: bench.plant.set_regulator(0.0)  # the wrong way
+
+    result = run_isometric(config, plan, tmp_path / "runs", on_start=shut, derive=False)
+    assert result.outcome == "faulted"
+    assert "asked for 20 kPa, pressure reads" in str(result.error)
+    assert "after 3 tries" in str(result.error)
 
 
 # ---- weights --------------------------------------------------------------------------
