@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import secrets
 import threading
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -19,6 +18,7 @@ from daq.chunks import index_line, members
 from daq.clock import Clock
 from daq.disk import Disk, disk_error
 from daq.errors import RecordError
+from daq.runname import run_name
 from daq.sealed import seal_line, sync_folder, write_sealed
 from daq.segments import (
     END_OF_STREAM,
@@ -136,12 +136,11 @@ class RecordWriter:
 
     @staticmethod
     def _make_folder(root: Path, manifest: Mapping[str, Any], wall_ns: int) -> Path:
-        stamp = _utc(wall_ns)[:19].replace("-", "").replace(":", "") + "Z"
-        names = f"{slug(manifest.get('protocol', 'run'))}_{slug(manifest.get('specimen', 'none'))}"
+        names = slug(manifest.get("protocol", "run")), slug(manifest.get("specimen", "none"))
         try:
             root.mkdir(parents=True, exist_ok=True)
             while True:
-                folder = root / f"{stamp}_{names}_{secrets.token_hex(3)}"
+                folder = root / run_name(wall_ns, *names)
                 with contextlib.suppress(FileExistsError):
                     folder.mkdir()
                     return folder

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq.annotations import ANNOTATIONS
 from daq.errors import RecordError
+from daq.runname import by_start
 
 if TYPE_CHECKING:
     from daq.store import RunInfo
@@ -87,15 +88,16 @@ def update_index(root: Path | str) -> list[RunInfo]:
             known = {row[0]: row for row in db.execute(f"SELECT {', '.join(NAMES)} FROM runs")}
             found: list[RunInfo] = []
             fresh = []
-            for manifest in sorted(folder.glob("*/run.json")):
-                name, stamp = manifest.parent.name, _stamp(manifest.parent)
+            folders = (manifest.parent for manifest in folder.glob("*/run.json"))
+            for run_folder in sorted(folders, key=by_start):
+                name, stamp = run_folder.name, _stamp(run_folder)
                 row = known.pop(name, None)
                 if row is None or row[-1] != stamp:
-                    info = run_info(Run(manifest.parent))
+                    info = run_info(Run(run_folder))
                     values = asdict(info)
                     fresh.append(tuple(stamp if n == "stamp" else values[n] for n in NAMES))
                 else:
-                    info = _info(dict(zip(NAMES, row, strict=True)), manifest.parent)
+                    info = _info(dict(zip(NAMES, row, strict=True)), run_folder)
                 found.append(info)
             places = ", ".join("?" * len(NAMES))
             with contextlib.suppress(sqlite3.OperationalError):  # read-only, or busy: no harm

@@ -14,6 +14,7 @@ from daq.derive import Maker, derive
 from daq.errors import RecordError
 from daq.run import DAMAGED, Run, open_run
 from daq.runindex import index_path, update_index
+from daq.runname import by_start
 from daq.verify import verify
 
 __all__ = ["Problem", "RunInfo", "find_run", "list_runs", "rebuild", "run_info", "show", "verify"]
@@ -63,7 +64,8 @@ def list_runs(root: Path | str) -> list[RunInfo]:
     if index_path(folder).is_file():
         with contextlib.suppress(RecordError):  # a damaged index is no reason for no list
             return update_index(folder)
-    return [run_info(Run(p.parent)) for p in sorted(folder.glob("*/run.json"))]
+    folders = sorted((p.parent for p in folder.glob("*/run.json")), key=by_start)
+    return [run_info(Run(p)) for p in folders]
 
 
 def find_run(root: Path | str, text: str) -> Run:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -47,8 +47,7 @@ class Gap:
     missing: int
 
 
-@dataclass(frozen=True)
-class _Held:
+class _Held(NamedTuple):
     """A frame waiting for its batch: header values and undecoded samples."""
 
     seq: int

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from daq.errors import ConfigError
+from daq.run import open_run
 from daq.sealed import plain
 from daq.store import find_run, list_runs
 from rigs.config import RigConfig, load_rig
@@ -73,6 +74,30 @@ def _named(source: str) -> str:
     return source
 
 
+def last_part(run: Run, root: Path) -> Run:
+    """The last of the runs that go on with a run, or the run itself.
+
+    Raises:
+        ConfigError: the test has come to its end, or two runs go on with the same one.
+    """
+    after: dict[str, list[str]] = {}
+    for info in list_runs(root):
+        after.setdefault(info.continues, []).append(info.run_id)
+    last, seen = run, {run.run_id}
+    while following := [name for name in after.get(last.run_id, []) if name not in seen]:
+        if len(following) > 1:
+            raise ConfigError(
+                last.run_id, f"is continued by {' and by '.join(following)}", "name one of these"
+            )
+        last = open_run(root / following[0])
+        seen.add(last.run_id)
+    if last is not run and last.outcome == "clean":
+        raise ConfigError(
+            run.run_id, f"is continued by {last.run_id}, which ran to its end", "start a new test"
+        )
+    return last
+
+
 def continue_run(
     run: Run,
     *,
@@ -85,19 +110,18 @@ def continue_run(
     on_start: Callable[..., None] | None = None,
     derive: bool = True,
 ) -> Result:
-    """Make the trials that a run did not bring to their end, into a run beside it.
+    """Make the trials that a test did not bring to their end, into a run beside the last one.
+
+    A run that was gone on with already, and broken off again, stands for its test: what goes on
+    is the last of its continuations.
 
     Raises:
-        ConfigError: it cannot be continued, has been already, or its files have changed.
+        ConfigError: it cannot be continued, has come to its end, or its files have changed.
     """
     from rigs.session import run_protocol
 
     root = Path(run.folder).resolve().parent
-    for info in list_runs(root):
-        if info.continues == run.run_id:
-            raise ConfigError(
-                run.run_id, f"is continued by {info.run_id} already", "continue that one"
-            )
+    run = last_part(run, root)
     continues = continuation(run)
     kind, config, plan = same_test(run, rig, protocol)
     manifest = run.manifest

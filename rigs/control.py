@@ -7,11 +7,13 @@ in the run's control file (``pamrig runs tell``), or a call.
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 from collections import deque
 from pathlib import Path
 
 from daq.errors import ConfigError
+from rigs.filelock import try_lock
 
 WORDS = {
     "pause": "hold the test where it is, pressure and all",
@@ -26,9 +28,35 @@ SHORT = {"p": "pause", "c": "resume", "s": "skip", "r": "repeat", "m": "mark", "
 SUFFIX = ".control"
 
 
+LOCK_AT = 1 << 30
+"""Far beyond what is ever asked for: where locks are of bytes, nobody writes there."""
+
+
 def control_file(folder: Path) -> Path:
     """Where a run listens: beside its folder, so that the record holds nothing else."""
     return folder.with_name(folder.name + SUFFIX)
+
+
+def is_heard(path: Path) -> bool:
+    """Whether a running test listens to a control file; one that nobody hears is removed."""
+    try:
+        fd = os.open(path, os.O_RDWR)
+    except OSError:
+        return False
+    try:
+        heard = not try_lock(fd, LOCK_AT)
+    finally:
+        os.close(fd)
+    if not heard:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+    return heard
+
+
+def clear_stale(root: Path) -> None:
+    """Remove the control files of tests whose program was killed."""
+    for path in root.glob(f"*{SUFFIX}"):
+        is_heard(path)
 
 
 class RunControl:
@@ -38,6 +66,7 @@ class RunControl:
         self._lock = threading.Lock()
         self._asked: deque[tuple[str, str]] = deque()
         self._file: Path | None = None
+        self._fd = -1
         self._read = 0
 
     def ask(self, text: str) -> None:
@@ -62,15 +91,22 @@ class RunControl:
             print(error, flush=True)
 
     def listen(self, path: Path) -> None:
-        """Also take whole lines that are appended to a file, from now on."""
-        self._file = path
+        """Also take whole lines that are appended to a file, from now on.
+
+        The file is locked, so that one which a killed program left behind can be told from it.
+        """
+        clear_stale(path.parent)
         with contextlib.suppress(OSError):
-            path.write_bytes(b"")
+            self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
+            try_lock(self._fd, LOCK_AT)
+            self._file = path
         self._read = 0
 
     def close(self) -> None:
         """Stop listening to the file and remove it."""
         if self._file is not None:
+            with contextlib.suppress(OSError):
+                os.close(self._fd)
             with contextlib.suppress(OSError):
                 self._file.unlink(missing_ok=True)
         self._file = None
@@ -80,9 +116,11 @@ class RunControl:
         if self._file is None:
             return
         try:
-            with self._file.open("rb") as file:
-                file.seek(self._read)
-                data = file.read()
+            gained = os.fstat(self._fd).st_size - self._read
+            if gained <= 0:
+                return
+            os.lseek(self._fd, self._read, os.SEEK_SET)
+            data = os.read(self._fd, gained)
         except OSError:
             return
         whole = data[: data.rfind(b"\n") + 1]

@@ -188,7 +188,7 @@ def protocol_text(name: str, config: RigConfig, settings: Mapping[str, Any]) -> 
     lines += [f"{key} = {json.dumps(value)}" for key, value in values.items()]
     if name in ("isometric", "isobaric"):
         lines.append(f"slack_length_mm = {config.limits.length_min_mm + 3.0:.1f}")
-    lines.append('mounting = "m1"' if name == "isometric" else 'mountings = ["m1"]')
+    lines.append('mountings = ["m1"]')
     force = "drift_mm = 0.03" if name == "isotonic" else "drift_n = 0.05"
     top = 0.6 * config.limits.pressure_kpa
     lines += [

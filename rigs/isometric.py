@@ -13,6 +13,10 @@ from typing import Any
 import numpy as np
 
 from rigs.config import Limits
+from rigs.leakcheck import LeakCheck
+from rigs.mounting import Remount
+from rigs.protocols.method import read_leak, read_names
+from rigs.protocols.schedule import ORDERS, Place, path
 from rigs.steps import (
     Dwell,
     EndTrial,
@@ -45,7 +49,7 @@ class Isometric:
     pressures_kpa: tuple[float, ...]
     order: str
     repeats: int
-    mounting: str
+    mountings: tuple[str, ...]
     slack_length_mm: float
     precondition_cycles: int
     precondition_kpa: float
@@ -55,24 +59,24 @@ class Isometric:
     frames: int
     zero_s: float
     seed: int
+    leak: LeakCheck | None = None
     source: str = ""
     text: str = ""
 
-    def schedule(self) -> list[tuple[float, int, list[tuple[str, float]]]]:
-        """Trials in order: (length in mm, replicate, [(direction, pressure in kPa), ...])."""
+    def schedule(self) -> list[tuple[Place, float, list[tuple[str, float]]]]:
+        """Trials in order: (place, length in mm, [(direction, pressure in kPa), ...])."""
         rng = np.random.default_rng(self.seed)
         trials = []
-        for replicate in range(1, self.repeats + 1):
+        for replicate in range(1, self.repeats * len(self.mountings) + 1):
+            m, k = divmod(replicate - 1, self.repeats)
             lengths = list(self.lengths_mm)
             if self.order == "random":
                 lengths = [float(x) for x in rng.permutation(lengths)]
-            for length in lengths:
-                if self.order == "random":
-                    points = [("single", float(p)) for p in rng.permutation(self.pressures_kpa)]
-                else:
-                    up = sorted(self.pressures_kpa)
-                    points = [("up", p) for p in up] + [("down", p) for p in reversed(up)]
-                trials.append((length, replicate, points))
+            elif self.order == "abba" and replicate % 2 == 0:
+                lengths.reverse()
+            for at, length in enumerate(lengths):
+                place = Place(self.mountings[m], replicate, k == 0 and at == 0)
+                trials.append((place, length, path(self.pressures_kpa, self.order, rng)))
         return trials
 
     def steps(self) -> Steps:
@@ -82,13 +86,15 @@ class Isometric:
     @property
     def points(self) -> int:
         """How many settled points the test has."""
-        return sum(len(points) for _, _, points in self.schedule())
+        return sum(len(points) for *_, points in self.schedule())
 
     def as_dict(self) -> dict[str, Any]:
         """The parameters as they go into the record."""
         values = dict(vars(self))
         values["settle"] = self.settle.as_dict()
+        values["leak"] = None if self.leak is None else dict(vars(self.leak))
         values["lengths_mm"] = list(self.lengths_mm)
+        values["mountings"] = list(self.mountings)
         values["pressures_kpa"] = list(self.pressures_kpa)
         del values["text"]
         return values
@@ -111,9 +117,9 @@ def load_isometric(name: str, limits: Limits) -> Isometric:
         name=t.text("name", "isometric"),
         lengths_mm=t.numbers("lengths_mm", low, high, unit="mm"),
         pressures_kpa=t.numbers("pressures_kpa", 0, top, unit="kPa"),
-        order=t.text("order", "up-down", choices=("up-down", "random")),
+        order=t.text("order", "up-down", choices=ORDERS),
         repeats=t.integer("repeats", 1, 1000, 2),
-        mounting=t.text("mounting", "m1"),
+        mountings=read_names(t, "mountings", ("m1",)),
         slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
         precondition_cycles=pre.integer("cycles", 0, 1000, 3),
         precondition_kpa=pre.number("pressure_kpa", 0, top, min(400.0, top), unit="kPa"),
@@ -129,6 +135,7 @@ def load_isometric(name: str, limits: Limits) -> Isometric:
         frames=measure.integer("frames", 0, 1000, 1),
         zero_s=measure.number("zero_s", 0.2, 600, 0.5, unit="s"),
         seed=t.integer("seed", 0, 2**63 - 1, 1),
+        leak=read_leak(t, top),
         source=t.source,
     )
     for table in (pre, settle, measure, t):
@@ -139,11 +146,15 @@ def load_isometric(name: str, limits: Limits) -> Isometric:
 def steps(p: Isometric) -> Steps:
     """The method.
 
-    Precondition; then for each trial: slacken, breathe, vent, tare, hold the length, read the
-    vented zero, step the pressures (each settled, then measured), vent, read zero again.
+    Leak check where one is asked for; precondition; then for each trial: slacken, breathe, vent,
+    tare, hold the length, read the vented zero, step the pressures (each settled, then measured),
+    vent, read zero again. Between two mountings the muscle is taken off and put back.
     """
     yield State("precondition")
     yield SetLength(sum(p.lengths_mm) / len(p.lengths_mm))
+    if p.leak is not None:
+        yield p.leak
+        yield State("precondition")
     for _ in range(p.precondition_cycles):
         yield SetPressure(p.precondition_kpa)
         yield Dwell(p.precondition_dwell_s)
@@ -151,10 +162,14 @@ def steps(p: Isometric) -> Steps:
         yield Dwell(p.precondition_dwell_s)
 
     order = 0
-    for trial, (length, replicate, points) in enumerate(p.schedule(), start=1):
-        yield State(f"trial {trial}: {length:g} mm, replicate {replicate}")
+    for trial, (place, length, points) in enumerate(p.schedule(), start=1):
+        if place.first_of_mounting and place.mounting != p.mountings[0]:
+            yield Remount(place.mounting)
+        yield State(f"trial {trial}: {length:g} mm, replicate {place.replicate}")
         held = (("held_length_mm", length),)
-        yield Trial(trial, f"L{length:g}", replicate, trial, p.mounting, "isometric", held)
+        yield Trial(
+            trial, f"L{length:g}", place.replicate, trial, place.mounting, "isometric", held
+        )
         yield Vent()
         yield SetLength(p.slack_length_mm)
         # Shortening draws a slight vacuum that an outlet need not let go; a breath of air
@@ -176,9 +191,9 @@ def steps(p: Isometric) -> Steps:
             yield Measure(
                 trial=trial,
                 slot=f"L{length:g}",
-                replicate=replicate,
+                replicate=place.replicate,
                 order=order,
-                mounting=p.mounting,
+                mounting=place.mounting,
                 direction=direction,
                 set_pressure_kpa=pressure,
                 set_length_mm=length,

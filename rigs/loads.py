@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from daq.errors import DeviceError, PamrigError
+from rigs.operator import Request, ask
 from rigs.steps import Act, Vent
 
 if TYPE_CHECKING:
@@ -47,10 +48,20 @@ class HangLoad(Act):
         LowerLoad().perform(runner)
         if self.mass_kg == self.asked_of(runner):
             return runner.load_kg
-        read = runner.axis("mass", "kg").set(self.mass_kg).read
-        runner.load_kg = read
-        runner.record.event("load", asked_kg=self.mass_kg, mass_kg=read)
-        return read
+        setting = runner.axis("mass", "kg").set(self.mass_kg)
+        runner.load_kg = setting.taken
+        checked = {} if setting.checked_by == "operator" else {"checked_kg": setting.read}
+        runner.record.event(
+            "load", asked_kg=self.mass_kg, mass_kg=setting.taken, checked_by=setting.checked_by,
+            **checked,
+        )  # fmt: skip
+        catch_mm = config.instruments.load.catch_mm
+        if self.mass_kg and catch_mm:
+            text = f"set the catch {catch_mm:g} mm below the load, then press Enter"
+            request = Request("catch", catch_mm, "mm", text)
+            remark, seconds = ask(runner.rig.operator, runner.rig.pump, request)
+            runner.record.event("catch", below_mm=catch_mm, waited_s=seconds, remark=remark)
+        return setting.taken
 
     @staticmethod
     def asked_of(runner: Runner) -> float:
@@ -95,17 +106,30 @@ def lower_load(runner: Runner) -> None:
     """The safe state of a rig with a hung load, as long as the controller obeys: lowered.
 
     Where it does not (fault, lost link, killed program) the controller vents by itself, and the
-    load comes down as fast as the outlet's restrictor lets it: the catcher below the load is
+    load comes down as fast as the outlet's restrictor lets it: the catch below the load is
     for that.
     """
     valve = runner.rig.valve
     if not valve.armed or valve.fault_latched:
-        runner.record.event("lowered", load_kg=runner.load_kg, done=False, reason="vented already")
-        runner.watch.log("the controller vented by itself: the load came down with it")
+        _not_lowered(runner, "vented already")
         return
     try:
         start = 0.0 if runner.vented else ramp_down(runner)
     except PamrigError as error:
-        runner.record.event("lowered", load_kg=runner.load_kg, done=False, reason=str(error))
+        _not_lowered(runner, str(error))
         return
     runner.record.event("lowered", load_kg=runner.load_kg, done=True, from_kpa=start)
+
+
+def _not_lowered(runner: Runner, reason: str) -> None:
+    """The load came down by itself: onto its catch, where there is one."""
+    catch_mm = runner.rig.config.instruments.load.catch_mm
+    runner.record.event(
+        "lowered", load_kg=runner.load_kg, done=False, reason=reason,
+        catch_mm=catch_mm or None,
+    )  # fmt: skip
+    runner.watch.log(
+        "the muscle was vented without lowering the load: "
+        + (f"see that the catch, {catch_mm:g} mm below, holds it" if catch_mm else
+           "it came down as fast as the outlet let it; no catch is named ([load] catch_mm)")
+    )  # fmt: skip

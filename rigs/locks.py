@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.errors import PortError
+from rigs.filelock import try_lock
 
 if TYPE_CHECKING:
     from rigs.config import RigConfig
@@ -83,7 +84,7 @@ def _hold(path: Path, config: RigConfig, key: str, port: str) -> int | None:
         fd = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError:
         return None
-    if not _try(fd):
+    if not try_lock(fd, RECORD):
         holder = _who(fd)
         os.close(fd)
         raise PortError(
@@ -102,27 +103,6 @@ def _hold(path: Path, config: RigConfig, key: str, port: str) -> int | None:
     with contextlib.suppress(OSError):
         os.pwrite(fd, text, 0) if hasattr(os, "pwrite") else os.write(fd, text)
     return fd
-
-
-def _try(fd: int) -> bool:
-    """Whether the lock could be had at once."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        try:
-            os.lseek(fd, RECORD, os.SEEK_SET)
-            msvcrt.locking(fd, msvcrt.LK_NBLCK, 1)
-            os.lseek(fd, 0, os.SEEK_SET)
-        except OSError:
-            return False
-        return True
-    import fcntl
-
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
 
 
 def _who(fd: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -54,7 +54,7 @@ class ConsoleOperator:
     """
 
     def __init__(self) -> None:
-        self._lines: queue.Queue[str] = queue.Queue()
+        self._lines: queue.Queue[str | None] = queue.Queue()
         self._thread: threading.Thread | None = None
         self._asking = False
         self.on_line: Callable[[str], None] | None = None
@@ -63,8 +63,8 @@ class ConsoleOperator:
         """Print the request and listen."""
         while not self._lines.empty():  # what was typed before the question answers nothing
             self._lines.get_nowait()
+        self._asking = True  # before the question is seen: its answer may be quick
         print(f"\n>> {request.text}", file=sys.stderr, flush=True)
-        self._asking = True
         self.listen()
 
     def listen(self) -> None:
@@ -74,20 +74,44 @@ class ConsoleOperator:
             self._thread.start()
 
     def _listen(self) -> None:
-        for line in sys.stdin:
+        for line in _typed_lines():
             if self._asking or self.on_line is None:
                 self._lines.put(line.strip())
             elif line.strip():
                 self.on_line(line.strip())
+        self._lines.put(None)
 
-    def answer(self) -> str | None:
-        """The line typed, without its end."""
+    def answer(self, wait_s: float = 0.0) -> str | None:
+        """The line typed, without its end; waits for it that long of the wall's time.
+
+        Raises:
+            DeviceError: nobody can answer, because the input is at its end.
+        """
         try:
-            text = self._lines.get_nowait()
+            text = self._lines.get(timeout=wait_s) if wait_s else self._lines.get_nowait()
         except queue.Empty:
             return None
+        if text is None:
+            raise DeviceError(
+                "operator", "the input is at its end: nobody answers", "run it at a terminal"
+            )
         self._asking = False
         return text
+
+
+def _typed_lines() -> Iterator[str]:
+    """Lines of the terminal, read past Python's own buffer.
+
+    Its lock would still be held by this thread when the program ends, which Python does not bear.
+    """
+    try:
+        fd = sys.stdin.fileno()
+    except (AttributeError, OSError, ValueError):
+        yield from sys.stdin or ()
+        return
+    with open(fd, "rb", buffering=0, closefd=False) as raw:
+        for line in raw:
+            yield line.decode(errors="replace")
 
 
 def ask(operator: Operator, pump: Pump, request: Request) -> tuple[str, float]:
@@ -129,11 +153,15 @@ def ask_number(operator: Operator, pump: Pump, request: Request) -> float:
 
 @dataclass(frozen=True)
 class ManualSetting:
-    """What became of a request: asked, read by whom, how long it took, in how many tries."""
+    """What became of a request: asked, read by whom, how long it took, in how many tries.
+
+    ``taken`` is what the test goes on with: what was read, or a marked mass that was confirmed.
+    """
 
     axis: str
     asked: float
     read: float
+    taken: float
     unit: str
     checked_by: str
     waited_s: float
@@ -158,6 +186,9 @@ class ManualAxis:
         checked_by: name of that sensor.
         tolerance: how far the sensor may be from what was asked for.
         verb: how the request begins.
+        marked: True where what is set bears its value, as a weight does: the sensor then only
+            confirms it, and who sets another one types what it bears.
+        before: called before anything is asked.
     """
 
     def __init__(
@@ -170,6 +201,8 @@ class ManualAxis:
         checked_by: str = "",
         tolerance: float = 0.0,
         verb: str = "set",
+        marked: bool = False,
+        before: Callable[[], None] | None = None,
     ) -> None:
         self.name = name
         self.unit = unit
@@ -179,6 +212,8 @@ class ManualAxis:
         self._checked_by = checked_by if check is not None else "operator"
         self._tolerance = tolerance
         self._verb = verb
+        self._marked = marked
+        self._before = before
         self.settings: list[ManualSetting] = []
         self.on_setting: list[Callable[[ManualSetting], None]] = []
 
@@ -188,6 +223,8 @@ class ManualAxis:
         Raises:
             DeviceError: after three tries the sensor still reads something else.
         """
+        if self._before is not None:
+            self._before()
         waited = 0.0
         read = value
         note = ""
@@ -197,11 +234,13 @@ class ManualAxis:
                 self._operator, self._pump, Request(self.name, value, self.unit, text)
             )
             waited += seconds
-            read = self._read(answer, value)
-            if self._check is None or abs(read - value) <= self._tolerance:
+            said = self._said(answer, value) if self._marked or self._check is None else value
+            read = said if self._check is None else self._check()
+            if self._check is None or abs(read - said) <= self._tolerance:
                 setting = ManualSetting(
-                    self.name, value, read, self.unit, self._checked_by, waited, attempt
-                )
+                    self.name, value, read, said if self._marked else read,
+                    self.unit, self._checked_by, waited, attempt,
+                )  # fmt: skip
                 self.settings.append(setting)
                 for listener in self.on_setting:
                     listener(setting)
@@ -220,9 +259,7 @@ class ManualAxis:
             return what if value else "take the load off the muscle"
         return f"{self._verb} {self.name} to {value:g} {self.unit}"
 
-    def _read(self, answer: str, asked: float) -> float:
-        if self._check is not None:
-            return self._check()
+    def _said(self, answer: str, asked: float) -> float:
         if answer.lower() in TRUE_WORDS:
             return asked
         try:

@@ -13,6 +13,7 @@ from daq.errors import ConfigError, DeviceError, PamrigError
 from daq.transport import Link, SerialLink
 from rigs.camera import Camera
 from rigs.config import Device, RigConfig
+from rigs.hungmass import HungMass
 from rigs.instruments.instrument import Instrument
 from rigs.instruments.modbus import ModbusInstrument
 from rigs.instruments.settings import ModbusDevice, TextDevice
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 CHECK_READINGS = 3
 CHECK_FRAMES = 3
+TERMINAL = "terminal"
+"""Address of the person at the terminal."""
 
 
 class Ports:
@@ -139,13 +142,19 @@ def _modbus(
 def default_operator(ports: Ports, bench: VirtualBench | None) -> Operator:
     """The person at the terminal, or a simulated one on a virtual bench.
 
+    With "terminal" for its address the person at the terminal works on the virtual bench, too.
+
     Raises:
         PortError: nobody answers at the address of ``[operator]``.
     """
     address = ports.config.instruments.operator
-    if address:
+    if address not in ("", TERMINAL):
         return ports.person(address)
     simulated = bench.extras.operator() if bench is not None else None
+    if address == TERMINAL and simulated is not None:
+        from rigs.virtual.handson import HandsOn
+
+        return HandsOn(simulated)
     return simulated or ConsoleOperator()
 
 
@@ -191,11 +200,15 @@ def open_axes(
     out = {}
     for name, axis in config.instruments.manual.items():
         check: Callable[[], float] | None = None
+        before: Callable[[], None] | None = None
         if axis.check == "pressure":
             check = pressure_kpa
         elif axis.check in instruments:
             reader = instruments[axis.check]
             check = _mean_of(reader)
+            if name == "mass" and reader.quantity == "force_n":
+                check = hung = HungMass(reader, config.conditions.gravity_m_s2)
+                before = hung.look
         elif axis.check:
             raise ConfigError(
                 f"{config.source}: manual.{name}.check",
@@ -205,6 +218,7 @@ def open_axes(
         out[name] = ManualAxis(
             name, axis.unit, person, pump,
             check=check, checked_by=axis.check, tolerance=axis.tolerance,
+            marked=name == "mass", before=before,
         )  # fmt: skip
     return out
 

@@ -16,6 +16,7 @@ from daq.clock import NS_PER_S
 from daq.errors import DeviceError, LinkLost, PamrigError, RecordError
 from daq.record import RecordWriter
 from rigs.control import RunControl
+from rigs.handregulator import turn_by_hand
 from rigs.instruments.recording import temperature
 from rigs.interrupt import StopFlag
 from rigs.loads import lower_load
@@ -304,6 +305,7 @@ class Runner:
         self._choose(self.rig.config.valve.static_scheme)
         self.rig.valve.set_point(counts)
         self.watch.set_point("pressure", pressure_kpa)
+        turn_by_hand(self, pressure_kpa)
 
     def _settle(self, step: Settle) -> Answer:
         start_ns = self.rig.clock.now_ns()
@@ -393,8 +395,5 @@ def outcome_of(error: BaseException | None) -> str:
         return "clean"
     if isinstance(error, Stopped):
         return "stopped"
-    return (
-        "faulted"
-        if isinstance(error, (RunFault, LinkLost, DeviceError, RecordError))
-        else "aborted"
-    )
+    known = isinstance(error, (RunFault, LinkLost, DeviceError, RecordError))
+    return "faulted" if known else "aborted"

@@ -41,9 +41,10 @@ def has_settled(rig: Rig, camera: Mapping[str, Any], step: Settle) -> Callable[[
             return False
         if c.drift_n is not None and rig.balance.rows < first_row + readings:
             return False
-        p = cal["pressure_kpa"].apply(rig.valve.recent_counts(samples))
-        half = len(p) // 2
-        early, late = float(np.mean(p[:half])), float(np.mean(p[half:]))
+        counts = rig.valve.recent_counts(samples)
+        half = len(counts) // 2
+        means = (counts[:half].mean(), counts[half:].mean())  # a calibration is a straight line
+        early, late = (float(cal["pressure_kpa"].apply(mean)) for mean in means)
         if abs((early + late) / 2 - step.pressure_kpa) > tolerance:
             return False
         if abs(late - early) > c.drift_kpa:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from daq.errors import RecordError
 from daq.store import find_run
-from rigs.control import RunControl, control_file
+from rigs.control import RunControl, control_file, is_heard
 
 
 def tell_run(run: str, runs: Path, text: str) -> str:
@@ -19,7 +19,7 @@ def tell_run(run: str, runs: Path, text: str) -> str:
     RunControl().ask(text)  # refuses what no test would understand
     folder = Path(find_run(runs, run).folder)
     path = control_file(folder)
-    if not path.exists():
+    if not is_heard(path):
         raise RecordError(str(folder), "is not running", "it has ended; see `pamrig runs show`")
     with path.open("a", encoding="utf-8") as file:
         file.write(text.replace("\n", " ") + "\n")

@@ -46,8 +46,8 @@ def test_every_point_of_the_schedule_is_there_once(tmp_path: Path) -> None:
     result, run, _ = run_bench(tmp_path)
     plan = quick(load_rig("virtual"))
     asked = [
-        (length, replicate, direction, pressure)
-        for length, replicate, points in plan.schedule()
+        (length, place.replicate, direction, pressure)
+        for place, length, points in plan.schedule()
         for direction, pressure in points
     ]
     got = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,17 @@ from bench_runs import quick
 from daq.clock import VirtualClock
 from daq.errors import DeviceError
 from daq.run import open_run
-from rigs.config import load_rig
+from rigs.config import RigConfig, load_rig
 from rigs.doctor import examine
+from rigs.isometric import load_isometric
 from rigs.operator import ManualAxis, Request, ask_number
+from rigs.protocols.registry import procedure
 from rigs.pump import Pump
 from rigs.rig import open_rig
-from rigs.session import run_isometric
+from rigs.runner import Runner
+from rigs.segments import reduce_run
+from rigs.session import run_isometric, run_protocol
+from rigs.toml_reader import find_config
 from rigs.virtual.operator import VirtualOperator
 
 
@@ -121,3 +127,150 @@ def test_a_temperature_set_by_hand_and_looked_after_by_the_thermometer() -> None
         assert setting.read == pytest.approx(35.0, abs=1.0)
         assert setting.read != 35.0
         assert setting.checked_by == "thermometer"
+
+
+def hand_regulator(folder: Path, tolerance: float = 3.0) -> str:
+    """The bench of 1996, with a regulator that somebody turns."""
+    axis = (
+        f'[manual.pressure]\nquantity = "pressure_kpa"\nunit = "kPa"\ncheck = "pressure"\n'
+        f"tolerance = {tolerance}\n\n"
+    )
+    text = load_rig("virtual-thesis").text
+    path = folder / "hand.toml"
+    path.write_text(text.replace("[calibrations.", axis + "[calibrations.", 1))
+    return str(path)
+
+
+def test_an_isometric_test_with_a_regulator_turned_by_hand(tmp_path: Path) -> None:
+    config = load_rig(hand_regulator(tmp_path))
+    plan = quick(config, lengths_mm=(60.0,), pressures_kpa=(200.0, 400.0))
+    result = run_isometric(config, plan, tmp_path / "runs", derive=False)
+    assert result.outcome == "clean", result.error
+    run = open_run(result.folder)
+    turned = [e for e in run.events if e["kind"] == "manual"]
+    assert [e["asked"] for e in turned] == [20.0, 200.0, 400.0, 200.0]
+    for event in turned:
+        assert event["axis"] == "pressure"
+        assert event["checked_by"] == "pressure"
+        assert abs(event["read"] - event["asked"]) <= 3.0
+        assert event["waited_s"] >= 5.0
+    table = reduce_run(run).table
+    assert (abs(table["pressure_kpa"] - table["set_pressure_kpa"]) < 3.0).all()
+    assert (table["pressure_kpa"] != table["set_pressure_kpa"]).all()
+
+
+def test_a_regulator_turned_the_wrong_way_is_asked_for_again_and_then_ends_the_test(
+    tmp_path: Path,
+) -> None:
+    config = load_rig(hand_regulator(tmp_path))
+    plan = quick(config, lengths_mm=(60.0,), pressures_kpa=(200.0,))
+
+    def shut(runner: Runner, record: object) -> None:
+        del record
+        person, bench = runner.rig.operator, runner.rig.bench
+        assert isinstance(person, VirtualOperator)
+        assert bench is not None
+        person._acts["pressure"] = lambda _: bench.plant.set_regulator(0.0)  # the wrong way
+
+    result = run_isometric(config, plan, tmp_path / "runs", on_start=shut, derive=False)
+    assert result.outcome == "faulted"
+    assert "asked for 20 kPa, pressure reads" in str(result.error)
+    assert "after 3 tries" in str(result.error)
+
+
+# ---- weights --------------------------------------------------------------------------
+
+
+def weights_rig() -> RigConfig:
+    """The bench with a load cell and hand-hung weights, and its simulated person."""
+    config = load_rig("virtual-weights")
+    return dataclasses.replace(
+        config, instruments=dataclasses.replace(config.instruments, operator="")
+    )
+
+
+class Forgetful(VirtualOperator):
+    """Says that it was done, but hangs nothing the first time."""
+
+    def perform(self, request: Request) -> str:
+        if request.axis == "mass" and sum(r.axis == "mass" for r in self.asked) == 1:
+            return ""
+        return super().perform(request)
+
+
+def test_a_weight_that_the_load_cell_does_not_see_is_asked_for_again() -> None:
+    config = weights_rig()
+    with open_rig(config) as rig:
+        assert rig.bench is not None
+        rig.valve.progress(60.0)
+        rig.operator.__class__ = Forgetful
+        setting = rig.axes["mass"].set(1.154)
+        assert setting.tries == 2
+        assert setting.taken == 1.154
+        assert setting.read == pytest.approx(1.154, abs=0.15)
+        assert "load_cell reads" in rig.operator.asked[-1].text  # type: ignore[attr-defined]
+
+
+def test_another_weight_than_asked_for_is_typed_and_confirmed() -> None:
+    pump = Pump(VirtualClock(), 0.02)
+    axis = ManualAxis(
+        "mass", "kg", Typist("1.5"), pump, lambda: 1.46, "load_cell", 0.1, marked=True
+    )
+    setting = axis.set(1.154)
+    assert (setting.asked, setting.taken, setting.read) == (1.154, 1.5, 1.46)
+
+
+def test_a_load_is_given_a_catch_and_the_record_says_so_when_it_was_needed(tmp_path: Path) -> None:
+    kind, config = procedure("isotonic"), weights_rig()
+
+    def fail(runner: Runner, record: object) -> None:
+        del record
+
+        def look() -> None:
+            if runner.progress.done == 2:
+                assert runner.rig.bench is not None
+                runner.rig.bench.board.sensor_override = 4000
+
+        runner.rig.pump.add(look)
+
+    result = run_protocol(
+        kind, config, kind.read("isotonic-short", config), tmp_path, on_start=fail, derive=False
+    )
+    assert result.outcome == "faulted"
+    events = open_run(result.folder).events
+    assert [e["below_mm"] for e in events if e["kind"] == "catch"] == [3.0]
+    (lowered,) = (e for e in events if e["kind"] == "lowered")
+    assert (lowered["done"], lowered["catch_mm"]) == (False, 3.0)
+
+
+# ---- the isometric test has the habits of the others ------------------------------------
+
+
+def test_an_isometric_test_goes_abba_through_mountings_after_a_leak_check(tmp_path: Path) -> None:
+    config = load_rig("virtual")
+    text = find_config("isometric-short", "protocols")[0]
+    for old, new in (
+        ("lengths_mm = [60.0]", "lengths_mm = [58.0, 64.0]"),
+        ("pressures_kpa = [100, 200, 300]", "pressures_kpa = [200]"),
+        ('order = "up-down"', 'order = "abba"'),
+        ("repeats = 1", "repeats = 2"),
+        ('mountings = ["m1"]', 'mountings = ["m1", "m2"]'),
+        ("[settle] ", "[leak_check]\npressure_kpa = 300\nhold_s = 1.0\n\n[settle] "),
+    ):
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    plan = load_isometric(str(path), config.limits)
+    result = run_isometric(config, plan, tmp_path / "runs", derive=False)
+    assert result.outcome == "clean", result.error
+    run = open_run(result.folder)
+    begun = [e for e in run.events if e["kind"] == "trial" and e["phase"] == "begin"]
+    assert [(e["slot"], e["replicate"], e["mounting"]) for e in begun] == [
+        ("L58", 1, "m1"), ("L64", 1, "m1"), ("L64", 2, "m1"), ("L58", 2, "m1"),
+        ("L58", 3, "m2"), ("L64", 3, "m2"), ("L64", 4, "m2"), ("L58", 4, "m2"),
+    ]  # fmt: skip
+    assert [e["mounting"] for e in run.events if e["kind"] == "mounted"] == ["m2"]
+    (leak,) = (e for e in run.events if e["kind"] == "leak")
+    assert leak["tight"]
+    assert sorted(set(reduce_run(run).table["mounting"])) == ["m1", "m2"]

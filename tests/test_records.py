@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
 import sqlite3
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +22,13 @@ from daq.annotations import ANNOTATIONS, annotate, read_annotations
 from daq.errors import ConfigError, PamrigError, PortError, RecordError
 from daq.run import Run, open_run
 from daq.runindex import index_path, rebuild_index, update_index
+from daq.runname import run_name
 from daq.store import find_run, list_runs
 from daq.verify import verify
 from rigs.chain import load_plan, run_chain, standing
 from rigs.config import load_rig
 from rigs.continuing import continue_run
+from rigs.control import RunControl, control_file
 from rigs.export import export_run, with_unit
 from rigs.interrupt import StopFlag
 from rigs.isometric import load_isometric
@@ -36,8 +40,7 @@ from rigs.report import report_json
 from rigs.rig import open_rig
 from rigs.segments import reduce_run, whole_trials
 from rigs.session import run_protocol
-
-CAMPAIGN = bool(os.environ.get("PAMRIG_CAMPAIGN"))
+from rigs.tell import tell_run
 
 SMALL = """
 protocol = "isometric"
@@ -59,6 +62,7 @@ zero_s = 0.2
 
 
 def protocol_file(folder: Path, text: str = SMALL) -> Path:
+    folder.mkdir(exist_ok=True)
     path = folder / "small.toml"
     path.write_text(text)
     return path
@@ -281,29 +285,87 @@ def broken_off(folder: Path, how: str, rounds: int, before: Run | None = None) -
         return open_run(made[-1])
 
 
-def whole_test(folder: Path, seed: int) -> tuple[Run, int]:
-    """A test broken off again and again at random, and gone on with until it ends."""
+def killed(folder: Path, after_s: float, before: Run | None = None) -> Run:
+    """A run (or a continuation) in a program of its own that SIGKILL ends, if it is not over."""
+    root = folder / "runs"
+    there = set(root.glob("*/")) if root.exists() else set()
+    small = str(protocol_file(folder))
+    start = ["isometric", "--protocol", small, "--seed", "1", "--out", str(root)]
+    if before is not None:
+        start = ["continue", before.run_id, "--runs", str(root)]
+    program = subprocess.Popen(
+        [sys.executable, "-m", "rigs.cli", *start],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    end = time.monotonic() + 900.0  # a busy machine is not what is tested
+    while not (new := [p.parent for p in root.glob("*/events.jsonl") if p.parent not in there]):
+        assert program.poll() is None, program.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        program.wait(after_s)
+    program.kill()
+    program.communicate()
+    return open_run(new[0])
+
+
+def whole_test(folder: Path, seed: int, really: bool = False) -> tuple[Run, dict[str, int]]:
+    """A test broken off again and again at random, and gone on with until it ends.
+
+    Returns:
+        the last run, and how often the test was stopped, killed and paused.
+    """
     rng = np.random.default_rng(seed)
     run: Run | None = None
-    for breaks in range(40):
+    for _ in range(40):
         how = str(rng.choice(["stop", "kill", "pause"]))
-        run = broken_off(folder, how, int(rng.integers(5, 1500)), run)
+        rounds = int(rng.integers(5, 1500))
+        if how == "kill" and really:
+            run = killed(folder, float(rng.uniform(0.0, 1.0)), run)
+        else:
+            run = broken_off(folder, how, rounds, run)
         if run.outcome == "clean":
-            return run, breaks
-    raise AssertionError("it never came to its end")
+            break
+    assert run is not None
+    assert run.outcome == "clean", "it never came to its end"
+    parts = [open_run(info.folder) for info in list_runs(folder / "runs")]
+    broken = {
+        "stopped": sum(part.outcome == "stopped" for part in parts),
+        "killed": sum(part.outcome == "interrupted" for part in parts),
+        "paused": sum(event["kind"] == "paused" for part in parts for event in part.events),
+    }
+    return run, broken
 
 
-@pytest.mark.parametrize("seed", range(34 if CAMPAIGN else 3))
-def test_no_trial_is_lost_or_doubled_however_often_a_test_is_broken_off(
-    tmp_path: Path, seed: int
-) -> None:
-    run, _ = whole_test(tmp_path, seed)
+def check_whole(run: Run) -> None:
+    """Every trial and every point of the small test once, in the table of the last run."""
     table = reduce_run(run).table
     assert sorted(table["order"]) == list(range(1, 13))
     assert table.groupby("trial").size().to_dict() == dict.fromkeys(range(1, 7), 2)
     cells = table.groupby(["set_length_mm", "set_pressure_kpa"]).size()
     assert (cells == 3).all()
     assert whole_trials(run) == [1, 2, 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_trial_is_lost_or_doubled_however_often_a_test_is_broken_off(
+    tmp_path: Path, seed: int
+) -> None:
+    run, _ = whole_test(tmp_path, seed)
+    check_whole(run)
+
+
+@pytest.mark.campaign
+def test_a_hundred_breaks_lose_and_double_no_trial(tmp_path: Path) -> None:
+    """Random moments; a kill is SIGKILL to a program of its own."""
+    total = {"stopped": 0, "killed": 0, "paused": 0}
+    tests = 0
+    while sum(total.values()) < 100 or min(total.values()) < 25:
+        run, broken = whole_test(tmp_path / f"{tests}", 1000 + tests, really=True)
+        check_whole(run)
+        total = {how: n + broken[how] for how, n in total.items()}
+        tests += 1
+        print(f"{tests} tests: {total}", flush=True)
 
 
 def test_a_continuation_says_what_it_continues_and_keeps_both_records(tmp_path: Path) -> None:
@@ -329,11 +391,71 @@ def test_a_continuation_says_what_it_continues_and_keeps_both_records(tmp_path: 
     assert 1 not in set(reduce_run(second).table["order"])
 
 
+@pytest.mark.parametrize("how", ["stop", "kill"])
+def test_a_continuation_broken_off_before_its_first_trial_is_gone_on_with(
+    tmp_path: Path, how: str
+) -> None:
+    """Whichever of the two a technician names: it is one test, and goes on where it stands."""
+    first = broken_off(tmp_path, "stop", 700)
+    done = whole_trials(first)
+    second = broken_off(tmp_path, how, 3, first)
+    assert not [e for e in second.events if e["kind"] == "trial"]
+    assert whole_trials(second) == done
+    third = open_run(continue_run(first, derive=False).folder)
+    assert third.manifest["continues"]["run_id"] == second.run_id
+    assert third.outcome == "clean"
+    assert sorted(reduce_run(third).table["order"]) == list(range(1, 13))
+    with pytest.raises(ConfigError, match=f"continued by {third.run_id}, which ran to its end"):
+        continue_run(first)
+
+
+def test_the_last_of_several_runs_within_a_second_is_the_last_one(tmp_path: Path) -> None:
+    wall_ns = 1_800_000_000_000_000_000
+    begun = [(wall_ns + 300_000_000, "flow"), (wall_ns + 301_000_000, "isometric"),
+             (wall_ns + 999_000_000, "flow"), (wall_ns + 1_000_000_000, "ram")]  # fmt: skip
+    names = [run_name(at, protocol, "a-specimen") for at, protocol in begun]
+    for name in sorted(names):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text("{}")
+    assert [info.run_id for info in list_runs(tmp_path)] == names
+    assert [info.run_id for info in rebuild_index(tmp_path)] == names
+    assert find_run(tmp_path, "last").run_id == names[-1]
+
+
 def test_a_protocol_that_was_changed_meanwhile_is_not_gone_on_with(tmp_path: Path) -> None:
     first = broken_off(tmp_path, "stop", 700)
     protocol_file(tmp_path, SMALL.replace("repeats = 3", "repeats = 4"))
     with pytest.raises(ConfigError, match=r"small\.toml: repeats: was 3 in run"):
         continue_run(first)
+
+
+# ---- asked from outside ----
+
+
+def test_a_control_file_that_a_killed_run_left_behind_is_cleared(
+    measured: Run, tmp_path: Path
+) -> None:
+    run = copy_of(measured, tmp_path)
+    left, living = control_file(run.folder), tmp_path / "runs" / "other.control"
+    left.write_text("pause\n")
+    control = RunControl()
+    control.listen(living)
+    assert not left.exists(), "a test that begins beside it clears it away"
+    left.write_text("pause\n")
+    with pytest.raises(RecordError, match="is not running"):
+        tell_run(run.run_id, run.folder.parent, "pause")
+    assert not left.exists()
+    with living.open("a") as file:
+        file.write("mark here\nsk")
+    RunControl().listen(tmp_path / "runs" / "third.control")
+    control.look()
+    assert (control.take(), control.take()) == (("mark", "here"), None)
+    with living.open("a") as file:
+        file.write("ip\n")
+    control.look()
+    assert control.take() == ("skip", "")
+    control.close()
+    assert not living.exists()
 
 
 # ---- plans ---------------------------------------------------------------------------

@@ -67,11 +67,13 @@ class ManualAxisSettings:
 @dataclass(frozen=True)
 class LoadSettings:
     """Masses that are hung on the muscle: how well they are known (relative, k = 1), how fast
-    the pressure is let down under them, in kPa/s.
+    the pressure is let down under them, in kPa/s, and how far below a load a catch is set, in mm
+    (0: there is none).
     """
 
     u_mass: float = 1e-4
     lower_kpa_s: float = 150.0
+    catch_mm: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,8 @@ class InstrumentSettings:
     """All of them; empty for a rig file that names none.
 
     ``operator`` is the address of a simulated person ("tcp://host:port", as `pamrig virtual`
-    writes it); empty for the one at the terminal.
+    writes it), or "terminal" for the one there, also on a virtual bench; where it is empty a
+    virtual bench has a person of its own.
     """
 
     text: dict[str, TextDevice] = field(default_factory=dict)
@@ -136,6 +139,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
         LoadSettings(
             u_mass=load.number("u_mass", 0, 1, 1e-4),
             lower_kpa_s=load.number("lower_kpa_s", 1, 2000, 150.0, unit="kPa/s"),
+            catch_mm=load.number("catch_mm", 0, 500, 0.0, unit="mm"),
         ),
         person.text("port", ""),
     )  # fmt: skip

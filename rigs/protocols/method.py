@@ -91,16 +91,24 @@ def read_method(
         measure_s=measure.number("seconds", 0.2, 600, 1.0, unit="s"),
         frames=measure.integer("frames", 0 if drift_mm is None else 1, 1000, 1),
         zero_s=measure.number("zero_s", 0.2, 600, 0.5, unit="s"),
-        leak=_leak(t.table("leak_check"), top) if "leak_check" in t else None,
+        leak=read_leak(t, top),
     )
     for table in (pre, settle, measure):
         table.finish()
     return method
 
 
-def _leak(t: Table, top: float) -> LeakCheck:
+def read_leak(root: Table, top_kpa: float) -> LeakCheck | None:
+    """The table of the check before the test, or None where there is none.
+
+    Raises:
+        ConfigError: unknown key, wrong type, or a pressure beyond the rig's limit.
+    """
+    if "leak_check" not in root:
+        return None
+    t = root.table("leak_check")
     out = LeakCheck(
-        pressure_kpa=t.number("pressure_kpa", 10, top, min(400.0, top), unit="kPa"),
+        pressure_kpa=t.number("pressure_kpa", 10, top_kpa, min(400.0, top_kpa), unit="kPa"),
         hold_s=t.number("hold_s", 0.5, 3600, 5.0, unit="s"),
         limit_kpa_s=t.number("limit_kpa_s", 0.01, 1000, 1.0, unit="kPa/s"),
     )

@@ -143,10 +143,15 @@ class Extras:
         return lambda: text.virtual_value
 
     def pull_n(self) -> float:
-        """Pull on the load cell: the muscle's, or a dead weight's in its place."""
+        """Pull on the load cell: the muscle's, or a dead weight's in its place.
+
+        A load that hangs on the muscle pulls with its weight, whatever part of it the braid and
+        what part its stop bears; what it takes to start and stop the load is left out.
+        """
+        gravity, plant = self._config.conditions.gravity_m_s2, self._bench.plant
         if self.hung_kg is not None:
-            return self.hung_kg * self._config.conditions.gravity_m_s2
-        return self._bench.plant.force_n
+            return self.hung_kg * gravity
+        return float(plant.params[MASS]) * gravity if plant.load == "isotonic" else plant.force_n
 
     def _cell_n(self) -> float:
         """What the load cell shows of it; effects on the force reading concern one sensor."""

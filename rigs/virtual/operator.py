@@ -44,20 +44,29 @@ class VirtualOperator:
         self._seconds = seconds
         self._due_ns = 0
         self._request: Request | None = None
+        self._done: str | None = None
         self.asked: list[Request] = []
 
     def begin(self, request: Request) -> None:
         """Take the request."""
         self.asked.append(request)
-        self._request = request
+        self._request, self._done = request, None
         self._due_ns = self._clock.now_ns() + round(self._seconds * NS_PER_S)
 
     def answer(self) -> str | None:
-        """Done after some seconds: Enter, or the number that was read."""
-        request = self._request
-        if request is None or self._clock.now_ns() < self._due_ns:
+        """Enter, or the number that was read: after some seconds, half of them to let it rest."""
+        request, now_ns = self._request, self._clock.now_ns()
+        if request is None:
             return None
-        self._request = None
+        if self._done is None and now_ns >= self._due_ns - round(self._seconds / 2 * NS_PER_S):
+            self._done = self.perform(request)
+        if now_ns < self._due_ns:
+            return None
+        done, self._done, self._request = self._done, None, None
+        return done
+
+    def perform(self, request: Request) -> str:
+        """Do it now; what a person would answer: nothing, or the number that was read."""
         if np.isnan(request.value):
             return f"{self._reads[request.axis]():.4f}"
         spread = self._spread.get(request.axis, 0.0)
