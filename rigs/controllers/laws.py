@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,6 +81,17 @@ def critical(finger: Finger, constants: PlantConstants) -> Critical:
     return loops_critical(finger, constants)
 
 
+def pid_law(finger: Finger, constants: PlantConstants, found: Sequence[Critical]) -> Pid:
+    """PID with Ziegler and Nichols's gains from the critical ones of each joint."""
+    pairs = Pairs(finger, constants)
+    posture = np.radians(STEP_POSTURE_DEG)
+    gains = []
+    for unit, one in zip(static_gains(pairs, posture), found, strict=True):
+        relative = ziegler_nichols(one.gain, one.period_s)
+        gains.append(Gains(relative.kp * unit, relative.ti_s, relative.td_s))
+    return Pid(gains, pairs.delta(posture, gravity_torque(finger.arm, posture)))
+
+
 def build_law(
     name: str, finger: Finger, constants: PlantConstants, found: Critical | None = None
 ) -> tuple[Law, str]:
@@ -89,13 +101,7 @@ def build_law(
         return StaticMap(pairs), name
     if name == "pid":
         one = found or critical(finger, constants)
-        relative = ziegler_nichols(one.gain, one.period_s)
-        posture = np.radians(STEP_POSTURE_DEG)
-        gains = [
-            Gains(relative.kp * unit, relative.ti_s, relative.td_s)
-            for unit in static_gains(pairs, posture)
-        ]
-        return Pid(gains, pairs.delta(posture, gravity_torque(finger.arm, posture))), "burst"
+        return pid_law(finger, constants, [one] * len(finger.joints)), "burst"
     if name not in HOST_LAWS:
         raise PlantError(f"controller {name!r}: choose one of {', '.join(LAWS)}")
     t = tuning(finger, constants)

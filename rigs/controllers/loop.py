@@ -20,6 +20,8 @@ Array = npt.NDArray[np.float64]
 
 HOST_MS = 10
 """The host asks for new pressures so often."""
+FINE_STEP_S = 5e-5
+"""The finger's step in a closed loop, for the reason given at `plant.bench.FINE_STEP_SHARE`."""
 SETTLE_S = 1.5
 """From vented to the reference's first posture, before the clock starts."""
 
@@ -66,7 +68,7 @@ def run_law(
     seed: int = 1,
     sensing: Sensing | None = None,
     parameters: dict[str, int] | None = None,
-    step_max_s: float = 1e-3,
+    step_max_s: float = FINE_STEP_S,
     watch: Callable[[float], None] | None = None,
 ) -> Trial:
     """Bring the finger from vented to the reference's start, then let the law follow it.
