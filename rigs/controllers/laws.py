@@ -75,8 +75,8 @@ def tuning(finger: Finger, constants: PlantConstants) -> Tuning:
 def critical(finger: Finger, constants: PlantConstants) -> Critical:
     """Critical gain of all joints' loops together, through the whole firmware; takes some seconds.
 
-    One at a time, with the other loops open, each would bear more; closed together with those gains
-    they oscillate without end, since what one joint does shakes the next.
+    One at a time, with the other loops open, each bears more (`provenance`), the outer ones three
+    times as much: what one joint does shakes the next.
     """
     return loops_critical(finger, constants)
 

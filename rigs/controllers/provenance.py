@@ -10,10 +10,10 @@ import numpy as np
 from plant.constants import PlantConstants
 from plant.finger import Finger
 from rigs.controllers.feedforward import MARGIN
-from rigs.controllers.figures import StepFigures, step_figures
+from rigs.controllers.figures import PathFigures, StepFigures, path_figures, step_figures
 from rigs.controllers.laws import Tuning, critical, pid_law, tuning
 from rigs.controllers.loop import run_law
-from rigs.controllers.reference import step
+from rigs.controllers.reference import circle, step
 from rigs.controllers.study import STEP_JOINT
 from rigs.controllers.tuning import Critical, loops_critical
 
@@ -23,15 +23,15 @@ class Provenance:
     """What the rules were given and made on one valve.
 
     `together` is the critical gain of all loops raised together, `apart` of each joint's loop with
-    the others open, both relative to the joint's static gain; `step_together` and `step_apart` are
-    figures of the step of 20 degrees with Ziegler and Nichols's gains from either.
+    the others open, both relative to the joint's static gain; `with_together` and `with_apart` are
+    step of 20 degrees and circle with Ziegler and Nichols's gains from either.
     """
 
     tuning: Tuning
     together: Critical
     apart: dict[str, Critical]
-    step_together: StepFigures
-    step_apart: StepFigures
+    with_together: tuple[StepFigures, PathFigures]
+    with_apart: tuple[StepFigures, PathFigures]
 
     def as_dict(self) -> dict[str, object]:
         """For JSON."""
@@ -47,8 +47,8 @@ class Provenance:
             ],
             "critical_together": vars(self.together),
             "critical_apart": {joint: vars(found) for joint, found in self.apart.items()},
-            "step_together": self.step_together.as_dict(),
-            "step_apart": self.step_apart.as_dict(),
+            "with_together": [found.as_dict() for found in self.with_together],
+            "with_apart": [found.as_dict() for found in self.with_apart],
         }
 
     @property
@@ -76,11 +76,12 @@ class Provenance:
             f"critical gain of {joint} alone: {c.gain:.2f}, period {c.period_s:.3f} s"
             for joint, c in self.apart.items()
         ]
-        for words, s in (("together", self.step_together), ("one at a time", self.step_apart)):
+        both = (("together", self.with_together), ("one at a time", self.with_apart))
+        for words, (stepped, turned) in both:
             lines.append(
-                f"step with the gains found {words}: over the last second {STEP_JOINT} moves by "
-                f"{s.ripple_deg:.1f} degrees, another joint is off by up to "
-                f"{s.others_error_deg:.1f}"
+                f"PID with the gains found {words}: after the step {STEP_JOINT} moves by "
+                f"{stepped.ripple_deg:.2f} degrees, another joint is off by up to "
+                f"{stepped.others_error_deg:.2f}; circle {turned.rms_mm:.2f} mm rms"
             )
         return "\n".join(lines)
 
@@ -102,11 +103,17 @@ def provenance(
         made,
         together,
         apart,
-        _stepped(finger, constants, [together] * len(finger.joints)),
-        _stepped(finger, constants, list(apart.values())),
+        _tried(finger, constants, [together] * len(finger.joints)),
+        _tried(finger, constants, list(apart.values())),
     )
 
 
-def _stepped(finger: Finger, constants: PlantConstants, found: list[Critical]) -> StepFigures:
-    trial = run_law(finger, constants, pid_law(finger, constants, found), step(finger, STEP_JOINT))
-    return step_figures(trial, finger.arm.joint(STEP_JOINT))
+def _tried(
+    finger: Finger, constants: PlantConstants, found: list[Critical]
+) -> tuple[StepFigures, PathFigures]:
+    law = pid_law(finger, constants, found)
+    stepped, turned = (
+        run_law(finger, constants, law, reference)
+        for reference in (step(finger, STEP_JOINT), circle(finger))
+    )
+    return step_figures(stepped, finger.arm.joint(STEP_JOINT)), path_figures(turned)
