@@ -13,6 +13,7 @@ import typer
 
 from daq.errors import ConfigError
 from plant.errors import PlantError
+from rigs.firstuse import tell_of_compiling
 from rigs.interrupt import StopFlag, Stopped, stop_on_signals
 
 if TYPE_CHECKING:
@@ -41,8 +42,9 @@ def finger_command(
     Raises:
         ConfigError: a finger, valve or controller that cannot be.
     """
-    from rigs.controllers.report import as_markdown, as_text
-    from rigs.controllers.study import table
+    with tell_of_compiling(quiet=as_json):
+        from rigs.controllers.report import as_markdown, as_text
+        from rigs.controllers.study import table
 
     with _one_line_errors(), stop_on_signals() as stop:
         told = _progress(as_json, stop)
@@ -65,9 +67,10 @@ def controllers_command(
     Raises:
         ConfigError: a finger or controller that cannot be, a folder that cannot be written.
     """
-    from rigs.controllers.laws import HOST_LAWS, LAWS
-    from rigs.controllers.report import as_markdown, as_text, plants_markdown
-    from rigs.controllers.study import PERTURBED, table
+    with tell_of_compiling(quiet=as_json):
+        from rigs.controllers.laws import HOST_LAWS, LAWS
+        from rigs.controllers.report import as_markdown, as_text, plants_markdown
+        from rigs.controllers.study import PERTURBED, table
 
     with _one_line_errors(), stop_on_signals() as stop:
         told = _progress(as_json, stop)
@@ -122,8 +125,9 @@ def pressure_command(seeds: int, page: bool, as_json: bool) -> int:
     Raises:
         ConfigError: a critical gain that cannot be found.
     """
-    from rigs.controllers.pressure import pressure_table
-    from rigs.controllers.report import pressure_markdown, pressure_text
+    with tell_of_compiling(quiet=as_json):
+        from rigs.controllers.pressure import pressure_table
+        from rigs.controllers.report import pressure_markdown, pressure_text
 
     with _one_line_errors(), stop_on_signals() as stop:
         rows = pressure_table(seeds=_draws(seeds), progress=_progress(as_json, stop))
@@ -142,8 +146,9 @@ def tuning_command(source: str, valve: str, as_json: bool) -> None:
     Raises:
         ConfigError: a finger or valve that cannot be, a critical gain that cannot be found.
     """
-    from plant.finger.reader import load_valve
-    from rigs.controllers.provenance import provenance
+    with tell_of_compiling(quiet=as_json):
+        from plant.finger.reader import load_valve
+        from rigs.controllers.provenance import provenance
 
     with _one_line_errors():
         found = provenance(_load(source), load_valve(valve), _progress(as_json))
