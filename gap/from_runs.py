@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from daq.errors import RecordError
 from daq.run import Run
 from gap.errors import GapError
 from gap.runtables import table_trials
@@ -62,9 +63,21 @@ def export_runs(
 
 
 def _trials(run: Run, form: str) -> Iterable[RunTrial]:
+    _refuse_mechanism(run)
     if form == "points" or run.manifest.get("imported"):
         return table_trials(run)
     return run_trials(run)
+
+
+def _refuse_mechanism(run: Run) -> None:
+    """A simulation of joints or of the ram is no trial of one muscle."""
+    load = (run.manifest.get("parameters") or {}).get("load")
+    if run.manifest.get("protocol") == "simulate" and load not in ("held", "hung"):
+        raise RecordError(
+            str(run.folder),
+            f"simulates a load of kind {load!r}; a data set holds trials of one muscle",
+            "export a scenario whose load is held or hung",
+        )
 
 
 def _write(
@@ -120,7 +133,9 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _stated(run: Run) -> dict[str, Any]:
-    """The plant that a virtual rig's file states, or the `bench.toml` beside a rig's file."""
+    """The plant that a simulation or a virtual rig's file states, or the rig's `bench.toml`."""
+    if run.manifest.get("protocol") == "simulate":
+        return dict((run.manifest.get("virtual") or {}).get("plant") or {})
     beside = Path(str(run.manifest.get("rig", {}).get("source", ""))).parent / "bench.toml"
     if beside.is_file():
         return _read(beside)

@@ -155,7 +155,7 @@ class _Channels:
             if "force_n" in columns and len(columns["force_n"]):
                 self._parts.append(("force_n", columns["time_s"], columns["force_n"]))
         self._parts += _instruments(run)
-        lengths = _lengths(run)
+        lengths = _lengths(run) or _placed(run)
         if lengths is not None:
             self._parts.append(("length_mm", *lengths))
 
@@ -219,6 +219,16 @@ def _instruments(run: Run) -> list[tuple[str, Array, Array]]:
         if value is not None and len(value):
             found.append((channel, np.asarray(columns["time_s"]), np.asarray(value)))
     return found
+
+
+def _placed(run: Run) -> tuple[Array, Array] | None:
+    """Lengths as a simulation's own sensor of place read them."""
+    if "place" not in run.streams:
+        return None
+    columns, _ = engineering(run, "place")
+    if "length_mm" not in columns or not len(columns["length_mm"]):
+        return None
+    return np.asarray(columns["time_s"]), np.asarray(columns["length_mm"])
 
 
 def _lengths(run: Run) -> tuple[Array, Array] | None:

@@ -128,10 +128,11 @@ class Ram:
         ram: RamConstants | None = None,
         effects: Effects = NONE,
         height_mm: float = 0.0,
+        step_share: float = 1.0,
     ) -> None:
         self.constants = constants
         self.ram = ram or RamConstants()
-        self.scene = ram_scene(constants, self.ram, effects, height_mm * 1e-3)
+        self.scene = ram_scene(constants, self.ram, effects, height_mm * 1e-3, step_share)
         self.state: Array = self.scene.world.units[0]
         self.params: Array = self.scene.world.params[0]
         self._fill, self._vent = np.zeros(1), np.zeros(1)

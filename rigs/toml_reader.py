@@ -46,7 +46,10 @@ class Table:
         if key in self._values:
             return self._values[key]
         if default is ...:
-            raise self.fail(key, "this key is required and missing", f"add {key} = ... to the file")
+            others = [name for name in self._values if name not in self._seen]
+            near = difflib.get_close_matches(key, others, n=1, cutoff=0.7)
+            remedy = f"is {near[0]!r} meant for it?" if near else f"add {key} = ... to the file"
+            raise self.fail(key, "this key is required and missing", remedy)
         return default
 
     def number(

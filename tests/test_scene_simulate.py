@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import pamrig
-from daq.errors import ConfigError
+from daq.errors import ConfigError, RecordError
 from daq.run import open_run
 from daq.verify import verify
+from gap.from_runs import export_runs
+from gap.reader import read_dataset
+from rigs.export import export_run
 from rigs.interrupt import StopFlag
+from rigs.segments import reduce_run
 from rigs.simulation.findings import scene_figure
 from rigs.simulation.scenario import load_scenario
 from rigs.simulation.session import build_scene, simulate
@@ -41,7 +47,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_scenario_leaves_a_sound_run(name: str, runs: Path) -> None:
     scenario = load_scenario(name)
-    result = simulate(scenario, runs, derive=name == "antagonists")
+    result = simulate(scenario, runs, derive=False)
     assert result.outcome == "clean", result.reason
     assert not verify(open_run(result.folder))
     run = open_run(result.folder)
@@ -71,6 +77,62 @@ def test_the_notebook_gets_table_and_streams(runs: Path) -> None:
     assert angle.iloc[-1] > 10.0
     assert run.stream("valve-extensor")["counts"].max() > 0
     assert (run.run.folder / "derived" / "report.html").read_text().count("What moved") >= 1
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_what_runs_are_for_works_on_a_simulated_one(name: str, tmp_path: Path) -> None:
+    """Report, view and export, and the conversion for a diagnosis or why there is none."""
+    run = open_run(simulate(load_scenario(name), tmp_path / "runs").folder)
+    derived = {path.name for path in (run.folder / "derived").iterdir()}
+    assert {"report.html", "view.rrd", "table.parquet"} <= derived
+    truth = {path.name: path for path in export_run(run, "parquet", tmp_path / "out")}
+    assert len(pd.read_parquet(truth["truth.parquet"])) > 1000
+    if load_scenario(name).mechanism.kind in ("held", "hung"):
+        for form in ("time", "points"):
+            made = export_runs([run], tmp_path / form, form=form)
+            assert made.trials == 1
+            assert read_dataset(made.folder).trials[0].slot
+    else:
+        with pytest.raises(RecordError, match="a data set holds trials of one muscle"):
+            export_runs([run], tmp_path / "set")
+
+
+def test_a_held_muscle_is_one_whole_trial_at_its_length(runs: Path, tmp_path: Path) -> None:
+    text = scenario_text("held-steps") + (
+        "[plant]\nsupply_kpa = 600\n[effects.leak]\nconductance_m3_s_pa = 1e-11\n"
+    )
+    run = open_run(simulate(load_scenario(written(tmp_path, text)), runs, derive=False).folder)
+    made = export_runs([run], tmp_path / "set")
+    trial = pd.read_csv(made.folder / "trials.csv").iloc[0]
+    assert trial["held_length_mm"] == 60.0
+    samples = pd.read_parquet(made.folder / "samples.parquet")
+    assert samples["time_s"].iloc[-1] == pytest.approx(4.0, abs=0.05)
+    assert samples["length_mm"].mean() == pytest.approx(60.0, abs=0.05)
+    assert samples["inlet_cmd"].max() == 1.0
+    # Its constants are told, its effects are not.
+    assert (made.folder / "bench.toml").read_text() == "supply_kpa = 600.0\n"
+
+
+def test_a_hung_load_is_told_as_it_is_said_to_be(runs: Path, tmp_path: Path) -> None:
+    text = scenario_text("hung-two-position") + "[effects.payload]\nmass_kg = 0.5\n"
+    run = open_run(simulate(load_scenario(written(tmp_path, text)), runs, derive=False).folder)
+    made = export_runs([run], tmp_path / "set")
+    assert pd.read_csv(made.folder / "trials.csv")["load_kg"].iloc[0] == 3.0
+    read = pd.read_parquet(made.folder / "samples.parquet")["length_mm"].dropna()
+    # As the sensor of place read them, 50 a second for 4 s.
+    assert len(read) == 200
+    assert set(read) <= set(run.samples("place")["length_mm"])
+
+
+@pytest.mark.parametrize("name", ["antagonists", "hung-two-position"])
+def test_halving_the_step_changes_no_row_of_the_table(name: str, runs: Path) -> None:
+    scenario = load_scenario(name)
+    tables = []
+    for share in (1.0, 0.5):
+        halved = dataclasses.replace(scenario, step_share=share)
+        run = open_run(simulate(halved, runs, derive=False).folder)
+        tables.append(reduce_run(run).table[["pressure_kpa", "length_mm", "force_n"]])
+    assert (tables[0] / tables[1] - 1.0).abs().to_numpy().max() < 1e-3
 
 
 def test_two_runs_of_one_seed_are_equal_to_the_bit(runs: Path) -> None:
@@ -136,6 +198,20 @@ def test_a_command_that_the_firmware_refuses_ends_the_run(runs: Path, tmp_path: 
         ("seed = 1", "seed = 1\n[plant]\nsupply_kpa = 9000\n", "supply_kpa"),
         ("seed = 1", "seed = 1\n[effects.leek]\nx = 1\n", "leek"),
         ("rest_mm = 62.0", "rest_mm = 62.0\nparameters = { two_ded = 5 }", "two_ded"),
+        ("rest_mm = 62.0", "rest_mm = 57.0", "from 48.6 to 65.4 mm, outside the braid's 51"),
+        ("rest_mm = 62.0", "rest_m = 0.062", "is 'rest_m' meant for it?"),
+        ("rest_mm = 62.0", "rest_mm = nan", "rest_mm: nan mm is outside"),
+        ("duration_s = 4.0", "duration_s = inf", "duration_s: inf s is outside"),
+        ("duration_s = 4.0", "duration_s 4.0", "not valid TOML"),
+        ("mass_g = 200.0", "mass_kg = 0.2", "did you mean mass_g?"),
+        ("range_deg = [-60.0, 60.0]", "range_deg = [60.0, -60.0]", "got 60 to -60 degrees"),
+        ("seed = 1", "seed = 1\nplant = 3\n", "plant: expected a table, got 3"),
+        ("seed = 1", "seed = 1\neffects = 'leak'\n", "effects: expected a table"),
+        ("rest_mm = 62.0", "rest_mm = 62.0\nplant = 3", "muscle[1].plant: expected a table"),
+        ("seed = 1", "seed = 1\nplant_base = 'nope'\n", "plant_base: plant 'nope'"),
+        ("seed = 1", "seed = 1\n[plant]\nsupply_bar = 5.5\n", "did you mean supply_kpa?"),
+        ("payload_g = 50.0", "payload_kg = 0.05", "did you mean 'payload_g'?"),
+        ('name = "flexor"', 'name = " "', "muscle[1].name: is empty"),
     ],
 )  # fmt: skip
 def test_a_bad_scenario_is_refused_with_file_and_key(

@@ -48,7 +48,8 @@ class Link:
         if not self.damping_n_m_s >= 0.0:
             raise LinkError(f"{where}: joint damping {self.damping_n_m_s!r} must be 0 or more")
         if not self.low_rad < self.high_rad:
-            raise LinkError(f"{where}: its range must rise, got {self.low_rad} to {self.high_rad}")
+            low, high = math.degrees(self.low_rad), math.degrees(self.high_rad)
+            raise LinkError(f"{where}: its range must rise, got {low:g} to {high:g} degrees")
         check_inertia(self.mass_kg, self.com_m, self.inertia_kg_m2, where)
 
     @classmethod

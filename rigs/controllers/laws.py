@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,10 +75,21 @@ def tuning(finger: Finger, constants: PlantConstants) -> Tuning:
 def critical(finger: Finger, constants: PlantConstants) -> Critical:
     """Critical gain of all joints' loops together, through the whole firmware; takes some seconds.
 
-    One at a time, with the other loops open, each would bear more; closed together with those gains
-    they oscillate without end, since what one joint does shakes the next.
+    One at a time, with the other loops open, each bears more (`provenance`), the outer ones three
+    times as much: what one joint does shakes the next.
     """
     return loops_critical(finger, constants)
+
+
+def pid_law(finger: Finger, constants: PlantConstants, found: Sequence[Critical]) -> Pid:
+    """PID with Ziegler and Nichols's gains from the critical ones of each joint."""
+    pairs = Pairs(finger, constants)
+    posture = np.radians(STEP_POSTURE_DEG)
+    gains = []
+    for unit, one in zip(static_gains(pairs, posture), found, strict=True):
+        relative = ziegler_nichols(one.gain, one.period_s)
+        gains.append(Gains(relative.kp * unit, relative.ti_s, relative.td_s))
+    return Pid(gains, pairs.delta(posture, gravity_torque(finger.arm, posture)))
 
 
 def build_law(
@@ -89,13 +101,7 @@ def build_law(
         return StaticMap(pairs), name
     if name == "pid":
         one = found or critical(finger, constants)
-        relative = ziegler_nichols(one.gain, one.period_s)
-        posture = np.radians(STEP_POSTURE_DEG)
-        gains = [
-            Gains(relative.kp * unit, relative.ti_s, relative.td_s)
-            for unit in static_gains(pairs, posture)
-        ]
-        return Pid(gains, pairs.delta(posture, gravity_torque(finger.arm, posture))), "burst"
+        return pid_law(finger, constants, [one] * len(finger.joints)), "burst"
     if name not in HOST_LAWS:
         raise PlantError(f"controller {name!r}: choose one of {', '.join(LAWS)}")
     t = tuning(finger, constants)

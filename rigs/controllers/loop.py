@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -20,6 +19,8 @@ Array = npt.NDArray[np.float64]
 
 HOST_MS = 10
 """The host asks for new pressures so often."""
+FINE_STEP_S = 5e-5
+"""The finger's step in a closed loop, for the reason given at `plant.bench.FINE_STEP_SHARE`."""
 SETTLE_S = 1.5
 """From vented to the reference's first posture, before the clock starts."""
 
@@ -60,22 +61,23 @@ def run_law(
     reference: Reference,
     *,
     scheme: str = "burst",
+    built: Finger | None = None,
     plant: PlantConstants | None = None,
     payload_kg: float = 0.0,
     effects: Effects = NONE,
     seed: int = 1,
     sensing: Sensing | None = None,
     parameters: dict[str, int] | None = None,
-    step_max_s: float = 1e-3,
-    watch: Callable[[float], None] | None = None,
+    step_max_s: float = FINE_STEP_S,
 ) -> Trial:
     """Bring the finger from vented to the reference's start, then let the law follow it.
 
-    `constants` are what law and firmware know; the plant's own (`plant`, where they differ), its
-    `payload_kg` and `effects` are theirs to cope with. `watch` is told the time now and then.
+    `finger` and `constants` are what law and firmware know; the finger as it is built and the
+    plant's own constants (`built`, `plant`, where they differ), its `payload_kg` and `effects` are
+    theirs to cope with.
     """
     known = Pairs(finger, constants)
-    sim = FingerSim(finger, plant or constants, effects, payload_kg, step_max_s=step_max_s)
+    sim = FingerSim(built or finger, plant or constants, effects, payload_kg, step_max_s=step_max_s)
     rng = np.random.default_rng([seed, 81])
     bench = FingerBench(sim, scheme, rng, sensing, parameters, constants)
     bench.begin()
@@ -100,8 +102,6 @@ def run_law(
             now = known.pressures(law.delta(k * GRID_S, bench.angles()))
             bench.ask(now)
             notes.append(np.array(getattr(law, "note", np.zeros(0)), dtype=float))
-            if watch is not None and k % 1000 == 0:
-                watch(k * GRID_S)
         asked[k] = now
         bench.run(1)
     return Trial(

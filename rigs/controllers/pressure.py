@@ -10,15 +10,17 @@ gains are Ziegler and Nichols's, from the critical gain that is found on the sam
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from plant.bench import BenchSim
+from plant.bench import FINE_STEP_SHARE, BenchSim
 from plant.constants import PlantConstants
 from plant.finger.reader import load_valve
 from rigs.controllers.pid import Gains, ziegler_nichols
+from rigs.controllers.spread import Spread, spread
 from rigs.controllers.tuning import Critical, critical_gain
 from rigs.virtual.board import SimBoard
 from rigs.virtual.tuning import burst_parameters, safety_parameters
@@ -35,6 +37,14 @@ STAIRCASE_KPA = (200.0, 350.0, 450.0, 300.0, 150.0)
 STEP_S = 2.0
 LAST_S = 0.5
 BAND_KPA = 5.0
+FIGURES = (
+    "error_mean_kpa",
+    "error_worst_kpa",
+    "ripple_worst_kpa",
+    "overshoot_worst_kpa",
+    "settling_worst_s",
+    "switchings_per_s",
+)
 PRESSURE_LAWS = ("two", "duty_in", "duty", "slide", "ram", "burst", "pid")
 
 
@@ -56,10 +66,6 @@ class PressureFigures:
     switchings_per_s: float
     fault: str
 
-    def as_dict(self) -> dict[str, object]:
-        """For JSON."""
-        return dict(self.__dict__)
-
 
 def rest_ms(c: PlantConstants) -> int:
     """A valve told to shut has shut after so long."""
@@ -76,7 +82,7 @@ class PressureBench:
 
     def __init__(self, constants: PlantConstants, scheme: str, seed: int = 1) -> None:
         self.board = SimBoard(
-            BenchSim(constants, length_m=LENGTH_M),
+            BenchSim(constants, length_m=LENGTH_M, step_share=FINE_STEP_SHARE),
             np.random.default_rng([seed, 83]),
             truth_every=1,
             outlet_normally_open=constants.outlet_normally == "open",
@@ -235,8 +241,45 @@ def pressure_case(
     )
 
 
-def pressure_table(valves: tuple[str, ...] = ("thesis", "cured")) -> list[PressureFigures]:
-    """All controllers of a pressure on these valve blocks. Raises `PlantError`."""
-    return [
-        pressure_case(load_valve(valve), valve, law) for valve in valves for law in PRESSURE_LAWS
-    ]
+@dataclass(frozen=True)
+class PressureOutcome:
+    """One controller on one valve over its draws; `figures` by the names of `PressureFigures`."""
+
+    law: str
+    valve: str
+    draws: int
+    figures: dict[str, Spread]
+    faults: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON: every figure as [median, least, largest]."""
+        return {
+            "law": self.law,
+            "valve": self.valve,
+            "draws": self.draws,
+            **{key: value.as_list() for key, value in self.figures.items()},
+            "faults": list(self.faults),
+        }
+
+
+def pressure_table(
+    valves: Iterable[str] = ("thesis", "cured"),
+    seeds: Iterable[int] = (1,),
+    progress: Callable[[str], None] | None = None,
+) -> Iterator[PressureOutcome]:
+    """All controllers of a pressure on these valve blocks, as they come. Raises `PlantError`."""
+    draws = list(seeds)
+    for valve in valves:
+        constants = load_valve(valve)
+        for law in PRESSURE_LAWS:
+            if progress is not None:
+                progress(f"{valve} valve, {law}")
+            found = pressure_critical(constants) if law == "pid" else None
+            rows = [pressure_case(constants, valve, law, found, seed) for seed in draws]
+            yield PressureOutcome(
+                law,
+                valve,
+                len(rows),
+                {key: spread(getattr(row, key) for row in rows) for key in FIGURES},
+                tuple(sorted({row.fault for row in rows if row.fault})),
+            )

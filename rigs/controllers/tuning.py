@@ -17,7 +17,7 @@ from plant.errors import PlantError
 from plant.finger import Finger, FingerSim
 from plant.links.dynamics import gravity_torque
 from rigs.controllers.bench import FingerBench
-from rigs.controllers.loop import run_law
+from rigs.controllers.loop import FINE_STEP_S, run_law
 from rigs.controllers.muscles import Pairs
 from rigs.controllers.pid import Gains, Pid
 from rigs.controllers.reference import GRID_S, STEP_POSTURE_DEG, step
@@ -148,7 +148,7 @@ def pressure_response(
     pairs = Pairs(finger, constants)
     posture = np.radians(STEP_POSTURE_DEG)
     base = pairs.delta(posture, gravity_torque(finger.arm, posture))
-    sim = FingerSim(finger, constants)
+    sim = FingerSim(finger, constants, step_max_s=FINE_STEP_S)
     bench = FingerBench(sim, scheme, np.random.default_rng([seed, 82]))
     bench.begin()
     bench.ask(pairs.pressures(base))

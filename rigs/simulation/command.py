@@ -16,9 +16,12 @@ def simulate_command(
     name: str, out: Path, seed: int | None, as_json: bool, plant: Path | None = None
 ) -> int:
     """Read, simulate, record, say what came of it; returns the exit status."""
+    from rigs.firstuse import tell_of_compiling
     from rigs.interrupt import stop_on_signals
-    from rigs.simulation.scenario import load_scenario
-    from rigs.simulation.session import simulate
+
+    with tell_of_compiling(quiet=as_json):
+        from rigs.simulation.scenario import load_scenario
+        from rigs.simulation.session import simulate
 
     scenario = load_scenario(name, plant)
     if seed is not None:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from daq.run import Run
     from rigs.config import RigConfig
 
+EXTRA = {"mass_kg": "float64"}
+
 
 def reduce(run: Run) -> Reduction:
     """One row a window: means of the first muscle's pressure and pull, and its length.
@@ -32,12 +34,16 @@ def reduce(run: Run) -> Reduction:
         why = "the scenario measures no window"
         if run.outcome != "clean":
             why = f"the run is {run.outcome}: it ended before its first window"
-        return Reduction(points_frame([]), (why,), {})
+        return Reduction(points_frame([], EXTRA), (why,), {})
     calibrations = run.calibrations
     valve, balance, truth = (run.samples(name) for name in ("valve", "balance", "truth"))
     length = next(name for name in truth if name.endswith("_length_mm"))
     rows = [_row(run, point, valve, balance, truth, length) for point in points]
-    return Reduction(points_frame(rows), (), calibrations)
+    return Reduction(points_frame(rows, EXTRA), (), calibrations)
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 def _row(
@@ -50,7 +56,8 @@ def _row(
         "settled": bool(point["settled"]),
         **{key: point[key] for key in ("trial", "slot", "mounting", "order")},
         "set_pressure_kpa": math.nan,
-        "set_length_mm": math.nan,
+        "set_length_mm": _or_nan(point.get("set_length_mm")),
+        "mass_kg": _or_nan(point.get("mass_kg")),
         "temperature_c": float(stated["temperature_c"]),
     }
     for key in ("u_temperature_c", "u_temperature_c_noise", "u_temperature_c_cal"):

@@ -5,10 +5,22 @@ from __future__ import annotations
 from typing import Any
 
 from daq.calibration import Calibration
+from plant.constants import CHOICES, KEYS, nominal
 from rigs.simulation.scenario import Scenario, as_plain
 from rigs.virtual.pressuresensor import ADC_TOP
 
 PROTOCOL = "simulate"
+
+
+def plant_stated(scenario: Scenario) -> dict[str, Any]:
+    """Constants of the first muscle's bench that differ from the nominal ones, by their keys.
+
+    Effects are not among them: what a bench does beyond its constants is for others to find.
+    """
+    own, usual = scenario.muscles[0].constants, nominal()
+    numbers = {key: own.value(key) for key in KEYS if own.value(key) != usual.value(key)}
+    words = {key: getattr(own, key) for key in CHOICES if getattr(own, key) != getattr(usual, key)}
+    return {**numbers, **words}
 
 
 def manifest(scenario: Scenario) -> dict[str, Any]:
@@ -46,6 +58,6 @@ def manifest(scenario: Scenario) -> dict[str, Any]:
         "devices": {
             "valve": {"name": "simulated board", "serial": "SIM-0001"},
         },
-        "virtual": {"seed": scenario.seed},
+        "virtual": {"seed": scenario.seed, "plant": plant_stated(scenario)},
         "software": software(),
     }

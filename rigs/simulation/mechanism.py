@@ -25,7 +25,10 @@ _DEG = math.pi / 180.0
 
 @dataclass(frozen=True)
 class Mechanism:
-    """The mechanical side of a scene, and how muscles are attached to it."""
+    """The mechanical side of a scene, and how muscles are attached to it.
+
+    `hung_kg` is the mass that is said to hang, without what an effect adds to it.
+    """
 
     kind: str
     coordinates: tuple[Coordinate, ...] = ()
@@ -33,6 +36,7 @@ class Mechanism:
     switches: tuple[Switch, ...] = ()
     ram: RamConstants | None = None
     held_m: float = 0.0
+    hung_kg: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -43,6 +47,16 @@ class Mechanism:
     def single(self) -> bool:
         """Whether it takes one muscle and no more."""
         return self.kind != "joint"
+
+    @property
+    def held_mm(self) -> float | None:
+        """Length at which it holds a muscle; None where it holds none."""
+        return self.held_m * 1e3 if self.kind == "held" else None
+
+    @property
+    def load_kg(self) -> float | None:
+        """Mass that hangs on a muscle; None where none does."""
+        return self.hung_kg if self.kind == "hung" else None
 
     @property
     def unit(self) -> str:
@@ -119,7 +133,8 @@ def _mass(load: Table, key: str, low: float, high: float, default: float | None 
 
 
 def _hung(load: Table, c: PlantConstants, effects: Effects) -> Mechanism:
-    mass = _mass(load, "mass_kg", 0.001, 1000) + effects.get("payload", "mass_kg")
+    stated = _mass(load, "mass_kg", 0.001, 1000)
+    mass = stated + effects.get("payload", "mass_kg")
     low, high = c.length_min_m * 1e3, c.length_max_m * 1e3
     start = load.number("start_mm", low, high, high, unit="mm") * 1e-3
     spring = load.number("spring_n_mm", 0, 1e3, 0.0, unit="N/mm") * 1e3
@@ -138,7 +153,8 @@ def _hung(load: Table, c: PlantConstants, effects: Effects) -> Mechanism:
         coulomb=load.number("friction_n", 0, 1000, 0.0, unit="N"),
         start=start,
     )
-    return Mechanism("hung", (slide,), switches=_switches(load, "length", 1e-3))
+    switches = _switches(load, "length", 1e-3)
+    return Mechanism("hung", (slide,), switches=switches, hung_kg=stated)
 
 
 def _ram(load: Table) -> Mechanism:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -152,19 +153,29 @@ def rows(t: Table, key: str) -> list[Table]:
 
 
 def _constants(t: Table) -> PlantConstants:
-    base = t.text("plant_base", "thesis")
-    overrides = t.raw("plant", {})
     try:
-        return shipped(base).with_overrides(overrides, f"{t.source}: plant")
+        base = shipped(t.text("plant_base", "thesis"))
+    except PlantError as error:
+        raise t.fail("plant_base", str(error)) from None
+    try:
+        return base.with_overrides(_table(t, "plant"), f"{t.source}: plant")
     except PlantError as error:
         raise _plain(error) from None
 
 
 def _effects(t: Table, key: str) -> Effects:
     try:
-        return Effects.from_config(t.raw(key, {}), f"{t.source}: {key}")
+        return Effects.from_config(_table(t, key), f"{t.source}: {key}")
     except PlantError as error:
         raise _plain(error) from None
+
+
+def _table(t: Table, key: str) -> dict[str, Any]:
+    """A table that another package reads, as parsed."""
+    found = t.raw(key, {})
+    if not isinstance(found, dict):
+        raise t.fail(key, f"expected a table, got {found!r:.60}")
+    return found
 
 
 def _plain(error: PlantError) -> ConfigError:
@@ -197,8 +208,10 @@ def _muscle(
     row: Table, shared: Table, constants: PlantConstants, effects: Effects, mechanism: Mechanism
 ) -> MuscleSpec:
     name = row.text("name")
+    if not name.strip():
+        raise row.fail("name", "is empty", "commands and streams need a name to go by")
     try:
-        own = constants.with_overrides(row.raw("plant", {}), f"{row.source}: {row.path}.plant")
+        own = constants.with_overrides(_table(row, "plant"), f"{row.source}: {row.path}.plant")
         model = None
         if "model" in row:
             if mechanism.kind == "ram":
@@ -208,12 +221,15 @@ def _muscle(
                 model = models.load(chosen)
             except PlantError as error:
                 raise row.fail("model", str(error)) from None
-        more = row.raw("effects")
-        if more is not None:
-            effects = Effects.from_config(more, f"{row.source}: {row.path}.effects")
+        if "effects" in row:
+            effects = Effects.from_config(
+                _table(row, "effects"), f"{row.source}: {row.path}.effects"
+            )
     except PlantError as error:
         raise _plain(error) from None
     reach, rest, tendon = mechanism.attach(row, own)
+    if model is None and tendon:
+        _check_range(row, own, mechanism, reach, rest)
     parameters: dict[str, int] = {}
     for table in (shared, row):
         parameters.update(_parameters(table))
@@ -230,6 +246,34 @@ def _muscle(
     )
     row.finish()
     return spec
+
+
+def _check_range(
+    row: Table,
+    c: PlantConstants,
+    mechanism: Mechanism,
+    reach: Mapping[str, float],
+    rest_m: float,
+) -> None:
+    """Refuse a joint whose range takes a muscle of the bench beyond its own shortest or longest.
+
+    Models of other muscles have lengths of their own, which their tables know.
+    """
+    assert mechanism.arm is not None
+    for joint, radius in reach.items():
+        link = mechanism.arm.links[mechanism.arm.joint(joint)]
+        ends = [rest_m + radius * angle for angle in (link.low_rad, link.high_rad)]
+        if not all(map(math.isfinite, ends)):
+            continue  # a joint without a range is bounded by what the muscles let it do
+        low, high = min(ends) * 1e3, max(ends) * 1e3
+        least, most = c.length_min_m * 1e3, c.length_max_m * 1e3
+        if low < least or high > most:
+            raise row.fail(
+                "rest_mm",
+                f"the range of joint {joint!r} would take the muscle from {low:.1f} to {high:.1f} "
+                f"mm, outside the braid's {least:g} to {most:g}",
+                "change rest_mm, radius_mm or the joint's range_deg",
+            )
 
 
 def _parameters(table: Table) -> dict[str, int]:

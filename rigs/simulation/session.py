@@ -216,6 +216,7 @@ class _Runner:
             board.controller.safety.arm(board.controller.values)
         record.event("armed")
         record.event("state", state="simulate")
+        record.event("trial", phase="begin", **self._trial())
         todo = list(self.scenario.commands)
         windows = list(self.scenario.windows)
         opened: list[tuple[Any, dict[str, list[int]]]] = []
@@ -254,7 +255,21 @@ class _Runner:
                     f"the firmware latched {cause} after {self.time_s:.3f} s",
                     "look at the trace; see docs/safety-contract.md for what it guards",
                 )
+        record.event("trial", phase="end", trial=1)
         record.event("state", state="done")
+
+    def _trial(self) -> dict[str, Any]:
+        """What the whole simulation is to those who read runs trial by trial."""
+        mechanism = self.scenario.mechanism
+        return {
+            "trial": 1,
+            "slot": self.scenario.name,
+            "replicate": 1,
+            "mounting": "simulated",
+            "held_length_mm": mechanism.held_mm,
+            "load_kg": mechanism.load_kg,
+            "temperature_c": self.scenario.temperature_c,
+        }
 
     def _after(self, ticks: int) -> None:
         self.clock.set_now_ns(ticks * NS_PER_TICK)
@@ -291,7 +306,8 @@ class _Runner:
             mounting="simulated",
             direction="single",
             set_pressure_kpa=None,
-            set_length_mm=None,
+            set_length_mm=self.scenario.mechanism.held_mm,
+            mass_kg=self.scenario.mechanism.load_kg,
             settled=window.settled,
             frames=[],
             valve_seq=[begin["valve"][0], end["valve"][0]],

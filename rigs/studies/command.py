@@ -12,6 +12,7 @@ from typing import TypeVar
 import typer
 
 from daq.errors import RecordError
+from rigs.firstuse import tell_of_compiling
 from rigs.interrupt import StopFlag, Stopped, stop_on_signals
 
 T = TypeVar("T")
@@ -20,7 +21,8 @@ Ticker = Callable[[Iterable[T], str], Iterator[T]]
 
 def study_command(name: str, full: bool, out: Path | None, as_json: bool) -> int:
     """Run a study, print its answers, draw its figures; returns the exit status."""
-    module = import_module(f"rigs.studies.{name}")
+    with tell_of_compiling(quiet=as_json):
+        module = import_module(f"rigs.studies.{name}")
     with stop_on_signals() as stop:
         progress = Progress(stop, quiet=as_json or not sys.stderr.isatty())
         try:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from plant.bench import FINE_STEP_SHARE
 from plant.constants import PlantConstants, nominal
 from plant.ram import Ram, RamConstants
 from rigs.studies.command import Progress
@@ -75,7 +76,7 @@ class Lift:
 
 def lift(c: PlantConstants, ram: RamConstants, start_mm: float, seed: int = 1) -> Lift:
     """Lift the ram under the firmware's scheme from a start between its switches."""
-    plant = Ram(c, ram, height_mm=start_mm)
+    plant = Ram(c, ram, height_mm=start_mm, step_share=FINE_STEP_SHARE)
     plant.state[1] = ram.balance_kpa() * 1e3  # its weight is carried
     scheme = RamScheme()
     scheme.start(defaults())

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from plant.bench import BenchSim
+from plant.bench import FINE_STEP_SHARE, BenchSim
 from plant.constants import PlantConstants
 from plant.layout import LENGTH, PRESSURE
 from rigs.virtual import asprinted
@@ -59,7 +59,7 @@ class Bench:
     """What a trial runs on: plant, load, firmware parameters, converter.
 
     `load` is "held" (at `length_mm`) or "hung" (`mass_kg`); `range_kpa` is full scale of the
-    converter; `baud` is of the listings' prints.
+    converter; `baud` is of the listings' prints; `step_share` of the plant's usual step.
     """
 
     constants: PlantConstants
@@ -69,13 +69,20 @@ class Bench:
     noise_kpa: float = 0.5
     range_kpa: float = 1000.0
     baud: int = asprinted.BAUD
+    step_share: float = FINE_STEP_SHARE
     parameters: Mapping[str, int] = field(default_factory=dict)
 
     def plant(self) -> BenchSim:
         """A fresh plant, vented."""
         if self.load == "hung":
-            return BenchSim(self.constants, load="isotonic", length_m=0.070, mass_kg=self.mass_kg)
-        return BenchSim(self.constants, length_m=self.length_mm * 1e-3)
+            return BenchSim(
+                self.constants,
+                load="isotonic",
+                length_m=0.070,
+                mass_kg=self.mass_kg,
+                step_share=self.step_share,
+            )
+        return BenchSim(self.constants, length_m=self.length_mm * 1e-3, step_share=self.step_share)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,55 @@
+"""The wait for the compiler: told of on a terminal, to nobody else."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from rigs import firstuse
+from rigs.firstuse import WORDS, tell_of_compiling
+
+pty = pytest.importorskip("pty", reason="no terminals of this kind on this system")
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """A real terminal in place of stderr; what it shows can be read from the descriptor."""
+    ours, theirs = pty.openpty()
+    monkeypatch.setattr(firstuse, "PATIENCE_S", 0.05)
+    with os.fdopen(theirs, "w") as stream:
+        monkeypatch.setattr(sys, "stderr", stream)
+        os.set_blocking(ours, False)
+        yield ours
+    os.close(ours)
+
+
+def shown(terminal: int, wait_s: float) -> str:
+    end = time.monotonic() + wait_s
+    text = b""
+    while time.monotonic() < end and WORDS.encode() not in text:
+        try:
+            text += os.read(terminal, 4096)
+        except BlockingIOError:
+            select.select([terminal], [], [], 0.02)
+    return text.decode()
+
+
+def test_a_long_wait_is_told_of(terminal: int) -> None:
+    with tell_of_compiling():
+        assert WORDS in shown(terminal, 20.0)
+
+
+def test_a_short_one_is_not(terminal: int) -> None:
+    with tell_of_compiling():
+        pass
+    assert shown(terminal, 0.3) == ""
+
+
+def test_neither_is_anybody_who_asked_for_quiet(terminal: int) -> None:
+    with tell_of_compiling(quiet=True):
+        assert shown(terminal, 0.3) == ""
