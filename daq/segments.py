@@ -136,7 +136,11 @@ class BatchEncoder:
         if self._arrow is None:
             self._arrow = self.schema.arrow()
         batch = pa.RecordBatch.from_arrays(
-            [pa.array(a, f.type) for a, f in zip(arrays, self._arrow, strict=True)],
+            # Not pa.array, which imports pandas: a second's stall at the first batch of a run.
+            [
+                pa.Array.from_buffers(f.type, len(a), [None, pa.py_buffer(a.tobytes())])
+                for a, f in zip(arrays, self._arrow, strict=True)
+            ],
             schema=self._arrow,
         )
         return bytes(batch.serialize().to_pybytes())
