@@ -256,8 +256,8 @@ def lines(result: dict[str, Any]) -> list[str]:
         f"channels; {count} rounds of 1 s flat out, {len(ways['pamrig']['cpu'])} of 4 s at 1 kHz, "
         f"{kills} kills a way; an fsync of 4 kB takes "
         f"{Spread.of(result['fsync_ms'])} ms here. All rows were read back by each tool's own "
-        "reader and compared. *To system*: when rows survive a kill; *to medium*: when they survive "
-        "a power cut. PyMeasure takes no blocks. Not tried: Bluesky's Tiled writer, which needs a "
+        "reader and compared. *To system*: when rows survive a kill; *to medium*: a power cut. "
+        "PyMeasure takes no blocks. Not tried: Bluesky's Tiled writer, which needs a "
         "server and holds 10,000 events back by default."
     )
     out.append("")
@@ -270,7 +270,7 @@ def lines(result: dict[str, Any]) -> list[str]:
         )
         ours = Spread.of(ways["pamrig"]["lost_s"]).median
         out.append(
-            f"At equal durability (50 ms or less to the system, 1 s or less to the medium) the best "
+            f"At equal durability (to the system within 50 ms, to the medium within 1 s) the best "
             f"peer is {WAYS[best].title}; pamrig's rate is **{ratio}** times its. pamrig's largest "
             f"loss was {1e3 * worst:.0f} ms; its median of {1e3 * ours:.1f} ms stands against "
             f"{1e3 * least:.1f} ms of the peer that lost least."
