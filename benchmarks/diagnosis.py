@@ -105,10 +105,10 @@ def lines(result: dict[str, Any]) -> list[str]:
     out = table(heads, rows)
     last = result["first"] + len(sets) - 1
     out += [
-        f"Small blind sets {result['first']} to {last} of the stream `{STREAM}` (made by the "
-        "second bench of `blind/`). Too few to judge the diagnosis by: they show the cost, and what naive "
-        "selection on the same features and constants does. Most of a baseline's time goes into "
-        "those features. Sets that no method can use are left out of a baseline's row.",
+        f"Small blind sets {result['first']} to {last} of the stream `{STREAM}`, made by the "
+        "second bench of `blind/`. Too few to judge the diagnosis by: they show the cost, and what "
+        "naive selection on the same features and constants does. Most of a baseline's time goes "
+        "into those features. Sets that no method can use are left out of a baseline's row.",
         "",
     ]
     return out

@@ -77,8 +77,8 @@ def lines(result: dict[str, Any]) -> list[str]:
     worst = max(d for found in arms.values() for d in found["differences"].values())
     out += [
         f"{versions}; {links.STATES} random states, {result['rounds']} rounds, processor time of "
-        f"one core. Torques agree to {worst:.0e} of each state's largest. Pinocchio and MuJoCo take "
-        "one state a call from Python; pamrig takes arrays.",
+        f"one core. Torques agree to {worst:.0e} of each state's largest. Pinocchio and MuJoCo "
+        "take one state a call from Python; pamrig takes arrays.",
         "",
         "Behind: with one state a call pamrig is the slowest of all, most of it spent on checking "
         "arguments. A controller that needs one state at a time should call "

@@ -47,10 +47,10 @@ def lines(result: dict[str, Any]) -> list[str]:
     gain = ratios(wall["1"], wall["2"])
     out = table(["processes", f"wall s for {result['count']} sets"], rows)
     out += [
-        f"Two processes do the work **{gain}** times as fast as one on {result['cores']} cores, the "
-        f"pool's start (about the import of the diagnosis) included, at a load of "
-        f"{result['load']:.1f} from other programs and this one. Wall time: with others at work the "
-        "second core is not free.",
+        f"Two processes do the work **{gain}** times as fast as one on {result['cores']} cores, "
+        f"the pool's start (importing the diagnosis) included, at a load of {result['load']:.1f} "
+        "from other programs and this one. Wall time: with others at work the second core is not "
+        "free.",
         "",
     ]
     return out

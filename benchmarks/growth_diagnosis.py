@@ -38,8 +38,8 @@ def measure(tiny: bool = False) -> dict[str, Any]:
 
     replicates = (1, 2) if tiny else REPLICATES
     effects = (1, 3) if tiny else EFFECTS
-    hidden = {"liner": {"pressure_kpa": 40.0}}
-    names = ["liner", *sorted(n for n in CATALOGUE if n != "liner")]
+    hidden = {"liner_threshold": {"threshold_kpa": 40.0}}
+    names = ["liner_threshold", *sorted(n for n in CATALOGUE if n != "liner_threshold")]
     effects = tuple(min(e, len(names)) for e in effects)
     with tempfile.TemporaryDirectory() as root:
         folders = [settled_set(Path(root) / str(r), hidden, r) for r in replicates]

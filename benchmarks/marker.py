@@ -249,8 +249,9 @@ def lines(result: dict[str, Any]) -> list[str]:
         "Ratios of time: theirs over ours, median (range over frames).",
         "",
         f"Error: the closest other method is {short(closest)} times as far off. Behind in "
-        f"time: on at least one case quicker are {', '.join(faster) or 'none'}. The edge method fits "
-        "a blurred edge with its noise to every row and states an uncertainty; a threshold does not.",
+        f"time: on at least one case quicker are {', '.join(faster) or 'none'}. The edge method "
+        "fits a blurred edge with its noise to every row and states an uncertainty; a threshold "
+        "does not.",
         "",
     ]
     return out

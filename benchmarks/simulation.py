@@ -74,8 +74,8 @@ def lines(result: dict[str, Any]) -> list[str]:
     out += [
         f"{versions}; {result['rounds']} rounds, processor time of one core. The valve of 1996, "
         "one muscle, 3 kg, fills and vents of 12 to 25 ms; errors against `solve_ivp` at 1e-11. "
-        "MuJoCo's `<cylinder>` is a first-order filter of the command on a constant area: no gas, no valve, "
-        "no muscle. It is what a user would take instead, not the same result.",
+        "MuJoCo's `<cylinder>` is a first-order filter of the command on a constant area: no gas, "
+        "no valve, no muscle. It is what a user would take instead, not the same result.",
         "",
     ]
     behind = [
