@@ -36,8 +36,8 @@ def measure(tiny: bool = False) -> dict[str, Any]:
     from gap_sets import settled_set
     from plant.catalogue import CATALOGUE
 
-    replicates = (1, 2) if tiny else REPLICATES
-    effects = (1, 3) if tiny else EFFECTS
+    replicates = (1, 2, 3) if tiny else REPLICATES
+    effects = (1, 2, 3) if tiny else EFFECTS
     hidden = {"liner_threshold": {"threshold_kpa": 40.0}}
     names = ["liner_threshold", *sorted(n for n in CATALOGUE if n != "liner_threshold")]
     effects = tuple(min(e, len(names)) for e in effects)

@@ -215,8 +215,8 @@ def measure(tiny: bool = False) -> dict[str, Any]:
     """The page's part: all methods, ImageJ among them where it is."""
     import skimage
 
-    found = run(2 if tiny else 40, with_imagej=bool(imagej_jar()))
-    version = found.pop("imagej", "ImageJ: not run, Java or ij.jar is missing")
+    found = run(2 if tiny else 40, with_imagej=bool(imagej_jar()) and not tiny)
+    version = found.pop("imagej", "ImageJ not run: no Java, no ij.jar, or the tiny size")
     versions = f"opencv {cv2.__version__}, scikit-image {skimage.__version__}, {version}"
     return {"versions": versions, "frames": 2 if tiny else 40, "cases": found}
 

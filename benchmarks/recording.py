@@ -264,6 +264,7 @@ def lines(result: dict[str, Any]) -> list[str]:
     best = best_peer(result)
     if best is not None:
         ratio = ratios(ways["pamrig"]["flat_hz"], ways[best]["flat_hz"])
+        cost = ratios(ways[best]["flat_cpu_us"], ways["pamrig"]["flat_cpu_us"])
         worst = max(ways["pamrig"]["lost_s"])
         least = min(
             Spread.of(f["lost_s"]).median for k, f in ways.items() if WAYS[k].tool != "pamrig"
@@ -271,7 +272,8 @@ def lines(result: dict[str, Any]) -> list[str]:
         ours = Spread.of(ways["pamrig"]["lost_s"]).median
         out.append(
             f"At equal durability (to the system within 50 ms, to the medium within 1 s) the best "
-            f"peer is {WAYS[best].title}; pamrig's rate is **{ratio}** times its. pamrig's largest "
+            f"peer is {WAYS[best].title}; pamrig's rate is **{ratio}** times its, and a row takes "
+            f"its processor {cost} times as long. pamrig's largest "
             f"loss was {1e3 * worst:.0f} ms; its median of {1e3 * ours:.1f} ms stands against "
             f"{1e3 * least:.1f} ms of the peer that lost least."
         )

@@ -38,6 +38,19 @@ def test_a_part_runs_at_its_tiny_size_and_renders(name: str) -> None:
     assert "nan" not in text
 
 
+def test_imagej_finds_the_gap_too() -> None:
+    pytest.importorskip("cv2")
+    from benchmarks import marker
+
+    if not marker.imagej_jar():
+        pytest.skip("Java or ImageJ is not installed")
+    (frame, gap), *_ = marker.cases(1)["ordinary"]
+    found, took, version = marker.by_imagej([frame])
+    assert found == [pytest.approx(gap, abs=1.0)]
+    assert took[0] > 0.0
+    assert version.startswith("ImageJ")
+
+
 def test_recording_reads_back_every_row_also_after_a_kill(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
