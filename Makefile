@@ -27,8 +27,8 @@ campaign: $(READY)   ## the same tests at full size, and the long ones
 look: $(READY)   ## what needs a browser: the pictures in docs
 	$(BIN)/python -m pytest -m look
 
-bench: $(READY)   ## side by side with what one would use instead
-	$(BIN)/python -m benchmarks
+bench: $(READY)   ## side by side with what one would use instead: docs/benchmarks.md
+	$(BIN)/python -m benchmarks --page docs/benchmarks.md
 
 lint: $(READY)
 	$(BIN)/ruff check .

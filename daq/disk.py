@@ -92,6 +92,7 @@ class Disk:
         self._stop = False
         self._queued = 0
         self._written = 0
+        self._ahead: dict[str, int] = {}
         self._synced_s = time.monotonic()
         self._jobs: queue.SimpleQueue[tuple[str, bytes, int] | threading.Event | None] = (
             queue.SimpleQueue()
@@ -143,6 +144,21 @@ class Disk:
             raise self.failed
         self._jobs.put((file, data, flags))
 
+    def put_ahead(self, file: str, data: bytes) -> None:
+        """Append to a file that lives until :meth:`superseded`; against a kill, so never synced."""
+        self._queued += len(data)
+        self._hand(file, data, 4)
+
+    def superseded(self, file: str) -> None:
+        """What was put ahead stands in the record proper by now: cut the file to nothing."""
+        self._hand(file, b"", 8)
+
+    def _hand(self, file: str, data: bytes, flags: int) -> None:
+        if self._threads:
+            self._jobs.put((file, data, flags))
+        else:
+            self._ahead_job(file, data, flags)
+
     def drain(self, timeout_s: float = JOIN_S) -> bool:
         """Wait until all that was put has gone to the operating system."""
         if not self._threads:
@@ -151,8 +167,11 @@ class Disk:
         self._jobs.put(reached)
         return reached.wait(timeout_s)
 
-    def close(self) -> dict[str, dict[str, Any]]:
+    def close(self, finished: bool = True) -> dict[str, dict[str, Any]]:
         """Write, sync and close everything; size and CRC of each file, in order of name.
+
+        Args:
+            finished: all rows are in batches, so that what was put ahead can go.
 
         Raises:
             RecordError: the disk does not answer any more.
@@ -172,6 +191,11 @@ class Disk:
         self._dirty.update(self._files.values())
         self._ended.update(self._files.values())
         self._sync()
+        for name, fd in self._ahead.items():
+            os.close(fd)
+            if finished:
+                os.unlink(self.root / name)
+        self._ahead.clear()
         self.release_reserve()
         return {
             name: {"size": file.size, "crc32": f"{file.crc:08x}"}
@@ -212,6 +236,18 @@ class Disk:
             if flags & 2:
                 self._ended.add(handle)
 
+    def _ahead_job(self, file: str, data: bytes, flags: int) -> None:
+        """Failing here loses nothing that is in a batch, and the batch will fail too: no alarm."""
+        with contextlib.suppress(OSError):
+            if file not in self._ahead:
+                (self.root / file).parent.mkdir(exist_ok=True)
+                how = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
+                self._ahead[file] = os.open(self.root / file, how, 0o644)
+            if flags & 8:
+                os.ftruncate(self._ahead[file], 0)
+            else:
+                write_all(self._ahead[file], data)
+
     def _retry(self, file: str, data: bytes) -> bool:
         """Once more, now that the reserve has been given back."""
         try:
@@ -240,7 +276,10 @@ class Disk:
                 continue
             file, data, flags = job
             try:
-                self._append(file, data, flags)
+                if flags & 12:
+                    self._ahead_job(file, data, flags)
+                else:
+                    self._append(file, data, flags)
             except Exception as error:  # a writer that dies in silence would lose all to come
                 self._fail(RecordError(str(self.root / file), f"cannot be written: {error!r}"))
             self._written += len(data)

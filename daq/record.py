@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from daq.ahead import ahead_entry, ahead_name
 from daq.chunks import index_line, members
 from daq.clock import Clock
 from daq.disk import Disk, disk_error
@@ -67,6 +68,7 @@ class _Stream(_Indexed):
         self.encoder = BatchEncoder(schema)
         self.message = schema.message()
         self.rows = 0
+        self.ahead = 0
         self.has_seq = "seq" in schema.columns
 
 
@@ -212,7 +214,29 @@ class RecordWriter:
             self._put_chunk(s, message, more)
             s.rows += rows
             s.rows_in_file += rows
+            if s.ahead:
+                s.ahead = 0
+                self._disk.superseded(ahead_name(stream))
             return first_row
+
+    def ahead(self, stream: str, columns: Columns) -> None:
+        """Rows that the next batch will bring: a kill until then does not lose them.
+
+        They count as recorded only once :meth:`append` has been given them; see
+        :mod:`daq.ahead`.
+
+        Raises:
+            ValueError: the columns are not those declared.
+        """
+        with self._lock:
+            s = self._streams[stream]
+            if self._closed:
+                return
+            checked, rows = s.encoder.checked(columns)
+            if rows:
+                entry = ahead_entry(checked, s.rows + s.ahead)
+                self._disk.put_ahead(ahead_name(stream), entry)
+                s.ahead += rows
 
     def rows(self, stream: str) -> int:
         """Rows appended to a stream so far."""
@@ -313,7 +337,7 @@ class RecordWriter:
         with self._lock:
             if not self._closed:
                 self._closed = True
-                self._disk.close()
+                self._disk.close(finished=False)
 
     def _summary(
         self, outcome: str, files: dict[str, Any], summary: dict[str, Any]

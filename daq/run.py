@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daq.ahead import AheadRows
 from daq.calibration import Calibration
 from daq.chunks import ChunkIndex, Entry, Problem
 from daq.errors import RecordError
@@ -214,9 +215,21 @@ class Run:
         schema = self._schema(index if index.head else self.index(stream))
         decoder = BatchDecoder(schema, rows)
         lost = self.sound_rows(index, decoder)
-        self.problems.extend(index.problems)
-        self._lost[stream] = lost
-        self._samples[stream] = decoder.columns()
+        ahead = self.ahead(index, schema)
+        self.problems.extend([*index.problems, *ahead.problems])
+        self._lost[stream] = lost + ahead.missing
+        batched = decoder.columns()
+        self._samples[stream] = (
+            {name: np.concatenate([batched[name], ahead.columns[name]]) for name in batched}
+            if len(ahead)
+            else batched
+        )
+
+    def ahead(self, index: ChunkIndex, schema: StreamSchema) -> AheadRows:
+        """Rows of a killed run that wait for their batch; none in a finished one."""
+        end = max((int(e.fields["first_row"]) + int(e.fields["rows"])
+                   for e in index.entries if e.fields["chunk"] == "rows"), default=0)  # fmt: skip
+        return AheadRows(self.folder if self.outcome == INTERRUPTED else None, schema, end)
 
     def sound_rows(
         self, index: ChunkIndex, decoder: BatchDecoder | None = None

@@ -93,6 +93,19 @@ class BatchEncoder:
         Raises:
             ValueError: a column is missing, unknown, of another type or length.
         """
+        checked, rows = self.checked(columns)
+        arrays = list(checked.values())
+        if rows not in self._heads:
+            return self._learn(arrays, rows), rows
+        head = self._heads[rows]
+        return (self._joined(head, arrays) if head else self._slow(arrays)), rows
+
+    def checked(self, columns: Columns) -> tuple[Columns, int]:
+        """The columns in the schema's order and dtypes, and their number of rows.
+
+        Raises:
+            ValueError: a column is missing, unknown, of another type or length.
+        """
         arrays = [self._checked(name, columns) for name in self._dtypes]
         if len(columns) != len(arrays):
             extra = sorted(set(columns) - set(self._dtypes))
@@ -101,10 +114,7 @@ class BatchEncoder:
         if any(len(a) != rows for a in arrays):
             lengths = {n: len(columns[n]) for n in self._dtypes}
             raise ValueError(f"stream {self.schema.name}: columns differ in length: {lengths}")
-        if rows not in self._heads:
-            return self._learn(arrays, rows), rows
-        head = self._heads[rows]
-        return (self._joined(head, arrays) if head else self._slow(arrays)), rows
+        return dict(zip(self._dtypes, arrays, strict=True)), rows
 
     def _checked(self, name: str, columns: Columns) -> npt.NDArray[Any]:
         try:
@@ -136,7 +146,11 @@ class BatchEncoder:
         if self._arrow is None:
             self._arrow = self.schema.arrow()
         batch = pa.RecordBatch.from_arrays(
-            [pa.array(a, f.type) for a, f in zip(arrays, self._arrow, strict=True)],
+            # Not pa.array, which imports pandas: a second's stall at the first batch of a run.
+            [
+                pa.Array.from_buffers(f.type, len(a), [None, pa.py_buffer(a.tobytes())])
+                for a, f in zip(arrays, self._arrow, strict=True)
+            ],
             schema=self._arrow,
         )
         return bytes(batch.serialize().to_pybytes())

@@ -78,6 +78,8 @@ class TelemetryStream:
         samples, gaps, missing, duplicates, reboots, unknown_dt: counts so far
             (``gaps`` counts places, ``missing`` samples).
         next_seq: number the next sample should have; None before the first.
+        on_ahead: called with the columns of each frame as it comes, before its batch is full;
+            None costs nothing.
     """
 
     def __init__(
@@ -90,6 +92,7 @@ class TelemetryStream:
         device_time: DeviceTime | None = None,
     ) -> None:
         self._on_batch = on_batch
+        self.on_ahead: Callable[[Batch], object] | None = None
         self._on_gap = on_gap
         self._on_boot = on_boot
         self._batch_samples = batch_samples
@@ -142,9 +145,12 @@ class TelemetryStream:
                 if self._on_gap is not None:
                     self._on_gap(gap)
         device_us = self.device_time.unwrap(t0_us, host_ns)
-        self._held.append(_Held(seq, device_us, host_ns, boot, setpoint_x16, n, samples))
+        held = _Held(seq, device_us, host_ns, boot, setpoint_x16, n, samples)
+        self._held.append(held)
         self._held_samples += n
         self.next_seq = seq + n
+        if self.on_ahead is not None:
+            self.on_ahead(_columns([held])[0])
         if self._held_samples >= self._batch_samples:
             self.flush()
 
@@ -154,28 +160,9 @@ class TelemetryStream:
         if not held:
             return
         self._held_samples = 0
-        raw = np.frombuffer(b"".join([h.samples for h in held]), SAMPLE_DTYPE)
-        counts = np.array([h.n for h in held])
-        first = np.cumsum(counts) - counts
-        dt = raw["dt_us"].astype(np.int64)
-        dt[first] = 0  # t0_us stands for the first sample of each frame
-        self.unknown_dt += int(np.count_nonzero(dt == wire.DT_UNKNOWN))
-        elapsed = np.cumsum(dt)
-        start_us = np.array([h.device_us for h in held], np.int64) - elapsed[first]
-        offset = np.array([h.seq for h in held], np.int64) - first
-        repeat = np.repeat
-        batch: Batch = {
-            "seq": repeat(offset, counts) + np.arange(len(raw)),
-            "device_us": repeat(start_us, counts) + elapsed,
-            "host_ns": repeat(np.array([h.host_ns for h in held], np.int64), counts),
-            "boot": repeat(np.array([h.boot for h in held], np.uint16), counts),
-            "counts": raw["counts"].copy(),
-            "flags": raw["flags"].copy(),
-            "inlet_u5": raw["inlet_u5"].copy(),
-            "vent_u5": raw["vent_u5"].copy(),
-            "setpoint_x16": repeat(np.array([h.setpoint_x16 for h in held], np.uint16), counts),
-        }
-        self.samples += len(raw)
+        batch, unknown = _columns(held)
+        self.unknown_dt += unknown
+        self.samples += len(batch["seq"])
         self._on_batch(batch)
 
     def counters(self) -> dict[str, int]:
@@ -200,3 +187,29 @@ class TelemetryStream:
         self._seq_shift = self.next_seq - seq0
         if self._on_boot is not None:
             self._on_boot(old, boot)
+
+
+def _columns(held: list[_Held]) -> tuple[Batch, int]:
+    """Frames as columns, and how many samples do not know their distance in time."""
+    raw = np.frombuffer(b"".join([h.samples for h in held]), SAMPLE_DTYPE)
+    counts = np.array([h.n for h in held])
+    first = np.cumsum(counts) - counts
+    dt = raw["dt_us"].astype(np.int64)
+    dt[first] = 0  # t0_us stands for the first sample of each frame
+    unknown = int(np.count_nonzero(dt == wire.DT_UNKNOWN))
+    elapsed = np.cumsum(dt)
+    start_us = np.array([h.device_us for h in held], np.int64) - elapsed[first]
+    offset = np.array([h.seq for h in held], np.int64) - first
+    repeat = np.repeat
+    batch: Batch = {
+        "seq": repeat(offset, counts) + np.arange(len(raw)),
+        "device_us": repeat(start_us, counts) + elapsed,
+        "host_ns": repeat(np.array([h.host_ns for h in held], np.int64), counts),
+        "boot": repeat(np.array([h.boot for h in held], np.uint16), counts),
+        "counts": raw["counts"].copy(),
+        "flags": raw["flags"].copy(),
+        "inlet_u5": raw["inlet_u5"].copy(),
+        "vent_u5": raw["vent_u5"].copy(),
+        "setpoint_x16": repeat(np.array([h.setpoint_x16 for h in held], np.uint16), counts),
+    }
+    return batch, unknown

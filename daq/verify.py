@@ -75,11 +75,28 @@ def _record_problems(run: Run, seen: set[str]) -> Iterator[Problem]:
         seen.update(entry.file for entry in index.entries)
         if index.index.startswith("samples/"):
             run.sound_rows(index)
+            seen.add(_ahead_problems(run, index))
         else:
             for _ in index.sound():
                 pass
         run.problems.extend(index.problems)
     yield from run.problems
+
+
+def _ahead_problems(run: Run, index: ChunkIndex) -> str:
+    """Damage in the rows that wait for their batch; name of their file, if there may be one."""
+    if run.outcome != INTERRUPTED:
+        return ""
+    stream = index.index.removeprefix("samples/").removesuffix(".index.jsonl")
+    try:
+        ahead = run.ahead(index, run.schema(stream))
+    except RecordError:  # the index itself is damaged, and that is told
+        return ""
+    index.problems.extend(ahead.problems)
+    for low, high in ahead.missing:
+        what = f"rows {low} to {high - 1} are lost"
+        index.problems.append(Problem(ahead.name, 0, what))
+    return ahead.name
 
 
 def _against_final(run: Run, final: dict[str, Any], reported: set[str]) -> Iterator[Problem]:

@@ -197,8 +197,8 @@ def run_protocol(
     watch = watch or Watch()
     control = control or RunControl()
     if not config.is_virtual:
-        # The record's encoder loads it with the first batch: two seconds without a heartbeat.
-        import pandas  # noqa: F401
+        # The record's encoder loads it with the first batch: half a second without a heartbeat.
+        import pyarrow  # noqa: F401
     with open_rig(config) as rig:
         virtual = rig.clock.virtual
         if kind.firmware:
@@ -302,6 +302,8 @@ def _connect(rig: Rig, record: RecordWriter) -> None:
 
     rig.valve.on_gap = gap
     rig.valve.on_batch.append(valve_batch)
+    if not rig.clock.virtual:  # on the virtual clock a killed run is simply run again
+        rig.valve.telemetry.on_ahead = lambda frame: record.ahead("valve", frame)
     rig.balance.on_rows.append(balance_rows)
     rig.valve.on_event = event
     record_instruments(rig, record)

@@ -33,6 +33,8 @@ def interrupted(root: Path) -> Path:
     """As a kill leaves it: no end marks, no final.json, half a chunk, half a line."""
     writer, clock = begin(root, segment_rows=150)
     fill(writer, clock, 5)
+    for k in range(250, 270, 10):
+        writer.ahead("valve", valve_batch(k, 10))
     writer.abandon()
     derive(open_run(writer.folder), [table_maker])
     message, _ = BatchEncoder(open_run(writer.folder).schema("valve")).encode(valve_batch(250))
@@ -117,7 +119,7 @@ def test_the_records_that_are_flipped_hold_something_and_are_sound(tmp_path: Pat
     torn = open_run(interrupted(tmp_path))
     assert {p.file for p in verify(torn)} == {"samples/valve/000002.arrows", "events.jsonl"}
     assert all(p.tail for p in verify(torn))
-    assert len(content(torn)["valve"]) == 250
+    assert len(content(torn)["valve"]) == 270
 
 
 def test_lists_and_summaries_live_with_damage_in_any_file(tmp_path: Path) -> None:

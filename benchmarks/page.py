@@ -1,0 +1,69 @@
+"""The page of all parts, from the figures that were kept."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import platform
+from importlib.metadata import version
+from typing import Any
+
+PARTS = [
+    "recording",
+    "marker",
+    "simulation",
+    "dynamics",
+    "startup",
+    "diagnosis",
+    "growth_samples",
+    "growth_length",
+    "growth_diagnosis",
+    "growth_cores",
+]
+
+HEAD = """\
+# Benchmarks
+
+Speed beside what one would use instead, and how cost grows. This page is written by
+
+    python -m benchmarks --page docs/benchmarks.md
+
+(`make bench`); `--only PART` measures one part anew. Every figure is of one run in which the ways
+took turns. A ratio is theirs over ours, taken round by round: median (smallest to largest). Where
+we are behind, the line says so.
+"""
+
+
+def machine() -> str:
+    """What the figures depend on; no name of it."""
+    memory = ""
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        memory = f", {total / 2**30:.0f} GiB"
+    return (
+        f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores{memory}, "
+        f"Python {platform.python_version()}, numpy {version('numpy')}, pamrig {version('pamrig')}"
+    )
+
+
+def page(parts: dict[str, dict[str, Any] | None]) -> str:
+    """The whole text; a part without figures says so."""
+    out = [HEAD]
+    machines = list(dict.fromkeys(p["machine"] for p in parts.values() if p))
+    out.append(f"Machine: {'; '.join(machines)}. Other programs ran beside these at times; the ")
+    out[-1] += "load at the end of each part stands under it.\n"
+    for name, part in parts.items():
+        module = importlib.import_module(f"benchmarks.{name}")
+        out.append(f"## {module.TITLE}\n")
+        if part is None:
+            out.append(f"Not measured yet: `python -m benchmarks --only {name}`.\n")
+            continue
+        if part["tiny"]:
+            out.append("**Sizes that show only that it runs; no figure here means anything.**\n")
+        out.append("\n".join(module.lines(part["figures"])))
+        load = "" if part["load"] is None else f", load {part['load']:.1f}"
+        out.append(
+            f"`{name}`, {part['date']}: {part['wall_s']:.0f} s, {part['cpu_s']:.0f} s of "
+            f"processor{load}.\n"
+        )
+    return "\n".join(out)
