@@ -99,7 +99,7 @@ def test_with_the_gas_real_the_muscle_gets_what_was_measured(examined: dict[str,
     here = chain.rows_of("force")
     # The bladder is real or not with the muscle, so this is the recalibrated model's own residual
     # but for the constants, which were fitted beside the effect.
-    direct = q._residual(q.constants(state.shift), [])[here]
+    direct = q.residual_at(state.shift, (), np.empty(0))[here]
     assert np.allclose(fed, direct, atol=1e-6)
 
 
