@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plant.bench import BenchSim
+from plant.bench import FINE_STEP_SHARE, BenchSim
 from plant.constants import nominal
 from rigs.studies import delay, orifice, ram, schemes
 from rigs.studies.command import Progress
 from rigs.studies.ram import lift
-from rigs.studies.trial import SCHEMES, Bench, Trace, run_trial
+from rigs.studies.trial import SCHEMES, Bench, Trace, run_trial, summary
 from rigs.virtual.asprinted import install_as_printed
 from rigs.virtual.board import SimBoard
 from rigs.virtual.pressuresensor import PressureSensor
@@ -121,6 +121,22 @@ def test_halving_the_step_changes_no_figure_of_a_lift() -> None:
             path.append(twin.height_mm)
         rests.append((max(path), path[-1]))
     assert rests[0] == pytest.approx(rests[1], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("load", "scheme"),
+    [("held", "duty_in"), ("hung", "slide"), ("hung", "burst"), ("hung", "slide_as_printed")],
+)
+def test_halving_the_step_changes_no_figure_of_a_scheme(load: str, scheme: str) -> None:
+    """In a closed loop, converter and noise included."""
+    found = []
+    for share in (FINE_STEP_SHARE, FINE_STEP_SHARE / 2):
+        bench = Bench(C, load, step_share=share)
+        found.append(summary(run_trial(bench, scheme, (0.25, 0.55, 0.4))))
+    for key, (mean, _, count) in found[0].items():
+        assert count == found[1][key][2]
+        if count:
+            assert mean == pytest.approx(found[1][key][0], rel=1e-3, abs=1e-3)
 
 
 def test_a_lift_is_held_by_friction_and_gas() -> None:

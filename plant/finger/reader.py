@@ -40,6 +40,11 @@ def load_valve(source: str | Path = "thesis") -> PlantConstants:
     return nominal().with_overrides(table, origin)
 
 
+def valve_changes(source: str | Path) -> dict[str, Any]:
+    """What a valve block changes of the reference bench, by plant-file key. Raises `PlantError`."""
+    return _table(str(source), "valves", "valve block")[0]
+
+
 def shipped_valves() -> list[str]:
     """Names of the valve blocks that come with the package."""
     return _names("valves")

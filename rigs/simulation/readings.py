@@ -12,6 +12,8 @@ from collections import deque
 import numpy as np
 
 from daq.record import RecordWriter
+from plant import layout as at
+from plant import scene_layout as sc
 from plant.scene import Scene
 from rigs.session import BALANCE_SCHEMA, BALANCE_UNITS
 from rigs.simulation.scenario import Scenario
@@ -132,9 +134,10 @@ class Readings:
         truth: list[float] = []
         for k in range(len(scene.units)):
             state = u[k]
-            truth += [state[1] * 1e-3, state[2] * 1e3, state[4], state[7], state[8]]
-        places = scene.world.motion[0] / self._scale
-        rates = scene.world.motion[1] / self._scale
+            truth += [state[at.PRESSURE] * 1e-3, state[at.LENGTH] * 1e3, state[at.FORCE]]
+            truth += [state[at.INLET_OPEN], state[at.OUTLET_OPEN]]
+        places = scene.world.motion[sc.PLACE] / self._scale
+        rates = scene.world.motion[sc.RATE] / self._scale
         for place, rate in zip(places, rates, strict=True):
             truth += [place, rate]
         self._truth.add(host_ns, *truth)
@@ -142,9 +145,11 @@ class Readings:
             self._next_force_s += 1.0 / self._s.force_rate_hz
             step = self._s.force_step_n
             for k, rows in enumerate(self._forces):
-                read = float(u[k, 4]) + self._s.force_noise_n * float(self._rng.standard_normal())
+                read = float(u[k, at.FORCE]) + self._s.force_noise_n * float(
+                    self._rng.standard_normal()
+                )
                 rows.add(host_ns, round(read / step) * step * GRAMS_PER_N, 1)
-        seen = np.array([u[0, 2] * 1e3]) if self._held else places
+        seen = np.array([u[0, at.LENGTH] * 1e3]) if self._held else places
         self._late.append((now, seen))
         while len(self._late) > 1 and self._late[1][0] <= now - self._s.place_delay_s + 1e-9:
             self._late.popleft()
@@ -157,7 +162,7 @@ class Readings:
 
     def _log_events(self) -> None:
         """Valve edges into their stream; stops and switches as events with their own time."""
-        if not self._scene.world.clock[3]:
+        if not self._scene.world.clock[sc.LOGGED]:
             return
         for event in self._scene.take_events():
             if event.kind in ("inlet", "outlet"):

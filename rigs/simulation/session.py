@@ -19,6 +19,7 @@ from daq.errors import PamrigError, RecordError
 from daq.record import RecordWriter
 from plant.errors import PlantError
 from plant.scene import Scene, Unit
+from plant.scene_layout import SUBSTEPS
 from rigs.interrupt import StopFlag, Stopped
 from rigs.simulation.controllers import Controllers
 from rigs.simulation.manifest import manifest
@@ -350,7 +351,7 @@ def _finish(
                 for name, stream in zip(controllers.streams, controllers.telemetry, strict=True)
             },
             duration_s=simulated_s,
-            substeps=int(loop.scene.world.clock[4]),
+            substeps=int(loop.scene.world.clock[SUBSTEPS]),
             times_real_time=round(simulated_s / max(took_s, 1e-9), 1),
         )
     except (RecordError, CodecError):

@@ -16,10 +16,10 @@ import numpy.typing as npt
 
 from plant.bench import FINE_STEP_SHARE
 from plant.constants import PlantConstants, nominal
+from plant.finger.reader import valve_changes
 from plant.ram import Ram, RamConstants
 from rigs.studies.command import Progress
 from rigs.studies.result import CONFIRMED, CONTRADICTED, PARTLY, Grid, Statement, Study
-from rigs.studies.schemes import CURED
 from rigs.studies.trial import INTENDED, TITLES, Bench, run_trial, summary
 from rigs.virtual.pressuresensor import ADC_TOP
 from valvefw.config import defaults
@@ -160,7 +160,7 @@ def _variations() -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
     out += [(f"friction {v:g} N", {"friction_n": float(v)}, {}) for v in (0, 5, 60)]
     out += [(f"mass {v:g} kg", {"mass_kg": float(v)}, {}) for v in (1, 20)]
     out += [(f"bore {v:g} mm", {"bore_m": v * 1e-3}, {}) for v in (16, 25, 100)]
-    out += [("small, fast valve", {}, dict(CURED))]
+    out += [("small, fast valve", {}, valve_changes("cured"))]
     out += [("transport delays", {}, {"delay_mode": "transport"})]
     return out
 

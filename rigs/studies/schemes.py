@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from plant.constants import PlantConstants, nominal
+from plant.finger.reader import load_valve
 from rigs.studies.command import Progress
 from rigs.studies.result import CONFIRMED, CONTRADICTED, PARTLY, Grid, Statement, Study
 from rigs.studies.trial import INTENDED, TITLES, Bench, Trace, run_trial, summary
@@ -25,18 +26,6 @@ STEPS = (0.25, 0.55, 0.85, 0.5, 0.25, 0.7, 0.4)
 FEW_STEPS = (0.25, 0.7, 0.4)
 LOADS = ("held", "hung")
 LOAD_WORDS = {"held": "held at 60 mm", "hung": "3 kg hung"}
-SIDES = ("inlet", "outlet")
-CURED = {
-    "inlet_conductance_m3_s_pa": 1.1e-10,
-    "outlet_conductance_m3_s_pa": 1.1e-10,
-    **{
-        f"{s}_{e}_ms": {"on": 2.0, "off": 1.5}[e]
-        for s in ("inlet", "outlet")
-        for e in ("on", "off")
-    },
-    **{f"{s}_{e}_ms_per_kpa": 0.0 for s in ("inlet", "outlet") for e in ("on", "off")},
-}
-"""The valve of the rig `virtual`: 0.3 mm restrictors and delays of 2 ms."""
 SWINGS = 5.0
 """A ripple or overshoot of more than so much of supply, in %, is an oscillation or an overshoot."""
 
@@ -45,7 +34,7 @@ Summary = dict[str, tuple[float, float, int]]
 
 def valves() -> dict[str, PlantConstants]:
     """The valve of 1996 and one that is small and fast."""
-    return {"1996": nominal(), "small and fast": nominal().with_overrides(CURED)}
+    return {"1996": nominal(), "small and fast": load_valve("cured")}
 
 
 def run(full: bool, progress: Progress) -> Study:
