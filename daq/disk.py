@@ -15,6 +15,7 @@ import queue
 import threading
 import time
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -92,11 +93,10 @@ class Disk:
         self._stop = False
         self._queued = 0
         self._written = 0
-        self._ahead: dict[str, int] = {}
         self._synced_s = time.monotonic()
-        self._jobs: queue.SimpleQueue[tuple[str, bytes, int] | threading.Event | None] = (
-            queue.SimpleQueue()
-        )
+        self._jobs: queue.SimpleQueue[
+            tuple[str, bytes, int] | threading.Event | Callable[[], None] | None
+        ] = queue.SimpleQueue()
         self._threads: list[threading.Thread] = []
         self._reserve()
         if threaded:
@@ -144,20 +144,15 @@ class Disk:
             raise self.failed
         self._jobs.put((file, data, flags))
 
-    def put_ahead(self, file: str, data: bytes) -> None:
-        """Append to a file that lives until :meth:`superseded`; against a kill, so never synced."""
-        self._queued += len(data)
-        self._hand(file, data, 4)
+    def then(self, work: Callable[[], None]) -> None:
+        """Do ``work`` once all that was put before is with the operating system; not if it failed.
 
-    def superseded(self, file: str) -> None:
-        """What was put ahead stands in the record proper by now: cut the file to nothing."""
-        self._hand(file, b"", 8)
-
-    def _hand(self, file: str, data: bytes, flags: int) -> None:
+        It is done by the writer's thread and must not raise.
+        """
         if self._threads:
-            self._jobs.put((file, data, flags))
-        else:
-            self._ahead_job(file, data, flags)
+            self._jobs.put(work)
+        elif self.failed is None:
+            work()
 
     def drain(self, timeout_s: float = JOIN_S) -> bool:
         """Wait until all that was put has gone to the operating system."""
@@ -167,11 +162,8 @@ class Disk:
         self._jobs.put(reached)
         return reached.wait(timeout_s)
 
-    def close(self, finished: bool = True) -> dict[str, dict[str, Any]]:
+    def close(self) -> dict[str, dict[str, Any]]:
         """Write, sync and close everything; size and CRC of each file, in order of name.
-
-        Args:
-            finished: all rows are in batches, so that what was put ahead can go.
 
         Raises:
             RecordError: the disk does not answer any more.
@@ -191,11 +183,6 @@ class Disk:
         self._dirty.update(self._files.values())
         self._ended.update(self._files.values())
         self._sync()
-        for name, fd in self._ahead.items():
-            os.close(fd)
-            if finished:
-                os.unlink(self.root / name)
-        self._ahead.clear()
         self.release_reserve()
         return {
             name: {"size": file.size, "crc32": f"{file.crc:08x}"}
@@ -236,18 +223,6 @@ class Disk:
             if flags & 2:
                 self._ended.add(handle)
 
-    def _ahead_job(self, file: str, data: bytes, flags: int) -> None:
-        """Failing here loses nothing that is in a batch, and the batch will fail too: no alarm."""
-        with contextlib.suppress(OSError):
-            if file not in self._ahead:
-                (self.root / file).parent.mkdir(exist_ok=True)
-                how = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
-                self._ahead[file] = os.open(self.root / file, how, 0o644)
-            if flags & 8:
-                os.ftruncate(self._ahead[file], 0)
-            else:
-                write_all(self._ahead[file], data)
-
     def _retry(self, file: str, data: bytes) -> bool:
         """Once more, now that the reserve has been given back."""
         try:
@@ -274,12 +249,13 @@ class Disk:
             if isinstance(job, threading.Event):
                 job.set()
                 continue
+            if not isinstance(job, tuple):
+                if self.failed is None:
+                    job()
+                continue
             file, data, flags = job
             try:
-                if flags & 12:
-                    self._ahead_job(file, data, flags)
-                else:
-                    self._append(file, data, flags)
+                self._append(file, data, flags)
             except Exception as error:  # a writer that dies in silence would lose all to come
                 self._fail(RecordError(str(self.root / file), f"cannot be written: {error!r}"))
             self._written += len(data)

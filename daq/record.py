@@ -11,10 +11,11 @@ import re
 import threading
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from daq.ahead import ahead_entry, ahead_name
+from daq.ahead import AheadFile, ahead_entry, ahead_name
 from daq.chunks import index_line, members
 from daq.clock import Clock
 from daq.disk import Disk, disk_error
@@ -69,6 +70,7 @@ class _Stream(_Indexed):
         self.message = schema.message()
         self.rows = 0
         self.ahead = 0
+        self.ahead_file: AheadFile | None = None
         self.has_seq = "seq" in schema.columns
 
 
@@ -214,28 +216,31 @@ class RecordWriter:
             self._put_chunk(s, message, more)
             s.rows += rows
             s.rows_in_file += rows
-            if s.ahead:
+            if s.ahead and s.ahead_file is not None:
                 s.ahead = 0
-                self._disk.superseded(ahead_name(stream))
+                self._disk.then(partial(s.ahead_file.clear, s.ahead_file.turn()))
             return first_row
 
     def ahead(self, stream: str, columns: Columns) -> None:
         """Rows that the next batch will bring: a kill until then does not lose them.
 
-        They count as recorded only once :meth:`append` has been given them; see
-        :mod:`daq.ahead`.
+        They count as recorded once :meth:`append` has been given them; see :mod:`daq.ahead`.
 
         Raises:
-            ValueError: the columns are not those declared.
+            RecordError, ValueError: as :meth:`append`.
         """
         with self._lock:
             s = self._streams[stream]
             if self._closed:
                 return
             checked, rows = s.encoder.checked(columns)
+            if s.ahead_file is None:
+                try:
+                    s.ahead_file = AheadFile(self.folder / ahead_name(stream))
+                except OSError as error:
+                    raise disk_error(self.folder, "cannot be written", error) from error
             if rows:
-                entry = ahead_entry(checked, s.rows + s.ahead)
-                self._disk.put_ahead(ahead_name(stream), entry)
+                s.ahead_file.put(ahead_entry(checked, s.rows + s.ahead))
                 s.ahead += rows
 
     def rows(self, stream: str) -> int:
@@ -261,11 +266,7 @@ class RecordWriter:
             return n
 
     def frame(self, jpeg: bytes, host_ns: int, **meta: Any) -> int:
-        """Append one encoded camera frame.
-
-        Returns:
-            its number, counted from 0.
-        """
+        """Append one encoded camera frame; returns its number, counted from 0."""
         with self._lock:
             frames = self._frames
             if frames.n == 0:
@@ -322,6 +323,7 @@ class RecordWriter:
                         self._end_segment(stream)
             self._closed = True
             files = self._disk.close()
+            self._close_ahead(True)
             final = self._summary(outcome, files, summary)
             try:
                 write_sealed(self.folder / "final.json", final, True)
@@ -337,7 +339,14 @@ class RecordWriter:
         with self._lock:
             if not self._closed:
                 self._closed = True
-                self._disk.close(finished=False)
+                self._disk.close()
+                self._close_ahead(False)
+
+    def _close_ahead(self, finished: bool) -> None:
+        for stream in self._streams.values():
+            if stream.ahead_file is not None:
+                stream.ahead_file.close(finished)
+                stream.ahead_file = None
 
     def _summary(
         self, outcome: str, files: dict[str, Any], summary: dict[str, Any]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from daq import disk
+from daq.ahead import SLOTS
 from daq.clock import RealClock
 from daq.record import RecordWriter
 from daq.run import open_run
 from daq.store import verify
-from daq.telemetry import Batch, TelemetryStream
+from daq.telemetry import VALVE_COLUMNS, Batch, TelemetryStream
 from daq_records import begin, valve_batch
 from test_daq_telemetry import frame
 
@@ -94,7 +97,10 @@ def test_a_torn_entry_ends_what_is_read_and_is_told(tmp_path: Path) -> None:
         writer.ahead("valve", valve_batch(k, 1))
     writer.abandon()
     path = writer.folder / "samples/valve.ahead"
-    path.write_bytes(path.read_bytes()[:-5])
+    data = bytearray(path.read_bytes())
+    end = len(bytes(data).rstrip(b"\x00"))
+    data[end - 5 : end] = bytes(5)
+    path.write_bytes(data)
     assert_rows(writer.folder, 2)
     (problem,) = verify(open_run(writer.folder))
     assert problem.tail
@@ -114,6 +120,38 @@ def test_rows_that_are_missing_before_them_are_named(tmp_path: Path) -> None:
     assert run.samples("valve")["seq"].tolist() == [*range(50), *range(100, 105)]
     assert run.lost_rows("valve") == [(50, 100)]
     assert any("rows 50 to 99 are lost" in p.what for p in verify(run))
+
+
+def test_while_the_disk_is_behind_the_caller_goes_on_and_what_fits_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Eight batches without one of them on disk: then rows are left out, and none is wrong."""
+    writer = RecordWriter(tmp_path, {}, RealClock(), durable=False)
+    writer.stream("valve", VALVE_COLUMNS)
+    writer.append("valve", valve_batch(0))
+    writer.ahead("valve", valve_batch(50, 10))
+    assert writer.sync()
+    stuck, plain = threading.Event(), disk.write_all
+
+    def waiting(fd: int, data: bytes) -> None:
+        stuck.wait(20.0)
+        plain(fd, data)
+
+    monkeypatch.setattr(disk, "write_all", waiting)
+    for first in range(50, 600, 50):
+        for k in range(first + 10 * (first == 50), first + 50, 10):
+            writer.ahead("valve", valve_batch(k, 10))
+        writer.append("valve", valve_batch(first))
+    assert_rows(writer.folder, 50 + SLOTS * 50)  # only the first batch is on disk
+    stuck.set()
+    assert writer.sync()
+    assert_rows(writer.folder, 600)
+    writer.ahead("valve", valve_batch(600, 10))  # slots are free again after the next batch
+    writer.append("valve", valve_batch(600))
+    writer.ahead("valve", valve_batch(650, 10))
+    assert writer.sync()
+    assert_rows(writer.folder, 660)
+    writer.abandon()
 
 
 def test_columns_that_do_not_fit_are_refused(tmp_path: Path) -> None:
