@@ -175,7 +175,7 @@ def test_the_estimate_of_duration_is_near(tmp_path: Path) -> None:
     assert seconds == pytest.approx(run.final["duration_s"], rel=0.35)
 
 
-@pytest.mark.parametrize(("name", "points", "most"), [("step", 4, 50.0), ("ram", 2, 10.0)])
+@pytest.mark.parametrize(("name", "points", "most"), [("step", 4, 100.0), ("ram", 2, 10.0)])
 def test_every_point_is_put_into_the_live_view(
     tmp_path: Path, name: str, points: int, most: float
 ) -> None:

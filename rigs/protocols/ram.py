@@ -165,8 +165,11 @@ def read(name: str, config: RigConfig) -> RamTest:
 
 def layout(parameters: Mapping[str, Any]) -> LiveLayout:
     """Its screen."""
-    axis = {"result_axis": ("time to the switch (s)", float(parameters.get("reach_s") or 10.0))}
-    return valve_layout("Ram test", {**parameters, **axis}, window_s=20.0)
+    shown = {
+        "result_axis": ("time to the switch (s)", float(parameters.get("reach_s") or 10.0)),
+        "pressures_kpa": [2.0 * float(parameters.get("rise_kpa") or 100.0)],
+    }
+    return valve_layout("Ram test", {**parameters, **shown}, window_s=20.0)
 
 
 PROCEDURE = Procedure(

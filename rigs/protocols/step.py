@@ -170,7 +170,7 @@ def read(name: str, config: RigConfig) -> Step:
 
 def layout(parameters: Mapping[str, Any]) -> LiveLayout:
     """Its screen."""
-    axis = {"result_axis": ("rms error of the second half of a step (kPa)", 20.0)}
+    axis = {"result_axis": ("rms error of the second half of a step (kPa)", 100.0)}
     return valve_layout("Step test", {**parameters, **axis}, window_s=10.0)
 
 
