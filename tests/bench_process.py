@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-START_S = 60.0
+START_S = 900.0
+"""A fresh clone compiles the simulation first, beside others on a busy machine; a bench that dies
+meanwhile is noticed at once."""
 
 
 def pamrig(*words: str | Path, **options: Any) -> subprocess.Popen[str]:
@@ -28,13 +30,15 @@ def pamrig(*words: str | Path, **options: Any) -> subprocess.Popen[str]:
     )
 
 
-def run_pamrig(*words: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
+def run_pamrig(
+    *words: str | Path, limit_s: float = 300.0, **options: Any
+) -> subprocess.CompletedProcess[str]:
     """Run the command line to its end."""
     return subprocess.run(
         [sys.executable, "-m", "rigs.cli", *map(str, words)],
         text=True,
         capture_output=True,
-        timeout=300,
+        timeout=limit_s,
         check=False,
         **options,
     )
@@ -77,9 +81,11 @@ def bench_process(folder: Path, rig: str = "virtual", *more: str) -> Iterator[Be
     try:
         end = time.monotonic() + START_S
         assert process.stdout is not None
-        while "try:" not in process.stdout.readline():
-            assert process.poll() is None, process.communicate()
-            assert time.monotonic() < end, "the bench did not start"
+        said = ""
+        while "try:" not in (line := process.stdout.readline()):
+            said += line
+            assert line or process.poll() is None, (said, process.communicate())
+            assert time.monotonic() < end, f"the bench did not start; it said: {said}"
         yield bench
     finally:
         if process.poll() is None:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from bench_process import bench_process, run_pamrig
 from daq.run import open_run
+from rigs.config import load_rig
+from rigs.virtual.warmup import warm_up
 
 
 def test_a_run_over_tcp_ports(tmp_path: Path) -> None:
@@ -21,3 +23,12 @@ def test_a_run_over_tcp_ports(tmp_path: Path) -> None:
     assert run.outcome == "clean"
     assert run.final is not None
     assert run.final["counters"]["valve"]["missing"] == 0
+
+
+def test_a_start_that_takes_long_says_what_it_waits_for() -> None:
+    """A fresh installation compiles first; nobody sits before a silent terminal meanwhile."""
+    said: list[str] = []
+    warm_up(load_rig("virtual"), said.append, patience_s=0.0)
+    assert said == ["compiling the simulation; only the first start takes so long"]
+    warm_up(load_rig("virtual"), said.append, patience_s=600.0)
+    assert len(said) == 1

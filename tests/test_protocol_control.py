@@ -14,9 +14,11 @@ from daq.clock import NS_PER_S
 from daq.errors import ConfigError, RecordError
 from daq.run import Run, open_run
 from daq.verify import verify
+from protocol_runs import run_short
 from rigs.config import load_rig
 from rigs.control import RunControl, control_file
 from rigs.isometric import Isometric
+from rigs.protocols.registry import procedure
 from rigs.protocols.schedule import arrange, outline, path
 from rigs.reduction import reduce_isometric
 from rigs.runner import Runner, Watch
@@ -171,3 +173,21 @@ def test_the_estimate_of_duration_is_near(tmp_path: Path) -> None:
     run = steered(tmp_path, plan, {})
     assert run.final is not None
     assert seconds == pytest.approx(run.final["duration_s"], rel=0.35)
+
+
+@pytest.mark.parametrize(("name", "points", "most"), [("step", 4, 100.0), ("ram", 2, 10.0)])
+def test_every_point_is_put_into_the_live_view(
+    tmp_path: Path, name: str, points: int, most: float
+) -> None:
+    shown: list[tuple[float, float, str]] = []
+    watch = Watch(result=lambda x, y, label: shown.append((x, y, label)))
+    _, run, _ = run_short(name, tmp_path, how={"watch": watch})
+    made = events(run, "point")
+    assert len(shown) == len(made) == points
+    layout = procedure(name).layout(run.manifest["parameters"])
+    panels = [p for column in layout.columns for p in column if getattr(p, "kind", "") == "points"]
+    assert panels, "the view has a panel for them"
+    for (x, y, label), event in zip(shown, made, strict=True):
+        assert label in (event.get("scheme"), event["slot"])
+        assert 0.0 < y < most
+        assert 0.0 <= x <= 700.0

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from daq.clock import NS_PER_S
 from rigs.findings_ram import ram_findings, reduce_ram
 from rigs.protocols.procedure import Procedure
 from rigs.steps import Act, EndTrial, State, Steps, Trial
@@ -102,13 +103,17 @@ class Move(Act):
             "command", device="valve", pressure_kpa=self.set_pressure_kpa, counts=counts
         )
         valve.set_point(counts)
+        begin_ns = runner.rig.clock.now_ns()
         flag = SWITCHES[self.switch]
         # The switch that it stands at is left first, if it is the same.
         if valve.flags & flag:
             pump.until(lambda: not valve.flags & flag, self.reach_s)
         reached = pump.until(lambda: bool(valve.flags & flag), self.reach_s)
+        took_s = (runner.rig.clock.now_ns() - begin_ns) / NS_PER_S
         pump.for_seconds(self.hold_s)
-        if not reached:
+        if reached:
+            runner.watch.result(runner.rig.pressure_kpa, took_s, f"{self.way} to {self.switch}")
+        else:
             runner.watch.log(f"switch {self.switch} did not trigger within {self.reach_s:g} s")
         more = {"take": take} if take > 1 else {}
         runner.record.event(
@@ -160,7 +165,11 @@ def read(name: str, config: RigConfig) -> RamTest:
 
 def layout(parameters: Mapping[str, Any]) -> LiveLayout:
     """Its screen."""
-    return valve_layout("Ram test", parameters, window_s=20.0)
+    shown = {
+        "result_axis": ("time to the switch (s)", float(parameters.get("reach_s") or 10.0)),
+        "pressures_kpa": [2.0 * float(parameters.get("rise_kpa") or 100.0)],
+    }
+    return valve_layout("Ram test", {**parameters, **shown}, window_s=20.0)
 
 
 PROCEDURE = Procedure(

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from rigs.findings_step import step_findings
 from rigs.protocols.procedure import Procedure
 from rigs.step_reduction import reduce_step
@@ -105,6 +107,7 @@ class Response(Act):
         first = valve.seq_end
         self._ask(runner, self.set_pressure_kpa)
         runner.rig.pump.for_seconds(self.step_s)
+        self._show(runner)
         more = {"take": take} if take > 1 else {}
         runner.record.event(
             "point",
@@ -115,6 +118,13 @@ class Response(Act):
             valve_seq=[first, valve.seq_end], **more,
         )  # fmt: skip
         runner.progress.done += 1 if take == 1 else 0
+
+    def _show(self, runner: Runner) -> None:
+        """The rms error of the step's second half goes to the live view."""
+        counts = runner.rig.valve.recent_counts(round(self.step_s / 2 * 1000))
+        kpa = runner.rig.config.calibrations["pressure_kpa"].apply(counts)
+        error = float(np.sqrt(np.mean((kpa - self.set_pressure_kpa) ** 2)))
+        runner.watch.result(self.set_pressure_kpa, error, self.scheme)
 
     def _ask(self, runner: Runner, pressure_kpa: float) -> None:
         counts = float(runner.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
@@ -160,7 +170,8 @@ def read(name: str, config: RigConfig) -> Step:
 
 def layout(parameters: Mapping[str, Any]) -> LiveLayout:
     """Its screen."""
-    return valve_layout("Step test", parameters, window_s=10.0)
+    axis = {"result_axis": ("rms error of the second half of a step (kPa)", 100.0)}
+    return valve_layout("Step test", {**parameters, **axis}, window_s=10.0)
 
 
 PROCEDURE = Procedure(

@@ -26,6 +26,7 @@ from rigs.interrupt import stop_on_signals
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.byteports import LOOPBACK, Port, PtyPort, TcpPort
 from rigs.virtual.operatorport import OperatorPort
+from rigs.virtual.warmup import warm_up
 
 TICK_NS = 1_000_000
 TRUTH_NS = 10_000_000
@@ -251,7 +252,10 @@ def serve_bench(
     """Serve until Ctrl-C (or for ``seconds``), then say how well time was kept."""
     import typer
 
-    with open_server(load_rig(rig, seed), folder, tcp, truth) as server, stop_on_signals() as stop:
+    config = load_rig(rig, seed)
+    if config.virtual is not None:
+        warm_up(config, typer.echo)
+    with open_server(config, folder, tcp, truth) as server, stop_on_signals() as stop:
         for name, port in server.ports.items():
             typer.echo(f"{name:8} {port.address}")
         typer.echo(f"{'camera':8} {server.camera.address}")
