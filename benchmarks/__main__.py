@@ -21,13 +21,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from benchmarks.page import PARTS, machine, page
+from benchmarks.page import PARTS, machine, page, revision
 
 RESULTS = Path("out/bench")
 
 
 def measured(name: str, tiny: bool) -> dict[str, Any]:
     """A part's figures with what they cost and on what machine they were taken."""
+    at = revision()
     begin, start = time.perf_counter(), os.times()
     figures = importlib.import_module(f"benchmarks.{name}").measure(tiny)
     end = os.times()
@@ -36,6 +37,7 @@ def measured(name: str, tiny: bool) -> dict[str, Any]:
         "figures": figures,
         "tiny": tiny,
         "machine": machine(),
+        "revision": at,
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "wall_s": round(time.perf_counter() - begin, 1),

@@ -5,8 +5,12 @@ from __future__ import annotations
 import importlib
 import os
 import platform
+import subprocess
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
+
+HOUSE = Path(__file__).resolve().parent.parent
 
 PARTS = [
     "recording",
@@ -46,6 +50,20 @@ def machine() -> str:
     )
 
 
+def revision() -> str:
+    """Short name of the commit this is run from, + if files differ from it; "" outside git."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(
+            ["git", *words], cwd=HOUSE, capture_output=True, text=True, check=False
+        )
+        return done.stdout.strip()
+
+    head = git("rev-parse", "--short=8", "HEAD")
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", "*.py")
+    return head + ("+" if head and changed else "")
+
+
 def page(parts: dict[str, dict[str, Any] | None]) -> str:
     """The whole text; a part without figures says so."""
     out = [HEAD]
@@ -61,9 +79,10 @@ def page(parts: dict[str, dict[str, Any] | None]) -> str:
         if part["tiny"]:
             out.append("**Sizes that show only that it runs; no figure here means anything.**\n")
         out.append("\n".join(module.lines(part["figures"])))
+        at = f" at revision {part['revision']}" if part.get("revision") else ""
         load = "" if part["load"] is None else f", load {part['load']:.1f}"
         out.append(
-            f"`{name}`, {part['date']}: {part['wall_s']:.0f} s, {part['cpu_s']:.0f} s of "
+            f"`{name}`, {part['date']}{at}: {part['wall_s']:.0f} s, {part['cpu_s']:.0f} s of "
             f"processor{load}.\n"
         )
     return "\n".join(out)

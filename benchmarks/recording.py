@@ -6,7 +6,8 @@ Every tool runs in a process of its own (``benchmarks/recorders``) and gets the 
 out*: a second of feeding as fast as the tool takes it, closing included; rounds take turns. *At
 1 kHz*: processor time while rows come one by one (in blocks of 50 to the ways that take blocks).
 *Killed*: SIGKILL at a random moment while 1 kHz comes in; what the tool's own reader finds is
-counted against the clock, so that lateness counts as loss too.
+counted against the clock, so that lateness counts as loss too. `PAMRIG_BENCH_PYTHON` names another
+Python that has the peers, where they are not to stand beside pamrig's own packages.
 """
 
 from __future__ import annotations
@@ -245,10 +246,7 @@ def losses(ways: dict[str, Any]) -> str:
     told = f"Killed, pamrig lost {ours.median:.0f} ms ({ours.low:.0f} to {ours.high:.0f}). "
     if not less:
         return told + "No peer lost less, by median or by its worst."
-    return (
-        f"{told}By median or by its worst, less was lost by {', '.join(less)}: rows that were due "
-        "while the process waited for its turn on a busy machine."
-    )
+    return f"{told}By median or by its worst, less was lost by {', '.join(less)}. A row is 1 ms."
 
 
 def lines(result: dict[str, Any]) -> list[str]:
