@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -16,14 +17,22 @@ from plant.finger import load_finger
 from plant.finger.reader import load_valve
 from plant.links.dynamics import forward_dynamics, gravity_torque
 from rigs.controllers.feedforward import critical_integral_rate
-from rigs.controllers.laws import tuning
+from rigs.controllers.figures import PathFigures, StepFigures
+from rigs.controllers.laws import Tuning, tuning
 from rigs.controllers.model import linear_model
 from rigs.controllers.muscles import Pairs
 from rigs.controllers.pid import Gains, ziegler_nichols
 from rigs.controllers.placement import PolePlacement, feedback_rates
 from rigs.controllers.pressure import PulsePid, pressure_case
+from rigs.controllers.provenance import Provenance, provenance
 from rigs.controllers.reference import STEP_POSTURE_DEG
-from rigs.controllers.tuning import critical_gain, oscillation_period, pressure_response
+from rigs.controllers.tuning import (
+    Critical,
+    PressureResponse,
+    critical_gain,
+    oscillation_period,
+    pressure_response,
+)
 
 FINGER = load_finger()
 CURED = load_valve("cured")
@@ -183,6 +192,36 @@ def test_the_thesis_valve_answers_later_than_the_cured_one() -> None:
     assert 0.004 < cured.dead_s < 0.012
     assert thesis.dead_s > 3.0 * cured.dead_s
     assert gravity_torque(FINGER.arm, POSTURE)[1] < 0.0  # down is forwards: gravity flexes
+
+
+class TestProvenance:
+    def test_it_says_what_the_rules_made(self) -> None:
+        response = PressureResponse(0.007, 0.006)
+        model = linear_model(Pairs(FINGER, CURED), POSTURE, response.lag_s)
+        still = StepFigures(0.1, 0.2, 1.0, 0.3, 0.1, 0.54, 0.25, 90.0, ())
+        turned = PathFigures(4.05, 5.0, 5.0, 180.0, ())
+        found = Provenance(
+            Tuning(response, model, 0.009, 0.018, 12.0),
+            Critical(0.6, 0.134),
+            {joint: Critical(1.8, 0.05) for joint in FINGER.joints},
+            (still, turned),
+            (still, turned),
+        )
+        text = found.text()
+        assert "dead time 7 ms, lag 6 ms" in text
+        assert "oscillations of 6.5 Hz (damping ratio 0.14), 7.2 Hz (damping ratio 0.16)" in text
+        assert "4.0 1/s, a third of the critical 12.0 1/s" in text
+        assert "critical gain of tip alone: 1.80, period 0.050 s" in text
+        assert text.count("circle 4.05 mm rms") == 2
+        assert json.loads(json.dumps(found.as_dict(), allow_nan=False))["lead_s"] == 0.018
+
+    @pytest.mark.campaign
+    def test_a_loop_alone_bears_no_less_than_all_together(self) -> None:
+        told: list[str] = []
+        found = provenance(FINGER, CURED, told.append)
+        assert len(told) == 3 + len(FINGER.joints)
+        assert all(one.gain > 0.95 * found.together.gain for one in found.apart.values())
+        assert found.with_together[0].ripple_deg < found.with_apart[0].ripple_deg
 
 
 class TestPressurePid:
