@@ -47,7 +47,7 @@ def remaining(steps: Steps, done: Iterable[int]) -> Steps:
         try:
             step = steps.send(answer)
         except StopIteration:
-            yield from waiting
+            yield from _each(waiting)
             return
         answer = None
         if isinstance(step, Trial):
@@ -57,7 +57,7 @@ def remaining(steps: Steps, done: Iterable[int]) -> Steps:
                 answer = _through(steps)
                 inside = False
                 continue
-            yield from waiting
+            yield from _each(waiting)
             waiting.clear()
             answer = yield step
         elif begun and not inside:
@@ -67,6 +67,12 @@ def remaining(steps: Steps, done: Iterable[int]) -> Steps:
             answer = yield step
             if isinstance(step, EndTrial):
                 inside = False
+
+
+def _each(steps: list[Step]) -> Steps:
+    """Steps that came before; a list alone would not take the answers that come back."""
+    for step in steps:
+        yield step  # noqa: UP028
 
 
 def _through(steps: Steps) -> Any:
