@@ -7,6 +7,7 @@ to be read, so one damaged chunk costs its own rows and no others.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +20,7 @@ from daq.chunks import Entry
 Columns = dict[str, npt.NDArray[Any]]
 
 END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+_NUMBER = re.compile(r"[<>=|]?(u?int(8|16|32|64)|float(16|32|64)|[iuf][1248])\Z")
 _PADDING = [b"\x00" * n for n in range(8)]
 
 
@@ -32,11 +34,17 @@ class StreamSchema:
 
     def __post_init__(self) -> None:
         for column, dtype in self.columns.items():
-            if np.dtype(dtype).kind not in "iuf":
+            known = isinstance(dtype, str) and _NUMBER.match(dtype)
+            if not known or np.dtype(dtype).kind not in "iuf":
                 raise ValueError(
                     f"stream {self.name}: column {column} is {dtype!r}; only whole and "
                     "real numbers can be stored (texts belong into events)"
                 )
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row."""
+        return sum(np.dtype(dtype).itemsize for dtype in self.columns.values())
 
     def arrow(self) -> Any:
         """The same as a ``pyarrow.Schema`` with the units in each field's metadata."""

@@ -10,9 +10,7 @@ from typing import Any
 import pytest
 
 from daq.run import open_run
-from faults.campaign import one, run_campaign
-from faults.disk import FaultyDisk
-from faults.kinds import Fault
+from faults.campaign import run_campaign
 from faults.page import wilson_upper, write_page
 from protocol_runs import run_short
 from rigs.loads import HangLoad

@@ -35,8 +35,8 @@ def main() -> int:
         done += 1
         for line in trouble(result):
             print(f"run {result['number']} ({result['protocol']}): {line}", flush=True)
-            print("   " + "; ".join(f"{f['layer']} {f['kind']} {f['device']}" for f in result["faults"]),
-                  flush=True)  # fmt: skip
+            faults = (f"{f['layer']} {f['kind']} {f['device']}" for f in result["faults"])
+            print("   " + "; ".join(faults), flush=True)
         if done % 100 == 0:
             print(f"{done} runs, {time.monotonic() - start:.0f} s", flush=True)
 

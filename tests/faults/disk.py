@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from .kinds import Fault
 
 RESERVE = 65536
+STALLS = 4
+"""Writes that take long, one after another. On the virtual clock the record writes without a thread
+of its own; a disk that is slower than the data for ever is ``tests/test_daq_record.py``'s."""
 
 
 class FaultyDisk:
@@ -79,7 +82,8 @@ class FaultyDisk:
             fault.hits += 1
             seconds = 0.02 + 0.5 * fault.size
             fault.must_tell = int(seconds > 0.45)
-            self.stall(seconds)
+            if fault.hits <= STALLS:
+                self.stall(seconds)
         elif fault.kind == "full" and self._room < len(data):
             self._put(fd, data[: self._room])
             self._refuse(fault, errno.ENOSPC, room=RESERVE)

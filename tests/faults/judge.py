@@ -156,9 +156,9 @@ def _vents(truth: Truth, record: Bytes, verdict: Verdict) -> None:
         verdict.worst_commanded_s = max(verdict.worst_commanded_s, wait_us * 1e-6)
         if wait_us > limit_us + TICK_US:
             verdict.late.append(f"{what}: vent commanded after {wait_us * 1e-3:.0f} ms")
-        if truth.outcome == "clean" and commanded is not None and commanded > event_us:
-            if not record.kind("fault"):
-                verdict.untold.append(f"{what}: the controller vented")
+        vented = commanded is not None and commanded > event_us
+        if vented and truth.outcome == "clean" and not record.kind("fault"):
+            verdict.untold.append(f"{what}: the controller vented")
     _emptied(truth, verdict)
     air = truth.end_kpa >= EMPTY_KPA
     if air and not truth.sealed_in:
@@ -187,9 +187,11 @@ def _must_vent(truth: Truth) -> Iterator[tuple[str, int, int]]:
             yield fault.name, fault.begun_us, COMMANDED_US
         elif fault.layer == "sensor" and lasts > 0.35:
             before = _kpa_at(truth, fault.begun_us)
-            if fault.kind in ("high", "silent") or (
-                fault.kind == "frozen" and before > EMPTY_KPA
-            ) or (fault.kind == "low" and before > TELLABLE_LOW_KPA):
+            if (
+                fault.kind in ("high", "silent")
+                or (fault.kind == "frozen" and before > EMPTY_KPA)
+                or (fault.kind == "low" and before > TELLABLE_LOW_KPA)
+            ):
                 yield fault.name, fault.begun_us, COMMANDED_US
     if not any(f.layer == "sensor" for f in truth.faults) and truth.us is not None:
         over = truth.kpa > truth.trip_kpa + 3.0

@@ -161,7 +161,9 @@ def _keypad(device: Any, kind: str, on: bool) -> None:
     elif kind == "unit" and isinstance(device, VirtualSupply):
         device.suffix = "mV" if on else ""
     elif kind == "unit" and isinstance(device, (VirtualBalance, VirtualText)):
-        device.unit = "oz" if on else "g" if isinstance(device, VirtualBalance) else device._form.unit
+        device.unit = (
+            "oz" if on else "g" if isinstance(device, VirtualBalance) else device._form.unit
+        )
 
 
 def _instrument_end(trial: Trial, fault: Fault) -> None:
@@ -173,7 +175,9 @@ def _instrument_end(trial: Trial, fault: Fault) -> None:
         _keypad(device, fault.kind, False)
         seconds = min(fault.end_s, bench.board.bench_us * 1e-6) - fault.start_s
         fault.hits = int(seconds > 0.0)
-        talks = fault.device != "supply" and not (fault.kind == "comma" and not hasattr(device, "comma"))
+        talks = fault.device != "supply" and not (
+            fault.kind == "comma" and not hasattr(device, "comma")
+        )
         if fault.kind == "unit" and isinstance(device, VirtualText) and not device._form.unit:
             talks = False
         fault.must_tell = int(talks and seconds > 3.0)
@@ -196,7 +200,9 @@ def _has_checksum(device: Any) -> bool:
 
 def _sensor(trial: Trial, fault: Fault) -> None:
     board = trial.bench.board
-    board.sensor_override = {"high": 4095, "low": 0, "frozen": board.adc(), "silent": -1}[fault.kind]
+    board.sensor_override = {"high": 4095, "low": 0, "frozen": board.adc(), "silent": -1}[
+        fault.kind
+    ]
     fault.hits = 1
 
 

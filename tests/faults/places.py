@@ -13,9 +13,12 @@ CHANGES = {
     "isobaric": (("[59.0, 62.0]", "[61.0]"),),
     "isotonic": (("[150, 300]", "[250]"),),
     "isothermal": (("[21.0, 22.0]", "[21.0]"),),
-    "hysteresis": (("cycles_kpa = [200]", "cycles_kpa = [150]"), ("step_kpa = 100", "step_kpa = 75")),
+    "hysteresis": (
+        ("cycles_kpa = [200]", "cycles_kpa = [150]"),
+        ("step_kpa = 100", "step_kpa = 75"),
+    ),
     "flow": (("[50, 90, 120, 150]", "[60, 120]"),),
-}
+}  # fmt: skip
 RIG_CHANGES = {"virtual": (("frames = 60", "frames = 30"),)}
 CLASSES = {
     "isometric": "static", "isobaric": "static", "isotonic": "static", "isothermal": "static",

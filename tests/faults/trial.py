@@ -142,14 +142,11 @@ class Trial:
                     board = functools.partial(SimBoard, start_ticks_us=2**32 - at_us)
                     stack.enter_context(patch.object(bench_module, "SimBoard", board))
                 else:
-                    real, rng = VirtualClock.wall_ns, self.rng
-                    days = 86_400_000_000_000
                     stack.enter_context(
                         patch.object(
-                            VirtualClock, "wall_ns",
-                            lambda clock: real(clock) + rng.randrange(-400 * days, 400 * days),
+                            VirtualClock, "wall_ns", _jumping(VirtualClock.wall_ns, self.rng)
                         )
-                    )  # fmt: skip
+                    )
             yield
 
     def spoken(self) -> set[str]:
@@ -218,6 +215,7 @@ class Trial:
         if not hasattr(rig.camera, "_expose"):
             return
         real, frame_mm = rig.camera._expose, self.truth.frame_mm
+
         def expose() -> Any:
             frame = real()
             length = self.bench.plant.length_mm
@@ -295,6 +293,12 @@ class Trial:
             truth.taken[stream] = (
                 {k: np.concatenate([b[k] for b in batches]) for k in batches[0]} if batches else {}
             )
+
+
+def _jumping(real: Any, rng: random.Random) -> Any:
+    """A wall clock that somebody sets to and fro, by up to 400 days."""
+    span_ns = 400 * 86_400_000_000_000
+    return lambda clock: real(clock) + rng.randrange(-span_ns, span_ns)
 
 
 def run_trial(protocol: str, seed: int, work: Path, faults: list[Fault]) -> Truth:

@@ -61,7 +61,9 @@ def _static(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: V
         return
     lied_to = any(f.layer == "sensor" and f.hits for f in truth.faults)
     if not lied_to:
-        _compare(row, "pressure_kpa", truth.kpa[inside].mean(), np.ptp(truth.kpa[wide]), 0.3, verdict)
+        _compare(
+            row, "pressure_kpa", truth.kpa[inside].mean(), np.ptp(truth.kpa[wide]), 0.3, verdict
+        )
     track = np.array(truth.track)
     near = (track[:, 0] >= window[0] - AROUND_US) & (track[:, 0] < window[1] + AROUND_US)
     if "mass_kg" not in row or row.get("mass_kg") is None or math.isnan(row["mass_kg"]):
@@ -134,5 +136,5 @@ def check_continuing(truth: Truth, verdict: Verdict) -> None:
     verdict.continued = True
     if result.outcome != "clean":
         verdict.stuck.append(f"{result.outcome}: {result.error}")
-    elif not table["order"].is_unique or not set(table["order"]) == set(range(1, len(table) + 1)):
+    elif sorted(table["order"]) != list(range(1, len(table) + 1)):
         verdict.stuck.append(f"points {sorted(table['order'])}")

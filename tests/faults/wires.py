@@ -1,4 +1,4 @@
-"""Lines between the simulated instruments and the host that lose, flip, double and hold up bytes."""
+"""Lines between simulated instruments and host that lose, flip, double and hold up bytes."""
 
 from __future__ import annotations
 
