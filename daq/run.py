@@ -232,7 +232,14 @@ class Run:
         _only_possible_rows(index, schema.row_bytes)
         rows = sum(int(e.fields.get("rows", 0)) for e in index.possible())
         decoder = BatchDecoder(schema, rows)
-        lost = self.sound_rows(index, decoder)
+        try:
+            lost = self.sound_rows(index, decoder)
+        except (ValueError, TypeError, KeyError, NotImplementedError, OSError) as error:
+            raise RecordError(
+                str(self.folder / index.index),
+                f"its chunks are not what its first line says ({error})",
+                "they are sealed, but pamrig did not write them",
+            ) from error
         ahead = self.ahead(index, schema)
         self.problems.extend([*index.problems, *ahead.problems])
         self._lost[stream] = lost + ahead.missing
@@ -245,9 +252,10 @@ class Run:
 
     def ahead(self, index: ChunkIndex, schema: StreamSchema) -> AheadRows:
         """Rows of a killed run that wait for their batch; none in a finished one."""
-        end = max((int(e.fields["first_row"]) + int(e.fields["rows"])
-                   for e in index.entries if e.fields["chunk"] == "rows"), default=0)  # fmt: skip
-        return AheadRows(self.folder if self.outcome == INTERRUPTED else None, schema, end)
+        ends = [e.fields.get("first_row", 0) + e.fields["rows"]
+                for e in index.entries if e.fields.get("chunk") == "rows" and "rows" in e.fields]  # fmt: skip
+        folder = self.folder if self.outcome == INTERRUPTED else None
+        return AheadRows(folder, schema, max(ends, default=0))
 
     def sound_rows(
         self, index: ChunkIndex, decoder: BatchDecoder | None = None

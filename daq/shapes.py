@@ -17,6 +17,7 @@ TABLES = {
     "derived/manifest.json": ("files",),
 }  # fmt: skip
 """Members that are tables where they are there at all."""
+MAY_BE_NULL = {"camera", "virtual", "load", "continues", "stated_uncertainty", "write_failure"}
 TEXTS = {"run.json": ("run_id", "schema", "protocol"), "final.json": ("run_id", "outcome")}
 """Members that are words where they are there at all."""
 
@@ -32,7 +33,8 @@ def misshapen(name: str, fields: dict[str, Any]) -> str:
         value = fields.get(key)
         listed = key == "calibrations" and isinstance(value, list)
         rows = value.values() if isinstance(value, dict) else value if listed else ()
-        if value is not None and not isinstance(value, dict) and not listed:
+        left_out = key not in fields or (value is None and key in MAY_BE_NULL)
+        if not left_out and not isinstance(value, dict) and not listed:
             return f"its {key!r} is no table"
         if key.endswith("calibrations") and not all(isinstance(row, dict) for row in rows or ()):
             return f"its {key!r} hold something else than tables"

@@ -62,7 +62,7 @@ def read_parquet(path: Path) -> pd.DataFrame:
         table = pq.read_table(path, read_dictionary=words, use_threads=False)
         for name in words:
             _check_words(path, name, table.column(name))
-        frame = table.to_pandas(use_threads=False)
+        frame: pd.DataFrame = table.to_pandas(use_threads=False)
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
         raise PamrigError(str(path), f"is no Parquet file that can be read: {first}") from error

@@ -237,10 +237,8 @@ def _read_table(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 def _read_parquet(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     table = read_parquet(path)
-    missing = table.isna()
-    for index, row in enumerate(table.to_dict("records")):
-        here = {str(k): None if missing.iloc[index][k] else v for k, v in row.items()}
-        yield index + 1, here
+    for index, row in enumerate(table.astype(object).where(table.notna(), None).to_dict("records")):
+        yield index + 1, {str(name): value for name, value in row.items()}
 
 
 def _source(path: Path) -> dict[str, Any]:
