@@ -65,7 +65,7 @@ def read_parquet(path: Path) -> pd.DataFrame:
         frame: pd.DataFrame = table.to_pandas(use_threads=False)
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise PamrigError(str(path), f"is no Parquet file that can be read: {first}") from error
+        raise PamrigError(str(path), f"is not a Parquet file: {first}") from error
     for name in words:
         frame[name] = frame[name].astype(object)
     return frame

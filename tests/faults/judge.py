@@ -31,6 +31,8 @@ TELLABLE_LOW_KPA = 75.0
 """A sensor that breaks to 0 below this cannot be told from an empty muscle (safety contract)."""
 TICK_US = 1000
 STRETCH_MS = 100
+HOST_SILENT_US = 290_000
+NO_BEAT = "no heartbeat"
 
 
 @dataclass
@@ -156,7 +158,9 @@ def _vents(truth: Truth, record: Bytes, verdict: Verdict) -> None:
         verdict.worst_commanded_s = max(verdict.worst_commanded_s, wait_us * 1e-6)
         if wait_us > limit_us + TICK_US:
             verdict.late.append(f"{what}: vent commanded after {wait_us * 1e-3:.0f} ms")
-        vented = commanded is not None and commanded > event_us
+        # The host's own last vent follows its last heartbeat sooner than the deadline.
+        own_us = HOST_SILENT_US if what == NO_BEAT else 0
+        vented = commanded is not None and commanded > event_us + own_us
         if vented and truth.outcome == "clean" and not record.kind("fault"):
             verdict.untold.append(f"{what}: the controller vented")
     _emptied(truth, verdict)
@@ -174,7 +178,7 @@ def _must_vent(truth: Truth) -> Iterator[tuple[str, int, int]]:
     ends = [us for us, _ in truth.beats[1:]] + [10**15]
     for (us, armed), next_us in zip(truth.beats, ends, strict=True):
         if armed and next_us - us > COMMANDED_US:
-            yield "no heartbeat", us, COMMANDED_US
+            yield NO_BEAT, us, COMMANDED_US
     armed_at = [us for us, armed in truth.beats if armed]
     for fault in truth.faults:
         if fault.begun_us < 0 or not armed_at:

@@ -35,6 +35,7 @@ class Target:
         modules: parts of file names whose lines count as reached.
         words: pieces that the format is made of.
         seal: makes a mutated input pass outer checks, such as a CRC; half of the inputs.
+        traced: one input in so many is traced.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Target:
     modules: tuple[str, ...] = ()
     words: tuple[bytes, ...] = ()
     seal: Callable[[bytes], bytes] | None = None
+    traced: int = TRACED
 
 
 @dataclass
@@ -106,7 +108,7 @@ def fuzz(target: Target, inputs: int, seed: int, most_s: float = 1e9) -> Tally:
         data = mutated(base, rng, target.words, rng.choice(corpus))
         if target.seal is not None and rng.random() < 0.5:
             data = target.seal(data)
-        if tally.inputs % TRACED == 0:
+        if tally.inputs % target.traced == 0:
             lines = len(reached)
             _traced(target, data, reached, tally)
             if len(reached) > lines and len(corpus) < 5000:
