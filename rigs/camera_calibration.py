@@ -72,7 +72,7 @@ def load_camera_calibration(path: Path) -> CameraCalibration:
     try:
         text = tomlfile.read_text(path)
         data = json.loads(text) if path.suffix.lower() == ".json" else tomlfile.loads(text)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(
             where, f"not a calibration file: {error}", "make one with: pamrig calibrate camera"
         ) from error

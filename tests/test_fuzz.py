@@ -13,7 +13,7 @@ from fuzz.targets import targets
 from soak import soak
 
 TARGETS = {target.name: (target, share) for target, share in targets()}
-INPUTS = 300_000 if os.environ.get("PAMRIG_CAMPAIGN") else 8000
+INPUTS = 300_000 if os.environ.get("PAMRIG_CAMPAIGN") else 4000
 
 
 @pytest.mark.parametrize("name", TARGETS)

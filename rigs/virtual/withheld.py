@@ -191,7 +191,7 @@ def _envelope(folder: Path, port: int) -> dict[str, Any]:
             with socket.create_connection(("127.0.0.1", port), timeout=5.0) as client:
                 data = b"".join(iter(lambda: client.recv(65536), b""))
         envelope = json.loads(data)
-    except (OSError, ValueError, zlib.error) as error:
+    except (OSError, ValueError, RecursionError, zlib.error) as error:
         raise PamrigError(
             str(folder), f"its bench does not answer ({error})", "is it still running?"
         ) from None
