@@ -189,3 +189,17 @@ def _count(value: Any) -> int:
     if type(value) is not int or not 0 <= value < 2**63:
         raise ValueError(f"{value!r} is no count")
     return value
+
+
+def only_possible_rows(index: ChunkIndex, row_bytes: int = 1) -> None:
+    """Leave out lines that claim rows which their bytes cannot hold; each is a problem."""
+    kept = []
+    for entry in index.entries:
+        rows, first = entry.fields.get("rows", 0), entry.fields.get("first_row", 0)
+        counts = type(rows) is int and type(first) is int and 0 <= first < 2**62
+        if counts and 0 <= rows * max(row_bytes, 1) <= entry.length:
+            kept.append(entry)
+            continue
+        what = f"chunk {entry.n} claims {rows!r} rows from {first!r} on in {entry.length} bytes"
+        index.problems.append(Problem(index.index, 0, f"{what}, not read", entry.length))
+    index.entries = kept

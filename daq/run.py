@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.ahead import AheadRows
 from daq.calibration import Calibration
-from daq.chunks import ChunkIndex, Entry, Problem
+from daq.chunks import ChunkIndex, Entry, Problem, only_possible_rows
 from daq.errors import RecordError
 from daq.sealed import open_file, read_lines
 from daq.segments import BatchDecoder, Columns, StreamSchema
@@ -197,7 +197,7 @@ class Run:
             there = ", ".join(self.streams) or "none"
             raise RecordError(str(self.folder), f"no stream {stream!r}; there: {there}")
         index = ChunkIndex(self.folder, name)
-        _only_possible_rows(index)
+        only_possible_rows(index)
         return index
 
     def _schema(self, index: ChunkIndex) -> StreamSchema:
@@ -229,7 +229,7 @@ class Run:
             self._samples[stream], self._lost[stream] = {}, []
             return
         schema = self._schema(index if index.head else self.index(stream))
-        _only_possible_rows(index, schema.row_bytes)
+        only_possible_rows(index, schema.row_bytes)
         rows = sum(int(e.fields.get("rows", 0)) for e in index.possible())
         decoder = BatchDecoder(schema, rows)
         try:
@@ -252,8 +252,8 @@ class Run:
 
     def ahead(self, index: ChunkIndex, schema: StreamSchema) -> AheadRows:
         """Rows of a killed run that wait for their batch; none in a finished one."""
-        ends = [e.fields.get("first_row", 0) + e.fields["rows"]
-                for e in index.entries if e.fields.get("chunk") == "rows" and "rows" in e.fields]  # fmt: skip
+        rows = [e.fields for e in index.entries if e.fields.get("chunk") == "rows"]
+        ends = [f.get("first_row", 0) + f.get("rows", 0) for f in rows]
         folder = self.folder if self.outcome == INTERRUPTED else None
         return AheadRows(folder, schema, max(ends, default=0))
 
@@ -392,20 +392,6 @@ class Run:
             self.problems.append(Problem(name, 0, wrong))
             return None
         return fields
-
-
-def _only_possible_rows(index: ChunkIndex, row_bytes: int = 1) -> None:
-    """Leave out lines that claim rows which their bytes cannot hold; each is a problem."""
-    kept = []
-    for entry in index.entries:
-        rows, first = entry.fields.get("rows", 0), entry.fields.get("first_row", 0)
-        counts = type(rows) is int and type(first) is int and 0 <= first < 2**62
-        if counts and 0 <= rows * max(row_bytes, 1) <= entry.length:
-            kept.append(entry)
-            continue
-        what = f"chunk {entry.n} claims {rows!r} rows from {first!r} on in {entry.length} bytes"
-        index.problems.append(Problem(index.index, 0, f"{what}, not read", entry.length))
-    index.entries = kept
 
 
 def time_s(host_ns: Any, start_ns: int) -> Any:
