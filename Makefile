@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 RUNS   ?= out/demo
 READY  := $(VENV)/.ready
 
-.PHONY: demo test lint types bench campaign look wheel lock clean
+.PHONY: demo test lint types bench campaign faults fuzz soak audit look wheel lock clean
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pamrig needs Python 3.11 or newer")'
@@ -23,6 +23,18 @@ test: $(READY)   ## all tests at their small sizes, files shared out over the co
 
 campaign: $(READY)   ## the same tests at full size, and the long ones
 	PAMRIG_CAMPAIGN=1 $(BIN)/python -m pytest -m "campaign or not look" -s
+
+faults: $(READY)   ## thousands of runs with things going wrong, and their page; stopped, it goes on
+	$(BIN)/python -m tests.faults --processes 2 --page docs/faults.md
+
+fuzz: $(READY)   ## ten million inputs that nobody would write
+	$(BIN)/python -m tests.fuzz
+
+soak: $(READY)   ## a virtual day at 1 kHz: memory and completeness
+	$(BIN)/python -m tests.soak --hours 24
+
+audit: $(READY)   ## pins of the lock file, and known holes where pip-audit and a network are there
+	$(BIN)/python -m tests.audit
 
 look: $(READY)   ## what needs a browser: the pictures in docs
 	$(BIN)/python -m pytest -m look

@@ -27,6 +27,7 @@ import numpy as np
 from daq.chunks import Problem
 from daq.sealed import write_all
 from daq.segments import Columns, StreamSchema
+from daq.within import LARGEST_BULK, read_inside
 
 MAGIC = b"PAhd"
 SLOTS = 8
@@ -122,8 +123,8 @@ class AheadRows:
         self.missing: list[tuple[int, int]] = []
         self._dtypes = {n: np.dtype(d).newbyteorder("<") for n, d in schema.columns.items()}
         self._row_bytes = sum(d.itemsize for d in self._dtypes.values())
-        path = folder / self.name if folder is not None else None
-        data = path.read_bytes() if path is not None and path.is_file() else b""
+        there = folder is not None and (folder / self.name).is_file()
+        data = read_inside(folder, self.name, LARGEST_BULK) if folder and there else b""
         found = [e for at in range(0, len(data), SLOT_BYTES) for e in self._sound(data, at)]
         parts: list[Columns] = []
         for first, count, at in sorted(found):

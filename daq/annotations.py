@@ -9,12 +9,15 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import fields as dataclass_fields
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from daq.disk import disk_error
 from daq.errors import RecordError
 from daq.sealed import read_lines, seal_line, sync_folder, write_all
+from daq.within import path_inside, read_inside
 
 ANNOTATIONS = "annotations.jsonl"
 ACTIONS = ("note", "exclude", "include")
@@ -73,7 +76,10 @@ def annotate(
     )
     line = seal_line({**vars(made), "points": list(made.points)})
     try:
-        fd = os.open(folder / ANNOTATIONS, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        # Not through a link: a stranger's folder may hold one that leads anywhere.
+        path_inside(Path(folder), ANNOTATIONS)
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
+        fd = os.open(folder / ANNOTATIONS, flags, 0o644)
         try:
             write_all(fd, line)
             os.fsync(fd)
@@ -95,16 +101,24 @@ def read_annotations(folder: Path) -> list[Annotation]:
     if not path.is_file():
         return []
     found = []
-    for number, line in enumerate(read_lines(path.read_bytes())):
+    for number, line in enumerate(read_lines(read_inside(Path(folder), ANNOTATIONS))):
         if line.fields is None or line.fields.get("n") != number:
             raise RecordError(
                 f"{path} line {number + 1}",
                 "does not carry its checksum" if line.fields is None else "a line is missing",
                 "restore the file from a copy; points may have been excluded there",
             )
-        fields = line.fields
-        found.append(Annotation(**{**fields, "points": tuple(fields["points"])}))
+        found.append(_remark(line.fields, f"{path} line {number + 1}"))
     return found
+
+
+def _remark(fields: dict[str, Any], where: str) -> Annotation:
+    points = fields.get("points")
+    texts = all(isinstance(fields.get(key), str) for key in ("utc", "who", "action", "reason"))
+    whole = isinstance(points, list) and all(type(point) is int for point in points)
+    if not texts or not whole or set(fields) != {f.name for f in dataclass_fields(Annotation)}:
+        raise RecordError(where, "is sealed, but is no remark", "pamrig did not write it")
+    return Annotation(**{**fields, "points": tuple(points or ())})
 
 
 def excluded_points(folder: Path) -> dict[int, str]:

@@ -11,11 +11,14 @@ import numpy as np
 
 from daq.ahead import AheadRows
 from daq.calibration import Calibration
-from daq.chunks import ChunkIndex, Entry, Problem
+from daq.chunks import ChunkIndex, Entry, Problem, only_possible_rows
 from daq.errors import RecordError
 from daq.sealed import open_file, read_lines
 from daq.segments import BatchDecoder, Columns, StreamSchema
+from daq.shapes import misshapen
+from daq.tablefile import read_parquet
 from daq.transport import Chunk
+from daq.within import LARGEST_BULK, path_inside, read_inside
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -86,14 +89,15 @@ class Run:
         """``clean``, ``stopped``, ``aborted``, ``faulted``, ``interrupted`` or ``damaged``."""
         if not (self.folder / "final.json").exists():
             return INTERRUPTED
-        return str(self.final["outcome"]) if self.final is not None else DAMAGED
+        outcome = self.final.get("outcome") if self.final is not None else None
+        return outcome if isinstance(outcome, str) else DAMAGED
 
     @cached_property
     def events(self) -> list[dict[str, Any]]:
         """All sound events in order, each with ``n``, ``t_ns`` and ``kind``."""
         events: list[dict[str, Any]] = []
         path = self.folder / "events.jsonl"
-        data = path.read_bytes() if path.exists() else b""
+        data = read_inside(self.folder, path.name) if path.exists() else b""
         expected = 0
         for line in read_lines(data):
             torn = line.fields is None and not line.raw.endswith(b"\n")
@@ -102,7 +106,11 @@ class Run:
                 at = Problem(path.name, line.offset, what + ", not read", len(line.raw), torn)
                 self.problems.append(at)
                 continue
-            n = int(line.fields["n"])
+            n = line.fields.get("n")
+            if type(n) is not int or type(line.fields.get("kind")) is not str:
+                what = "line is sealed, but is no event"
+                self.problems.append(Problem(path.name, line.offset, what, len(line.raw)))
+                continue
             if n != expected:
                 what = f"events {expected} to {n - 1} are missing or damaged"
                 self.problems.append(Problem(path.name, line.offset, what))
@@ -188,17 +196,26 @@ class Run:
         if not (self.folder / name).is_file():
             there = ", ".join(self.streams) or "none"
             raise RecordError(str(self.folder), f"no stream {stream!r}; there: {there}")
-        return ChunkIndex(self.folder, name)
+        index = ChunkIndex(self.folder, name)
+        only_possible_rows(index)
+        return index
 
     def _schema(self, index: ChunkIndex) -> StreamSchema:
-        if index.head is not None:
-            head = index.head
-            return StreamSchema(head["stream"], head["columns"], head["units"])
-        for data, chunks in index.sound():
-            for chunk in chunks:
-                if chunk.fields["chunk"] == "schema":
-                    message = data[chunk.offset : chunk.offset + chunk.length]
-                    return StreamSchema.from_message(message)
+        try:
+            if index.head is not None:
+                head = index.head
+                return StreamSchema(head["stream"], dict(head["columns"]), dict(head["units"]))
+            for data, chunks in index.sound():
+                for chunk in chunks:
+                    if chunk.fields["chunk"] == "schema":
+                        message = data[chunk.offset : chunk.offset + chunk.length]
+                        return StreamSchema.from_message(message)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:  # sealed, and nonsense
+            raise RecordError(
+                str(self.folder / index.index),
+                f"does not say what its columns are ({error})",
+                "pamrig did not write this record so",
+            ) from error
         raise RecordError(
             str(self.folder / index.index),
             "neither its first line nor a schema message is sound",
@@ -207,14 +224,22 @@ class Run:
 
     def _load(self, stream: str) -> None:
         index = self.index(stream)
-        rows = sum(int(e.fields.get("rows", 0)) for e in index.entries)
-        if not rows and index.head is None:
+        if index.head is None and not any(e.fields.get("rows") for e in index.entries):
             self.problems.extend(index.problems)
             self._samples[stream], self._lost[stream] = {}, []
             return
         schema = self._schema(index if index.head else self.index(stream))
+        only_possible_rows(index, schema.row_bytes)
+        rows = sum(int(e.fields.get("rows", 0)) for e in index.possible())
         decoder = BatchDecoder(schema, rows)
-        lost = self.sound_rows(index, decoder)
+        try:
+            lost = self.sound_rows(index, decoder)
+        except (ValueError, TypeError, KeyError, NotImplementedError, OSError) as error:
+            raise RecordError(
+                str(self.folder / index.index),
+                f"its chunks are not what its first line says ({error})",
+                "they are sealed, but pamrig did not write them",
+            ) from error
         ahead = self.ahead(index, schema)
         self.problems.extend([*index.problems, *ahead.problems])
         self._lost[stream] = lost + ahead.missing
@@ -227,9 +252,10 @@ class Run:
 
     def ahead(self, index: ChunkIndex, schema: StreamSchema) -> AheadRows:
         """Rows of a killed run that wait for their batch; none in a finished one."""
-        end = max((int(e.fields["first_row"]) + int(e.fields["rows"])
-                   for e in index.entries if e.fields["chunk"] == "rows"), default=0)  # fmt: skip
-        return AheadRows(self.folder if self.outcome == INTERRUPTED else None, schema, end)
+        rows = [e.fields for e in index.entries if e.fields.get("chunk") == "rows"]
+        ends = [f.get("first_row", 0) + f.get("rows", 0) for f in rows]
+        folder = self.folder if self.outcome == INTERRUPTED else None
+        return AheadRows(folder, schema, max(ends, default=0))
 
     def sound_rows(
         self, index: ChunkIndex, decoder: BatchDecoder | None = None
@@ -238,7 +264,7 @@ class Run:
         lost: list[tuple[int, int]] = []
         end = 0
         for data, chunks in index.sound():
-            rows = [c for c in chunks if c.fields["chunk"] == "rows"]
+            rows = [c for c in chunks if c.fields.get("chunk") == "rows"]
             for chunk in rows:
                 first = int(chunk.fields["first_row"])
                 if first > end:
@@ -247,8 +273,9 @@ class Run:
             if decoder is not None:
                 decoder.feed(data, rows)
         stream = index.index.removeprefix("samples/").removesuffix(".index.jsonl")
-        total = (self.final or {}).get("rows", {}).get(stream, end)
-        if total > end:
+        said = (self.final or {}).get("rows")
+        total = said.get(stream) if isinstance(said, dict) else None
+        if isinstance(total, int) and total > end:
             lost.append((end, total))
         for low, high in lost:
             index.problems.append(Problem(index.index, 0, f"rows {low} to {high - 1} are lost"))
@@ -277,9 +304,12 @@ class Run:
         entry = self._frame_entries.get(number)
         if entry is None:
             raise RecordError(str(self.folder), f"no frame {number} (missing or damaged)")
-        with open(self.folder / entry.file, "rb") as file:
+        path = path_inside(self.folder, entry.file)
+        if not path.is_file():
+            raise RecordError(str(path), f"frame {number}: its file is missing")
+        with open(path, "rb") as file:
             file.seek(entry.offset)
-            data = file.read(entry.length)
+            data = file.read(min(entry.length, LARGEST_BULK))
         if f"{zlib.crc32(data):08x}" != entry.crc32 or len(data) != entry.length:
             what = f"frame {number} does not match its CRC, not read"
             self.problems.append(Problem(entry.file, entry.offset, what, entry.length))
@@ -292,7 +322,8 @@ class Run:
             return {}
         index = ChunkIndex(self.folder, "frames.jsonl")
         self.problems.extend(index.problems)
-        return {int(e.fields["frame"]): e for e in index.entries}
+        named = [e for e in index.entries if type(e.fields.get("frame")) is int]
+        return {e.fields["frame"]: e for e in named}
 
     def wire(self, device: str) -> list[Chunk]:
         """Raw received bytes of a device with their host times."""
@@ -301,9 +332,10 @@ class Run:
             raise RecordError(str(self.folder), f"the bytes of {device!r} were not recorded")
         index = ChunkIndex(self.folder, name)
         found = [
-            Chunk(int(c.fields["host_ns"]), data[c.offset : c.offset + c.length])
+            Chunk(c.fields["host_ns"], data[c.offset : c.offset + c.length])
             for data, chunks in index.sound()
             for c in chunks
+            if type(c.fields.get("host_ns")) is int
         ]
         self.problems.extend(index.problems)
         return found
@@ -322,7 +354,7 @@ class Run:
         for name in ("table.parquet", "table.csv"):
             if (self.folder / "derived" / name).is_file():
                 path = self.derived(name)
-                return pd.read_parquet(path) if name.endswith("parquet") else pd.read_csv(path)
+                return read_parquet(path) if name.endswith("parquet") else pd.read_csv(path)
         raise RecordError(
             str(self.folder), "no table was made of this run", f"pamrig runs rebuild {self.run_id}"
         )
@@ -335,11 +367,12 @@ class Run:
         """
         path = self.folder / "derived" / name
         remedy = f"pamrig runs rebuild {self.run_id}"
-        listed = (self.sealed("derived/manifest.json") or {}).get("files", {}).get(name)
-        if listed is None or not path.is_file():
+        files = (self.sealed("derived/manifest.json") or {}).get("files")
+        listed = files.get(name) if isinstance(files, dict) else None
+        if not isinstance(listed, dict) or not path.is_file():
             raise RecordError(str(path), "missing, or not vouched for by its manifest", remedy)
-        data = path.read_bytes()
-        if f"{zlib.crc32(data):08x}" != listed["crc32"] or len(data) != listed["size"]:
+        data = read_inside(self.folder, f"derived/{name}", LARGEST_BULK)
+        if f"{zlib.crc32(data):08x}" != listed.get("crc32") or len(data) != listed.get("size"):
             raise RecordError(str(path), "does not match its CRC", remedy)
         return path
 
@@ -349,10 +382,16 @@ class Run:
         if not path.exists():
             return None
         try:
-            return open_file(path.read_bytes())
+            fields = open_file(read_inside(self.folder, name))
+            wrong = misshapen(name, fields)
+        except RecordError as error:
+            fields, wrong = {}, error.what
         except ValueError:
-            self.problems.append(Problem(name, 0, "does not match its CRC, not read"))
+            fields, wrong = {}, "does not match its CRC, not read"
+        if wrong:
+            self.problems.append(Problem(name, 0, wrong))
             return None
+        return fields
 
 
 def time_s(host_ns: Any, start_ns: int) -> Any:

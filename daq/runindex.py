@@ -38,6 +38,7 @@ COLUMNS = (
     "continues TEXT",
     "stamp TEXT",
 )
+CREATE = f"CREATE TABLE runs ({', '.join(COLUMNS)})"
 NAMES = tuple(column.split()[0] for column in COLUMNS)
 
 
@@ -60,7 +61,7 @@ def rebuild_index(root: Path | str) -> list[RunInfo]:
         for old in folder.glob(f"{INDEX}*"):
             old.unlink()
         with _open(path) as db:
-            db.execute(f"CREATE TABLE runs ({', '.join(COLUMNS)})")
+            db.execute(CREATE)
             db.execute(f"PRAGMA user_version = {LAYOUT}")
     except (sqlite3.Error, OSError) as error:
         raise RecordError(
@@ -85,6 +86,10 @@ def update_index(root: Path | str) -> list[RunInfo]:
             (layout,) = db.execute("PRAGMA user_version").fetchone()
             if layout != LAYOUT:
                 raise sqlite3.DatabaseError(f"layout {layout}, not {LAYOUT}")
+            holds = db.execute("SELECT type, name, sql FROM sqlite_schema").fetchall()
+            if [row for row in holds if row[2] is not None] != [("table", "runs", CREATE)]:
+                # A view may count without end, a trigger change what is asked for.
+                raise sqlite3.DatabaseError("it holds something else than the list of runs")
             known = {row[0]: row for row in db.execute(f"SELECT {', '.join(NAMES)} FROM runs")}
             found: list[RunInfo] = []
             fresh = []
@@ -112,6 +117,8 @@ def update_index(root: Path | str) -> list[RunInfo]:
 
 @contextlib.contextmanager
 def _open(path: Path) -> Iterator[sqlite3.Connection]:
+    if path.is_symlink():
+        raise RecordError(str(path), "is a link", "remove it; the index is made anew then")
     db = sqlite3.connect(path, timeout=5.0)
     try:
         with db:

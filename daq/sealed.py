@@ -46,6 +46,13 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} cannot be stored as JSON: {value!r}")
 
 
+def _object(text: bytes) -> Any:
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise SealError("is nested without end") from None
+
+
 def _refuse_crc(fields: dict[str, Any]) -> None:
     if "crc" in fields:
         raise ValueError("the name 'crc' is taken by the seal itself")
@@ -82,7 +89,7 @@ def open_line(line: bytes) -> dict[str, Any]:
     body = line[:-_LINE_TAIL]
     if not body or line[-_LINE_TAIL:] != b',"crc":"%08x"}\n' % zlib.crc32(body):
         raise SealError("does not carry the CRC of its own bytes")
-    fields = json.loads(body + b"}")
+    fields = _object(body + b"}")
     if not isinstance(fields, dict):
         raise SealError("is not a JSON object")
     return fields
@@ -135,7 +142,7 @@ def open_file(data: bytes) -> dict[str, Any]:
     body = data[:-_FILE_TAIL]
     if not body or data[-_FILE_TAIL:] != b',\n  "crc": "%08x"\n}\n' % zlib.crc32(body):
         raise SealError("does not carry the CRC of its own bytes")
-    fields = json.loads(body + b"\n}")
+    fields = _object(body + b"\n}")
     if not isinstance(fields, dict):
         raise SealError("is not a JSON object")
     return fields

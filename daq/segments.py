@@ -7,6 +7,8 @@ to be read, so one damaged chunk costs its own rows and no others.
 
 from __future__ import annotations
 
+import re
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +21,7 @@ from daq.chunks import Entry
 Columns = dict[str, npt.NDArray[Any]]
 
 END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+_NUMBER = re.compile(r"[<>=|]?(u?int(8|16|32|64)|float(16|32|64)|[iuf][1248])\Z")
 _PADDING = [b"\x00" * n for n in range(8)]
 
 
@@ -31,12 +34,22 @@ class StreamSchema:
     units: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not all(
+            isinstance(u, str) for u in self.units.values()
+        ):
+            raise ValueError(f"stream {self.name!r}: name and units have to be text")
         for column, dtype in self.columns.items():
-            if np.dtype(dtype).kind not in "iuf":
+            known = isinstance(dtype, str) and _NUMBER.match(dtype)
+            if not known or np.dtype(dtype).kind not in "iuf":
                 raise ValueError(
                     f"stream {self.name}: column {column} is {dtype!r}; only whole and "
                     "real numbers can be stored (texts belong into events)"
                 )
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row."""
+        return sum(np.dtype(dtype).itemsize for dtype in self.columns.values())
 
     def arrow(self) -> Any:
         """The same as a ``pyarrow.Schema`` with the units in each field's metadata."""
@@ -242,7 +255,44 @@ class BatchDecoder:
 def _through_arrow(schema: StreamSchema, message: bytes, rows: int) -> Columns:
     import pyarrow as pa
 
+    if _compressed(message):
+        raise ValueError(f"stream {schema.name}: a chunk is compressed; pamrig writes none so")
     batch = pa.ipc.read_record_batch(pa.py_buffer(message), schema.arrow())
+    batch.validate(full=True)  # its buffers hold what it claims, or reading would go beyond them
     if batch.num_rows != rows:
         raise ValueError(f"stream {schema.name}: {batch.num_rows} rows, index says {rows}")
     return {name: np.asarray(batch.column(name).to_numpy()) for name in schema.columns}
+
+
+def _compressed(message: bytes) -> bool:
+    """Whether a record batch message says that its body is compressed.
+
+    A few bytes of it could stand for gigabytes. The flag stands in the message's flatbuffer:
+    table Message, field 2 (header), table RecordBatch, field 3 (compression).
+
+    Raises:
+        ValueError: it is no such message.
+    """
+    try:
+        root = 8
+        table = root + struct.unpack_from("<I", message, root)[0]
+        header = _field(message, table, 2)
+        if not header:
+            return False
+        batch = header + struct.unpack_from("<I", message, header)[0]
+        return _field(message, batch, 3) > 0
+    except struct.error as error:
+        raise ValueError(f"is no Arrow message: {error}") from None
+
+
+def _field(message: bytes, table: int, number: int) -> int:
+    """Where a field of a flatbuffer table stands; 0 where it is left out."""
+    vtable = table - struct.unpack_from("<i", message, table)[0]
+    if not 0 <= vtable < len(message):
+        raise ValueError("is no Arrow message")
+    (size,) = struct.unpack_from("<H", message, vtable)
+    at = 4 + 2 * number
+    if size < at + 2:
+        return 0
+    offset = struct.unpack_from("<H", message, vtable + at)[0]
+    return table + offset if offset else 0

@@ -9,10 +9,12 @@ from typing import Any
 
 from daq.annotations import ANNOTATIONS, read_annotations
 from daq.chunks import ChunkIndex, Problem
-from daq.disk import RESERVE_NAME
+from daq.disk import RESERVE_BYTES, RESERVE_NAME
 from daq.errors import RecordError
 from daq.run import INTERRUPTED, Run
 from daq.sealed import open_file
+from daq.shapes import misshapen
+from daq.within import path_inside, read_inside
 
 __all__ = ["Problem", "verify"]
 
@@ -41,7 +43,7 @@ def _problems(run: Run) -> Iterator[Problem]:
     reserve = folder / RESERVE_NAME
     if run.outcome == INTERRUPTED and reserve.exists():
         seen.add(RESERVE_NAME)
-        if reserve.read_bytes().strip(b"\x00"):
+        if reserve.stat().st_size > RESERVE_BYTES or reserve.read_bytes().strip(b"\x00"):
             yield Problem(RESERVE_NAME, 0, "expected nothing but zeros")
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -117,9 +119,12 @@ def _derived_problems(folder: Path, seen: set[str]) -> list[Problem]:
     name = "derived/manifest.json"
     seen.add(name)
     try:
-        listed = open_file(path.read_bytes())["files"]
-    except ValueError:
+        fields = open_file(read_inside(folder, name))
+        listed = fields.get("files")
+    except (ValueError, RecordError):
         return [Problem(name, 0, "does not match its CRC; pamrig runs rebuild makes it anew")]
+    if not isinstance(listed, dict) or misshapen(name, fields):
+        return [Problem(name, 0, "is no list of files; pamrig runs rebuild makes it anew")]
     files = {f"derived/{file}": sums for file, sums in listed.items()}
     seen.update(files)
     return list(_sums(folder, files, set()))
@@ -127,7 +132,11 @@ def _derived_problems(folder: Path, seen: set[str]) -> list[Problem]:
 
 def _sums(folder: Path, files: dict[str, dict[str, Any]], reported: set[str]) -> Iterator[Problem]:
     for name, expected in files.items():
-        path = folder / name
+        try:
+            path = path_inside(folder, name)
+        except RecordError as error:
+            yield Problem(name, 0, error.what)
+            continue
         if not path.is_file():
             if name not in reported:
                 yield Problem(name, 0, "missing")

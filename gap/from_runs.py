@@ -15,6 +15,7 @@ from daq.run import Run
 from gap.errors import GapError
 from gap.runtables import table_trials
 from gap.runtrials import RunTrial, run_trials
+from plant import tomlfile
 from plant.constants import CHOICES, KEYS
 
 COLUMNS = ("trial", "slot", "replicate", "protocol", "mounting", "order", "held_length_mm",
@@ -126,7 +127,7 @@ def _bench(runs: Sequence[Run], plant: Path | None) -> dict[str, Any]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomlfile.loads(tomlfile.read_text(path))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise GapError(str(path), f"cannot be read as TOML ({error})") from None
     return {key: value for key, value in table.items() if key in KEYS or key in CHOICES}
@@ -141,7 +142,7 @@ def _stated(run: Run) -> dict[str, Any]:
         return _read(beside)
     text = run.manifest.get("rig", {}).get("text", "")
     try:
-        table = tomllib.loads(text)
+        table = tomlfile.loads(text)
     except tomllib.TOMLDecodeError:
         return {}
     stated = table.get("virtual", {}).get("plant", {})

@@ -17,6 +17,7 @@ import pandas as pd
 from gap.dataset import CHANNELS, COMMANDS, Array, Channel, DataSet, Trial
 from gap.errors import GapError
 from gap.tables import Table, numbers, read_table, unit_check
+from plant import tomlfile
 from plant.constants import PlantConstants, nominal
 from plant.effects import NONE, Effects
 from plant.errors import PlantError
@@ -47,7 +48,7 @@ def _bench(path: Path) -> tuple[PlantConstants, Effects]:
     if not path.exists():
         return nominal(), NONE
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomlfile.loads(tomlfile.read_text(path))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as exc:
         raise GapError(str(path), f"cannot be read as TOML ({exc})") from exc
     effects = table.pop("effects", {})

@@ -21,6 +21,7 @@ import pandas as pd
 from daq.derive import VALVE_STREAM, engineering
 from daq.errors import RecordError
 from daq.run import Run
+from plant import tomlfile
 
 Array = npt.NDArray[np.float64]
 
@@ -182,7 +183,7 @@ class _Channels:
 def _regulated(run: Run) -> bool:
     """Whether a regulator sets the pressure, so that the valve's commands do not explain it."""
     try:
-        rig = tomllib.loads(run.manifest.get("rig", {}).get("text", ""))
+        rig = tomlfile.loads(run.manifest.get("rig", {}).get("text", ""))
     except tomllib.TOMLDecodeError:
         return False
     return bool(rig.get("valve", {}).get("static_scheme", "pwm") == "reg")

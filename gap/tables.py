@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from daq.errors import PamrigError
+from daq.tablefile import check_csv, read_parquet
 from gap.errors import GapError
 from plant.constants import PlantConstants
 
@@ -58,9 +60,11 @@ def read_table(path: Path, required: tuple[str, ...], labels: tuple[str, ...]) -
     if path.stat().st_size == 0:
         raise GapError(str(path), "is empty")
     try:
-        frame = _read_csv(path, labels) if path.suffix == ".csv" else pd.read_parquet(path)
+        frame = _read_csv(path, labels) if path.suffix == ".csv" else read_parquet(path)
     except GapError:
         raise
+    except PamrigError as exc:
+        raise GapError(exc.where, exc.what, exc.remedy) from exc
     except Exception as exc:
         raise GapError(str(path), f"cannot be read ({_first_line(exc)})") from exc
     frame.columns = [str(name).strip() for name in frame.columns]
@@ -82,6 +86,7 @@ def read_table(path: Path, required: tuple[str, ...], labels: tuple[str, ...]) -
 
 
 def _read_csv(path: Path, labels: tuple[str, ...]) -> pd.DataFrame:
+    check_csv(path)
     with path.open("rb") as file:
         head = file.readline().decode("utf-8-sig", errors="replace")
     names = [name.strip().strip('"') for name in head.rstrip("\r\n").split(",")]

@@ -11,6 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from plant import tomlfile
 from plant.errors import PlantError
 
 GAS_CONSTANT_J_KG_K = 287.05
@@ -166,7 +167,7 @@ def load_constants(source: str | Path | Mapping[str, Any]) -> PlantConstants:
         return _from_table(source, "plant table")
     path = Path(source)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = tomlfile.read_text(path)
     except (OSError, UnicodeDecodeError) as exc:
         raise PlantError(f"plant file {path}: cannot be read ({exc})") from exc
     return _from_table(_parse(text, f"plant file {path}"), f"plant file {path}")
@@ -194,7 +195,7 @@ def nominal() -> PlantConstants:
 
 def _parse(text: str, origin: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return tomlfile.loads(text)
     except tomllib.TOMLDecodeError as exc:
         raise PlantError(f"{origin}: not valid TOML ({exc})") from exc
 

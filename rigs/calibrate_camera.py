@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import math
-import tomllib
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy.typing as npt
 
 from daq.calibration import Calibration
 from daq.errors import ConfigError
+from plant import tomlfile
 from rigs.camera_calibration import (
     CameraCalibration,
     load_camera_calibration,
@@ -57,7 +57,7 @@ def read_gauge_table(path: Path) -> list[GaugePosition]:
     """
     try:
         if path.suffix.lower() == ".toml":
-            rows = tomllib.loads(path.read_text(encoding="utf-8")).get("position", [])
+            rows = tomlfile.loads(tomlfile.read_text(path)).get("position", [])
         else:
             with open(path, newline="", encoding="utf-8-sig") as file:
                 rows = list(csv.DictReader(file))

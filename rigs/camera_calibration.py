@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from daq.calibration import Calibration
 from daq.errors import ConfigError
+from plant import tomlfile
 from vision.edge import GapMeasurement
 from vision.lens import Lens
 
@@ -70,9 +70,9 @@ def load_camera_calibration(path: Path) -> CameraCalibration:
     """
     where = str(path)
     try:
-        text = path.read_text(encoding="utf-8")
-        data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except (OSError, ValueError) as error:
+        text = tomlfile.read_text(path)
+        data = json.loads(text) if path.suffix.lower() == ".json" else tomlfile.loads(text)
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(
             where, f"not a calibration file: {error}", "make one with: pamrig calibrate camera"
         ) from error

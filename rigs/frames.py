@@ -13,9 +13,13 @@ import numpy.typing as npt
 
 from daq.clock import Clock
 from daq.errors import PamrigError
+from plant import tomlfile
 
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp", ".jp2", ".tif", ".tiff"}
 STACKS = {".tif", ".tiff"}
+LARGEST_PICTURE = 512 << 20
+"""Bytes of a picture's file; how many pixels OpenCV lays out for one is bounded in ``vision``."""
+MOST_PAGES = 10_000
 VIDEOS = {".avi", ".mp4", ".mkv", ".mov", ".mjpg", ".mjpeg", ".m4v", ".webm", ".mpg"}
 
 
@@ -70,9 +74,14 @@ def open_frames(
     if suffix in VIDEOS:
         yield from _video(path)
         return
-    found = list(_file(path))
-    if len(found) == 1 and found[0].image is None:
-        raise FramesError(text, found[0].problem, _remedy())
+    found = _file(path)
+    first = next(found)
+    second = next(found, None)
+    if second is None and first.image is None:
+        raise FramesError(text, first.problem, _remedy())
+    yield first
+    if second is not None:
+        yield second
     yield from found
 
 
@@ -137,20 +146,37 @@ def _file(path: Path) -> Iterator[SourceFrame]:
 
     if path.suffix.lower() in STACKS:
         try:
-            ok, pages = cv2.imreadmulti(str(path), flags=cv2.IMREAD_UNCHANGED)
+            count = cv2.imcount(str(path), cv2.IMREAD_UNCHANGED)
         except cv2.error:
-            ok, pages = False, ()
-        if ok and len(pages) > 1:
-            for k, page in enumerate(pages):
-                yield SourceFrame(path.name, k, _gray(np.asarray(page)))
+            count = 0
+        if count > 1:  # page by page: a small file may hold thousands of large ones
+            for k in range(min(count, MOST_PAGES)):
+                yield _page(path, k)
             return
-    image = decode(path.read_bytes())
+    try:
+        image = decode(tomlfile.read_bytes(path, LARGEST_PICTURE))
+    except OSError as error:
+        yield SourceFrame(path.name, 0, None, f"cannot be read: {error.strerror}")
+        return
     if image is None:
         yield SourceFrame(
             path.name, 0, None, "not a picture that can be read (damaged, or another format)"
         )
     else:
         yield SourceFrame(path.name, 0, image)
+
+
+def _page(path: Path, k: int) -> SourceFrame:
+    """One page of a stack."""
+    import cv2
+
+    try:
+        ok, pages = cv2.imreadmulti(str(path), k, 1, flags=cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        ok, pages = False, ()
+    if not ok or not pages:
+        return SourceFrame(path.name, k, None, "page that cannot be read")
+    return SourceFrame(path.name, k, _gray(np.asarray(pages[0])))
 
 
 def _video(path: Path) -> Iterator[SourceFrame]:
@@ -172,7 +198,7 @@ def _video(path: Path) -> Iterator[SourceFrame]:
             k += 1
         if k == 0:
             raise FramesError(str(path), "the video holds no frame that can be read", _remedy())
-        for lost in range(k, promised):
+        for lost in range(k, min(promised, k + MOST_PAGES)):
             yield SourceFrame(path.name, lost, None, "the video ends before this frame")
     finally:
         video.release()

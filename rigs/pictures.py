@@ -31,7 +31,12 @@ class Picture:
 
 def decode(jpeg: bytes) -> npt.NDArray[np.uint8] | None:
     """Grey levels of a stored picture, (h, w); None if it is none."""
-    gray = cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+    if not jpeg:
+        return None
+    try:
+        gray = cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+    except cv2.error:  # a size beyond what OpenCV is allowed to lay out
+        return None
     return None if gray is None else np.asarray(gray, dtype=np.uint8)
 
 

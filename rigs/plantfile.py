@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import ConfigError
+from plant import tomlfile
 from plant.constants import PlantConstants, nominal
 from plant.effects import Effects
 from plant.errors import PlantError
@@ -21,7 +22,7 @@ def load_plant(path: Path) -> tuple[PlantConstants, Effects]:
         ConfigError: the file cannot be read, or the plant refuses what it states.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomlfile.loads(tomlfile.read_text(path))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(str(path), f"cannot be read as TOML ({error})") from None
     effects = table.pop("effects", {})

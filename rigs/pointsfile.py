@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import PamrigError
+from daq.tablefile import check_csv, read_parquet
+from plant import tomlfile
 from rigs.pointcheck import (
     DIRECTIONS,
     LABELS,
@@ -91,7 +93,7 @@ def _read_folder(folder: Path) -> PointsFile:
     if (folder / "bench.toml").exists():
         sources.append(_source(folder / "bench.toml"))
         try:
-            bench = tomllib.loads((folder / "bench.toml").read_text(encoding="utf-8"))
+            bench = tomlfile.loads(tomlfile.read_text(folder / "bench.toml"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise PamrigError("bench.toml", f"is not TOML: {error}", "mend or remove it") from error
     points = _points(_read_table(samples_path), trials, samples_path.name, sources)
@@ -205,6 +207,7 @@ def _read_table(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     if path.suffix == ".parquet":
         yield from _read_parquet(path)
         return
+    check_csv(path)
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
@@ -233,15 +236,9 @@ def _read_table(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def _read_parquet(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        table = pq.read_table(path)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise PamrigError(path.name, f"is not a Parquet file: {error}", "write it anew") from error
-    for index, row in enumerate(table.to_pylist()):
-        yield index + 1, row
+    table = read_parquet(path)
+    for index, row in enumerate(table.astype(object).where(table.notna(), None).to_dict("records")):
+        yield index + 1, {str(name): value for name, value in row.items()}
 
 
 def _source(path: Path) -> dict[str, Any]:

@@ -47,7 +47,7 @@ def remaining(steps: Steps, done: Iterable[int]) -> Steps:
         try:
             step = steps.send(answer)
         except StopIteration:
-            yield from waiting
+            yield from _each(waiting)
             return
         answer = None
         if isinstance(step, Trial):
@@ -57,7 +57,7 @@ def remaining(steps: Steps, done: Iterable[int]) -> Steps:
                 answer = _through(steps)
                 inside = False
                 continue
-            yield from waiting
+            yield from _each(waiting)
             waiting.clear()
             answer = yield step
         elif begun and not inside:
@@ -67,6 +67,12 @@ def remaining(steps: Steps, done: Iterable[int]) -> Steps:
             answer = yield step
             if isinstance(step, EndTrial):
                 inside = False
+
+
+def _each(steps: list[Step]) -> Steps:
+    """Steps that came before; a list alone would not take the answers that come back."""
+    for step in steps:  # noqa: UP028
+        yield step
 
 
 def _through(steps: Steps) -> Any:
@@ -83,20 +89,53 @@ def _as_if(step: Step) -> Any:
     return (True, 0.0) if isinstance(step, Settle) else None
 
 
+NONSENSE = (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError)
+"""What a record that another program wrote makes a reduction run into."""
+
+
 def reduce_run(run: Run) -> Reduction:
     """The table of a run by its protocol, joined with the trials of the runs that it continues.
 
     Raises:
-        RecordError: an earlier run is missing or damaged.
+        RecordError: an earlier run is missing or damaged, or the record, though whole, does not
+            hold what a test of its protocol writes.
     """
-    reduction = procedure_of(run.manifest.get("protocol")).reduce(run)
-    before = run.manifest.get("continues")
-    if not before:
-        return reduction
-    earlier = earlier_run(run)
-    first = reduce_run(earlier)
-    trials = [int(t) for t in before["trials"]]
-    return _joined(_also_excluded(run, first), reduction, trials, earlier.run_id)
+    chain = [run]
+    while chain[-1].manifest.get("continues"):
+        earlier = earlier_run(chain[-1])
+        if earlier.run_id in [r.run_id for r in chain]:
+            raise RecordError(str(run.folder), f"continues itself, through {earlier.run_id}")
+        chain.append(earlier)
+    reduction = _reduced(chain.pop())
+    while chain:
+        later = chain.pop()
+        reduction = _continued(later, reduction)
+    return reduction
+
+
+def _reduced(run: Run) -> Reduction:
+    """The table of a run alone."""
+    try:
+        return procedure_of(run.manifest.get("protocol")).reduce(run)
+    except NONSENSE as error:
+        raise RecordError(
+            str(run.folder),
+            f"holds nothing that a test of its protocol writes ({type(error).__name__}: {error})",
+            "it is whole, but this version of pamrig did not write it",
+        ) from error
+
+
+def _continued(run: Run, first: Reduction) -> Reduction:
+    """A run's table behind that of the run it goes on with."""
+    before = run.manifest["continues"]
+    own = _reduced(run)
+    try:
+        trials = [int(t) for t in before["trials"]]
+        return _joined(_also_excluded(run, first), own, trials, str(before["run_id"]))
+    except NONSENSE as error:
+        raise RecordError(
+            str(run.folder), f"does not say what it continues ({type(error).__name__}: {error})"
+        ) from error
 
 
 def _also_excluded(run: Run, first: Reduction) -> Reduction:
@@ -119,9 +158,9 @@ def earlier_run(run: Run) -> Run:
     """
     from daq.run import open_run
 
-    name = str(run.manifest["continues"]["run_id"])
-    folder = Path(run.folder).resolve().parent / name
-    if not (folder / "run.json").is_file():
+    name = str(run.manifest["continues"].get("run_id"))
+    folder = Path(run.folder).resolve().parent / Path(name).name
+    if name in ("", ".", "..") or Path(name).name != name or not (folder / "run.json").is_file():
         raise RecordError(
             str(run.folder),
             f"continues run {name}, which is not beside it",

@@ -240,7 +240,10 @@ def run_protocol(
             control.close()
             if live is not None:
                 live.close()
-            _finish(rig, record, outcome, error)
+            if _finish(rig, record, outcome, error) != outcome:
+                # The last words did not reach the disk: the run is not what it seemed to be.
+                error = error or record.failed
+                outcome = outcome_of(error)
     if isinstance(error, RecordError):
         not_derived = "the disk would not take it"
     else:
@@ -324,8 +327,8 @@ def _record_bytes(rig: Rig, record: RecordWriter) -> None:
         rig.supply.on_bytes = listener("supply")
 
 
-def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException | None) -> None:
-    """Flush what is held back, write the last events and close the record."""
+def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException | None) -> str:
+    """Flush what is held back, write the last events and close the record; how it ended then."""
     with contextlib.suppress(RecordError):  # a failed record is the outcome already
         rig.valve.telemetry.flush()
     fit = rig.valve.clock_fit.final().as_dict() if rig.valve.clock_fit.ready else {}
@@ -333,7 +336,7 @@ def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException |
     if error is not None:
         record.event("end", outcome=outcome, reason=str(error) or type(error).__name__)
     try:
-        record.finalize(
+        final = record.finalize(
             outcome,
             reason=str(error) if error is not None else "",
             clock_fit=fit,
@@ -347,3 +350,5 @@ def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException |
     except RecordError:
         if error is None:
             raise
+        return outcome
+    return str(final["outcome"])

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import ConfigError
+from plant import tomlfile
 
 
 class Table:
@@ -175,7 +176,7 @@ def find_config(name: str, folder: str) -> tuple[str, str]:
     path = Path(name)
     if path.suffix == ".toml" or path.exists():
         try:
-            return path.read_text(encoding="utf-8"), str(path)
+            return tomlfile.read_text(path), str(path)
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(str(path), f"cannot be read: {error}", "check the path") from None
     shipped = importlib.resources.files("configs") / folder
@@ -194,6 +195,6 @@ def load_toml(name: str, folder: str) -> Table:
     """Parse a TOML file given as a path or as a shipped name."""
     text, source = find_config(name, folder)
     try:
-        return Table(tomllib.loads(text), source)
+        return Table(tomlfile.loads(text), source)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(source, f"is not valid TOML: {error}", "correct that line") from None

@@ -6,6 +6,7 @@ a protocol that hangs stops beating, and the firmware vents.
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Callable
 
@@ -26,6 +27,8 @@ HEARTBEAT_S = 0.1
 REPLY_S = 1.0
 RECENT_SAMPLES = 8000
 PROTOCOL_VERSION = "1"
+
+_COUNT = re.compile(r"\d{1,10}\Z", re.ASCII)
 
 Batch = dict[str, npt.NDArray[np.generic]]
 
@@ -106,6 +109,8 @@ class ValveController:
                 self._replies[reply.id] = reply
             return
         if reply.ok and "t" in reply.values:
+            if not _COUNT.match(reply.values["t"]):
+                raise CodecError(f"a reply says t={reply.values['t'][:20]!r}, expected a number")
             device_us = self.telemetry.device_time.unwrap(int(reply.values["t"]), host_ns)
             self.clock_fit.add(sent_ns, host_ns, device_us)
 
@@ -247,6 +252,12 @@ class ValveController:
     def arm(self) -> None:
         """Allow the inlet to open; the heartbeat must already be running."""
         now = self.request("id")
+        if not {"conf", "boot"} <= now.keys():
+            raise DeviceError(
+                self.name,
+                f"expected conf= and boot= in its identity, got {' '.join(sorted(now))!r}",
+                "install the firmware that belongs to this version of pamrig",
+            )
         self.identity = now
         self.request(f"arm {now['conf']} {now['boot']}")
 

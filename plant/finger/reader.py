@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from plant import tomlfile
 from plant.constants import PlantConstants, nominal
 from plant.errors import PlantError
 from plant.finger.body import Finger, Pair
@@ -70,11 +71,11 @@ def _table(source: str, folder: str, what: str) -> tuple[dict[str, Any], str]:
     else:
         origin = f"{what} file {path}"
         try:
-            text = path.read_text(encoding="utf-8")
+            text = tomlfile.read_text(path)
         except (OSError, UnicodeDecodeError) as error:
             raise PlantError(f"{origin}: cannot be read ({error}); check the path") from error
     try:
-        return tomllib.loads(text), origin
+        return tomlfile.loads(text), origin
     except tomllib.TOMLDecodeError as error:
         raise PlantError(f"{origin}: not valid TOML ({error}); correct that line") from error
 

@@ -10,6 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from plant import tomlfile
 from plant.links.arm import Arm, Link
 from plant.links.errors import LinkError
 from plant.links.inertia import Six, Three, rod_inertia
@@ -48,7 +49,7 @@ def load_arm(source: str | Path | Mapping[str, Any]) -> Arm:
     if path.suffix != ".toml" and not path.exists():
         return _shipped(str(source))
     try:
-        text = path.read_text(encoding="utf-8")
+        text = tomlfile.read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise LinkError(f"arm file {path}: cannot be read ({error}); check the path") from error
     return _parsed(text, f"arm file {path}")
@@ -72,7 +73,7 @@ def _shipped(name: str) -> Arm:
 
 def _parsed(text: str, origin: str) -> Arm:
     try:
-        return _arm(tomllib.loads(text), origin)
+        return _arm(tomlfile.loads(text), origin)
     except tomllib.TOMLDecodeError as error:
         raise LinkError(f"{origin}: not valid TOML ({error}); correct that line") from error
 

@@ -10,6 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from plant import tomlfile
 from plant.errors import PlantError
 from plant.models import terms
 from plant.models.braid import ChouHannaford, Hasselroth, TonduLopez, TonduLopezPressure
@@ -72,7 +73,7 @@ def load(source: str | Path) -> Model:
         return get(text)
     path = Path(source)
     try:
-        raw = path.read_text(encoding="utf-8")
+        raw = tomlfile.read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise PlantError(f"model file {path}: cannot be read ({error})") from error
     return _model(_parse(raw, str(path)), f"model file {path}")
@@ -113,7 +114,7 @@ def _number(value: float) -> str:
 
 def _parse(text: str, origin: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return tomlfile.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise PlantError(f"{origin}: not valid TOML ({error})") from error
 

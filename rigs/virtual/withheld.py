@@ -22,6 +22,7 @@ from blind.readings import frame_delay_s, read_force
 from blind.seal import opened
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, PamrigError
+from plant import tomlfile
 from plant.bench import BenchSim
 from plant.constants import nominal
 from plant.errors import PlantError
@@ -36,6 +37,8 @@ NOTE = "withheld.json"
 """In the bench's folder: the seal, and where to ask while the bench runs."""
 ENVELOPE = "withheld.sealed"
 """Left there when a bench ends that was never asked; coded, so that nobody reads it by accident."""
+LARGEST = 16 << 20
+"""Bytes of a note, packed or not."""
 _STATED = (
     "supply_kpa", "atmosphere_kpa", "gas_temperature_k", "braid_length_mm", "turns",
     "inlet_conductance_m3_s_pa", "outlet_conductance_m3_s_pa", "critical_ratio",
@@ -170,16 +173,25 @@ def ask(folder: Path) -> dict[str, Any]:
     return answer
 
 
+def _unpacked(packed: bytes) -> bytes:
+    """The packed note, if it is no larger than one can be: a few bytes can stand for gigabytes."""
+    unpacking = zlib.decompressobj()
+    data = unpacking.decompress(packed, LARGEST)
+    if not unpacking.eof:
+        raise ValueError("its note is cut short, or larger than one can be")
+    return data
+
+
 def _envelope(folder: Path, port: int) -> dict[str, Any]:
     left = folder / ENVELOPE
     try:
         if left.is_file():
-            data = zlib.decompress(base64.b85decode(left.read_bytes().strip()))
+            data = _unpacked(base64.b85decode(tomlfile.read_bytes(left, LARGEST).strip()))
         else:
             with socket.create_connection(("127.0.0.1", port), timeout=5.0) as client:
                 data = b"".join(iter(lambda: client.recv(65536), b""))
         envelope = json.loads(data)
-    except (OSError, ValueError, zlib.error) as error:
+    except (OSError, ValueError, RecursionError, zlib.error) as error:
         raise PamrigError(
             str(folder), f"its bench does not answer ({error})", "is it still running?"
         ) from None

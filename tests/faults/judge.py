@@ -1,0 +1,293 @@
+"""Whether a faulted run kept every promise, judged by the bench's truth and the bytes on disk.
+
+Nothing here asks the code that is judged, but for two questions that are about it: `daq.verify`
+(does the product itself call the record sound?) and the table (is a number in it wrong?).
+Rows are read with pyarrow, events and final.json as the JSON they are, times and pressures are
+the simulation's own.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from .kinds import FOR_GOOD, Fault
+from .places import empty_s
+from .trial import Truth
+
+COMMANDED_US = 350_000
+OVER_PRESSURE_US = 10_000
+EMPTY_KPA = 20.0
+SIGMAS = 6.0
+TELLABLE_LOW_KPA = 75.0
+"""A sensor that breaks to 0 below this cannot be told from an empty muscle (safety contract)."""
+TICK_US = 1000
+STRETCH_MS = 100
+HOST_SILENT_US = 290_000
+NO_BEAT = "no heartbeat"
+
+
+@dataclass
+class Verdict:
+    """What was found of one run.
+
+    Attributes:
+        untold: faults that left no trace in record or message.
+        late: vents beyond a deadline, in words.
+        unreadable, wrong, stuck: rows that are gone, wrong numbers in the table, and why the test
+            cannot be gone on with, in words.
+        worst_commanded_s, worst_empty_s: slowest command after an event that has to end in one,
+            and slowest emptying after a command.
+    """
+
+    untold: list[str] = field(default_factory=list)
+    late: list[str] = field(default_factory=list)
+    unreadable: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+    stuck: list[str] = field(default_factory=list)
+    crashed: str = ""
+    worst_commanded_s: float = 0.0
+    worst_empty_s: float = 0.0
+    points: int = 0
+    continued: bool = False
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing was found."""
+        lists = (self.untold, self.late, self.unreadable, self.wrong, self.stuck)
+        return not any(lists) and not self.crashed
+
+
+class Bytes:
+    """A run folder as plain JSON and Arrow, without the package."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @cached_property
+    def events(self) -> list[dict[str, Any]]:
+        """Whole lines of events.jsonl."""
+        path = self.folder / "events.jsonl"
+        lines = path.read_bytes().split(b"\n") if path.exists() else []
+        return [json.loads(line) for line in lines[:-1]]
+
+    @cached_property
+    def final(self) -> dict[str, Any]:
+        """final.json, or nothing."""
+        path = self.folder / "final.json"
+        return dict(json.loads(path.read_bytes())) if path.exists() else {}
+
+    def rows(self, stream: str) -> dict[str, Any]:
+        """Every row of a stream that can still be read, by column."""
+        tables = []
+        for path in sorted((self.folder / "samples" / stream).glob("*.arrows")):
+            batches = list(_batches(path.read_bytes()))
+            if batches:
+                tables.append(pa.Table.from_batches(batches))
+        if not tables:
+            return {}
+        table = pa.concat_tables(tables)
+        return {name: table[name].to_numpy() for name in table.column_names}
+
+    def kind(self, kind: str) -> list[dict[str, Any]]:
+        """All events of a kind."""
+        return [event for event in self.events if event["kind"] == kind]
+
+
+def _batches(data: bytes) -> Iterator[Any]:
+    try:
+        stream = pa.ipc.open_stream(pa.py_buffer(data))
+        while True:
+            yield stream.read_next_batch()
+    except (StopIteration, pa.ArrowInvalid, OSError):  # the end, or bytes that were being written
+        return
+
+
+def judge(truth: Truth) -> Verdict:
+    """All that can be said of a run; the table and going on with it are judged elsewhere."""
+    verdict = Verdict(crashed=truth.crashed)
+    if not truth.folder:
+        return verdict
+    record = Bytes(Path(truth.folder))
+    for fault in truth.faults:
+        if fault.must_tell and not told(fault, truth, record):
+            verdict.untold.append(fault.name)
+    _vents(truth, record, verdict)
+    _readable(truth, record, verdict)
+    return verdict
+
+
+# ---- told ---------------------------------------------------------------------------
+
+
+def told(fault: Fault, truth: Truth, record: Bytes) -> bool:
+    """Whether record or message show that something was wrong, where the fault was."""
+    if truth.outcome not in ("clean", "stopped") and (truth.error or truth.killed):
+        return True
+    final = record.final
+    if final.get("outcome") not in ("clean", None) or not final:
+        return bool(truth.error)  # nothing else tells the person at the terminal
+    counters = final.get("counters") or {}
+    if fault.layer in ("wire", "instrument"):
+        mine = counters.get(fault.device) or {}
+        fine = ("frames", "samples", "lines", "rows")
+        return any(v for k, v in mine.items() if k not in fine and isinstance(v, int))
+    if fault.layer == "camera":
+        return any(not e["trusted"] for e in record.kind("length"))
+    faults = [*record.kind("fault"), *record.kind("vent_unconfirmed")]
+    return bool(faults) or any(not e["settled"] for e in record.kind("point") if "settled" in e)
+
+
+# ---- vented -------------------------------------------------------------------------
+
+
+def _vents(truth: Truth, record: Bytes, verdict: Verdict) -> None:
+    for what, event_us, limit_us in _must_vent(truth):
+        commanded = _venting_from(truth, event_us)
+        if commanded is None and truth.done_us + 3_000_000 < event_us + limit_us:
+            continue
+        wait_us = math.inf if commanded is None else max(0, commanded - event_us)
+        verdict.worst_commanded_s = max(verdict.worst_commanded_s, wait_us * 1e-6)
+        if wait_us > limit_us + TICK_US:
+            verdict.late.append(f"{what}: vent commanded after {wait_us * 1e-3:.0f} ms")
+        # The host's own last vent follows its last heartbeat sooner than the deadline.
+        own_us = HOST_SILENT_US if what == NO_BEAT else 0
+        vented = commanded is not None and commanded > event_us + own_us
+        if vented and truth.outcome == "clean" and not record.kind("fault"):
+            verdict.untold.append(f"{what}: the controller vented")
+    _emptied(truth, verdict)
+    air = truth.end_kpa >= EMPTY_KPA
+    if air and not truth.sealed_in:
+        verdict.late.append(f"{truth.end_kpa:.0f} kPa in the muscle 3 s after the end")
+    if air and truth.sealed_in and not truth.killed and truth.outcome in ("clean", "stopped"):
+        unsure = [e for e in record.kind("vented") if not e["confirmed"]]
+        if not unsure and not record.kind("vent_unconfirmed") and not record.kind("fault"):
+            verdict.untold.append(f"{truth.end_kpa:.0f} kPa left in the muscle")
+
+
+def _must_vent(truth: Truth) -> Iterator[tuple[str, int, int]]:
+    """(what, bench us, limit in us) of all that has to end in a vent."""
+    ends = [us for us, _ in truth.beats[1:]] + [10**15]
+    for (us, armed), next_us in zip(truth.beats, ends, strict=True):
+        if armed and next_us - us > COMMANDED_US:
+            yield NO_BEAT, us, COMMANDED_US
+    armed_at = [us for us, armed in truth.beats if armed]
+    for fault in truth.faults:
+        if fault.begun_us < 0 or not armed_at:
+            continue
+        near = [us for us in armed_at if abs(us - fault.begun_us) < 250_000]
+        lasts = fault.end_s - fault.begun_us * 1e-6
+        if not near:
+            continue
+        if fault.layer == "controller":
+            yield fault.name, fault.begun_us, COMMANDED_US
+        elif fault.layer == "sensor" and lasts > 0.35:
+            before = _kpa_at(truth, fault.begun_us)
+            if (
+                fault.kind in ("high", "silent")
+                or (fault.kind == "frozen" and before > EMPTY_KPA)
+                or (fault.kind == "low" and before > TELLABLE_LOW_KPA)
+            ):
+                yield fault.name, fault.begun_us, COMMANDED_US
+    if not any(f.layer == "sensor" for f in truth.faults) and truth.us is not None:
+        over = truth.kpa > truth.trip_kpa + 3.0
+        runs = np.flatnonzero(over[2:] & over[1:-1] & over[:-2])
+        if len(runs) and armed_at and armed_at[0] < truth.us[runs[0]] <= truth.done_us:
+            yield "over-pressure", int(truth.us[runs[0]]), OVER_PRESSURE_US
+
+
+def _kpa_at(truth: Truth, us: int) -> float:
+    at = int(np.searchsorted(truth.us, us))
+    return float(truth.kpa[min(at, len(truth.kpa) - 1)])
+
+
+def _venting_from(truth: Truth, event_us: int) -> int | None:
+    """When the outlet was first told to stay open, at or after an event; the event if it was."""
+    state = False
+    for us, venting in truth.vents:
+        if us <= event_us:
+            state = venting
+        elif state:
+            return event_us
+        elif venting:
+            return us
+    return event_us if state else None
+
+
+def _emptied(truth: Truth, verdict: Verdict) -> None:
+    """From each vent that lasts to below 20 kPa."""
+    if truth.us is None or any(f.layer in ("valve", "supply") for f in truth.faults):
+        return
+    limit_s = empty_s(truth.protocol)
+    ends = [us for us, _ in truth.vents[1:]] + [10**15]
+    for (us, venting), end_us in zip(truth.vents, ends, strict=True):
+        if not venting or end_us - us < limit_s * 1e6:
+            continue
+        inside = (truth.us >= us) & (truth.us < end_us) & (truth.us <= truth.done_us + 3_000_000)
+        high = np.flatnonzero(truth.kpa[inside] >= EMPTY_KPA)
+        if not len(high):
+            continue
+        # Stretches of pressure: the first has to end in time, and none may follow. What lasts a
+        # few milliseconds is a person who takes a load off the vented muscle.
+        parts = np.split(high, np.flatnonzero(np.diff(high) > STRETCH_MS) + 1)
+        back = [part for part in parts[1:] if len(part) > STRETCH_MS]
+        if back:
+            verdict.late.append(f"pressure came back for {len(back[0])} ms")
+        took_s = float(parts[0][-1]) * 1e-3 if parts[0][0] < STRETCH_MS else 0.0
+        verdict.worst_empty_s = max(verdict.worst_empty_s, took_s)
+        if took_s > limit_s:
+            verdict.late.append(f"still {EMPTY_KPA:g} kPa {took_s:.2f} s after the command")
+
+
+# ---- readable -----------------------------------------------------------------------
+
+
+def _readable(truth: Truth, record: Bytes, verdict: Verdict) -> None:
+    from daq.run import open_run
+    from daq.verify import verify
+
+    run = open_run(record.folder)
+    broken_disk = any(f.layer == "disk" and f.hits for f in truth.faults)
+    for problem in verify(run):
+        if not problem.tail and not (broken_disk and "writing failed" in problem.what):
+            verdict.unreadable.append(str(problem))
+    for stream, taken in truth.taken.items():
+        if not taken:
+            continue
+        key = "seq" if stream == "valve" else "row"
+        for how, rows in (("arrow", record.rows(stream)), ("pamrig", run.samples(stream))):
+            at = np.searchsorted(rows.get(key, np.empty(0)), taken[key])
+            lost = len(taken[key]) if not rows else int((at >= len(rows[key])).sum())
+            if lost:
+                verdict.unreadable.append(f"{lost} rows of {stream} are gone ({how})")
+                continue
+            for name, values in taken.items():
+                if not np.array_equal(rows[name][at], values):
+                    verdict.unreadable.append(f"{stream}.{name} reads otherwise ({how})")
+    _counts(truth, verdict)
+
+
+def _counts(truth: Truth, verdict: Verdict) -> None:
+    """Recorded pressure counts against the true pressure of the same millisecond."""
+    valve = truth.taken.get("valve")
+    if not valve or any(f.layer in ("sensor", "controller") and f.hits for f in truth.faults):
+        return
+    us = valve["device_us"] - truth.start0_us
+    at = np.searchsorted(truth.us, us)
+    known = (at < len(truth.us)) & (at > 0)
+    true = truth.kpa[np.minimum(at, len(truth.us) - 1)]
+    read = valve["counts"] * (1000.0 / 4095.0)
+    off = np.abs(read - true)[known]
+    if len(off) and off.max() > 12.0 + 0.02 * true.max():
+        verdict.wrong.append(f"a pressure sample is {off.max():.1f} kPa off")
+
+
+__all__ = ["FOR_GOOD", "SIGMAS", "Bytes", "Verdict", "judge", "told"]

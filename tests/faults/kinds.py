@@ -1,0 +1,353 @@
+"""What can go wrong: each kind of fault, how it is put upon a running test, and where."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.errors import DeviceTimeout
+from plant.layout import DELAY
+from rigs.virtual.balance import VirtualBalance
+from rigs.virtual.supply import VirtualSupply
+from rigs.virtual.text import VirtualText
+
+from .wires import Rule
+
+if TYPE_CHECKING:
+    from .trial import Trial
+
+KINDS: dict[str, tuple[str, ...]] = {
+    "wire": ("lost", "flipped", "doubled", "cut", "garbage", "held up", "unplugged"),
+    "instrument": ("half", "double", "checksum", "late", "stale", "drop", "garbage", "unit",
+                   "overload", "comma"),
+    "sensor": ("high", "low", "frozen", "silent"),
+    "camera": ("dropped", "black", "repeated", "glare", "torn"),
+    "disk": ("full", "slow", "read-only", "one error", "sync fails"),
+    "process": ("killed", "killed in a write", "hung", "bug"),
+    "clock": ("wall jumps", "drift", "device time wraps"),
+    "controller": ("reset", "hung"),
+    "supply": ("drop", "surge", "solenoids off", "solenoids low"),
+    "valve": ("inlet stuck open", "outlet stuck open", "inlet stuck shut", "outlet stuck shut",
+              "slow"),
+}  # fmt: skip
+FROM_THE_START = {"clock"}
+FOR_GOOD = 1e9
+
+
+@dataclass
+class Fault:
+    """One fault of a run.
+
+    Attributes:
+        layer, kind: of ``KINDS``.
+        device: whose line or instrument, where there is a choice.
+        start_s, end_s: bench time.
+        size: how bad, 0 to 1.
+        hits: how often it did something; 0: it never came to it.
+        must_tell: hits that a record or message has to show.
+        begun_us: bench time at which it began; -1: not yet.
+    """
+
+    layer: str
+    kind: str
+    device: str = ""
+    start_s: float = 0.0
+    end_s: float = FOR_GOOD
+    size: float = 0.5
+    hits: int = 0
+    must_tell: int = 0
+    begun_us: int = -1
+
+    @property
+    def name(self) -> str:
+        """For journals and messages."""
+        where = f" ({self.device})" if self.device else ""
+        return f"{self.layer}: {self.kind}{where}"
+
+
+def draw(protocol: str, seed: int, layer: str = "") -> list[Fault]:
+    """The faults of a run, none of them with a place in time yet; one to three of them."""
+    rng = random.Random(f"{protocol}/{seed}")
+    layers = [k for k in KINDS if k != "camera" or protocol in STATIC]
+    count = rng.choices((1, 2, 3), (6, 3, 1))[0]
+    chosen = [layer or layers[seed % len(layers)]]
+    chosen += rng.sample([k for k in layers if k not in chosen], count - 1)
+    return [Fault(k, rng.choice(KINDS[k]), size=rng.random()) for k in chosen]
+
+
+STATIC = ("isometric", "isobaric", "isotonic", "isothermal", "hysteresis")
+
+
+def place(fault: Fault, rng: random.Random, seconds: float) -> None:
+    """Give a fault its time, in bench seconds from the start of the test."""
+    fault.start_s = rng.uniform(0.0, 0.85 * seconds)
+    short = () if fault.layer in ("camera", "instrument") else (0.1, 0.4)
+    lasts = rng.choice((*short, 1.0, 3.0, FOR_GOOD))
+    fault.end_s = fault.start_s + lasts
+
+
+def begin(trial: Trial, fault: Fault) -> None:
+    """The moment has come."""
+    fault.begun_us = trial.bench.board.bench_us
+    _BEGIN[fault.layer](trial, fault)
+
+
+def end(trial: Trial, fault: Fault) -> None:
+    """It is over; what it did is counted."""
+    over = _END.get(fault.layer)
+    if over is not None:
+        over(trial, fault)
+
+
+# ---- wire ---------------------------------------------------------------------------
+
+
+def _wire(trial: Trial, fault: Fault) -> None:
+    devices = [d for d in trial.bench.devices if d in trial.spoken()]
+    fault.device = trial.rng.choice(["valve", "valve", "balance", *devices])
+    if fault.kind == "unplugged":
+        fault.hits = fault.must_tell = 1
+        trial.bench.unplug(fault.device)
+        return
+    inward = trial.rng.random() < 0.75
+    share = trial.rng.choice((0.02, 0.2, 1.0))
+    rule = Rule(fault.device, inward, fault.kind, share, fault.start_s, fault.end_s)
+    trial.rules[id(fault)] = rule
+    trial.wires.rules.append(rule)
+
+
+def _wire_end(trial: Trial, fault: Fault) -> None:
+    if fault.kind == "unplugged":
+        trial.bench.replug(fault.device)
+        return
+    rule = trial.rules[id(fault)]
+    fault.hits = rule.altered
+    # Outward: a command or heartbeat that is lost, doubled or late and did no harm is retried
+    # or renewed; what a valve or instrument refused shows in its answers, if it has any.
+    checked = fault.device == "valve" and rule.inward
+    late = fault.kind == "held up"
+    lost = fault.kind in ("lost", "doubled") and fault.device != "valve"
+    if rule.inward and not late and not lost:
+        fault.must_tell = rule.altered if checked else rule.altered - rule.plain
+
+
+# ---- instruments --------------------------------------------------------------------
+
+
+def _instrument(trial: Trial, fault: Fault) -> None:
+    there: dict[str, Any] = {"balance": trial.bench.balance, **trial.bench.extras.devices}
+    there = {name: d for name, d in there.items() if name in trial.spoken()}
+    fault.device = trial.rng.choice(list(there))
+    device = there[fault.device]
+    if fault.kind in ("unit", "overload", "comma"):
+        _keypad(device, fault.kind, True)
+        return
+    count = 1 + int(fault.size * 12)
+    device.wire.arrange(*[fault.kind] * count)
+    trial.rules[id(fault)] = len(device.wire.done)
+
+
+def _keypad(device: Any, kind: str, on: bool) -> None:
+    """What somebody does at the instrument itself."""
+    if kind == "overload":
+        device.flag = "overload" if on else ""
+    elif kind == "comma" and hasattr(device, "comma"):
+        device.comma = on
+    elif kind == "unit" and hasattr(device, "unit_code"):
+        device.unit_code += 1 if on else -1
+    elif kind == "unit" and isinstance(device, VirtualSupply):
+        device.suffix = "mV" if on else ""
+    elif kind == "unit" and isinstance(device, (VirtualBalance, VirtualText)):
+        device.unit = (
+            "oz" if on else "g" if isinstance(device, VirtualBalance) else device._form.unit
+        )
+
+
+def _instrument_end(trial: Trial, fault: Fault) -> None:
+    if not fault.device:
+        return
+    bench = trial.bench
+    device = bench.balance if fault.device == "balance" else bench.extras.devices[fault.device]
+    if fault.kind in ("unit", "overload", "comma"):
+        _keypad(device, fault.kind, False)
+        seconds = min(fault.end_s, bench.board.bench_us * 1e-6) - fault.start_s
+        fault.hits = int(seconds > 0.0)
+        talks = fault.device != "supply" and not (
+            fault.kind == "comma" and not hasattr(device, "comma")
+        )
+        if fault.kind == "unit" and isinstance(device, VirtualText) and not device._form.unit:
+            talks = False
+        fault.must_tell = int(talks and seconds > 3.0)
+        return
+    done = len(device.wire.done) - trial.rules[id(fault)]
+    fault.hits = done
+    # One message that never came, or came a little late, harms nothing; a stream that pauses does.
+    fault.must_tell = done if fault.kind in ("half", "checksum", "stale", "garbage") else 0
+    if fault.kind == "checksum" and not _has_checksum(device):
+        fault.must_tell = 0
+
+
+def _has_checksum(device: Any) -> bool:
+    form = getattr(device, "_form", None)
+    return bool(getattr(form, "checksum", "")) or hasattr(form, "register")
+
+
+# ---- sensor and controller ----------------------------------------------------------
+
+
+def _sensor(trial: Trial, fault: Fault) -> None:
+    board = trial.bench.board
+    board.sensor_override = {"high": 4095, "low": 0, "frozen": board.adc(), "silent": -1}[
+        fault.kind
+    ]
+    fault.hits = 1
+
+
+def _sensor_end(trial: Trial, fault: Fault) -> None:
+    trial.bench.board.sensor_override = None
+
+
+def _controller(trial: Trial, fault: Fault) -> None:
+    fault.hits = fault.must_tell = 1
+    if fault.kind == "reset":
+        trial.bench.board.reset("brownout")
+    else:
+        trial.bench.board.freeze()
+
+
+# ---- camera -------------------------------------------------------------------------
+
+
+def _camera(trial: Trial, fault: Fault) -> None:
+    trial.camera_fault = fault
+
+
+def _camera_end(trial: Trial, fault: Fault) -> None:
+    if trial.camera_fault is fault:
+        trial.camera_fault = None
+
+
+def spoil_frame(trial: Trial, fault: Fault, frame: Any, last: Any) -> Any:
+    """A frame as the faulty camera gives it."""
+    seq, host_ns, gray = frame
+    fault.hits += 1
+    if fault.kind == "dropped":
+        fault.must_tell += 1
+        raise DeviceTimeout("camera", "no frame within 2 s", "check its cable")
+    if fault.kind == "black":
+        fault.must_tell += 1
+        return seq, host_ns, np.zeros_like(gray)
+    if fault.kind == "repeated":
+        if last is None:
+            fault.hits -= 1
+            return frame
+        fault.must_tell += 1
+        # Some cameras count a picture anew that they send again.
+        return last if fault.size < 0.5 else (seq, host_ns, last[2])
+    out = gray.copy()
+    if fault.kind == "glare":
+        height, width = gray.shape
+        y, x = trial.rng.randrange(height), trial.rng.randrange(width)
+        reach = int(40 + 260 * fault.size)
+        out[max(0, y - reach) : y + reach, max(0, x - reach) : x + reach] = 255
+    elif last is not None:
+        out[gray.shape[0] // 2 :] = last[2][gray.shape[0] // 2 :]
+    return seq, host_ns, out
+
+
+# ---- disk, process ------------------------------------------------------------------
+
+
+def _disk(trial: Trial, fault: Fault) -> None:
+    trial.disk.begin(fault)
+
+
+def _disk_end(trial: Trial, fault: Fault) -> None:
+    trial.disk.end(fault)
+
+
+class Bug(Exception):
+    """An error that nobody expected."""
+
+
+def _process(trial: Trial, fault: Fault) -> None:
+    fault.hits = fault.must_tell = 1
+    if fault.kind == "killed":
+        trial.die()
+    elif fault.kind == "killed in a write":
+        trial.disk.die_in_write = True
+    elif fault.kind == "bug":
+        raise Bug("an error that nobody expected")
+    else:
+        trial.hang_s = 0.05 + 3.0 * fault.size
+        fault.must_tell = int(trial.hang_s > 0.4)
+
+
+# ---- supply, valve ------------------------------------------------------------------
+
+
+def _supply(trial: Trial, fault: Fault) -> None:
+    bench = trial.bench
+    volts = bench.extras.devices.get("supply")
+    fault.hits = 1
+    if fault.kind.startswith("solenoids"):
+        if volts is None:
+            fault.hits = 0
+        elif fault.kind == "solenoids off":
+            volts.is_on = False
+        else:
+            volts.set_v *= 0.3 + 0.4 * fault.size
+        return
+    trial.supply_kpa = float(bench.plant.params[0] * 0 + bench.plant.state[5]) * 1e-3
+    factor = 0.2 + 0.7 * fault.size if fault.kind == "drop" else 1.05 + 0.55 * fault.size
+    bench.plant.set_supply(min(1200.0, trial.supply_kpa * factor))
+
+
+def _supply_end(trial: Trial, fault: Fault) -> None:
+    if not fault.kind.startswith("solenoids"):
+        trial.bench.plant.set_supply(trial.supply_kpa)
+
+
+def _valve(trial: Trial, fault: Fault) -> None:
+    board = trial.bench.board
+    fault.hits = 1
+    if fault.kind == "inlet stuck open":
+        board.inlet_jammed = True
+    elif fault.kind == "outlet stuck open":
+        board.outlet_jammed = True
+    elif fault.kind == "slow":
+        trial.delays = trial.bench.plant.params[DELAY : DELAY + 4].copy()
+        trial.bench.plant.params[DELAY : DELAY + 4] *= 1.5 + 6.0 * fault.size
+    else:
+        trial.shut.add(fault.kind.split()[0])
+
+
+def _valve_end(trial: Trial, fault: Fault) -> None:
+    board = trial.bench.board
+    if fault.kind == "inlet stuck open":
+        board.inlet_jammed = False
+    elif fault.kind == "outlet stuck open":
+        board.outlet_jammed = False
+    elif fault.kind == "slow":
+        trial.bench.plant.params[DELAY : DELAY + 4] = trial.delays
+    else:
+        trial.shut.discard(fault.kind.split()[0])
+
+
+def _nothing(trial: Trial, fault: Fault) -> None:
+    """Clock faults are there from the start; see Trial."""
+    fault.hits = 1
+
+
+_BEGIN = {
+    "wire": _wire, "instrument": _instrument, "sensor": _sensor, "controller": _controller,
+    "camera": _camera, "disk": _disk, "process": _process, "supply": _supply, "valve": _valve,
+    "clock": _nothing,
+}  # fmt: skip
+_END = {
+    "wire": _wire_end, "instrument": _instrument_end, "sensor": _sensor_end,
+    "camera": _camera_end, "disk": _disk_end, "supply": _supply_end, "valve": _valve_end,
+}  # fmt: skip

@@ -1,0 +1,129 @@
+"""The page of results, docs/faults.md: written by the campaign, from its journal."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from .campaign import versions
+from .kinds import KINDS
+from .places import CLASSES
+
+Z95 = 1.6449
+"""Of a one-sided bound at 95 %."""
+FINDINGS = ("untold", "late", "unreadable", "wrong", "stuck")
+TITLE = (
+    "# Faults survived",
+    "",
+    "Made by `make faults` (`python -m tests.faults --page docs/faults.md`): tiny runs of every",
+    "protocol on the virtual clock, each with one to three faults at random moments, judged by",
+    "the bench's own truth and by the bytes on disk. A run's number names protocol, seed and",
+    "faults: `python -m tests.faults --only NUMBER` makes one again, and keeps it.",
+    "",
+)
+HEAD = (
+    "| Fault | Protocols | Runs | Untold | Vent late | Unreadable | Wrong value | Cannot go on"
+    " | Bound | Slowest command | Slowest emptying |"
+)
+LEGEND = (
+    "*Untold*: neither record nor message shows that something was wrong. *Vent late*: beyond",
+    "the deadlines of docs/safety-contract.md, or air in the muscle 3 s after the end that could",
+    "have gone. *Unreadable*: a row that the host had taken before the fault is gone or reads",
+    "otherwise, or `runs verify` finds damage. *Wrong value*: a number in the table beyond six",
+    "of its own standard uncertainties (and what it moved meanwhile) from the truth, or, for",
+    "valve and control tests, beyond six times the spread of runs without fault. *Bound*: upper",
+    "95 % Wilson bound of the share of runs with any finding. A run with several faults counts",
+    "for each.",
+)
+EXEMPT = (
+    "Not held against a run: a heartbeat, command or single reading that was lost and made good;",
+    "a digit flipped into another digit on a line whose protocol has no checksum (MT-SICS), as",
+    "long as no value is wrong by it; a supply or valve fault after which every value is right.",
+)
+MARK = "<!-- below this line the page is written by hand -->"
+
+
+def wilson_upper(bad: int, runs: int) -> float:
+    """Upper bound (95 %, one-sided, Wilson) of a share of which ``bad`` of ``runs`` were seen."""
+    if not runs:
+        return 1.0
+    share, z2 = bad / runs, Z95 * Z95
+    middle = share + z2 / (2 * runs)
+    spread = Z95 * math.sqrt(share * (1 - share) / runs + z2 / (4 * runs * runs))
+    return min(1.0, (middle + spread) / (1 + z2 / runs))
+
+
+def write_page(results: Sequence[dict[str, Any]], path: Path) -> None:
+    """Write the page; what somebody wrote below the mark stays."""
+    kept = ""
+    if path.exists() and MARK in (old := path.read_text(encoding="utf-8")):
+        kept = old[old.index(MARK) :]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(_lines(results)) + "\n\n" + (kept or MARK + "\n"), encoding="utf-8")
+
+
+def _lines(results: Sequence[dict[str, Any]]) -> list[str]:
+    numbers = [r["number"] for r in results]
+    bad = [r for r in results if r["crashed"] or any(r[k] for k in FINDINGS)]
+    hit = [r for r in results if any(f["hits"] for f in r["faults"])]
+    ends = Counter(r["outcome"] for r in results)
+    cpu_min = sum(r["cpu_s"] for r in results) / 60
+    gone_on = sum(r["continued"] for r in results)
+    about = f"{datetime.now(UTC):%Y-%m-%d}, {versions()}; {cpu_min:.0f} min of CPU"
+    lines = [
+        *TITLE,
+        f"{len(results)} runs, numbers {min(numbers)} to {max(numbers)}, in {len(hit)} of which a"
+        f" fault came to act; {about}. They ended"
+        f" {', '.join(f'{n} {k}' for k, n in ends.most_common())}; {gone_on} that did not come to"
+        " their end were gone on with (`pamrig continue`; every other one was tried).",
+        "",
+        f"**{len(bad)} runs with a finding**; with 95 % confidence fewer than"
+        f" {100 * wilson_upper(len(bad), len(results)):.2f} % of such runs have one.",
+        "",
+        HEAD,
+        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for layer in KINDS:
+        for group in ("static", "valve", "control"):
+            mine = [r for r in hit if CLASSES[r["protocol"]] == group and _has(r, layer)]
+            if mine:
+                lines.append(_row(layer, group, mine))
+    lines.append(_row("**all**", "all", list(results)))
+    lines += ["", *LEGEND, "", "Kinds: " + "; ".join(_kinds(layer, hit) for layer in KINDS) + "."]
+    lines += ["", *EXEMPT, ""]
+    if bad:
+        lines += ["Findings:", ""]
+        lines += [f"- run {r['number']} ({r['protocol']}): {_first(r)}" for r in bad[:40]]
+        lines.append("")
+    return lines
+
+
+def _has(result: dict[str, Any], layer: str) -> bool:
+    return any(f["layer"] == layer and f["hits"] for f in result["faults"])
+
+
+def _row(layer: str, group: str, mine: Sequence[dict[str, Any]]) -> str:
+    counts = [sum(bool(r[k]) for r in mine) for k in FINDINGS]
+    bad = sum(bool(r["crashed"]) or any(r[k] for k in FINDINGS) for r in mine)
+    command = max((r["worst_commanded_s"] for r in mine), default=0.0)
+    empty = max((r["worst_empty_s"] for r in mine), default=0.0)
+    cells = [layer, group, len(mine), *counts, f"{100 * wilson_upper(bad, len(mine)):.1f} %"]
+    cells += [f"{command * 1e3:.0f} ms", f"{empty:.2f} s"]
+    return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def _kinds(layer: str, hit: Sequence[dict[str, Any]]) -> str:
+    counts = Counter(
+        f["kind"] for r in hit for f in r["faults"] if f["layer"] == layer and f["hits"]
+    )
+    return f"{layer} (" + ", ".join(f"{kind} {counts[kind]}" for kind in KINDS[layer]) + ")"
+
+
+def _first(result: dict[str, Any]) -> str:
+    words = [text for k in FINDINGS for text in result[k]] + [result["crashed"]]
+    faults = "; ".join(f"{f['layer']}: {f['kind']} {f['device']}".strip() for f in result["faults"])
+    return f"{next(w for w in words if w)} ({faults})"

@@ -1,0 +1,328 @@
+"""One run of a protocol with faults put upon it, and what only the simulation knows about it."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import pickle
+import random
+import signal
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+import rigs.virtual.bench as bench_module
+from daq.clock import VirtualClock
+from daq.errors import PamrigError
+from rigs.config import load_rig
+from rigs.protocols.registry import procedure
+from rigs.runner import Runner
+from rigs.session import run_protocol
+from rigs.virtual.board import SimBoard
+
+from . import kinds
+from .disk import FaultyDisk
+from .kinds import Bug, Fault
+from .places import lay_out
+from .wires import Rule, Wires
+
+AFTER_S = 3.0
+"""How long the bench goes on without a host."""
+SECONDS = {"isometric": 10.5, "isobaric": 7.8, "isotonic": 24.0, "isothermal": 12.5,
+           "hysteresis": 11.5, "switching-time": 9.2, "switching-voltage": 16.0, "flow": 9.4,
+           "step": 5.6, "ram": 8.0}  # fmt: skip
+BENCH_SEEDS = 40
+
+
+@dataclass
+class Truth:
+    """What the simulation knows of a run; everything in it is the bench's, not the host's.
+
+    Attributes:
+        us, kpa: true pressure, each millisecond (bench time).
+        vents: (bench us, whether the outlet is told to stay open and the inlet shut), at changes.
+        beats: (bench us, armed) of every heartbeat that reached the controller whole.
+        track: rows of (bench us, length mm, pull N), each 20 ms.
+        frame_mm: true length at each picture that was stored, from picture ``first_frame`` on.
+        taken: rows of each stream that the host handed to its record before anything failed.
+        end_kpa: true pressure 3 s after the host was done.
+    """
+
+    protocol: str
+    seed: int
+    faults: list[Fault]
+    start0_us: int = 0
+    trip_kpa: float = 0.0
+    us: Any = None
+    kpa: Any = None
+    vents: list[tuple[int, bool]] = field(default_factory=list)
+    beats: list[tuple[int, bool]] = field(default_factory=list)
+    track: list[tuple[int, float, float]] = field(default_factory=list)
+    frame_mm: list[float] = field(default_factory=list)
+    first_frame: int = 0
+    taken: dict[str, Any] = field(default_factory=dict)
+    end_kpa: float = 0.0
+    sealed_in: bool = False
+    """The inlet stays open or the outlet shut, so that the air cannot go."""
+    done_us: int = 0
+    outcome: str = ""
+    error: str = ""
+    crashed: str = ""
+    folder: str = ""
+    planned: int = 0
+    killed: bool = False
+
+
+class Trial:
+    """Puts faults upon one run and watches the bench meanwhile."""
+
+    def __init__(self, protocol: str, seed: int, work: Path, faults: list[Fault]) -> None:
+        self.truth = Truth(protocol, seed, faults)
+        self.rng = random.Random(f"{protocol}/{seed}/places")
+        self.files = lay_out(work / "files")[protocol]
+        self.root = work / "runs" / f"{protocol}-{seed}"
+        self.disk = FaultyDisk(self.rng)
+        self.disk.stall, self.disk.die = self._stall, self.die
+        self.rules: dict[int, Any] = {}
+        self.camera_fault: Fault | None = None
+        self.hang_s = 0.0
+        self.shut: set[str] = set()
+        self.delays: Any = None
+        self.supply_kpa = 0.0
+        self.bench: Any = None
+        self.pipe = -1
+        self._begun: list[Fault] = []
+        self._waiting: list[Fault] = []
+        self._last_frame: Any = None
+
+    # ---- the run --------------------------------------------------------------------
+
+    def run(self) -> Truth:
+        """The whole run and three seconds more."""
+        truth = self.truth
+        config = load_rig(str(self.files[0]), 1 + truth.seed % BENCH_SEEDS)
+        kind = procedure(truth.protocol)
+        plan = kind.read(str(self.files[1]), config)
+        truth.trip_kpa = config.limits.trip_kpa
+        with self._clocks(), self.disk.fitted():
+            try:
+                result = run_protocol(
+                    kind, config, plan, self.root, derive=False, on_start=self._start
+                )
+                truth.outcome = result.outcome
+                truth.error = str(result.error) if result.error else ""
+                truth.planned = result.planned
+            except PamrigError as error:  # what the command line prints
+                truth.outcome, truth.error = "refused", str(error)
+            except Bug as error:
+                truth.outcome, truth.error = "aborted", repr(error)
+            except Exception as error:  # a bare traceback is a finding of its own
+                truth.outcome, truth.crashed = "crashed", f"{type(error).__name__}: {error}"
+        self.finish()
+        return truth
+
+    @contextlib.contextmanager
+    def _clocks(self) -> Any:
+        """Faults of clocks are there from the start."""
+        with contextlib.ExitStack() as stack:
+            for fault in self.truth.faults:
+                if fault.layer != "clock":
+                    continue
+                fault.hits, fault.begun_us = 1, 0
+                if fault.kind == "drift":
+                    drift = (fault.size - 0.5) * 600e-6
+                    stack.enter_context(patch.object(bench_module, "DRIFT", drift))
+                elif fault.kind == "device time wraps":
+                    at_us = round((0.5 + fault.size * SECONDS[self.truth.protocol]) * 1e6)
+                    self.truth.start0_us = 2**32 - at_us
+                    board = functools.partial(SimBoard, start_ticks_us=2**32 - at_us)
+                    stack.enter_context(patch.object(bench_module, "SimBoard", board))
+                else:
+                    stack.enter_context(
+                        patch.object(
+                            VirtualClock, "wall_ns", _jumping(VirtualClock.wall_ns, self.rng)
+                        )
+                    )
+            yield
+
+    def spoken(self) -> set[str]:
+        """Devices whose readings this protocol needs, or that speak anyhow."""
+        return {"valve", "balance", "stage", "supply", "thermometer", "flow", "load_cell"}
+
+    def _start(self, runner: Runner, record: Any) -> None:
+        rig = runner.rig
+        assert rig.bench is not None
+        self.bench = bench = rig.bench
+        self.truth.folder = str(record.folder)
+        self._clock = rig.clock
+        bench.board._truth_every = bench.board._truth_left = 1
+        self.wires = Wires(bench, self.rng)
+        self.wires.on_beat = lambda: self.truth.beats.append(
+            (bench.board.bench_us, bool(bench.board.controller.safety.armed))
+        )
+        self._watch_valves()
+        self._watch_rows(rig, record)
+        self.truth.first_frame = max(0, record._frames.n - 1)
+        self._watch_camera(rig)
+        now_s = bench.board.bench_us * 1e-6
+        self._waiting = [f for f in self.truth.faults if f.layer not in kinds.FROM_THE_START]
+        for fault in self._waiting:
+            kinds.place(fault, self.rng, SECONDS[self.truth.protocol])
+            fault.start_s += now_s
+            fault.end_s += now_s
+        rig.pump.add(self._poll)
+        rig.clock.on_advance(self._tick)  # type: ignore[attr-defined]
+
+    def _watch_valves(self) -> None:
+        board, vents = self.bench.board, self.truth.vents
+        drive, let_go = board.drive, board._let_go
+
+        def note() -> None:
+            if not vents or vents[-1][1] != board._venting:
+                vents.append((board.bench_us, board._venting))
+
+        def watched(inlet_us: int, vent_us: int) -> None:
+            drive(inlet_us, vent_us)
+            note()
+            if "inlet" in self.shut:
+                board._inlet_us = 0
+            if "outlet" in self.shut:
+                board._vent_us = 0
+
+        def released() -> None:
+            let_go()
+            note()
+
+        board.drive, board._let_go = watched, released
+        note()
+
+    def _watch_rows(self, rig: Any, record: Any) -> None:
+        taken: dict[str, list[Any]] = {"valve": [], "balance": []}
+        self._taken = taken
+
+        def keep(stream: str, batch: Any) -> None:
+            if not record._closed:  # a device still talks while the bench is being closed
+                taken[stream].append({k: np.array(v) for k, v in batch.items()})
+
+        rig.valve.on_batch.append(functools.partial(keep, "valve"))
+        rig.balance.on_rows.append(functools.partial(keep, "balance"))
+
+    def _watch_camera(self, rig: Any) -> None:
+        if not hasattr(rig.camera, "_expose"):
+            return
+        real, frame_mm = rig.camera._expose, self.truth.frame_mm
+
+        def expose() -> Any:
+            frame = real()
+            length = self.bench.plant.length_mm
+            if self.camera_fault is not None:
+                try:
+                    frame = kinds.spoil_frame(self, self.camera_fault, frame, self._last_frame)
+                except PamrigError:
+                    self._clock.sleep(2.0)
+                    raise
+            frame_mm.append(length)
+            self._last_frame = frame
+            return frame
+
+        rig.camera._expose = expose
+
+    # ---- while it runs --------------------------------------------------------------
+
+    def _tick(self, until_ns: int) -> None:
+        del until_ns
+        bench = self.bench
+        now_us = bench.board.bench_us
+        self.truth.track.append((now_us, bench.plant.length_mm, bench._lift_n()))
+        self.wires.advance()
+        now_s = now_us * 1e-6
+        for fault in [f for f in self._begun if now_s >= f.end_s]:
+            self._begun.remove(fault)
+            kinds.end(self, fault)
+        for fault in [f for f in self._waiting if now_s >= f.start_s]:
+            self._waiting.remove(fault)
+            self._begun.append(fault)
+            kinds.begin(self, fault)
+
+    def _poll(self) -> None:
+        if self.hang_s:
+            seconds, self.hang_s = self.hang_s, 0.0
+            self._stall(seconds)
+
+    def _stall(self, seconds: float) -> None:
+        """The program stands still; the bench does not."""
+        if self.bench is not None:
+            self._clock.sleep(seconds)
+
+    def die(self) -> None:
+        """SIGKILL, now; a copy of the process lets the bench go on by itself and tells of it."""
+        if os.fork():
+            os.kill(os.getpid(), signal.SIGKILL)
+        self.truth.killed = True
+        self.truth.outcome = "killed"
+        self.finish()
+        with os.fdopen(self.pipe, "wb") as out:
+            pickle.dump(self.truth, out)
+        os._exit(0)
+
+    def finish(self) -> None:
+        """Three seconds without a host; then all that is known is put together."""
+        truth = self.truth
+        if self.bench is None:
+            return
+        board = self.bench.board
+        truth.done_us = board.bench_us
+        self._waiting.clear()
+        board_clock = self._clock
+        if truth.killed:  # inside the clock's own round: the bench is turned by hand
+            self.bench.advance_to(board_clock.now_ns() + round(AFTER_S * 1e9))
+        else:
+            self.hang_s = 0.0
+            board_clock.sleep(AFTER_S)
+        truth.sealed_in = board.inlet_jammed or "outlet" in self.shut
+        for fault in self._begun:
+            kinds.end(self, fault)
+        truth.end_kpa = board.pressure_kpa
+        truth.us = np.array(board.truth_us)
+        truth.kpa = np.array(board.truth_kpa)
+        for stream, batches in self._taken.items():
+            truth.taken[stream] = (
+                {k: np.concatenate([b[k] for b in batches]) for k in batches[0]} if batches else {}
+            )
+
+
+def _jumping(real: Any, rng: random.Random) -> Any:
+    """A wall clock that somebody sets to and fro, by up to 400 days."""
+    span_ns = 400 * 86_400_000_000_000
+    return lambda clock: real(clock) + rng.randrange(-span_ns, span_ns)
+
+
+def run_trial(protocol: str, seed: int, work: Path, faults: list[Fault]) -> Truth:
+    """One run with faults; in a process of its own where it is to be killed."""
+    trial = Trial(protocol, seed, work, faults)
+    if not any(f.kind.startswith("killed") for f in faults):
+        return trial.run()
+    read, trial.pipe = os.pipe()
+    child = os.fork()
+    if not child:
+        os.close(read)
+        try:
+            truth = trial.run()
+            with os.fdopen(trial.pipe, "wb") as out:
+                pickle.dump(truth, out)
+        finally:
+            os._exit(0)
+    os.close(trial.pipe)
+    with os.fdopen(read, "rb") as file:
+        data = file.read()
+    os.waitpid(child, 0)
+    truth = pickle.loads(data)
+    assert isinstance(truth, Truth)
+    return truth
+
+
+__all__ = ["Rule", "Trial", "Truth", "run_trial"]

@@ -1,0 +1,151 @@
+"""The fault campaign at its small size, what it found, and that its judges can say no."""
+
+from __future__ import annotations
+
+import copy
+import errno
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daq.run import open_run
+from faults.campaign import run_campaign
+from faults.judge import judge
+from faults.kinds import Fault
+from faults.page import wilson_upper, write_page
+from faults.trial import Truth, run_trial
+from protocol_runs import run_short
+from rigs.loads import HangLoad
+from rigs.segments import remaining
+from rigs.steps import EndTrial, Steps, Trial
+
+SMALL = range(14)
+
+
+def findings(result: dict[str, Any]) -> list[str]:
+    """All that the judges say of a run."""
+    names = ("untold", "late", "unreadable", "wrong", "stuck")
+    return [text for name in names for text in result[name]] + [t for t in [result["crashed"]] if t]
+
+
+def test_a_sample_of_the_campaign_finds_nothing(tmp_path: Path) -> None:
+    results = run_campaign(SMALL, tmp_path)
+    assert {r["number"]: findings(r) for r in results if findings(r)} == {}
+    assert sum(any(f["hits"] for f in r["faults"]) for r in results) > len(results) / 2
+    assert run_campaign(SMALL, tmp_path) == results  # nothing is run twice
+    write_page(results, tmp_path / "faults.md")
+    assert f"{len(SMALL)} runs" in (tmp_path / "faults.md").read_text()
+
+
+@pytest.mark.campaign
+def test_two_hundred_runs_find_nothing(tmp_path: Path) -> None:
+    results = run_campaign(range(10_000, 10_200), tmp_path, 2)
+    assert {r["number"]: findings(r) for r in results if findings(r)} == {}
+
+
+def test_wilson_bound() -> None:
+    # 0 of 5000: z^2 / (n + z^2) with z = 1.6449; and no bound is below what was seen.
+    assert wilson_upper(0, 5000) == pytest.approx(1.6449**2 / (5000 + 1.6449**2))
+    assert wilson_upper(3, 10) > 0.3
+
+
+# ---- the judges can say no -----------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Truth:
+    """A short run in which nothing went wrong."""
+    truth = run_trial("step", 0, tmp_path_factory.mktemp("judged"), [])
+    assert truth.outcome == "clean"
+    assert judge(truth).sound
+    return truth
+
+
+def test_a_fault_without_a_trace_is_untold(sound: Truth) -> None:
+    truth = copy.copy(sound)
+    for layer, device in (
+        ("wire", "valve"),
+        ("instrument", "balance"),
+        ("camera", ""),
+        ("disk", ""),
+    ):
+        truth.faults = [Fault(layer, "any", device, hits=1, must_tell=1)]
+        assert judge(truth).untold == [truth.faults[0].name]
+    truth.outcome, truth.error = "faulted", "the reason"
+    assert judge(truth).untold == []
+
+
+def test_a_vent_that_comes_late_is_late(sound: Truth) -> None:
+    truth = copy.copy(sound)
+    half = len(truth.beats) // 2
+    armed_us = truth.beats[half][0]
+    truth.beats = truth.beats[: half + 1]  # and none after it
+    truth.vents = [(0, True), (armed_us - 1, False), (armed_us + 400_000, True)]
+    assert "no heartbeat" in judge(truth).late[0]
+    truth.vents[-1] = (armed_us + 340_000, True)
+    assert not any("no heartbeat" in late for late in judge(truth).late)
+    truth = copy.copy(sound)
+    truth.end_kpa = 50.0
+    assert judge(truth).late == ["50 kPa in the muscle 3 s after the end"]
+    truth = copy.copy(sound)
+    truth.trip_kpa = float(truth.kpa.max()) - 10.0
+    assert any("over-pressure" in late for late in judge(truth).late)
+
+
+def test_a_row_that_is_gone_or_other_is_unreadable(sound: Truth) -> None:
+    truth = copy.deepcopy(sound)
+    truth.taken["valve"]["counts"][100] += 1
+    assert {"valve.counts reads otherwise (arrow)", "valve.counts reads otherwise (pamrig)"} == set(
+        judge(truth).unreadable
+    )
+    truth = copy.deepcopy(sound)
+    truth.taken["valve"]["seq"][-1] += 10_000
+    assert any("gone" in found for found in judge(truth).unreadable)
+
+
+def test_a_sample_that_is_off_is_wrong(sound: Truth) -> None:
+    truth = copy.deepcopy(sound)
+    truth.kpa = truth.kpa + 40.0
+    truth.trip_kpa = 1e6
+    assert any("off" in found for found in judge(truth).wrong)
+
+
+# ---- what the campaign found; each was red ---------------------------------------------
+
+
+def test_steps_after_the_last_trial_take_answers_when_a_test_is_gone_on_with() -> None:
+    """`pamrig continue` broke off with a traceback where a load was still to be taken down."""
+
+    def method() -> Steps:
+        yield Trial(1, "M1", 1, 1, "m1", "isotonic", ())
+        yield EndTrial(1)
+        answer = yield HangLoad(0.0)
+        assert answer == 0.0 or answer is None
+
+    steps = remaining(method(), [1])
+    assert isinstance(steps.send(None), HangLoad)
+    with pytest.raises(StopIteration):
+        steps.send(0.0)
+
+
+def test_a_record_whose_last_words_are_lost_is_not_called_clean(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk failed after the last step: final.json said faulted, the command line clean."""
+    real = os.fsync
+    failed: list[int] = []
+
+    def fsync(fd: int) -> None:
+        if not failed and os.readlink(f"/proc/self/fd/{fd}").endswith("events.jsonl"):
+            failed.append(fd)
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        real(fd)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    result, run, _ = run_short("step", tmp_path)
+    assert failed
+    assert open_run(run.folder).outcome == "faulted"
+    assert result.outcome == "faulted"
+    assert "disk reports a fault" in str(result.error)
