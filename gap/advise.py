@@ -29,6 +29,7 @@ MORE = 1.3
 """By how much an experiment has to raise a separation that is enough already."""
 MOST_TRIALS = 24
 LEAST_REPEATS = 2
+BEGIN_MIN = 3.0
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,8 @@ class _Plan:
 
     @property
     def minutes(self) -> float:
-        return self.repeats * self.candidate.minutes
+        """Bench time with what it takes to begin a run."""
+        return BEGIN_MIN + self.repeats * self.candidate.minutes
 
 
 def advise(q: Inquiry, best: State | None, rivals: Sequence[State]) -> Experiment | None:

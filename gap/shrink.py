@@ -15,7 +15,7 @@ from scipy.stats import t as student
 
 from gap.evidence import gather, tolerance
 from gap.inquiry import Inquiry, State
-from gap.parameters import headline_estimates
+from gap.parameters import headline_estimates, settled
 from gap.rows import BLOCKS, UNITS
 from gap.verdict import Gap
 from plant.catalogue import CATALOGUE
@@ -203,6 +203,7 @@ def improved_plant(q: Inquiry, state: State) -> str:
     The simulator (`pamrig simulate --plant`), the live prediction (`--predict`), the virtual bench
     and `bench.toml` read it.
     """
+    state = settled(q, state)
     lines = ["# The plant as recalibrated on these data, with the effects that explain the gap."]
     constants = q.constants(state.shift)
     usual = nominal()
@@ -225,7 +226,7 @@ def improved_plant(q: Inquiry, state: State) -> str:
             lines += [f"{k} = {_toml(v)}" for k, v in q.data.effects.values[name].items()]
             continue
         known = {parameter.name: parameter for parameter in entry.parameters}
-        for key, estimate in headline_estimates(q, only(state, name)).items():
+        for key, estimate in headline_estimates(q, only(state, name), whole=False).items():
             value = estimate.value
             if isinstance(value, str):
                 lines.append(f'{key} = "{value}"')
