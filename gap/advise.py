@@ -25,8 +25,6 @@ from plant.catalogue import CATALOGUE
 from plant.errors import PlantError
 
 ENOUGH = 3.3
-MORE = 1.3
-"""By how much an experiment has to raise a separation that is enough already."""
 MOST_TRIALS = 24
 LEAST_REPEATS = 2
 BEGIN_MIN = 3.0
@@ -91,7 +89,9 @@ def advise(q: Inquiry, best: State | None, rivals: Sequence[State]) -> Experimen
     rival, now = rivals[nearest], apart[nearest]
     present = sum_of(found[nearest])
     between = ("+".join(best.ids), "+".join(rival.ids))
-    enough = max(ENOUGH, MORE * now)
+    # Where forms that are never exact have kept two apart in name only, it takes an experiment
+    # that would be enough by itself.
+    enough = ENOUGH if now < ENOUGH else float(np.hypot(now, ENOUGH))
     plans = [
         plan
         for plan in (_plan(q, best, rival, c, present, enough) for c in _library(q, best))

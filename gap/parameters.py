@@ -50,11 +50,13 @@ def headline_estimates(q: Inquiry, state: State, whole: bool = True) -> dict[str
 
     Shapes of one effect add up. With two effects of the same parameter name the later gets its
     id in front. With `whole`, what a constant of the same meaning took over beyond its tolerance
-    counts to the effect; without it the parameters go with the constants of the state.
+    counts to the effect, and the state is settled first; without it the parameters go with the
+    constants of the state as it stands.
     """
     made: dict[str, Estimate] = {}
     n = len(q.names)
-    state = settled(q, state)
+    if whole:
+        state = settled(q, state)
     spread = max(1.0, np.sqrt(state.cost / max(len(q.rows), 1)))
     for name in state.ids:
         entry = CATALOGUE[name]
