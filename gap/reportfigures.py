@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.examination import Examination, Field
+from gap.mapfigures import courses_figure
 from gap.verdict import Share
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ def figures(examined: Examination) -> dict[str, str]:
             "ladder": ladder(examined),
             "stages": stages(examined.verdict.stages),
             "maps": maps(examined.field) if examined.field is not None else None,
+            "courses": courses_figure(examined.courses, bool(examined.verdict.effects)),
             "order": course(examined.field) if examined.field is not None else None,
         }
         return {name: _embedded(figure) if figure else "" for name, figure in made.items()}
