@@ -101,7 +101,13 @@ def stages(shares: tuple[Share, ...]) -> Figure | None:
             lw=1.0,
             capsize=3,
         )
-        axes.text(start + value + max(high, 0.0), at, f"  {value:.0f} %", va="center", fontsize=8.5)
+        axes.text(
+            start + value + max(high, 0.0),
+            at,
+            f"  {round(value) + 0:d} %",
+            va="center",
+            fontsize=8.5,
+        )
         start += value
     axes.set_yticks(range(len(shares)), [share.stage for share in shares])
     axes.invert_yaxis()
