@@ -1,108 +1,211 @@
-"""What to measure next: the trials, or the reference standard, that separate the rivals left.
+"""What to measure next: the experiment, or the reference standard, that separates the rivals left.
 
-Two rivals are separated by d' = norm of the difference of their predictions in units of noise,
-once the second has been refitted to look like the first; the right one is then preferred with
-probability Phi(d'/2), so 3.3 is enough for 95 %. What each slot of the present data adds to d'
-says what more trials like it would add. Where no number of trials on this bench would do, a
-reference standard is named instead.
+Every experiment of the library (`gap.library`), of a kind that the data hold or not, is foreseen
+(`gap.foresight`): how far it would move the best explanation and its nearest rival apart. The one
+that gets there in the least bench time is advised; where no number of trials on this bench would
+do, a reference standard is named instead.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from gap.foresight import Products, by_trial, foreseen, products, separation, sum_of
 from gap.inquiry import Inquiry, State
+from gap.library import Candidate, candidates
 from gap.verdict import Experiment
 from plant.catalogue import CATALOGUE
-
-Array = npt.NDArray[np.float64]
+from plant.errors import PlantError
 
 ENOUGH = 3.3
 MOST_TRIALS = 24
+LEAST_REPEATS = 2
+BEGIN_MIN = 3.0
 
 
 @dataclass(frozen=True)
 class Standard:
-    """A reference standard and the families it tells apart from all others."""
+    """A reference standard: what is done with it, and how long that takes."""
 
     name: str
     what: str
-    families: tuple[str, ...]
+    minutes: float
 
 
-STANDARDS = (
-    Standard("vent", "vent to the atmosphere and read the pressure",
-             ("pressure_sensor", "dead_space")),
-    Standard("dead weights", "hang known weights on the force sensor", ("force_sensor", "load")),
-    Standard("gauge block", "hold a gauge block before the camera and between the holders",
-             ("length_sensor", "geometry")),
-    Standard("vented pull", "pull the vented muscle over its lengths", ("elasticity",)),
-    Standard("slow and fast", "the same loop at speeds over two decades", ("friction", "rate")),
-    Standard("locked decay", "shut both valves at pressure and watch", ("flow", "gas")),
-    Standard("pulse widths", "pulses from below to well above the on-delay at two pressures",
-             ("valve_timing",)),
-)  # fmt: skip
+VENT = Standard("vent", "vent to the atmosphere and read the pressure", 2.0)
+GAUGE = Standard("gauge", "read a reference gauge beside the sensor at three pressures", 6.0)
+WEIGHTS = Standard("dead weights", "hang known weights on the force sensor, and none", 6.0)
+BLOCK = Standard("gauge block", "hold a gauge block before the camera at three places", 6.0)
+HOLDERS = Standard("gauge block", "set a gauge block between the holders", 6.0)
+LAMP = Standard("sync lamp", "show the camera a lamp that the controller switches", 4.0)
+SCALES = Standard("scales", "weigh the load", 2.0)
+LOCKED = Standard("locked decay", "shut both valves at pressure and watch for a minute", 4.0)
+SYRINGE = Standard("bypass volume", "connect a known volume and fill once more", 10.0)
+
+REFERENCES: dict[str, tuple[Standard, float]] = {
+    "pressure_zero": (VENT, 0.15),
+    "pressure_gain": (GAUGE, 0.15),
+    "force_zero": (WEIGHTS, 0.05),
+    "force_gain": (WEIGHTS, 0.1),
+    "length_label": (HOLDERS, 0.05),
+    "camera_scale": (BLOCK, 0.05),
+    "camera_distortion": (BLOCK, 0.02),
+    "camera_delay": (LAMP, 0.5),
+    "payload": (SCALES, 0.005),
+    "leak": (LOCKED, 2e-13),
+    "dead_volume": (SYRINGE, 0.05),
+}
+"""For an effect its standard, and how well that gives the headline parameter (one sd, its unit)."""
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """An experiment with as many repeats as it needs, and where that leads."""
+
+    candidate: Candidate
+    repeats: int
+    after: float
+
+    @property
+    def minutes(self) -> float:
+        """Bench time with what it takes to begin a run."""
+        return BEGIN_MIN + self.repeats * self.candidate.minutes
 
 
 def advise(q: Inquiry, best: State | None, rivals: Sequence[State]) -> Experiment | None:
     """Return the experiment that best separates `best` from its nearest rival."""
-    if best is None or not best.suspects:
+    if best is None or not best.suspects or not rivals:
         return None
-    if not rivals:
+    found = [by_trial(q, best, rival) for rival in rivals]
+    apart = [separation(sum_of(f), r) for f, r in zip(found, rivals, strict=True)]
+    nearest = int(np.argmin(apart))
+    rival, now = rivals[nearest], apart[nearest]
+    present = sum_of(found[nearest])
+    between = ("+".join(best.ids), "+".join(rival.ids))
+    # Where forms that are never exact have kept two apart in name only, it takes an experiment
+    # that would be enough by itself.
+    enough = ENOUGH if now < ENOUGH else float(np.hypot(now, ENOUGH))
+    plans = [
+        plan
+        for plan in (_plan(q, best, rival, c, present, enough) for c in _library(q, best))
+        if plan is not None
+    ]
+    reference = _reference(best, rival, present, enough, now, between)
+    if reference is not None and reference[0] < min((p.minutes for p in plans), default=np.inf):
+        return reference[1]
+    if plans:
+        plan = min(plans, key=lambda p: p.minutes)
+        return Experiment(
+            plan.candidate.protocol,
+            {**plan.candidate.settings, "repeats": plan.repeats},
+            now, plan.after, plan.repeats * len(plan.candidate.trials), between,
+            f"{plan.candidate.what}: tells {between[0]} from {between[1]} in about "
+            f"{max(plan.minutes, 1.0):.0f} min",
+        )  # fmt: skip
+    again = _same_again(q, rival, found[nearest], present, enough, now, between)
+    return again if again is not None else _standard(best, between, now)
+
+
+def _library(q: Inquiry, best: State) -> list[Candidate]:
+    """The library, or nothing where the plant as known cannot be simulated."""
+    try:
+        return candidates(q, best)
+    except PlantError:
+        return []
+
+
+def _plan(
+    q: Inquiry, best: State, rival: State, candidate: Candidate, present: Products, enough: float
+) -> _Plan | None:
+    """Repeats that an experiment needs; None where it would take too many."""
+    one = products(foreseen(q, candidate), best, rival)
+    for repeats in range(LEAST_REPEATS, MOST_TRIALS // len(candidate.trials) + 1):
+        after = separation(present + one.times(repeats), rival)
+        if after >= enough:
+            return _Plan(candidate, repeats, after)
+    return None
+
+
+def _same_again(
+    q: Inquiry, rival: State, parts: Sequence[Products], present: Products, enough: float,
+    now: float, between: tuple[str, str],
+) -> Experiment | None:  # fmt: skip
+    """More trials of the slot that separates best, where that does; else None."""
+    best: tuple[int, float, int] | None = None
+    for slot, members in enumerate(q.data.slots.values()):
+        one = sum_of([parts[t] for t in members]).times(1)
+        for rounds in range(1, MOST_TRIALS // len(members) + 1):
+            after = separation(present + one.times(rounds), rival)
+            if after >= enough:
+                count = rounds * len(members)
+                if best is None or count < best[0]:
+                    best = (count, after, slot)
+                break
+    if best is None:
         return None
-    by_unit = [_separation(q, best, rival) for rival in rivals]
-    nearest = min(range(len(rivals)), key=lambda k: float(by_unit[k].sum()))
-    gained = by_unit[nearest]
-    now = float(np.sqrt(gained.sum()))
-    counts = np.bincount(q.units, minlength=len(gained)).astype(np.float64)
-    each = np.where(counts > 0, gained / np.maximum(counts, 1.0), 0.0)
-    unit = int(np.argmax(each))
-    between = ("+".join(best.ids), "+".join(rivals[nearest].ids))
-    lacking = max(ENOUGH**2 - now**2, 0.0)
-    needed = int(np.ceil(lacking / each[unit])) if each[unit] > 0.0 else MOST_TRIALS + 1
-    if needed > MOST_TRIALS:
-        return _standard(best, between, now)
-    needed = max(needed, 2)
-    trial = q.data.trials[int(np.flatnonzero(q.units == unit)[0])]
-    settings = {
-        name: value
-        for name, value in (
-            ("held_length_mm", trial.held_length_mm),
-            ("load_kg", trial.load_kg),
-            ("like_slot", trial.slot),
-        )
-        if isinstance(value, str) or np.isfinite(value)
-    }
+    count, after, slot = best
+    name = list(q.data.slots)[slot]
+    trial = q.data.trials[q.data.slots[name][0]]
+    settings: dict[str, Any] = {"like_slot": name, "repeats": count}
+    for key, value in (("held_length_mm", trial.held_length_mm), ("load_kg", trial.load_kg)):
+        if np.isfinite(value):
+            settings[key] = value
     return Experiment(
-        trial.protocol, settings, now, float(np.sqrt(now**2 + needed * each[unit])), needed,
-        between, f"trials like slot {trial.slot} tell {between[0]} from {between[1]} best",
+        trial.protocol, settings, now, after, count, between,
+        f"trials like slot {name} tell {between[0]} from {between[1]} best",
     )  # fmt: skip
 
 
-def _separation(q: Inquiry, first: State, second: State) -> Array:
-    """Squared distance of two fitted explanations in units of noise, by slot."""
-    gap = first.residual - second.residual
-    made = np.zeros(int(q.units.max(initial=-1)) + 1)
-    for trial, rows in enumerate(q.noise.trial_rows):
-        if len(rows):
-            made[q.units[trial]] += q.noise.solve(trial, gap[rows][:, None])[0][0, 0]
-    return made
+def _reference(
+    best: State, rival: State, present: Products, enough: float, now: float,
+    between: tuple[str, str],
+) -> tuple[float, Experiment] | None:  # fmt: skip
+    """Quickest standard that tells the two apart, with its minutes; None where none does."""
+    found: list[tuple[float, float, Standard, str]] = []
+    for name in dict.fromkeys([*best.ids, *rival.ids]):
+        if name not in REFERENCES:
+            continue
+        standard, error = REFERENCES[name]
+        after = separation(present + _measured(best, rival, name, error), rival)
+        if after >= enough:
+            found.append((standard.minutes, after, standard, name))
+    if not found:
+        return None
+    minutes, after, standard, name = min(found, key=lambda f: f[0])
+    why = f"{standard.what}: gives {name} by itself, whatever the muscle does"
+    settings = {"standard": standard.name, "procedure": standard.what}
+    return minutes, Experiment("reference", settings, now, after, 1, between, why)
+
+
+def _measured(best: State, rival: State, name: str, error: float) -> Products:
+    """What a direct measurement of one effect's amount adds."""
+    n = len(rival.shift)
+    column = np.r_[np.zeros(n), [float(s.id == name) for s in rival.suspects]] / error
+    apart = (_amount(rival, name) - _amount(best, name)) / error
+    return Products(apart**2, apart * column, np.outer(column, column))
+
+
+def _amount(state: State, name: str) -> float:
+    return float(sum(a for s, a in zip(state.suspects, state.amounts, strict=True) if s.id == name))
 
 
 def _standard(best: State, between: tuple[str, str], now: float) -> Experiment:
-    """The reference standard for what no trial on this bench separates."""
-    families = [CATALOGUE[name].family for name in best.ids if name in CATALOGUE]
-    fit = next((s for s in STANDARDS if set(families) & set(s.families)), STANDARDS[0])
-    told = CATALOGUE[best.ids[0]].told_apart_by if best.ids[0] in CATALOGUE else fit.what
-    return Experiment(
-        "reference", {"standard": fit.name, "procedure": fit.what}, now, max(now, ENOUGH + 1.4), 1,
-        between, told,
-    )  # fmt: skip
+    """What the catalogue says would tell the best entry apart, where no figure can be promised."""
+    name = next((n for n in best.ids if n in REFERENCES), best.ids[0])
+    told = CATALOGUE[name].told_apart_by if name in CATALOGUE else ""
+    standard = REFERENCES[name][0] if name in REFERENCES else None
+    settings = {
+        "standard": standard.name if standard else "see why",
+        "procedure": standard.what if standard else told,
+    }
+    return Experiment("reference", settings, now, now, 1, between, told)
 
 
 def protocol_text(experiment: Experiment) -> str | None:
@@ -111,12 +214,37 @@ def protocol_text(experiment: Experiment) -> str | None:
     source = folder.joinpath(f"{experiment.protocol}.toml")
     if not source.is_file():
         return None
-    lines = [f"# Advised: {experiment.why}", f"# {experiment.trials} trials"]
-    for line in source.read_text(encoding="utf-8").splitlines():
-        key = line.split("=")[0].strip()
-        if key == "repeats":
-            line = f"repeats = {experiment.trials}"
-        elif key == "lengths_mm" and "held_length_mm" in experiment.settings:
-            line = f"lengths_mm = [{experiment.settings['held_length_mm']}]"
-        lines.append(line)
+    table = tomllib.loads(source.read_text(encoding="utf-8"))
+    table["name"] = f"advised-{experiment.protocol}"
+    for key, value in experiment.settings.items():
+        if key == "held_length_mm" and "lengths_mm" in table:
+            table["lengths_mm"] = [value]
+        elif key == "load_kg" and "masses_kg" in table:
+            table["masses_kg"] = [value]
+        elif value is None:
+            table.pop(key, None)
+        elif isinstance(value, Mapping):
+            table[key] = {**table.get(key, {}), **value}
+        elif key in table:
+            table[key] = value
+    lines = [
+        f"# Advised: {experiment.why}.",
+        f"# {experiment.trials} trials; separation {experiment.separation_now:.1f} now, "
+        f"{experiment.separation_after:.1f} afterwards (3.3 is right 95 times in 100).",
+    ]
+    lines += [f"{k} = {_toml(v)}" for k, v in table.items() if not isinstance(v, dict)]
+    for key, value in table.items():
+        if isinstance(value, dict):
+            lines += ["", f"[{key}]", *(f"{k} = {_toml(v)}" for k, v in value.items())]
     return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """A value as TOML writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return repr(value.item() if hasattr(value, "item") else value)

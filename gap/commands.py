@@ -143,7 +143,11 @@ def _next_text(verdict: Verdict, written: str | None) -> list[str]:
         f"({' against '.join(experiment.between)})"
     )
     lines.append(f"why         {experiment.why}")
-    return [*lines, f"written     {written}"] if written else lines
+    if written:
+        lines.append(
+            f"written     {written}; run it with pamrig {experiment.protocol} --protocol {written}"
+        )
+    return lines
 
 
 def as_text(verdict: Verdict) -> list[str]:

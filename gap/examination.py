@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gap.dataset import DataSet
 from gap.diagnose import searched
 from gap.inquiry import Inquiry, State
+from gap.maps import Course, residual_maps
 from gap.naming import Naming
 from gap.rows import BLOCKS, UNITS
 from gap.shrink import held_out
@@ -48,13 +49,14 @@ class Field:
 
 @dataclass(frozen=True)
 class Examination:
-    """Verdict, ladder and residuals; the last two are absent where nothing could be compared."""
+    """Verdict, ladder, residuals and their courses; only the verdict where nothing compares."""
 
     data: DataSet
     verdict: Verdict
     ladder: tuple[Rung, ...]
     field: Field | None
     digest: str
+    courses: tuple[Course, ...] = ()
 
 
 def examine(data: DataSet, without: Iterable[str] = ()) -> Examination:
@@ -71,8 +73,9 @@ def examine(data: DataSet, without: Iterable[str] = ()) -> Examination:
     if block is None:
         return Examination(data, verdict, (), None, digest)
     return Examination(
-        data, verdict, _ladder(inquiry, naming, block), _field(inquiry, naming, block), digest
-    )
+        data, verdict, _ladder(inquiry, naming, block), _field(inquiry, naming, block), digest,
+        tuple(residual_maps(inquiry, naming.chosen.state)),
+    )  # fmt: skip
 
 
 def fingerprint(data: DataSet) -> str:

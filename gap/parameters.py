@@ -14,14 +14,49 @@ _Z95 = 1.96
 _FORM = 0.1
 
 
-def headline_estimates(q: Inquiry, state: State) -> dict[str, Estimate]:
+def settled(q: Inquiry, state: State) -> State:
+    """The state after one last step of Gauss and Newton that nothing damps.
+
+    Damping holds back just those directions in which the data say little, such as an effect against
+    the constant that could do the same. There the prior decides, and it is asked here: without this
+    step a constant may stay at the edge of its tolerance while the effect takes the rest.
+    """
+    if not state.suspects:
+        return state
+    n = len(q.names)
+    columns = np.hstack(
+        [
+            q._columns_at(state.shift, state.suspects, state.amounts),
+            q._slopes(state.shift, state.suspects, state.amounts),
+        ]
+    )
+    matrix, right = q._normal(columns, state.residual, state.shift)
+    beta = np.linalg.pinv(matrix, hermitian=True, rcond=1e-13) @ right
+    bounds = np.array([s.bounds for s in state.suspects])
+    best = state
+    for share in (1.0, 0.5):
+        shift = state.shift + share * beta[:n]
+        amounts = np.clip(state.amounts + share * beta[n:], bounds[:, 0], bounds[:, 1])
+        residual, cost = q._at(shift, state.suspects, amounts)
+        if cost < best.cost:
+            best = State(shift, state.suspects, amounts, residual, cost, state.cover)
+            break
+    cover = np.asarray(np.linalg.pinv(matrix, hermitian=True, rcond=1e-13))
+    return State(best.shift, best.suspects, best.amounts, best.residual, best.cost, cover)
+
+
+def headline_estimates(q: Inquiry, state: State, whole: bool = True) -> dict[str, Estimate]:
     """Headline parameters of all effects in force, keyed by parameter name.
 
     Shapes of one effect add up. With two effects of the same parameter name the later gets its
-    id in front.
+    id in front. With `whole`, what a constant of the same meaning took over beyond its tolerance
+    counts to the effect, and the state is settled first; without it the parameters go with the
+    constants of the state as it stands.
     """
     made: dict[str, Estimate] = {}
     n = len(q.names)
+    if whole:
+        state = settled(q, state)
     spread = max(1.0, np.sqrt(state.cost / max(len(q.rows), 1)))
     for name in state.ids:
         entry = CATALOGUE[name]
@@ -39,6 +74,9 @@ def headline_estimates(q: Inquiry, state: State) -> dict[str, Estimate]:
             fall = q.model.fall_pa * 1e-3
             sd = sd * fall / max(abs(amount), 1e-9)
             amount = fall
+        if whole:
+            taken = _taken_over(q, state, name, state.suspects[at[0]].option)
+            amount, sd = amount + taken, float(np.hypot(sd, 0.5 * taken))
         low, high = amount - _Z95 * sd, amount + _Z95 * sd
         shift = _offset(q, name)
         key = entry.headline if entry.headline not in made else f"{name}_{entry.headline}"
@@ -48,6 +86,29 @@ def headline_estimates(q: Inquiry, state: State) -> dict[str, Estimate]:
             word = "side" if name == "flow_area" else "edge"
             made[word if word not in made else f"{name}_{word}"] = Estimate(option)
     return made
+
+
+BEYOND = 2.0
+"""Shift of a constant, in sd, that its tolerance hardly explains."""
+
+
+def _taken_over(q: Inquiry, state: State, name: str, option: str) -> float:
+    """What the constant of an effect's own meaning took of it, in the headline's unit."""
+    key = {
+        "dead_volume": "dead_volume_ml", "critical_ratio": "critical_ratio",
+        "flow_area": f"{option}_conductance_m3_s_pa", "valve_delay": f"{option}_ms",
+        "valve_delay_pressure": f"{option}_ms_per_kpa",
+    }.get(name)  # fmt: skip
+    if key not in q.names:
+        return 0.0
+    shift = float(state.shift[q.names.index(key)])
+    if abs(shift) <= BEYOND:
+        return 0.0
+    stated, moved = q.data.constants.value(key), q.constants(state.shift).value(key)
+    if name == "flow_area":
+        at = next(j for j, s in enumerate(state.suspects) if s.id == name)
+        return (1.0 + float(state.amounts[at])) * (moved / stated - 1.0)
+    return moved - stated
 
 
 def _offset(q: Inquiry, name: str) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.examination import Examination, Field
+from gap.mapfigures import courses_figure
 from gap.verdict import Share
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ def figures(examined: Examination) -> dict[str, str]:
             "ladder": ladder(examined),
             "stages": stages(examined.verdict.stages),
             "maps": maps(examined.field) if examined.field is not None else None,
+            "courses": courses_figure(examined.courses, bool(examined.verdict.effects)),
             "order": course(examined.field) if examined.field is not None else None,
         }
         return {name: _embedded(figure) if figure else "" for name, figure in made.items()}
@@ -99,7 +101,13 @@ def stages(shares: tuple[Share, ...]) -> Figure | None:
             lw=1.0,
             capsize=3,
         )
-        axes.text(start + value + max(high, 0.0), at, f"  {value:.0f} %", va="center", fontsize=8.5)
+        axes.text(
+            start + value + max(high, 0.0),
+            at,
+            f"  {round(value) + 0:d} %",
+            va="center",
+            fontsize=8.5,
+        )
         start += value
     axes.set_yticks(range(len(shares)), [share.stage for share in shares])
     axes.invert_yaxis()

@@ -2,8 +2,9 @@
 
 Pressure is predicted from the valve commands alone, free-running from one vented moment to the
 next; force from the measured pressure and the length. Both are curves of their own in the panels
-of the live view, which knows nothing of where they come from. A prediction that fails says so once
-and is silent from then on: nothing on the acquisition path can notice.
+of the live view, which knows nothing of where they come from. Beside them run the shares of the
+gap in force by stage (`rigs.liveshare`). A prediction that fails says so once and is silent from
+then on: nothing on the acquisition path can notice.
 """
 
 from __future__ import annotations
@@ -17,19 +18,23 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.clock import NS_PER_S
+from daq.derive import scaled
 from daq.record import RecordWriter
 from plant.bench import PRESSURE, BenchSim
 from plant.constants import PlantConstants
 from plant.effects import NONE, Effects
+from rigs.liveshare import LiveShare
 from rigs.plantfile import load_plant
 from rigs.rig import Rig
 from rigs.runner import Runner, Watch
+from rigs.steps import Measure
 
 if TYPE_CHECKING:
     from rigs.livefeed import LiveFeed
 
 PRESSURE_PATH = "pressure/predicted_kpa"
 FORCE_PATH = "force/predicted_n"
+SHARE_PATHS = ("share of the gap/valve_and_chamber_percent", "share of the gap/muscle_percent")
 TICK_S = 1e-3
 PULSE_S = 5e-6
 VENTED_KPA = 10.0
@@ -66,6 +71,8 @@ class LivePrediction:
         self._length_mm = self._gas.length_mm
         self._seq: int | None = None
         self._failed = False
+        self._share = LiveShare()
+        self._compares = False
 
     def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:
         """Listen to a rig's valve controller and to where the stage is sent, before the run."""
@@ -76,7 +83,20 @@ class LivePrediction:
             if channel == "length":
                 self._length_mm = value
 
-        watch.set_point = set_point
+        state, point = watch.state, watch.point
+
+        # From a trial's first point on the force is tared and the length set.
+        def doing(text: str) -> None:
+            state(text)
+            self._compares = False
+
+        def pointed(step: Measure, pressure_kpa: float, force_n: float, length_mm: float) -> None:
+            point(step, pressure_kpa, force_n, length_mm)
+            self._compares = True
+
+        watch.set_point, watch.state, watch.point = set_point, doing, pointed
+        self._calibrations = rig.config.calibrations
+        rig.balance.on_rows.append(self._force)
         self._start_ns = record.start_ns
         self._pressure = rig.config.calibrations["pressure_kpa"]
         self._regulated = rig.config.valve.static_scheme == "reg"
@@ -88,9 +108,27 @@ class LivePrediction:
         try:
             self._follow(batch)
         except Exception as error:
-            self._failed = True
-            with contextlib.suppress(Exception):
-                self.view.text(0.0, f"prediction stopped: {error}", "WARN")
+            self._stopped(error)
+
+    def _force(self, batch: Batch) -> None:
+        """Measured pulls: shares of the gap are drawn as they change."""
+        if self._failed or self._regulated:
+            return
+        try:
+            columns, _ = scaled("balance", batch, self._calibrations, {})
+            time_s = (batch["host_ns"].astype(np.float64) - self._start_ns) / NS_PER_S
+            self._share.measured(time_s, np.asarray(columns["force_n"], dtype=np.float64))
+            shares = self._share.shares
+            if shares is not None and self._compares:
+                for path, share in zip(SHARE_PATHS, shares, strict=True):
+                    self.view.series(path, [float(time_s[-1])], [100.0 * share])
+        except Exception as error:
+            self._stopped(error)
+
+    def _stopped(self, error: Exception) -> None:
+        self._failed = True
+        with contextlib.suppress(Exception):
+            self.view.text(0.0, f"prediction stopped: {error}", "WARN")
 
     def _follow(self, batch: Batch) -> None:
         host_ns = float(batch["host_ns"][-1])
@@ -104,6 +142,10 @@ class LivePrediction:
         self._muscle.set_pressure(max(float(seen.mean()), -50.0))
         self._muscle.advance(len(seen) * TICK_S)
         self.view.series(FORCE_PATH, [float(time_s.mean())], [self._muscle.force_n])
+        if not self._regulated and self._compares:
+            self._share.predicted(
+                float(time_s.mean()), self._muscle.force_n, float(self._gas.force_n)
+            )
 
     def _move(self, length_mm: float) -> None:
         for bench in (self._gas, self._muscle):

@@ -14,7 +14,7 @@ from daq.run import open_run
 from plant.constants import PlantConstants
 from plant.effects import NONE, Effects
 from rigs.config import load_rig
-from rigs.liveprediction import FORCE_PATH, PRESSURE_PATH, LivePrediction
+from rigs.liveprediction import FORCE_PATH, PRESSURE_PATH, SHARE_PATHS, LivePrediction
 from rigs.plantfile import load_plant
 from rigs.runner import Runner
 from rigs.session import run_isometric
@@ -114,3 +114,44 @@ def test_a_plant_file_or_a_rig_file_is_read_and_a_bad_one_refused(tmp_path: Path
     bad.write_text("suply_kpa = 640\n")
     with pytest.raises(ConfigError, match="did you mean supply_kpa"):
         load_plant(bad)
+
+
+# ---------------------------------------------------------------------------- shares by stage
+
+
+def test_shares_add_up_and_go_to_the_stage_that_is_wrong() -> None:
+    from rigs.liveshare import LiveShare
+
+    for gas_n, muscle_n, most in ((4.0, 0.5, 0), (0.5, 4.0, 1)):
+        share = LiveShare()
+        time_s = np.arange(0.0, 5.0, 0.1)
+        for t in time_s:
+            share.predicted(float(t), 50.0, 50.0 - gas_n)
+        share.measured(time_s[1:-1], np.full(len(time_s) - 2, 50.0 + muscle_n))
+        found = share.shares
+        assert found is not None
+        assert sum(found) == pytest.approx(1.0)
+        assert found[most] > 0.8
+        # Exact Shapley of two stages: own square and half of what they have in common.
+        whole = (gas_n + muscle_n) ** 2
+        assert found[0] == pytest.approx((gas_n**2 + gas_n * muscle_n) / whole)
+
+
+def test_without_a_gap_no_share_is_said() -> None:
+    from rigs.liveshare import LiveShare
+
+    share = LiveShare()
+    assert share.shares is None
+    for t in (0.0, 1.0, 2.0):
+        share.predicted(t, 50.0, 50.0)
+    share.measured(np.array([0.5, 1.5]), np.array([50.05, 49.95]))
+    assert share.shares is None
+
+
+def test_a_muscle_that_the_plant_does_not_know_shows_in_the_live_share(tmp_path: Path) -> None:
+    liner = Effects.from_config({"liner_threshold": {"threshold_kpa": 100.0}})
+    sheet, _ = watched(tmp_path, plant(), liner)
+    gas, muscle = (np.array(sheet.curves[path]) for path in SHARE_PATHS)
+    assert len(muscle) > 10
+    assert muscle[-1, 1] > 80.0
+    assert np.allclose(gas[:, 1] + muscle[:, 1], 100.0)
