@@ -61,8 +61,8 @@ def test_the_letter_of_a_real_data_set_tells_the_verdict_and_its_reasons(
     assert headline(liner.verdict).split(" (")[0] in page
     for part in ("What it could be", "And why not", "What to do next", liner.digest):
         assert part in page
-    assert liner.verdict.stages  # so that the stages are drawn, beside two maps and the ladder
-    assert page.count("data:image/svg+xml;base64,") == 4
+    assert liner.verdict.stages  # so that they are drawn, beside two maps, the courses and the ladder
+    assert page.count("data:image/svg+xml;base64,") == 5
     labels = [rung.label for rung in liner.ladder]
     assert labels[:2] == ["as stated", "recalibrated"]
     assert liner.ladder[-1].rms < 0.5 * liner.ladder[1].rms
@@ -111,7 +111,7 @@ def test_stages_contrasts_and_the_next_experiment_are_shown(liner: Examination) 
     assert "beyond chance" in page
     assert "6 trials of triangle" in page
     assert "from 1.1 to 4.9" in page
-    assert page.count("data:image/svg+xml;base64,") == 4
+    assert page.count("data:image/svg+xml;base64,") == 5
 
 
 def test_the_sentence_has_value_unit_interval_and_what_it_closes() -> None:
