@@ -61,7 +61,8 @@ def test_the_letter_of_a_real_data_set_tells_the_verdict_and_its_reasons(
     assert headline(liner.verdict).split(" (")[0] in page
     for part in ("What it could be", "And why not", "What to do next", liner.digest):
         assert part in page
-    assert liner.verdict.stages  # so that they are drawn, beside two maps, the courses and the ladder
+    # Stages, two maps, courses and ladder are drawn.
+    assert liner.verdict.stages
     assert page.count("data:image/svg+xml;base64,") == 5
     labels = [rung.label for rung in liner.ladder]
     assert labels[:2] == ["as stated", "recalibrated"]
