@@ -82,6 +82,8 @@ class Growth:
         return Growth(float(fit.slope), float(fit.slope) - half, float(fit.slope) + half)
 
     def __str__(self) -> str:
+        if not math.isfinite(self.low):
+            return f"{self.exponent:.3f}"
         return f"{self.exponent:.3f} ({self.low:.3f} to {self.high:.3f})"
 
 
