@@ -7,6 +7,7 @@ import select
 import sys
 import time
 from collections.abc import Iterator
+from typing import TextIO
 
 import pytest
 
@@ -17,14 +18,13 @@ pty = pytest.importorskip("pty", reason="no terminals of this kind on this syste
 
 
 @pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """A real terminal in place of stderr; what it shows can be read from the descriptor."""
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, TextIO]]:
+    """A real terminal for stderr to go to, and the descriptor from which it can be read."""
     ours, theirs = pty.openpty()
     monkeypatch.setattr(firstuse, "PATIENCE_S", 0.05)
     with os.fdopen(theirs, "w") as stream:
-        monkeypatch.setattr(sys, "stderr", stream)
         os.set_blocking(ours, False)
-        yield ours
+        yield ours, stream
     os.close(ours)
 
 
@@ -39,17 +39,25 @@ def shown(terminal: int, wait_s: float) -> str:
     return text.decode()
 
 
-def test_a_long_wait_is_told_of(terminal: int) -> None:
+# stderr is replaced within each test: what catches the output of tests sets it anew before them.
+def test_a_long_wait_is_told_of(
+    terminal: tuple[int, TextIO], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stderr", terminal[1])
     with tell_of_compiling():
-        assert WORDS in shown(terminal, 20.0)
+        assert WORDS in shown(terminal[0], 20.0)
 
 
-def test_a_short_one_is_not(terminal: int) -> None:
+def test_a_short_one_is_not(terminal: tuple[int, TextIO], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", terminal[1])
     with tell_of_compiling():
         pass
-    assert shown(terminal, 0.3) == ""
+    assert shown(terminal[0], 0.3) == ""
 
 
-def test_neither_is_anybody_who_asked_for_quiet(terminal: int) -> None:
+def test_neither_is_anybody_who_asked_for_quiet(
+    terminal: tuple[int, TextIO], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stderr", terminal[1])
     with tell_of_compiling(quiet=True):
-        assert shown(terminal, 0.3) == ""
+        assert shown(terminal[0], 0.3) == ""
