@@ -19,6 +19,7 @@ Array = npt.NDArray[np.float64]
 
 KEEP_S = 10.0
 MEMORY_S = 120.0
+MOST_WAITING = 2000
 LEAST_N = 0.3
 """Root mean square of the gap below which shares say nothing."""
 
@@ -28,6 +29,7 @@ class LiveShare:
 
     def __init__(self) -> None:
         self._told: deque[tuple[float, float, float]] = deque()
+        self._waiting: deque[tuple[float, float]] = deque(maxlen=MOST_WAITING)
         self._last_s: float | None = None
         self._seconds = 0.0
         self._gas = self._muscle = self._both = 0.0
@@ -39,12 +41,15 @@ class LiveShare:
             self._told.popleft()
 
     def measured(self, time_s: Array, force_n: Array) -> None:
-        """Measured pulls; those at moments without a prediction are passed over."""
+        """Measured pulls; those ahead of the prediction wait for it, older ones are passed over."""
+        self._waiting.extend(zip(time_s.tolist(), force_n.tolist(), strict=True))
         if len(self._told) < 2:
             return
         told = np.array(self._told)
-        inside = (time_s >= told[0, 0]) & (time_s <= told[-1, 0])
-        for t, force in zip(time_s[inside].tolist(), force_n[inside].tolist(), strict=True):
+        while self._waiting and self._waiting[0][0] <= told[-1, 0]:
+            t, force = self._waiting.popleft()
+            if t < told[0, 0]:
+                continue
             fed = float(np.interp(t, told[:, 0], told[:, 1]))
             free = float(np.interp(t, told[:, 0], told[:, 2]))
             self._add(t, fed - free, force - fed)
