@@ -23,7 +23,11 @@ from benchmarks.paired import Growth, Spread, ratios, short
 QUICK = [p for p in PARTS if p not in ("recording", "diagnosis", "growth_cores", "startup")]
 
 
-@pytest.mark.parametrize("name", QUICK)
+# Two decades of run length take a quarter of a minute however small: with the campaigns.
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.campaign) if n == "growth_length" else n for n in QUICK],
+)
 def test_a_part_runs_at_its_tiny_size_and_renders(name: str) -> None:
     if name == "dynamics":
         pytest.importorskip("pinocchio")
