@@ -15,18 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.columns import TRIAL_EFFECTS, slow_columns, trial_columns
+from gap.columns import TRIAL_EFFECTS, trial_columns
 from gap.grid import make_grid
 from gap.inquiry import Inquiry, State
 from gap.library import Candidate, as_data
 from gap.model import Model
-from gap.noise import Noise
+from gap.noise import SLOW_START, WHITE, Noise
 from gap.rows import BLOCKS
 
 Array = npt.NDArray[np.float64]
-
-_WHITE = {"pressure": 0.5, "force": 0.05, "load": 0.06, "camera": 0.01}
-_SLOW = {"pressure": 0.05, "force": 0.08, "load": 0.05, "camera": 0.0}
 
 
 @dataclass(frozen=True)
@@ -113,16 +110,10 @@ def _noise(q: Inquiry, model: Model) -> Noise:
         seen = q.rows.block == number
         own = q.noise.white[seen] - q.rows.doubt[seen] ** 2 - q.rows.floor[seen] ** 2
         each = np.maximum(own, 0.0) * q.rows.samples[seen]
-        variance = float(np.median(each)) if seen.any() else _WHITE[block] ** 2
+        variance = float(np.median(each)) if seen.any() else WHITE[block] ** 2
         white[here] = variance / rows.samples[here] + rows.doubt[here] ** 2 + rows.floor[here] ** 2
     scales = {effect.kind: effect.sd for effect in TRIAL_EFFECTS} | dict(q.noise.scales)
     noise = Noise(np.maximum(white, 1e-9), [], [], [], scales, 0, 0)
-    for t in range(len(model.grid.data.trials)):
-        at = np.flatnonzero(rows.trial == t)
-        slow, groups = slow_columns(model, at)
-        noise.trial_rows.append(at)
-        noise.columns.append(np.hstack([shared[at], slow]))
-        noise.kinds.append([effect.kind for effect in effects] + groups)
-        for group in groups:
-            scales.setdefault(group, _SLOW[group.split()[1]])
+    for group in noise.take_trials(model, effects, shared):
+        scales.setdefault(group, SLOW_START[group.split()[1]])
     return noise

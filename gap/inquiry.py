@@ -21,7 +21,6 @@ from gap.grid import make_grid
 from gap.laws import Active
 from gap.model import Model
 from gap.noise import learn_noise
-from gap.rows import BLOCKS
 from gap.suspects import SUSPECTS, Suspect
 from plant.catalogue import CATALOGUE
 from plant.constants import KEYS, PlantConstants
@@ -315,10 +314,6 @@ class Inquiry:
             if len(known) >= 3:
                 made[name] = np.array([known[label] for label in labels], dtype=np.int64)
         return made
-
-    def blocks(self) -> list[str]:
-        """Blocks that the data set fills."""
-        return [name for number, name in enumerate(BLOCKS) if np.any(self.rows.block == number)]
 
 
 def _solved(matrix: Array, right: Array, damping: float) -> Array:

@@ -16,10 +16,9 @@ from gap.advise import advise
 from gap.belief import learnt
 from gap.cleared import Cleared, cleared
 from gap.inquiry import Inquiry, State
-from gap.mimic import Mimic, Mimicked, Mimicry
+from gap.mimic import Mimic, Mimicry
 from gap.naming import ALARM, Choice, Naming
 from gap.parameters import headline_estimates, limits_of
-from gap.rows import BLOCKS
 from gap.shrink import Held, gap_of, held_out
 from gap.suspects import DEFECTS
 from gap.traits import traits_of
@@ -135,12 +134,11 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             f"the data look like {names}, but with {q.noise.freedom} replicates beyond the first "
             "nothing can be told from noise", none=0.3, unknown=0.5, gap=gap,
         )  # fmt: skip
-    mimicked = Mimicry(q).of_state(chosen.state)
-    traits = traits_of(q, naming, held, mimicked)
+    traits = traits_of(q, naming)
     belief = learnt().of(traits)
     none = min(naming.chance, 0.5)
     weighed = _weigh(naming, belief, none)
-    one, two = _fair(q, chosen.state, naming, mimicked)
+    one, two = _mimics(q, chosen.state, naming)
     extra = [m for m in (one, two) if m is not None and m.share >= MIMIC]
     evidence: dict[str, object] = {
         "share_explained": share,
@@ -177,13 +175,12 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
     )  # fmt: skip
 
 
-def _fair(
-    q: Inquiry, state: State, naming: Naming, mimicked: Mimicked
-) -> tuple[Mimic | None, Mimic | None]:
+def _mimics(q: Inquiry, state: State, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
     """Best single and pair that could stand in, their shares capped where the data rule them out.
 
     A mimic that leaves more than noise and inexact forms could is no mimic on these data.
     """
+    found = Mimicry(q).of(q.base.residual - state.residual, frozenset(state.ids))
     whole = max(q.base.cost - state.cost, 0.0)
     bearable = max(TOLD_APART, 3.0 * naming.left)
 
@@ -192,7 +189,7 @@ def _fair(
             return mimic
         return Mimic(mimic.ids, min(mimic.share, 0.99 * MIMIC))
 
-    return fair(mimicked.one), fair(mimicked.two)
+    return fair(found[0]), fair(found[1])
 
 
 def _status(
@@ -289,7 +286,7 @@ def _verdict(
         notes=q.data.notes,
         evidence={
             "found": list(naming.chosen.state.ids),
-            "traits": traits_of(q, naming, held),
+            "traits": traits_of(q, naming),
             **(evidence or {}),
         },
     )
@@ -391,8 +388,3 @@ def _why_not(q: Inquiry, naming: Naming, named: set[str]) -> dict[str, str]:
         else:
             made[name] = f"chi-square falls by {gain:.0f} only"
     return made
-
-
-def blocks_of(q: Inquiry) -> list[str]:
-    """Blocks that hold rows, in order."""
-    return [name for number, name in enumerate(BLOCKS) if np.any(q.rows.block == number)]

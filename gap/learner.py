@@ -17,6 +17,7 @@ from scipy.interpolate import BSpline
 from gap.inquiry import Inquiry
 from gap.rows import BLOCKS
 from gap.shrink import left_out
+from gap.where import pressure_rise
 
 Array = npt.NDArray[np.float64]
 
@@ -144,7 +145,7 @@ def _basis(q: Inquiry, block: str, at: npt.NDArray[np.int64]) -> Array:
         "pressure": rows.pressure[at],
         "length": rows.length[at],
         "rate": np.arcsinh(rows.rate[at] / 1e-3),
-        "rise": np.arcsinh(_rise(q)[at] / 1e4),
+        "rise": np.arcsinh(pressure_rise(q)[at] / 1e4),
         "temperature": np.nan_to_num(q.model._features(points, points.temperature), nan=21.0),
         "time": np.log1p(np.maximum(rows.time_s[at], 0.0)),
         "order": order,
@@ -167,19 +168,6 @@ def splines(x: Array, count: int) -> Array:
         return np.asarray((x - x.mean())[:, None] / max(float(x.std()), 1e-30))
     knots = np.r_[[inner[0]] * 3, inner, [inner[-1]] * 3]
     return np.asarray(BSpline.design_matrix(np.clip(x, inner[0], inner[-1]), knots, 3).toarray())
-
-
-def _rise(q: Inquiry) -> Array:
-    """Slope of the pressure at every row, Pa/s, from its neighbours in the trial."""
-    rows = q.rows
-    made = np.zeros(len(rows))
-    for at in q.noise.trial_rows:
-        for number in np.unique(rows.block[at]):
-            own = at[rows.block[at] == number]
-            own = own[np.argsort(rows.time_s[own], kind="stable")]
-            if len(own) > 2 and np.all(np.diff(rows.time_s[own]) > 0.0):
-                made[own] = np.gradient(rows.pressure[own], rows.time_s[own])
-    return made
 
 
 def _since_edge(q: Inquiry, at: npt.NDArray[np.int64]) -> Array:

@@ -7,7 +7,6 @@ effect that was nearly as good stays on the list of rivals.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -369,8 +368,3 @@ def _flexed(q: Inquiry, choice: Choice, gains: Array, amounts: Array, gap: float
         choice.state,
     )
     return Choice(choice.keys, fitted) if fitted.cost < choice.cost - 15.0 else None
-
-
-def describe(choices: Sequence[Choice]) -> list[str]:
-    """One line for each explanation, for people who tune."""
-    return [f"{'+'.join(c.keys)} {c.cost:.0f} {np.round(c.state.amounts, 4)}" for c in choices]

@@ -25,8 +25,8 @@ Whole = npt.NDArray[np.int64]
 
 _PRIOR_WEIGHT = 4.0
 _ROUNDS = 12
-_SLOW_START = {"pressure": 0.05, "force": 0.08, "load": 0.05, "camera": 0.0}
-_WHITE = {"pressure": 0.5, "force": 0.05, "load": 0.06, "camera": 0.01}
+SLOW_START = {"pressure": 0.05, "force": 0.08, "load": 0.05, "camera": 0.0}
+WHITE = {"pressure": 0.5, "force": 0.05, "load": 0.06, "camera": 0.01}
 
 
 @dataclass
@@ -64,6 +64,21 @@ class Noise:
             made[rows] += (self.columns[trial] ** 2) @ v
         return made
 
+    def take_trials(self, model: Model, effects: list[TrialEffect], shared: Array) -> list[str]:
+        """Take in rows and columns of all trials; returns the kinds of slow waves among them.
+
+        `shared` are the columns of the trial effects, shape (rows, effects).
+        """
+        waves: list[str] = []
+        for trial in range(len(model.grid.data.trials)):
+            at = np.flatnonzero(model.grid.rows.trial == trial)
+            slow, groups = slow_columns(model, at)
+            self.trial_rows.append(at)
+            self.columns.append(np.hstack([shared[at], slow]))
+            self.kinds.append([effect.kind for effect in effects] + groups)
+            waves += groups
+        return list(dict.fromkeys(waves))
+
     def whiten(self, trial: int, a: Array) -> Array:
         """Rows of one trial in units of noise: white, of variance one, shape of `a`.
 
@@ -88,14 +103,8 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     effects, shared = trial_columns(model, c)
     noise = Noise(_start_white(model, residual), [], [], [], {}, 0, 0)
     prior: dict[str, float] = {effect.kind: effect.sd for effect in effects}
-    for t in range(len(data.trials)):
-        at = np.flatnonzero(rows.trial == t)
-        slow, groups = slow_columns(model, at)
-        noise.trial_rows.append(at)
-        noise.columns.append(np.hstack([shared[at], slow]))
-        noise.kinds.append([effect.kind for effect in effects] + groups)
-        for group in groups:
-            prior[group] = _SLOW_START[group.split()[1]]
+    for group in noise.take_trials(model, effects, shared):
+        prior[group] = SLOW_START[group.split()[1]]
     _settled_prior(model, prior, effects)
     noise.scales = dict(prior)
     classes = _classes(model)
@@ -150,9 +159,9 @@ def _start_white(model: Model, residual: Array) -> Array:
         if not here.any():
             continue
         settled = model.grid.data.settled
-        sd = _roughness(residual[here], rows, here) if settled else _WHITE[block]
+        sd = _roughness(residual[here], rows, here) if settled else WHITE[block]
         samples = 1.0 if settled else rows.samples[here]
-        white[here] = np.maximum(sd, 0.3 * _WHITE[block]) ** 2 / samples
+        white[here] = np.maximum(sd, 0.3 * WHITE[block]) ** 2 / samples
     return white
 
 

@@ -108,7 +108,7 @@ def _designs(q: Inquiry, block: str) -> list[tuple[str, Mask, Mask]]:
             start[trial_rows] = rows.time_s[trial_rows].min()
             end[trial_rows] = rows.time_s[trial_rows].max()
     part = (rows.time_s - start) / np.maximum(end - start, 1e-9)
-    rise = _rise(q)
+    rise = pressure_rise(q)
     quiet = np.abs(rise) < 1.5e6
     designs = [
         (
@@ -129,7 +129,7 @@ def _designs(q: Inquiry, block: str) -> list[tuple[str, Mask, Mask]]:
     return designs
 
 
-def _rise(q: Inquiry) -> Array:
+def pressure_rise(q: Inquiry) -> Array:
     """Slope of the pressure at every row, Pa/s, from its neighbours in the trial."""
     rows = q.rows
     made = np.zeros(len(rows))
