@@ -294,14 +294,15 @@ def _readable(truth: Truth, record: Bytes, verdict: Verdict) -> None:
         if not problem.tail and not (broken_disk and "writing failed" in problem.what):
             verdict.unreadable.append(str(problem))
     for stream, taken in truth.taken.items():
-        count = len(next(iter(taken.values()))) if taken else 0
+        first = truth.first_row[stream]
+        last = first + len(next(iter(taken.values())))
         for how, rows in (("arrow", record.rows(stream)), ("pamrig", run.samples(stream))):
             there = len(next(iter(rows.values()))) if rows else 0
-            if there < count:
-                verdict.unreadable.append(f"{count - there} rows of {stream} are gone ({how})")
+            if there < last:
+                verdict.unreadable.append(f"{last - there} rows of {stream} are gone ({how})")
                 continue
             for name, values in taken.items():
-                if not np.array_equal(rows[name][:count], values):
+                if not np.array_equal(rows[name][first:last], values):
                     verdict.unreadable.append(f"{stream}.{name} reads otherwise ({how})")
     kinds = {e["n"]: e["kind"] for e in record.events}
     gone = [f"{kind} ({n})" for n, kind in truth.events if kinds.get(n) != kind]

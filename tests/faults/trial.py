@@ -54,7 +54,7 @@ class Truth:
         frames: (number, CRC-32 of its JPEG, true length in mm when it was exposed) of every
             picture that the record took.
         events: (number, kind) of every event that the record took before its disk failed.
-        taken: rows of each stream that the record took, by column.
+        taken, first_row: rows of each stream that the record took, by column, from this one on.
         start_ns, origin_ns, rate: zero of the record's times, of bench time, and how much
             faster the host's clock is, to turn an event's time into bench time.
         noise_kpa: standard deviation of a pressure reading.
@@ -78,6 +78,7 @@ class Truth:
     rate: float = 1.0
     noise_kpa: float = 0.0
     taken: dict[str, Any] = field(default_factory=dict)
+    first_row: dict[str, int] = field(default_factory=dict)
     end_kpa: float = 0.0
     sealed_in: bool = False
     """The inlet stays open or the outlet shut, so that the air cannot go."""
@@ -116,6 +117,7 @@ class Trial:
         self._waiting: list[Fault] = []
         self._last_frame: Any = None
         self._exposed_mm = math.nan
+        self._truth_from = 0
         self._taken: dict[str, list[Any]] = {}
 
     # ---- the run --------------------------------------------------------------------
@@ -181,6 +183,7 @@ class Trial:
         self.truth.folder = str(record.folder)
         self._clock = rig.clock
         bench.board._truth_every = bench.board._truth_left = 1
+        self._truth_from = len(bench.board.truth_us)
         self.wires = Wires(bench, self.rng)
         self.wires.on_beat = lambda: self.truth.beats.append(
             (bench.board.bench_us, bool(bench.board.controller.safety.armed))
@@ -231,6 +234,7 @@ class Trial:
             open_yet = not record._closed  # a device still talks while the bench is being closed
             row: int = append(stream, columns)
             if open_yet:
+                truth.first_row.setdefault(stream, row)
                 kept = {k: np.array(v) for k, v in columns.items()}
                 taken.setdefault(stream, []).append(kept)
             return row
@@ -332,8 +336,8 @@ class Trial:
         for fault in self._begun:
             kinds.undo(self, fault)
         truth.end_kpa = board.pressure_kpa
-        truth.us = np.array(board.truth_us)
-        truth.kpa = np.array(board.truth_kpa)
+        truth.us = np.array(board.truth_us[self._truth_from :])
+        truth.kpa = np.array(board.truth_kpa[self._truth_from :])
         for stream, batches in self._taken.items():
             truth.taken[stream] = (
                 {k: np.concatenate([b[k] for b in batches]) for k in batches[0]} if batches else {}
