@@ -5,9 +5,11 @@ from __future__ import annotations
 import copy
 import errno
 import os
+import random
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from daq.run import open_run
@@ -18,7 +20,7 @@ from faults.page import wilson_upper, write_page
 from faults.trial import Truth, run_trial
 from protocol_runs import run_short
 from rigs.loads import HangLoad
-from rigs.segments import remaining
+from rigs.segments import reduce_run, remaining
 from rigs.steps import EndTrial, Steps, Trial
 
 SMALL = range(14)
@@ -149,3 +151,63 @@ def test_a_record_whose_last_words_are_lost_is_not_called_clean(
     assert open_run(run.folder).outcome == "faulted"
     assert result.outcome == "faulted"
     assert "disk reports a fault" in str(result.error)
+
+
+@pytest.mark.parametrize("protocol", ["step", "ram"])
+def test_times_of_a_response_do_not_slip_where_samples_are_lost(
+    tmp_path: Path, protocol: str
+) -> None:
+    """Samples were counted as they stood in the record: each lost frame made all times 10 ms early.
+
+    What hangs on the lost ones is left out (step) or has their time for its uncertainty (ram).
+    """
+    rng = random.Random(1)
+
+    def lose(runner: Any) -> None:
+        bench = runner.rig.bench
+        send = bench._send
+
+        def lossy(device: str, data: bytes, bench_ns: int | None = None) -> None:
+            if device != "valve" or rng.random() > 0.1:
+                send(device, data, bench_ns)
+
+        bench._send = lossy
+
+    _, whole, _ = run_short(protocol, tmp_path / "whole")
+    result, lossy, _ = run_short(protocol, tmp_path / "lossy", begin=lose)
+    assert result.outcome == "clean"
+    assert lossy.final["counters"]["valve"]["missing"] > 200
+    tables = [reduce_run(run).table for run in (whole, lossy)]
+    known = 0
+    for name in ("rise_s", "settle_s", "reach_s"):
+        if name in tables[0]:
+            off = (tables[0][name] - tables[1][name]).abs()
+            u = tables[1].get(f"u_{name}", pd.Series(0.0, off.index))
+            known += int(off.notna().sum())
+            assert (off.dropna() <= 0.002 + 2 * u[off.notna()]).all(), (name, off, u)
+    assert known >= 2
+    assert any("samples are missing" in note for note in reduce_run(lossy).notes)
+
+
+def test_a_try_with_lost_samples_is_made_again(tmp_path: Path) -> None:
+    """Whether a valve opened was told from whatever samples had come, older ones among them."""
+    rng = random.Random(2)
+
+    def lose(runner: Any) -> None:
+        bench = runner.rig.bench
+        send = bench._send
+
+        def lossy(device: str, data: bytes, bench_ns: int | None = None) -> None:
+            if device != "valve" or rng.random() > 0.01:
+                send(device, data, bench_ns)
+
+        bench._send = lossy
+
+    result, run, _ = run_short("switching-voltage", tmp_path, begin=lose)
+    assert result.outcome == "clean"
+    assert any(e["kind"] == "lost" for e in run.events)
+    for event in run.events:
+        if event["kind"] == "try":
+            first, end = event["valve_seq"]
+            seq = run.samples("valve")["seq"]
+            assert ((seq >= first) & (seq < end)).sum() == end - first
