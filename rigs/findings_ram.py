@@ -35,7 +35,7 @@ def reduce_ram(run: Run) -> Reduction:
     record = ValveRecord(run, "switching-time")
     rows = []
     for event in record.events:
-        part, sent = record.on_time(event["valve_seq"])
+        part, sent = record.on_time(record.asked(event))
         row: dict[str, Any] = {k: event.get(k) for k in LABELS}
         row["repeat"], row["set_pressure_kpa"] = event["replicate"], event["set_pressure_kpa"]
         row.update(dict.fromkeys(NUMBERS[1:], math.nan))

@@ -104,7 +104,7 @@ def reduce_step(run: Run) -> Reduction:
     band = float(p.get("band_percent", 3.0)) / 100.0 * float(p.get("supply_kpa", 550.0))
     rows = []
     for event in record.events:
-        part, came = record.on_time(event["valve_seq"])
+        part, came = record.on_time(record.asked(event))
         row: dict[str, Any] = {k: event.get(k) for k in LABELS}
         row["repeat"] = event["replicate"]
         if int(came.sum()) > last:

@@ -39,6 +39,7 @@ class ValveRecord:
         self.pressure = run.calibration("pressure_kpa")
         self.valve = self.stream("valve")
         self.rows: list[dict[str, Any]] = []
+        self._host_ns: npt.NDArray[Any] | None = None
 
     def stream(self, name: str) -> dict[str, npt.NDArray[Any]]:
         """A stream's columns; none, and a note, where nothing of it survived."""
@@ -55,6 +56,29 @@ class ValveRecord:
         seq = self.valve["seq"]
         inside = (seq >= window[0]) & (seq < window[1])
         return {name: values[inside] for name, values in self.valve.items()}
+
+    def asked(self, event: Mapping[str, Any]) -> list[int]:
+        """The window of a point from the sample on at which its set-point was asked for.
+
+        The window of the event begins with the newest sample that the host had then, some 50 ms
+        before. An older record does not say when it was asked for, and keeps that.
+        """
+        first, end = event["valve_seq"]
+        asked_ns = event.get("asked_t_ns")
+        if asked_ns is None or not self.valve:
+            return [first, end]
+        if self._host_ns is None:
+            from daq.derive import sample_host_ns
+
+            self._host_ns = sample_host_ns(self.run, "valve", self.valve)
+        zero_ns = int(self.run.manifest["started"]["monotonic_ns"])
+        seq = self.valve["seq"]
+        later = (self._host_ns >= zero_ns + asked_ns) & (seq >= first) & (seq < end)
+        if not later.any():
+            return [first, end]
+        at = int(np.argmax(later))
+        late = int((self._host_ns[at] - zero_ns - asked_ns) // 1_000_000)  # of samples lost there
+        return [max(first, int(seq[at]) - late), end]
 
     def on_time(
         self, window: list[int]

@@ -180,9 +180,8 @@ class VoltagePoint(ValvePoint):
         """The valve's upstream side back to its pressure, at the solenoids' normal voltage."""
         if abs(supply.set_v - supply.voltage_v) > 1e-9:
             supply.set_voltage(supply.voltage_v)
-        if self.valve == "inlet":
-            if pressure_now(runner) > 0.3 * self.set_pressure_kpa:
-                release(runner)
+        if self.valve == "inlet":  # each try begins anew for the controller's look at the sensor
+            release(runner)
         elif abs(pressure_now(runner) - self.set_pressure_kpa) > self.plan.tolerance_kpa:
             self.upstream(runner, self.plan.tolerance_kpa, self.plan.supply_kpa)
 
@@ -249,5 +248,5 @@ PROCEDURE = Procedure(
     reduce_switching_voltage,
     layout,
     voltage_findings,
-    firmware={"rise_ms": 0},
+    firmware={"rise_ms": 400},
 )

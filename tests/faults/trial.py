@@ -20,7 +20,8 @@ import numpy as np
 import rigs.virtual.bench as bench_module
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
-from plant.layout import MASS
+from plant.constants import GAS_CONSTANT_J_KG_K
+from plant.layout import MASS, MASS_OUT
 from rigs.config import load_rig
 from rigs.protocols.registry import procedure
 from rigs.protocols.schedule import outline
@@ -50,7 +51,7 @@ class Truth:
         us, kpa: true pressure, each millisecond (bench time).
         vents: (bench us, whether the outlet is told to stay open and the inlet shut), at changes.
         beats: (bench us, armed) of every heartbeat that reached the controller whole.
-        track: rows of (bench us, length mm, pull N, hung mass kg), each 20 ms.
+        track: rows of (bench us, length mm, pull N, hung mass kg, way of the air m), each 20 ms.
         frames: (number, CRC-32 of its JPEG, true length in mm when it was exposed) of every
             picture that the record took.
         events: (number, kind) of every event that the record took before its disk failed.
@@ -70,7 +71,7 @@ class Truth:
     kpa: Any = None
     vents: list[tuple[int, bool]] = field(default_factory=list)
     beats: list[tuple[int, bool]] = field(default_factory=list)
-    track: list[tuple[int, float, float, float]] = field(default_factory=list)
+    track: list[tuple[int, float, float, float, float]] = field(default_factory=list)
     frames: list[tuple[int, int, float]] = field(default_factory=list)
     events: list[tuple[int, str]] = field(default_factory=list)
     start_ns: int = 0
@@ -280,7 +281,9 @@ class Trial:
         now_us = bench.board.bench_us
         plant = bench.plant
         hung_kg = float(plant.params[MASS]) if plant.load == "isotonic" else 0.0
-        self.truth.track.append((now_us, plant.length_mm, bench._lift_n(), hung_kg))
+        self.truth.track.append(
+            (now_us, plant.length_mm, bench._lift_n(), hung_kg, self._blown_m())
+        )
         self.wires.advance()
         now_s = now_us * 1e-6
         for fault in [f for f in self._begun if now_s >= f.end_s]:
@@ -294,6 +297,16 @@ class Trial:
         for fault in self._begun:
             if fault.first_us < 0 and kinds.acted(self, fault):
                 fault.first_us = now_us
+
+    def _blown_m(self) -> float:
+        """How far the air in the outlet line has come; its velocity is the change of that."""
+        meter = self.bench.config.instruments.text.get("flow")
+        if meter is None:
+            return 0.0
+        constants = self.bench.plant.constants
+        density = constants.atmosphere_pa / (GAS_CONSTANT_J_KG_K * constants.gas_temperature_k)
+        area_m2 = math.pi / 4 * (meter.bore_mm * 1e-3) ** 2
+        return float(self.bench.plant.state[MASS_OUT]) / (density * area_m2)
 
     def _poll(self) -> None:
         if self.hang_s:
