@@ -62,13 +62,14 @@ def soak(hours: float, folder: Path, config: RigConfig, tell: bool = True) -> di
                 _minute(rig, config, SETPOINTS_KPA[minute % len(SETPOINTS_KPA)])
             except DeviceError as error:  # a starved host: counted; the samples must go on
                 faults += list(rig.valve.faults) or [str(error)]
-                rig.valve.request("clear", 10.0)
-                rig.valve.faults.clear()
-                _begin(rig)
+                _begin_again(rig)
             memory.append(((minute + 1) / 60.0, process.memory_info().rss / 1e6))
             if tell and minute % 60 == 59:
-                print(f"{memory[-1][0]:.0f} h, {memory[-1][1]:.0f} MB, "
-                      f"{process.cpu_times().user - cpu.user:.0f} s of CPU", flush=True)  # fmt: skip
+                used_s = process.cpu_times().user - cpu.user
+                print(
+                    f"{minute / 60:.0f} h, {memory[-1][1]:.0f} MB, {used_s:.0f} s of CPU",
+                    flush=True,
+                )
         faults += list(rig.valve.faults)
         rig.vent()
         rig.valve.telemetry.flush()
@@ -99,6 +100,17 @@ def _begin(rig: Rig) -> None:
     rig.pump.for_seconds(0.5)
     rig.valve.arm()
     rig.valve.request("scheme burst")
+
+
+def _begin_again(rig: Rig) -> None:
+    """As often as it takes: what is asked is whether the samples go on meanwhile."""
+    for _ in range(20):
+        with contextlib.suppress(DeviceError):
+            rig.valve.request("clear", 10.0)
+            rig.valve.faults.clear()
+            _begin(rig)
+            return
+    raise DeviceError(rig.valve.name, "cannot be armed any more")
 
 
 def _minute(rig: Rig, config: RigConfig, pressure_kpa: float) -> None:
