@@ -31,6 +31,8 @@ EMPTY_KPA = 20.0
 SIGMAS = 6.0
 TELLABLE_LOW_KPA = 75.0
 """A sensor that breaks to 0 below this cannot be told from an empty muscle (safety contract)."""
+BLIND_KPA = 250.0
+"""Filled at most by this before it shows that nothing is read."""
 TICK_US = 1000
 STRETCH_MS = 100
 HOST_SILENT_US = 290_000
@@ -159,9 +161,8 @@ def told(fault: Fault, truth: Truth, record: Bytes) -> bool:
     final = record.final
     if truth.killed:
         return not final  # it reads as interrupted; what was counted is gone
-    if final.get("outcome") not in ("clean", None) or not final:
-        if not truth.error:
-            return False  # nothing tells the person at the terminal
+    if final.get("outcome") != "clean" and not truth.error:
+        return False  # nothing tells the person at the terminal
     ended = truth.outcome not in ("clean", "stopped") and bool(truth.error)
     if ended and re.search(WORDS.get(fault.layer, fault.device), truth.error):
         return True
@@ -197,6 +198,7 @@ def _vents(truth: Truth, record: Bytes, verdict: Verdict) -> None:
         if vented and truth.outcome == "clean" and not record.kind("fault"):
             verdict.untold.append(f"{what}: the controller vented")
     _emptied(truth, verdict)
+    _blind(truth, verdict)
     air = truth.end_kpa >= EMPTY_KPA
     if air and not truth.sealed_in:
         verdict.late.append(f"{truth.end_kpa:.0f} kPa in the muscle 3 s after the end")
@@ -235,6 +237,18 @@ def _must_vent(truth: Truth) -> Iterator[tuple[str, int, int]]:
         runs = np.flatnonzero(over[2:] & over[1:-1] & over[:-2])
         if len(runs) and armed_at and armed_at[0] < truth.us[runs[0]] <= truth.done_us:
             yield "over-pressure", int(truth.us[runs[0]]), OVER_PRESSURE_US
+
+
+def _blind(truth: Truth, verdict: Verdict) -> None:
+    """A sensor that reads nothing must not have the muscle filled for long."""
+    for fault in truth.faults:
+        if fault.layer == "sensor" and fault.kind == "low" and fault.begun_us >= 0:
+            inside = (truth.us >= fault.begun_us) & (truth.us < fault.end_s * 1e6)
+            rose = float(truth.kpa[inside].max() if inside.any() else 0.0) - _kpa_at(
+                truth, fault.begun_us
+            )
+            if rose > BLIND_KPA:
+                verdict.late.append(f"filled by {rose:.0f} kPa while the sensor read nothing")
 
 
 def _kpa_at(truth: Truth, us: int) -> float:

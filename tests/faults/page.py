@@ -19,10 +19,11 @@ TITLE = (
     "# Faults survived",
     "",
     "Made by `make faults` (`python -m tests.faults --page docs/faults.md`): tiny runs of every",
-    "protocol on the virtual clock, judged by the bench's own truth and by the bytes on disk. First",
-    "every kind of fault by itself, early, midway and late in every protocol; then one to three",
-    "layers at once, kind, moment, length and strength at random. A run's number names protocol,",
-    "bench and faults: `python -m tests.faults --only NUMBER` makes it again, and keeps it.",
+    "protocol on the virtual clock, judged by the bench's own truth and by the bytes on disk.",
+    "First every kind of fault by itself, early, midway and late in every protocol; then one to",
+    "three layers at once, kind, moment, length and strength at random. A run's number names",
+    "protocol, bench and faults: `python -m tests.faults --only NUMBER` makes it again, and keeps",
+    "it.",
     "",
 )
 HEAD = (
@@ -33,19 +34,19 @@ LEGEND = (
     "*Untold*: neither record nor message shows that something was wrong. *Vent late*: beyond",
     "the deadlines of docs/safety-contract.md, or air in the muscle 3 s after the end that could",
     "have gone. *Unreadable*: a row that the host had taken before the fault is gone or reads",
-    "otherwise (events and pictures too), or `runs verify` finds damage. *Wrong value*: a sample or",
-    "a number in the table that is not the truth of its moment, beyond six of its own standard",
-    "uncertainties and what moved meanwhile; of valve and control tests, beyond that from what the",
-    "same bench gives without a fault. *Cannot go on*: `pamrig continue` does not make the table",
-    "whole. *Bound*: upper 95 % Wilson bound of the share of runs with any finding. A run with",
-    "several faults counts for each.",
+    "otherwise (events and pictures too), or `runs verify` finds damage. *Wrong value*: a sample",
+    "or a number in the table that is not the truth of its moment, beyond six of its own standard",
+    "uncertainties and what moved meanwhile; of valve and control tests, beyond that from what",
+    "the same bench gives without a fault (of a ram, its first move). *Cannot go on*: `pamrig",
+    "continue` does not make the table whole. *Bound*: upper 95 % Wilson bound of the share of",
+    "runs with any finding. A run with several faults counts for each.",
 )
 EXEMPT = (
     "Not held against a run: a heartbeat, command or single reading that was lost and made good;",
     "a digit flipped into another digit on a line whose protocol has no checksum (MT-SICS), as",
     "long as no value is wrong by it; a supply or valve fault after which every value is right;",
-    "a pressure read as 0 by a wire that broke in an empty muscle. A valve or control test measures",
-    "the valve: what it says of one that is stuck, slow or short of air is not held against it.",
+    "a pressure read as 0 by a wire that broke in an empty muscle. A valve or control test",
+    "measures the valve: what it says of one that is stuck, slow or short of air is not judged.",
 )
 MARK = "<!-- below this line the page is written by hand -->"
 

@@ -106,6 +106,7 @@ class Trial:
         self.root = work / "runs" / f"{protocol}-{seed}"
         self.disk = FaultyDisk(self.rng)
         self.disk.stall, self.disk.die = self._stall, self.die
+        self.disk.now_s = lambda: self.bench.board.bench_us * 1e-6
         self.rules: dict[int, Any] = {}
         self.camera_fault: Fault | None = None
         self.hang_s = 0.0
