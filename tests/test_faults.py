@@ -229,3 +229,23 @@ def test_a_valve_test_does_not_fill_what_it_cannot_feel(tmp_path: Path, protocol
     assert result.outcome == "faulted"
     assert "sensor_no_rise" in str(result.error)
     assert max(benches[0].board.truth_kpa) < 250.0
+
+
+def test_a_reading_that_lost_its_head_is_counted(tmp_path: Path) -> None:
+    """It was kept as an answer for whoever might ask, and no counter showed that one was lost."""
+
+    def behead(runner: Any) -> None:
+        bench = runner.rig.bench
+        send, left = bench._send, [3]
+
+        def cut(device: str, data: bytes, bench_ns: int | None = None) -> None:
+            if device == "balance" and data.startswith(b"S ") and left[0]:
+                left[0] -= 1
+                data = data[4:]
+            send(device, data, bench_ns)
+
+        bench._send = cut
+
+    result, run, _ = run_short("step", tmp_path, begin=behead)
+    assert result.outcome == "clean"
+    assert run.final["counters"]["balance"]["damaged"] == 3
