@@ -96,6 +96,7 @@ class Inquiry:
         self.columns = self.stated_columns
         self.units = self._units()
         self._near: tuple[State, Array] | None = None
+        self._signed: tuple[State, tuple[Suspect, ...], Array] | None = None
         self.base = self._recalibrate()
         self.floor_variance = self.noise.variance()
 
@@ -289,12 +290,20 @@ class Inquiry:
         return State(shift, (), np.empty(0), residual, cost, np.eye(len(shift)))
 
     def signatures(self, state: State) -> Array:
-        """Columns [constants | residual | suspects] at `state`, shape (rows, columns)."""
+        """Columns [constants | residual | suspects] at `state`, shape (rows, columns).
+
+        Those of the last state asked for are kept.
+        """
+        kept = self._signed
+        if kept is not None and kept[0] is state and kept[1] == self.suspects:
+            return kept[2]
         c = self.constants(state.shift)
         constants = self.columns if np.any(state.shift) else self.stated_columns
         active = self.found(state.shift, state.suspects, state.amounts)
         suspects = suspect_columns(self.model, c, active, self.suspects)
-        return np.hstack([constants, state.residual[:, None], np.nan_to_num(suspects)])
+        made = np.hstack([constants, state.residual[:, None], np.nan_to_num(suspects)])
+        self._signed = (state, self.suspects, made)
+        return made
 
     def evidence(self, state: State) -> Evidence:
         """Inner products of constants, residual and all suspects at `state`."""

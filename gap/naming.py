@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from gap.agreement import inflation
 from gap.evidence import SLACK, projected
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
@@ -114,6 +115,8 @@ def name_effects(q: Inquiry) -> Naming:
         if not top or (best[top[0]] < alarm and not bent):
             break
         gain = best[top[0]]
+        if step == 0 and not bent and gain / inflation(q, top[0]) < alarm:
+            break
         small = step == 0 and gain < PLAIN and not bent
         if small and carried(q, top[0])[0] < CARRIED * gain:
             break
