@@ -20,7 +20,7 @@ from gap.grid import make_grid
 from gap.inquiry import Inquiry, State
 from gap.library import Candidate, as_data
 from gap.model import Model
-from gap.noise import usual, WHITE, Noise
+from gap.noise import WHITE, Noise, usual
 from gap.rows import BLOCKS
 
 Array = npt.NDArray[np.float64]

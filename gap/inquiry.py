@@ -147,7 +147,14 @@ class Inquiry:
             amounts[-1:] *= 0.3
         else:
             amounts[-1:] = 0.0
-        return self._descend(at.shift, suspects, amounts, columns)
+        found = self._descend(at.shift, suspects, amounts, columns)
+        if found.cost > at.cost and np.any(amounts[-1:]):
+            # It got lost; from nothing at all it can only get better.
+            amounts[-1:] = 0.0
+            found = min(
+                found, self._descend(at.shift, suspects, amounts, columns), key=lambda s: s.cost
+            )
+        return found
 
     def _columns_near(self, state: State) -> Array:
         """Signatures of the constants at a state; those of the last one asked for are kept."""
@@ -222,8 +229,9 @@ class Inquiry:
             damping = damping / 10.0
             if gain < max(0.2, 1e-4 * cost):
                 break
-        cover = np.asarray(np.linalg.pinv(matrix, hermitian=True, rcond=1e-13))
-        return State(shift, tuple(suspects), amounts, residual, cost, cover)
+        return State(
+            shift, tuple(suspects), amounts, residual, cost, _covariance(matrix)
+        )
 
     def _at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> tuple[Array, float]:
         residual = self.residual_at(shift, suspects, amounts)
@@ -325,14 +333,26 @@ class Inquiry:
         return made
 
 
+def _scale(matrix: Array) -> Array:
+    """Unit of each parameter of a normal matrix: a leak's is thirty decades from a constant's."""
+    diagonal = np.diag(matrix)
+    return np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+
+
 def _solved(matrix: Array, right: Array, damping: float) -> Array:
     """Step of the damped normal equations (Marquardt)."""
-    diagonal = np.diag(matrix)
-    stiff = matrix + np.diag(damping * diagonal + 1e-12 * diagonal.max(initial=1.0))
+    unit = _scale(matrix)
+    stiff = matrix / unit / unit[:, None] + (damping + 1e-12) * np.eye(len(unit))
     try:
-        return np.asarray(np.linalg.solve(stiff, right))
+        return np.asarray(np.linalg.solve(stiff, right / unit)) / unit
     except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(stiff, hermitian=True) @ right)
+        return np.asarray(np.linalg.pinv(stiff, hermitian=True) @ (right / unit)) / unit
+
+
+def _covariance(matrix: Array) -> Array:
+    unit = _scale(matrix)
+    even = np.linalg.pinv(matrix / unit / unit[:, None], hermitian=True, rcond=1e-13)
+    return np.asarray(even / unit / unit[:, None])
 
 
 def _bounded(suspects: Sequence[Suspect], amounts: Array) -> Array:

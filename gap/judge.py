@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gap.advise import advise
-from gap.belief import learnt
 from gap.agreement import repeated
+from gap.belief import learnt
 from gap.cleared import Cleared, cleared
 from gap.inquiry import Inquiry, State
 from gap.mimic import Mimic, Mimicked, Mimicry
@@ -151,6 +151,7 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
         "belief": belief,
         "mimics": [{"ids": m.ids, "share": m.share} for m in (one, two) if m],
         "steps": [{"entry": k, "gain": g} for k, g in naming.steps],
+        "further": naming.tried,
         "traits": traits,
     }
     if belief["unknown"] > belief["right"] + belief["other"]:

@@ -17,6 +17,7 @@ from gap.evidence import SLACK, projected
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
 from gap.suspects import Suspect
+from plant.catalogue import CATALOGUE
 from plant.constants import KEYS
 
 Array = npt.NDArray[np.float64]
@@ -73,6 +74,7 @@ class Naming:
         alarm: gain that a first effect needed on these data.
         chance: share of simulated data sets without a gap whose best gain is as large.
         steps: (key, gain) of each effect in order of entry.
+        tried: for each step beyond the first the best further effect and what spoke for it.
         last_gain: gain of each key on top of the explanation, linearised.
     """
 
@@ -84,6 +86,7 @@ class Naming:
     alarm: float = ALARM
     chance: float = 1.0
     steps: list[tuple[str, float]] = field(default_factory=list)
+    tried: list[dict[str, float | str]] = field(default_factory=list)
     last_gain: dict[str, float] = field(default_factory=dict)
 
 
@@ -126,6 +129,8 @@ def name_effects(q: Inquiry) -> Naming:
         ]
         tried.sort(key=lambda choice: choice.cost)
         fit = [choice for choice in tried if _counts(q, naming, state, choice)]
+        if step:
+            naming.tried.append(_further(q, naming, state, (fit or tried)[0], bool(fit)))
         if not fit:
             break
         tried.remove(fit[0])
@@ -235,6 +240,28 @@ def _counts(q: Inquiry, naming: Naming, before: State, choice: Choice) -> bool:
     if gain < max(_LEAST_NEXT, naming.alarm):
         return False
     return _worth(q, naming, before, choice.state)
+
+
+def _further(
+    q: Inquiry, naming: Naming, before: State, choice: Choice, counted: bool
+) -> dict[str, float | str]:
+    """What speaks for one more effect, in plain numbers."""
+    gain = before.cost - choice.cost
+    last = choice.state.suspects[-1].id
+    families = {CATALOGUE[s.id].family for s in before.suspects if s.id in CATALOGUE}
+    return {
+        "key": choice.keys[-1],
+        "gain": gain,
+        "alarm": naming.alarm,
+        "share": gain / max(naming.excess, 1.0),
+        "of_left": gain / max(excess(q, before), 1.0),
+        "left": excess(q, before),
+        "rows": float(len(q.rows)),
+        "seen": seen(q, before, choice.state),
+        "apart": float(apart(q, before, choice.keys[-1])),
+        "same_family": float(last in CATALOGUE and CATALOGUE[last].family in families),
+        "counted": float(counted),
+    }
 
 
 def _scan_clocks(q: Inquiry) -> dict[str, tuple[float, float]]:

@@ -20,6 +20,16 @@ _MOST = 1e9
 def traits_of(
     q: Inquiry, naming: Naming, held: Mapping[str, Held], mimicked: Mimicked
 ) -> dict[str, float]:
+    """Traits of what a search found, all plain numbers.
+
+    `excess` and `left` are whitened sums of squares beyond noise before and after, `repeated` and
+    `repeated_left` what of them the replicates share, `rows` the number of features; `margin` and
+    `margin_family` how much more the best explanation of other effects, and of other families,
+    leaves; `more` what one further effect would take of what is left; `bent` the largest shift of
+    a constant in sd; `one` and `two` the share that another entry and a pair of others could
+    imitate on these data, `member_...` the same of one effect alone; `share` what part of all
+    that is explained the last effect took.
+    """
     state = naming.chosen.state
     own = {_family(name) for name in state.ids}
     others = [c.cost for c in naming.rivals if set(c.state.ids) != set(state.ids)]
