@@ -10,7 +10,7 @@ from gap.agreement import repeated
 from gap.inquiry import Inquiry
 from gap.mimic import Mimicked
 from gap.naming import Naming
-from gap.shrinkage import Held
+from gap.shrink import Held
 from plant.catalogue import CATALOGUE
 
 _MOST = 1e9
