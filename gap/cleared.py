@@ -127,7 +127,8 @@ def _needed(q: Inquiry, naming: Naming) -> Naming:
         ]
         less = q.polish(q.fit([s for s, _ in pairs], [a for _, a in pairs], state))
         part = gain < FORM * max(q.base.cost - state.cost, 1.0)
-        mends = part and not elsewhere and seen(q, less, state) < PLAINLY_SEEN
+        exact = excess(q, less) < 2.0 * np.sqrt(2.0 * len(q.rows))
+        mends = part and not (elsewhere or exact) and seen(q, less, state) < PLAINLY_SEEN
         if not mends and (
             gain > LARGE * naming.excess or _gains_surely(held_out(q, less), held_out(q, state))
         ):

@@ -229,9 +229,7 @@ class Inquiry:
             damping = damping / 10.0
             if gain < max(0.2, 1e-4 * cost):
                 break
-        return State(
-            shift, tuple(suspects), amounts, residual, cost, _covariance(matrix)
-        )
+        return State(shift, tuple(suspects), amounts, residual, cost, _covariance(matrix))
 
     def _at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> tuple[Array, float]:
         residual = self.residual_at(shift, suspects, amounts)

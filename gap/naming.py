@@ -33,8 +33,10 @@ CARRIED = 0.3
 """Least share of its gain that a first effect must carry over to such slots."""
 SHARE_SURE = 0.06
 """Least share of the gap's excess that a further effect must take away."""
-SEEN_NEXT = 0.45
+SEEN_NEXT = 0.6
 """Least change of the residual in some block, in units of its floor, for an effect to count."""
+FAR_ABOVE = 3.0
+"""The same, from which a further effect counts beside one whose form leaves much."""
 PLAINLY_SEEN = 1.5
 """The same, from which an effect counts beside one of any size."""
 MOST = 3
@@ -137,7 +139,7 @@ def name_effects(q: Inquiry) -> Naming:
         tried.insert(0, fit[0])
         naming.steps.append((tried[0].keys[-1], state.cost - tried[0].cost))
         naming.chosen = tried[0]
-        naming.rivals = tried[1:]
+        naming.rivals = [choice for choice in tried[1:] if not step or choice in fit]
         state = q.polish(tried[0].state)
         naming.chosen = Choice(tried[0].keys, state)
         keys = tried[0].keys
@@ -297,15 +299,26 @@ def naming_scale(q: Inquiry, gains: Array, fresh: Array) -> float:
 
 
 def _worth(q: Inquiry, naming: Naming, before: State, after: State) -> bool:
-    """Whether a further effect takes a fair share of the gap, or most of what is left of it."""
+    """Whether a further effect is seen, and takes a fair share of the gap or of what is left.
+
+    What is left of a first effect whose form is not exact can be taken by many others; that shows
+    over a floor nowhere, and is little of the gap.
+    """
+    visible = seen(q, before, after)
+    if visible <= SEEN_NEXT:
+        return False
     gain = before.cost - after.cost
+    left = max(excess(q, before), 1.0)
     if gain > SHARE_SURE * naming.excess:
         return True
-    if gain < 0.35 * max(excess(q, before), 1.0):
+    if left < 2.0 * np.sqrt(2.0 * len(q.rows)) and gain > 1.5 * max(_LEAST_NEXT, naming.alarm):
+        return True  # nothing is left of the first effect that a second could mend
+    if visible > FAR_ABOVE and gain > 0.15 * left:
+        return True
+    if gain < 0.35 * left:
         return False
-    visible = seen(q, before, after)
-    large = max(excess(q, before), 1.0) > 0.02 / 0.35 * naming.excess
-    return visible > PLAINLY_SEEN or (large and visible > SEEN_NEXT)
+    large = left > 0.02 / 0.35 * naming.excess
+    return visible > PLAINLY_SEEN or large
 
 
 def seen(q: Inquiry, before: State, after: State) -> float:

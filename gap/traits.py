@@ -37,8 +37,11 @@ def traits_of(
     explained = max(q.base.cost - state.cost, 1.0)
     closed = [c for c in (h.closed() for h in held.values()) if c is not None]
     best_closed = max(closed, default=(0.0, -1.0, 1.0))
-    reach = [abs(a) / s.bounds[1] for s, a in zip(state.suspects, state.amounts, strict=True)
-             if np.isfinite(s.bounds[1]) and s.bounds[1] > 0.0]
+    reach = [
+        abs(a) / s.bounds[1]
+        for s, a in zip(state.suspects, state.amounts, strict=True)
+        if np.isfinite(s.bounds[1]) and s.bounds[1] > 0.0
+    ]
     made = {
         "rows": float(len(q.rows)),
         "excess": naming.excess,
