@@ -201,8 +201,7 @@ class _SerialPort:
             return int(self._serial.write(data) or 0)
         # pyserial looks at the clock after the bytes have gone, so that a program kept from the
         # processor for 0.2 s would take its device for lost. Only waiting for the port counts.
-        # It is asked for room only when full: asked, a terminal waits for a kernel thread to deliver
-        # what has come in, on a busy machine for a tenth of a second in which no heart beats.
+        # Asked for room only when full: a terminal asked waits for its kernel thread, 0.1 s at worst.
         sent, port = 0, self._serial.fileno()
         while sent < len(data):
             with contextlib.suppress(BlockingIOError):
