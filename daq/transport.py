@@ -201,18 +201,13 @@ class _SerialPort:
             return int(self._serial.write(data) or 0)
         # pyserial looks at the clock after the bytes have gone, so that a program kept from the
         # processor for 0.2 s would take its device for lost. Only waiting for the port counts.
-        # It is written to first and waited for only if it is full: to be asked whether there is
-        # room, a terminal first has a kernel thread deliver what has come in, and on a busy
-        # machine that takes up to a tenth of a second, in which no heart beats.
+        # Asked for room only when full: a terminal asked waits for its kernel thread, 0.1 s at worst.
         sent, port = 0, self._serial.fileno()
         while sent < len(data):
-            try:
+            with contextlib.suppress(BlockingIOError):
                 sent += os.write(port, data[sent:])
-            except BlockingIOError:
-                if not select.select([], [port], [], WRITE_TIMEOUT_S)[1]:
-                    raise TimeoutError(
-                        f"took {sent}, then nothing for {WRITE_TIMEOUT_S:g} s"
-                    ) from None
+            if sent < len(data) and not select.select([], [port], [], WRITE_TIMEOUT_S)[1]:
+                raise TimeoutError(f"took {sent}, then nothing for {WRITE_TIMEOUT_S:g} s")
         return sent
 
     def close(self) -> None:
