@@ -20,6 +20,8 @@ Floats = npt.NDArray[np.float64]
 WIDTH, HEIGHT = 1000.0, 440.0
 LABEL_GAP = 34.0  # least vertical distance between curve labels
 POINTS_A_LABEL = 5_000  # bound on what one curve may hold
+LETTER = 10.5  # about the width of one letter of a title, which stands centred
+TITLE_LEFT = -85.0  # where a title of the y axis may begin
 OVERSHOOT = 0.03  # how far outside the frame a point may lie before the axis grows
 
 
@@ -125,10 +127,11 @@ class Chart:
         strips += [np.array([[p[0], 0.0], [p[0], HEIGHT]]) for p in at_x[1:-1]]
         strips += [np.array([[0.0, p[1]], [WIDTH, p[1]]]) for p in at_y[1:-1]]
         tick_at = np.concatenate((at_x + np.array([0.0, 18.0]), at_y - np.array([34.0, 15.0])))
+        title_x = max(20.0, TITLE_LEFT + LETTER * len(self.axes[1].title) / 2)
         return Drawing(
             strips=strips,
             tick_at=tick_at,
             tick_text=[f"{v:g}" for v in np.concatenate((tx, ty)).round(9)],
-            title_at=np.array([[WIDTH / 2, HEIGHT + 56.0], [20.0, -34.0]]),
+            title_at=np.array([[WIDTH / 2, HEIGHT + 56.0], [title_x, -34.0]]),
             title_text=[a.title for a in self.axes],
         )

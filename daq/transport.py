@@ -201,12 +201,13 @@ class _SerialPort:
             return int(self._serial.write(data) or 0)
         # pyserial looks at the clock after the bytes have gone, so that a program kept from the
         # processor for 0.2 s would take its device for lost. Only waiting for the port counts.
+        # Asked for room only when full: a terminal asked waits for its kernel thread, 0.1 s at worst.
         sent, port = 0, self._serial.fileno()
         while sent < len(data):
-            if not select.select([], [port], [], WRITE_TIMEOUT_S)[1]:
-                raise TimeoutError(f"took {sent}, then nothing for {WRITE_TIMEOUT_S:g} s")
-            with contextlib.suppress(BlockingIOError):  # room for less than select promised
+            with contextlib.suppress(BlockingIOError):
                 sent += os.write(port, data[sent:])
+            if sent < len(data) and not select.select([], [port], [], WRITE_TIMEOUT_S)[1]:
+                raise TimeoutError(f"took {sent}, then nothing for {WRITE_TIMEOUT_S:g} s")
         return sent
 
     def close(self) -> None:

@@ -16,7 +16,6 @@ from scipy.stats import t as student
 
 from gap.inquiry import Inquiry, State
 from gap.naming import (
-    ALARM,
     PLAIN,
     PLAINLY_SEEN,
     Choice,
@@ -36,6 +35,8 @@ SAME = 0.15
 """Most that trials may differ in the amount they ask for, beyond chance, over that amount."""
 FAR_WORSE = 0.1
 """Share of the gap's excess by which effects may do worse than a defect and still be named."""
+LEAST_LATE_MS = 5.0
+"""Delay below which a late channel may as well be a slow sensor, which no clock is to blame for."""
 SURE = 0.95
 FORM = 0.12
 """Share of what is explained below which a further effect in the same channels only mends the
@@ -69,7 +70,7 @@ def cleared(q: Inquiry, naming: Naming) -> Cleared:
         return Cleared(naming, defect=True)
     clean = name_effects(without_defects(q))
     worse = clean.chosen.cost - naming.chosen.cost
-    blurred = first and worse > ALARM + FAR_WORSE * naming.excess
+    blurred = first and worse > PLAIN + FAR_WORSE * naming.excess
     return Cleared(_needed(q, _rivals_cleared(clean)), blurred=blurred)
 
 
@@ -86,9 +87,12 @@ def _rivals_cleared(naming: Naming) -> Naming:
 
 
 def _is_defect(q: Inquiry, naming: Naming) -> bool:
-    if naming.steps[0][1] < ALONE * naming.excess:
+    if naming.steps[0][1] < max(ALONE * naming.excess, PLAIN):
         return False
     state = naming.chosen.state
+    late = float(state.amounts[0])
+    if state.suspects[0].id.endswith("clock") and 0.0 < late < LEAST_LATE_MS:
+        return False
     return _disagreement(q, state) < SAME * abs(float(state.amounts[0]))
 
 
@@ -123,7 +127,8 @@ def _needed(q: Inquiry, naming: Naming) -> Naming:
         ]
         less = q.polish(q.fit([s for s, _ in pairs], [a for _, a in pairs], state))
         part = gain < FORM * max(q.base.cost - state.cost, 1.0)
-        mends = part and not elsewhere and seen(q, less, state) < PLAINLY_SEEN
+        exact = excess(q, less) < 2.0 * np.sqrt(2.0 * len(q.rows))
+        mends = part and not (elsewhere or exact) and seen(q, less, state) < PLAINLY_SEEN
         if not mends and (
             gain > LARGE * naming.excess or _gains_surely(held_out(q, less), held_out(q, state))
         ):

@@ -142,11 +142,21 @@ def trial_columns(model: Model, c: PlantConstants) -> tuple[list[TrialEffect], A
     return kinds, np.stack(columns, axis=1) if columns else np.zeros((len(model.grid.rows), 0))
 
 
+UNSEEN_GAS = "gas between frames"
+_LEAST_ADRIFT_KPA = 0.02
+
+
 def slow_columns(model: Model, trial_rows: npt.NDArray[np.int64]) -> tuple[Array, list[str]]:
-    """Cosines over one trial for each of its blocks, shape (rows of the trial, waves)."""
+    """Cosines over one trial for each of its blocks, shape (rows of the trial, waves).
+
+    Where gas may have passed unseen, the pressure has one more.
+    """
     rows = model.grid.rows
     columns: list[Array] = []
     groups: list[str] = []
+    if rows.adrift[trial_rows].max(initial=0.0) > _LEAST_ADRIFT_KPA:
+        columns.append(rows.adrift[trial_rows])
+        groups.append(UNSEEN_GAS)
     for number, block in enumerate(BLOCKS):
         here = rows.block[trial_rows] == number
         if (

@@ -20,7 +20,7 @@ from gap.grid import make_grid
 from gap.inquiry import Inquiry, State
 from gap.library import Candidate, as_data
 from gap.model import Model
-from gap.noise import SLOW_START, WHITE, Noise
+from gap.noise import WHITE, Noise, usual
 from gap.rows import BLOCKS
 
 Array = npt.NDArray[np.float64]
@@ -115,5 +115,5 @@ def _noise(q: Inquiry, model: Model) -> Noise:
     scales = {effect.kind: effect.sd for effect in TRIAL_EFFECTS} | dict(q.noise.scales)
     noise = Noise(np.maximum(white, 1e-9), [], [], [], scales, 0, 0)
     for group in noise.take_trials(model, effects, shared):
-        scales.setdefault(group, SLOW_START[group.split()[1]])
+        scales.setdefault(group, usual(group))
     return noise

@@ -16,6 +16,7 @@ from gap import bins
 from gap.dataset import Array, Channel, DataSet, Trial
 from gap.rows import BLOCKS, Mean, Points, Rows, Whole, stacked
 from gap.signals import Signal, edges_of, moving, smooth_slope
+from gap.trapped import passing, unknown_gas
 from plant.constants import PlantConstants
 from plant.muscle import braid_force_slope, braid_volume, braid_volume_slope
 
@@ -111,6 +112,7 @@ class _Piece:
     floor: Array
     trial: int = 0
     bin: Whole | None = None
+    adrift: Array | None = None
 
 
 def _pieces(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> list[tuple[str, _Piece]]:
@@ -260,14 +262,20 @@ def _chamber(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> _Piec
     c = data.constants
     volume = braid_volume(length, c.braid_length_m, c.turns) + c.dead_volume_m3
     squeeze = braid_volume_slope(length, c.braid_length_m, c.turns) / volume
-    doubt = np.abs(squeeze * (p + c.atmosphere_pa)) * signal.length_doubt_at(t) * 1e-3
+    share = np.abs(squeeze) * signal.length_doubt_at(t)
+    kpa = (p + c.atmosphere_pa) * 1e-3
+    adrift = unknown_gas(share, volume * kpa, passing(trial, t)) * kpa
+    doubt = np.hypot(share * kpa, _SHAPE * adrift)
     floor = 0.02 + np.minimum(np.abs(np.gradient(p, t)), 1e7) * _EDGE_FLOOR_S * 1e-3
     return _Piece(
         t, count, p, zero, p, length, signal.rate_at(t), signal.acceleration_at(t),
         signal.held, signal.temperature_at(t), np.nan, p, zero, feed, False, doubt, floor,
+        adrift=adrift,
     )  # fmt: skip
 
 
+_SHAPE = 0.3
+"""Part of the doubt about unseen gas that need not be the same throughout a trial."""
 _MOST = {"pressure": 320, "force": 240, "load": 160, "camera": 12}
 
 
@@ -334,6 +342,7 @@ def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points
                 length=mean(piece.length),
                 rate=mean(piece.rate),
                 doubt=mean(piece.doubt),
+                adrift=np.zeros(len(found)) if piece.adrift is None else mean(piece.adrift),
                 floor=mean(piece.floor),
             )
         )

@@ -96,6 +96,7 @@ class Inquiry:
         self.columns = self.stated_columns
         self.units = self._units()
         self._near: tuple[State, Array] | None = None
+        self._signed: tuple[State, tuple[Suspect, ...], Array] | None = None
         self.base = self._recalibrate()
         self.floor_variance = self.noise.variance()
 
@@ -146,7 +147,14 @@ class Inquiry:
             amounts[-1:] *= 0.3
         else:
             amounts[-1:] = 0.0
-        return self._descend(at.shift, suspects, amounts, columns)
+        found = self._descend(at.shift, suspects, amounts, columns)
+        if found.cost > at.cost and np.any(amounts[-1:]):
+            # It got lost; from nothing at all it can only get better.
+            amounts[-1:] = 0.0
+            found = min(
+                found, self._descend(at.shift, suspects, amounts, columns), key=lambda s: s.cost
+            )
+        return found
 
     def _columns_near(self, state: State) -> Array:
         """Signatures of the constants at a state; those of the last one asked for are kept."""
@@ -221,8 +229,7 @@ class Inquiry:
             damping = damping / 10.0
             if gain < max(0.2, 1e-4 * cost):
                 break
-        cover = np.asarray(np.linalg.pinv(matrix, hermitian=True, rcond=1e-13))
-        return State(shift, tuple(suspects), amounts, residual, cost, cover)
+        return State(shift, tuple(suspects), amounts, residual, cost, _covariance(matrix))
 
     def _at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> tuple[Array, float]:
         residual = self.residual_at(shift, suspects, amounts)
@@ -289,12 +296,20 @@ class Inquiry:
         return State(shift, (), np.empty(0), residual, cost, np.eye(len(shift)))
 
     def signatures(self, state: State) -> Array:
-        """Columns [constants | residual | suspects] at `state`, shape (rows, columns)."""
+        """Columns [constants | residual | suspects] at `state`, shape (rows, columns).
+
+        Those of the last state asked for are kept.
+        """
+        kept = self._signed
+        if kept is not None and kept[0] is state and kept[1] == self.suspects:
+            return kept[2]
         c = self.constants(state.shift)
         constants = self.columns if np.any(state.shift) else self.stated_columns
         active = self.found(state.shift, state.suspects, state.amounts)
         suspects = suspect_columns(self.model, c, active, self.suspects)
-        return np.hstack([constants, state.residual[:, None], np.nan_to_num(suspects)])
+        made = np.hstack([constants, state.residual[:, None], np.nan_to_num(suspects)])
+        self._signed = (state, self.suspects, made)
+        return made
 
     def evidence(self, state: State) -> Evidence:
         """Inner products of constants, residual and all suspects at `state`."""
@@ -316,14 +331,26 @@ class Inquiry:
         return made
 
 
+def _scale(matrix: Array) -> Array:
+    """Unit of each parameter of a normal matrix: a leak's is thirty decades from a constant's."""
+    diagonal = np.diag(matrix)
+    return np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+
+
 def _solved(matrix: Array, right: Array, damping: float) -> Array:
     """Step of the damped normal equations (Marquardt)."""
-    diagonal = np.diag(matrix)
-    stiff = matrix + np.diag(damping * diagonal + 1e-12 * diagonal.max(initial=1.0))
+    unit = _scale(matrix)
+    stiff = matrix / unit / unit[:, None] + (damping + 1e-12) * np.eye(len(unit))
     try:
-        return np.asarray(np.linalg.solve(stiff, right))
+        return np.asarray(np.linalg.solve(stiff, right / unit)) / unit
     except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(stiff, hermitian=True) @ right)
+        return np.asarray(np.linalg.pinv(stiff, hermitian=True) @ (right / unit)) / unit
+
+
+def _covariance(matrix: Array) -> Array:
+    unit = _scale(matrix)
+    even = np.linalg.pinv(matrix / unit / unit[:, None], hermitian=True, rcond=1e-13)
+    return np.asarray(even / unit / unit[:, None])
 
 
 def _bounded(suspects: Sequence[Suspect], amounts: Array) -> Array:

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gap.advise import advise
+from gap.agreement import repeated
 from gap.belief import learnt
 from gap.cleared import Cleared, cleared
 from gap.inquiry import Inquiry, State
-from gap.mimic import Mimic, Mimicry
+from gap.mimic import Mimic, Mimicked, Mimicry
 from gap.naming import ALARM, Choice, Naming
 from gap.parameters import headline_estimates, limits_of
 from gap.shrink import Held, gap_of, held_out
@@ -86,8 +87,12 @@ def _share(q: Inquiry, naming: Naming) -> float:
 
 
 def _without_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
-    unseen = naming.excess / max(len(q.rows), 1)
     floor = _floor_source(q)
+    unseen = naming.excess
+    if floor == "replicates":
+        # What replicates do not share is noise, whatever the model of the noise says of its size.
+        unseen = min(unseen, max(repeated(q, q.base.residual), 0.0))
+    unseen /= max(len(q.rows), 1)
     if floor is None:
         return _verdict(
             q, naming, held, "below_resolution",
@@ -134,17 +139,19 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             f"the data look like {names}, but with {q.noise.freedom} replicates beyond the first "
             "nothing can be told from noise", none=0.3, unknown=0.5, gap=gap,
         )  # fmt: skip
-    traits = traits_of(q, naming)
+    mimicked = Mimicry(q).of_state(chosen.state)
+    traits = traits_of(q, naming, held, mimicked)
     belief = learnt().of(traits)
     none = min(naming.chance, 0.5)
     weighed = _weigh(naming, belief, none)
-    one, two = _mimics(q, chosen.state, naming)
+    one, two = _fair(q, mimicked, naming)
     extra = [m for m in (one, two) if m is not None and m.share >= MIMIC]
     evidence: dict[str, object] = {
         "share_explained": share,
         "belief": belief,
         "mimics": [{"ids": m.ids, "share": m.share} for m in (one, two) if m],
         "steps": [{"entry": k, "gain": g} for k, g in naming.steps],
+        "further": naming.tried,
         "traits": traits,
     }
     if belief["unknown"] > belief["right"] + belief["other"]:
@@ -175,13 +182,12 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
     )  # fmt: skip
 
 
-def _mimics(q: Inquiry, state: State, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
+def _fair(q: Inquiry, found: Mimicked, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
     """Best single and pair that could stand in, their shares capped where the data rule them out.
 
     A mimic that leaves more than noise and inexact forms could is no mimic on these data.
     """
-    found = Mimicry(q).of(q.base.residual - state.residual, frozenset(state.ids))
-    whole = max(q.base.cost - state.cost, 0.0)
+    whole = max(q.base.cost - naming.chosen.state.cost, 0.0)
     bearable = max(TOLD_APART, 3.0 * naming.left)
 
     def fair(mimic: Mimic | None) -> Mimic | None:
@@ -189,7 +195,7 @@ def _mimics(q: Inquiry, state: State, naming: Naming) -> tuple[Mimic | None, Mim
             return mimic
         return Mimic(mimic.ids, min(mimic.share, 0.99 * MIMIC))
 
-    return fair(found[0]), fair(found[1])
+    return fair(found.one), fair(found.two)
 
 
 def _status(
@@ -286,7 +292,6 @@ def _verdict(
         notes=q.data.notes,
         evidence={
             "found": list(naming.chosen.state.ids),
-            "traits": traits_of(q, naming),
             **(evidence or {}),
         },
     )

@@ -12,10 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from gap.agreement import inflation
 from gap.evidence import SLACK, projected
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
 from gap.suspects import Suspect
+from plant.catalogue import CATALOGUE
 from plant.constants import KEYS
 
 Array = npt.NDArray[np.float64]
@@ -31,8 +33,10 @@ CARRIED = 0.3
 """Least share of its gain that a first effect must carry over to such slots."""
 SHARE_SURE = 0.06
 """Least share of the gap's excess that a further effect must take away."""
-SEEN_NEXT = 0.45
+SEEN_NEXT = 0.6
 """Least change of the residual in some block, in units of its floor, for an effect to count."""
+FAR_ABOVE = 3.0
+"""The same, from which a further effect counts beside one whose form leaves much."""
 PLAINLY_SEEN = 1.5
 """The same, from which an effect counts beside one of any size."""
 MOST = 3
@@ -72,6 +76,7 @@ class Naming:
         alarm: gain that a first effect needed on these data.
         chance: share of simulated data sets without a gap whose best gain is as large.
         steps: (key, gain) of each effect in order of entry.
+        tried: for each step beyond the first the best further effect and what spoke for it.
         last_gain: gain of each key on top of the explanation, linearised.
     """
 
@@ -83,6 +88,7 @@ class Naming:
     alarm: float = ALARM
     chance: float = 1.0
     steps: list[tuple[str, float]] = field(default_factory=list)
+    tried: list[dict[str, float | str]] = field(default_factory=list)
     last_gain: dict[str, float] = field(default_factory=dict)
 
 
@@ -114,6 +120,8 @@ def name_effects(q: Inquiry) -> Naming:
         if not top or (best[top[0]] < alarm and not bent):
             break
         gain = best[top[0]]
+        if step == 0 and not bent and gain / inflation(q, top[0]) < alarm:
+            break
         small = step == 0 and gain < PLAIN and not bent
         if small and carried(q, top[0])[0] < CARRIED * gain:
             break
@@ -123,13 +131,15 @@ def name_effects(q: Inquiry) -> Naming:
         ]
         tried.sort(key=lambda choice: choice.cost)
         fit = [choice for choice in tried if _counts(q, naming, state, choice)]
+        if step:
+            naming.tried.append(_further(q, naming, state, (fit or tried)[0], bool(fit)))
         if not fit:
             break
         tried.remove(fit[0])
         tried.insert(0, fit[0])
         naming.steps.append((tried[0].keys[-1], state.cost - tried[0].cost))
         naming.chosen = tried[0]
-        naming.rivals = tried[1:]
+        naming.rivals = [choice for choice in tried[1:] if not step or choice in fit]
         state = q.polish(tried[0].state)
         naming.chosen = Choice(tried[0].keys, state)
         keys = tried[0].keys
@@ -234,6 +244,28 @@ def _counts(q: Inquiry, naming: Naming, before: State, choice: Choice) -> bool:
     return _worth(q, naming, before, choice.state)
 
 
+def _further(
+    q: Inquiry, naming: Naming, before: State, choice: Choice, counted: bool
+) -> dict[str, float | str]:
+    """What speaks for one more effect, in plain numbers."""
+    gain = before.cost - choice.cost
+    last = choice.state.suspects[-1].id
+    families = {CATALOGUE[s.id].family for s in before.suspects if s.id in CATALOGUE}
+    return {
+        "key": choice.keys[-1],
+        "gain": gain,
+        "alarm": naming.alarm,
+        "share": gain / max(naming.excess, 1.0),
+        "of_left": gain / max(excess(q, before), 1.0),
+        "left": excess(q, before),
+        "rows": float(len(q.rows)),
+        "seen": seen(q, before, choice.state),
+        "apart": float(apart(q, before, choice.keys[-1])),
+        "same_family": float(last in CATALOGUE and CATALOGUE[last].family in families),
+        "counted": float(counted),
+    }
+
+
 def _scan_clocks(q: Inquiry) -> dict[str, tuple[float, float]]:
     """Gain and amount of whole clock offsets, too large for a signature to point at."""
     found: dict[str, tuple[float, float]] = {}
@@ -267,15 +299,26 @@ def naming_scale(q: Inquiry, gains: Array, fresh: Array) -> float:
 
 
 def _worth(q: Inquiry, naming: Naming, before: State, after: State) -> bool:
-    """Whether a further effect takes a fair share of the gap, or most of what is left of it."""
+    """Whether a further effect is seen, and takes a fair share of the gap or of what is left.
+
+    What is left of a first effect whose form is not exact can be taken by many others; that shows
+    over a floor nowhere, and is little of the gap.
+    """
+    visible = seen(q, before, after)
+    if visible <= SEEN_NEXT:
+        return False
     gain = before.cost - after.cost
+    left = max(excess(q, before), 1.0)
     if gain > SHARE_SURE * naming.excess:
         return True
-    if gain < 0.35 * max(excess(q, before), 1.0):
+    if left < 2.0 * np.sqrt(2.0 * len(q.rows)) and gain > 1.5 * max(_LEAST_NEXT, naming.alarm):
+        return True  # nothing is left of the first effect that a second could mend
+    if visible > FAR_ABOVE and gain > 0.15 * left:
+        return True
+    if gain < 0.35 * left:
         return False
-    visible = seen(q, before, after)
-    large = max(excess(q, before), 1.0) > 0.02 / 0.35 * naming.excess
-    return visible > PLAINLY_SEEN or (large and visible > SEEN_NEXT)
+    large = left > 0.02 / 0.35 * naming.excess
+    return visible > PLAINLY_SEEN or large
 
 
 def seen(q: Inquiry, before: State, after: State) -> float:

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from gap.columns import TrialEffect, slow_columns, suspect_columns, trial_columns
+from gap.columns import UNSEEN_GAS, TrialEffect, slow_columns, suspect_columns, trial_columns
 from gap.model import Model
 from gap.rows import BLOCKS
 from gap.suspects import SUSPECTS
@@ -104,11 +104,11 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     noise = Noise(_start_white(model, residual), [], [], [], {}, 0, 0)
     prior: dict[str, float] = {effect.kind: effect.sd for effect in effects}
     for group in noise.take_trials(model, effects, shared):
-        prior[group] = SLOW_START[group.split()[1]]
+        prior[group] = usual(group)
     _settled_prior(model, prior, effects)
     noise.scales = dict(prior)
     classes = _classes(model)
-    clear = rows.doubt**2 < 0.3 * noise.white
+    clear = rows.doubt**2 + rows.adrift**2 < 0.3 * noise.white
     pairs = [
         _Pair(noise, rows.block, rows.bin, classes, clear, a, b, residual)
         for a, b in _couples(model)
@@ -130,6 +130,11 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
             noise.trend = trend
     noise.white += rows.doubt**2 + rows.floor**2
     return noise
+
+
+def usual(group: str) -> float:
+    """Size that a slow wave has until replicates tell; unseen gas has the size it may have."""
+    return 1.0 if group == UNSEEN_GAS else SLOW_START[group.split()[1]]
 
 
 def _settled_prior(model: Model, prior: dict[str, float], effects: list[TrialEffect]) -> None:
@@ -308,6 +313,9 @@ def _learn(noise: Noise, pairs: list[_Pair], prior: dict[str, float], block: Who
                 spread[number] += n * calm + float(np.sum(cover * gram))
                 size[number] += n
         for kind in variance:
+            # Replicates bounce alike, so what they share says nothing about unseen gas.
+            if kind == UNSEEN_GAS:
+                continue
             weight = _PRIOR_WEIGHT
             variance[kind] = (weight * prior[kind] ** 2 + total[kind]) / (weight + count[kind])
         for number in numbers:

@@ -53,7 +53,8 @@ class Rows:
     """What each feature row is: block, trial, mean time, samples, slot-wide bin number.
 
     `doubt` is what the length's interpolation between frames may cost, in the block's unit (kPa,
-    N, mm), `floor` what no model of this kind gets right.
+    N, mm), `adrift` what gas that passed unseen may make of the pressure (kPa, one error
+    throughout a trial), `floor` what no model of this kind gets right.
     """
 
     block: Whole
@@ -66,6 +67,7 @@ class Rows:
     length: Array
     rate: Array
     doubt: Array
+    adrift: Array
     floor: Array
 
     def __len__(self) -> int:
@@ -103,5 +105,6 @@ def stacked(rows: list[Rows]) -> Rows:
         length=whole("length"),
         rate=whole("rate"),
         doubt=whole("doubt"),
+        adrift=whole("adrift"),
         floor=whole("floor"),
     )

@@ -187,8 +187,23 @@ class Signal:
         return self._interpolated(time_s, self._acceleration)
 
     def length_doubt_at(self, time_s: Array) -> Array:
-        """How far, in m, the length may be off between frames of a quickly moving muscle."""
-        return self._interpolated(time_s, self._doubt[0])
+        """How far, in m, the length may be off between frames of a quickly moving muscle.
+
+        Beyond the first and the last frame the length stays what it was there, and is off by what
+        the muscle may have moved since.
+        """
+        made = self._interpolated(time_s, self._doubt[0])
+        if self.held or len(self._time) < 5 or self.trial.settled:
+            return made
+        for end, beyond in (
+            (slice(None, _END_FRAMES), self._time[0] - time_s),
+            (slice(-_END_FRAMES, None), time_s - self._time[-1]),
+        ):
+            since = np.maximum(beyond, 0.0)
+            speed = float(np.abs(self._rate[end]).max())
+            made = made + speed * since
+            made = made + 0.5 * float(np.abs(self._acceleration[end]).max()) * since**2
+        return made
 
     def acceleration_doubt_at(self, time_s: Array) -> Array:
         """How far, in m/s2, the acceleration may be off where it changes between frames."""
@@ -248,7 +263,13 @@ class Signal:
         return self.trial.direction[np.round(time_s).astype(np.int64)].astype(np.float64)
 
     def free_of_stops(self, time_s: Array) -> Mask:
-        """Where the load hangs freely, away from both stops and a moment after leaving them."""
+        """Where the load hangs freely, away from both stops and a moment after leaving them.
+
+        Not at the first and the last frame of a moving load: its acceleration there is a guess.
+        """
+        inner = np.ones(len(time_s), dtype=bool)
+        if len(self._time) > 4 and not self.trial.settled and np.any(self._acceleration):
+            inner = (time_s > self._time[1] - 1e-9) & (time_s < self._time[-2] + 1e-9)
         low, high = self._stops
         travel = np.zeros(len(self._time))
         if len(self._time) > 4 and not self.trial.settled:
@@ -264,13 +285,13 @@ class Signal:
             reach = _REST_M + self._give
             touching |= self._propped(self._length > top - reach, self._length < bottom + reach)
         if not touching.any():
-            return np.ones(len(time_s), dtype=bool)
+            return inner
         at = self._time[touching]
         after = np.searchsorted(at, time_s)
         near = np.full(len(time_s), np.inf)
         near = np.minimum(near, np.abs(time_s - at[np.clip(after, 0, len(at) - 1)]))
         near = np.minimum(near, np.abs(time_s - at[np.clip(after - 1, 0, len(at) - 1)]))
-        return np.asarray(near > (0.0 if self.trial.settled else _AFTER_STOP_S))
+        return np.asarray(inner & (near > (0.0 if self.trial.settled else _AFTER_STOP_S)))
 
 
 def _give_of_stops(trial: Trial, constants: PlantConstants) -> float:
@@ -319,6 +340,7 @@ def _doubts(time_s: Array, acceleration: Array) -> tuple[Array, Array]:
 
 
 _SWING_FRAMES = 5
+_END_FRAMES = 4
 
 
 def _swing(time_s: Array, length: Array) -> Array:

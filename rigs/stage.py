@@ -14,6 +14,8 @@ _STATUS = re.compile(
     r"<(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep)(?::\d)?"
     r"\|MPos:(-?\d+\.\d{3}),-?\d+\.\d{3},-?\d+\.\d{3}(?:\|[^<>]*)?>"
 )
+_INCHES = re.compile(_STATUS.pattern.replace(r"\.\d{3}", r"\.\d{4}"))
+"""GRBL writes millimetres with three decimals, inches with four."""
 CLOSE_MM = 0.01
 TRIES = 3
 
@@ -41,6 +43,10 @@ class Stage(LineDevice):
         if line.startswith("<") and not _STATUS.fullmatch(line):
             if "WPos:" in line:
                 self._stopped = "it reports work positions: send $10=1 once, and restart it"
+            if _INCHES.fullmatch(line):
+                self._stopped = "it reports inches: send $13=0 once, and restart it"
+                self.faults.add("unit", repr(line))
+                return True
             dotted = re.sub(r"(\d),(\d{3})(?=[,|])", r"\1.\2", line)
             self.faults.add("comma" if _STATUS.fullmatch(dotted) else "damaged", repr(line))
             return True

@@ -9,6 +9,7 @@ import pytest
 from daq.errors import DeviceError, LinkLost
 from instrument_desk import Desk
 from rigs.stage import Stage
+from rigs.virtual.mishap import MISHAPS
 from rigs.virtual.stage import VirtualStage
 
 
@@ -40,7 +41,7 @@ def test_it_goes_where_it_is_sent() -> None:
     assert stage.faults.counts == {}
 
 
-@pytest.mark.parametrize("mishap", ["half", "double", "stale", "drop", "garbage", "checksum"])
+@pytest.mark.parametrize("mishap", MISHAPS)
 @pytest.mark.parametrize("after", [1, 2, 4])
 def test_a_mishap_while_it_moves_does_not_leave_it_elsewhere(mishap: str, after: int) -> None:
     desk, stage, at = stage_of()
@@ -106,6 +107,33 @@ def test_decimal_commas_are_an_error_not_a_position() -> None:
     with pytest.raises(DeviceError):
         stage.move(61.0)
     assert stage.faults.counts["comma"] >= 1
+
+
+def test_inches_are_an_error_not_a_position() -> None:
+    """Somebody sent $13=1: reports come in inches, with four decimals."""
+    desk, stage, at = stage_of()
+    stage.connect("")
+    desk.device.inches = True
+    with pytest.raises(DeviceError, match=r"reports inches: send \$13=0"):
+        stage.move(61.0)
+    assert at["mm"] == 60.0
+    assert stage.faults.counts["unit"] >= 1
+
+
+def test_plugged_in_again_it_is_found_where_it_stands() -> None:
+    desk, stage, at = stage_of()
+    stage.connect("ST-1")
+    stage.move(62.0)
+    desk.unplug()
+    with pytest.raises(LinkLost):
+        stage.move(61.0)
+    desk.replug()
+    again = Stage(desk.reopen(), desk.pump, 10.0)
+    desk.pump.add(again.poll)
+    assert again.connect("ST-1")["serial"] == "ST-1"
+    assert again.status() == ("Idle", 62.0)
+    assert again.move(61.0) == 61.0
+    assert at["mm"] == 61.0
 
 
 def test_unplugged() -> None:

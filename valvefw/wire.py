@@ -77,8 +77,11 @@ _CODES = [bytes([code]) for code in range(256)]
 def cobs_encode(data: bytes) -> bytes:
     """Consistent overhead byte stuffing (Cheshire and Baker 1999), without the closing zero."""
     codes = _CODES
+    runs = data.split(b"\x00")
+    if len(data) < 254:  # no run fills a block, as in nearly every frame
+        return b"".join([codes[len(run) + 1] + run for run in runs])
     out = []
-    for run in data.split(b"\x00"):
+    for run in runs:
         while len(run) >= 254:
             out.append(codes[255])
             out.append(run[:254])
@@ -90,20 +93,34 @@ def cobs_encode(data: bytes) -> bytes:
 
 def cobs_decode(data: bytes) -> bytes | None:
     """The bytes that ``cobs_encode`` was given, or None if these cannot be its result."""
+    size = len(data)
+    if not size or b"\x00" in data:
+        return None
+    if size > 254:
+        return _decode_blocks(data)
+    out = bytearray(data)
+    at = 0
+    while at < size:  # each code stands where a zero was, the first before all
+        code = data[at]
+        out[at] = 0
+        at += code
+    return bytes(out[1:]) if at == size else None
+
+
+def _decode_blocks(data: bytes) -> bytes | None:
+    """``cobs_decode`` of data that may hold full blocks, after which no zero was."""
     out = []
     size = len(data)
     at = 0
     while at < size:
         code = data[at]
         end = at + code
-        if code == 0 or end > size:
+        if end > size:
             return None
         out.append(data[at + 1 : end])
         at = end
         if code != 255 and at < size:
             out.append(b"\x00")
-    if not size or b"\x00" in data:
-        return None
     return b"".join(out)
 
 

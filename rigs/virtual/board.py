@@ -239,13 +239,11 @@ class SimBoard(Board):
         per_pa = self._counts_per_pa
         seen = self.pressure_slot
         now_us = self.bench_us
+        noise, at = self._noise, self._noise_at
+        every, left = self._truth_every, self._truth_left
         while now_us + TICK_US <= until_us:
-            inlet_us = self._inlet_us
-            vent_us = self._vent_us
-            if self.inlet_jammed:
-                inlet_us = TICK_US
-            if self.outlet_jammed:
-                vent_us = TICK_US
+            inlet_us = TICK_US if self.inlet_jammed else self._inlet_us
+            vent_us = TICK_US if self.outlet_jammed else self._vent_us
             if self._fast is None or self._fast.block:
                 advance(
                     state,
@@ -259,12 +257,11 @@ class SimBoard(Board):
             now_us += TICK_US
             self.bench_us = now_us
             self._device_us = (self._device_us + TICK_US) & 0xFFFFFFFF
-            at = self._noise_at
             if at >= NOISE_BLOCK:
                 self._draw_noise()
-                at = 0
-            self._noise_at = at + 1
-            counts = int(read(seen) * per_pa + self._noise[at])
+                noise, at = self._noise, 0
+            counts = int(read(seen) * per_pa + noise[at])
+            at += 1
             if counts < 0:
                 counts = 0
             elif counts > ADC_TOP:
@@ -272,16 +269,17 @@ class SimBoard(Board):
             if self.sensor_override is not None:
                 counts = self.sensor_override
             self._counts = counts
-            if self._truth_every:
-                self._truth_left -= 1
-                if not self._truth_left:
-                    self._truth_left = self._truth_every
-                    self.truth_us.append(now_us)
-                    self.truth_kpa.append(read(PRESSURE_SLOT) * 1e-3)
+            left -= 1
+            if not left:
+                left = every
+                self.truth_us.append(now_us)
+                self.truth_kpa.append(read(PRESSURE_SLOT) * 1e-3)
             tick()
             if self._halted:
-                return
-        self._driven_us = self._fed_us = now_us
+                break
+        else:
+            self._driven_us = self._fed_us = now_us
+        self._noise_at, self._truth_left = at, left
 
     def _step_halted(self) -> None:
         """One tick without firmware: pulses run out, then the board lets go, then it resets."""

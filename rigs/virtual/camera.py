@@ -101,13 +101,9 @@ def render(
         frame[part] += (m.led_light * _led_spot(m) * lit[part[0], None]).astype(np.float32)
     if exposure_gain != 1.0:
         frame = frame * np.float32(exposure_gain)
-    if m.noise > 0:
-        noise = rng.standard_normal(frame.shape, dtype=np.float32)
-        noise *= np.float32(m.noise)
-        frame += noise
-    frame += np.float32(0.5)
-    np.clip(frame, 0, 255, out=frame)
-    return frame.astype(np.uint8)
+    from rigs.virtual.pixels import digitise  # numba stays out of start-up
+
+    return digitise(frame, m.noise, rng)
 
 
 def led_exposure(

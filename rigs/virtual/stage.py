@@ -19,6 +19,11 @@ class VirtualStage:
         serial: what $I answers.
         start_mm: position at power-up.
         low_mm, high_mm: soft limits; a target beyond them is refused (error:15).
+
+    Attributes:
+        comma: True prints decimal commas.
+        inches: True reports positions in inches, as after $13=1.
+        wire: arranges mishaps.
     """
 
     def __init__(
@@ -31,7 +36,7 @@ class VirtualStage:
         high_mm: float,
     ) -> None:
         self._set_motion = set_motion
-        self.comma = False
+        self.comma = self.inches = False
         self.wire = Wire(send)
         self._serial = serial
         self._low, self._high = low_mm, high_mm
@@ -83,6 +88,8 @@ class VirtualStage:
     def _status(self) -> None:
         state = "Idle" if self._end_ns is None else "Run"
         where = f"{self._where():.3f},0.000,0.000"
+        if self.inches:
+            where = f"{self._where() / 25.4:.4f},0.0000,0.0000"
         if self.comma:
             where = where.replace(".", ",")
         self._say(f"<{state}|MPos:{where}|FS:{abs(self._rate) * 60:.0f},0>")
