@@ -45,7 +45,7 @@ def soak(hours: float, folder: Path, config: RigConfig, tell: bool = True) -> di
     with open_rig(config) as rig:
         virtual = rig.clock.virtual
         if rig.bench is not None:
-            rig.bench.board._truth_every = 0  # its own log of the truth grows, and is not wanted
+            rig.bench.board.forget_truth()  # it grows, and is not wanted here
         record = RecordWriter(
             folder, {"protocol": "soak"}, rig.clock, durable=not virtual, threaded=not virtual
         )
