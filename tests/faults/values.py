@@ -137,7 +137,7 @@ def _flow(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: Ver
 
 
 def _ram(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: Verdict) -> None:
-    """When the proximity switch really came on, and what the pressure was at the end of the hold."""
+    """When the proximity switch really came on, and what the pressure was at the end."""
     if not row["settled"]:
         return
     asked_us, until_us = truth.bench_us(point["asked_t_ns"]), truth.bench_us(point["t_ns"])
