@@ -64,6 +64,7 @@ def traits_of(
         "member_one": mimicked.member_one,
         "member_two": mimicked.member_two,
         "apart": float(mimicked.apart),
+        "same_family": float(len(own) < len(state.ids)),
         "share": naming.steps[-1][1] / explained if naming.steps else 0.0,
         "closed": best_closed[0],
         "closed_low": best_closed[1],
