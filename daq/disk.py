@@ -165,6 +165,8 @@ class Disk:
     def close(self) -> dict[str, dict[str, Any]]:
         """Write, sync and close everything; size and CRC of each file, in order of name.
 
+        A slow disk is waited for as long as it gets on with what is queued.
+
         Raises:
             RecordError: the disk does not answer any more.
         """
@@ -173,7 +175,10 @@ class Disk:
             self._jobs.put(None)
             self._sync_wanted.set()
             for thread in self._threads:
-                thread.join(JOIN_S)
+                done = -1
+                while thread.is_alive() and done != self._written:  # slow is not dead
+                    done = self._written
+                    thread.join(JOIN_S)
                 if thread.is_alive():
                     raise RecordError(
                         str(self.root),

@@ -19,6 +19,7 @@ from rigs.pump import Pump
 
 # The value is right-aligned in ten characters: a lost or doubled one shows by the length.
 _READING = re.compile(r"^S ([SD]) (?=.{10} \S+$) *(-?\d+(?:\.\d+)?) (\S+)$")
+_ANSWER = re.compile(r"^(I\d+|TA?|TI|Z|ZI|E[SLT]|@)( |$)")
 KEEP_ROWS = 4096
 CLOSE_NS = 10_000_000
 """No balance makes two readings so soon after each other: one was repeated or held up, or the
@@ -68,6 +69,9 @@ class Balance(LineDevice):
             dotted = _READING.match(line.replace(",", "."))
             kind = "comma" if "," in line and dotted else "damaged"
             self._bad(kind, f"reading that does not parse: {line!r}")
+            return True
+        if not _ANSWER.match(line):  # a reading without its head is no answer to whoever asked
+            self._bad("damaged", f"line that is no answer: {line!r}")
             return True
         return False
 

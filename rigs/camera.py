@@ -34,6 +34,11 @@ class Frame:
     gray: npt.NDArray[np.uint8]
 
 
+def is_lit(gray: npt.NDArray[np.uint8]) -> bool:
+    """Whether anything at all is in a picture, if only noise."""
+    return int(gray.max()) > int(gray.min())
+
+
 class Camera(Protocol):
     """What a protocol needs of a camera."""
 
@@ -121,7 +126,11 @@ class TcpCamera:
 
 
 class TriggeredUvc:
-    """A free-running UVC camera used on trigger: the first frame stamped after the call."""
+    """A free-running UVC camera used on trigger: the first frame stamped after the call.
+
+    A frame that the driver hands out twice has a new stamp and is an old picture: it is passed
+    over, unless it is all black, which no old picture need be the reason for.
+    """
 
     def __init__(self, camera: UvcCamera, source: str, clock: Clock) -> None:
         self._camera = camera
@@ -133,12 +142,16 @@ class TriggeredUvc:
         asked_ns = self._clock.now_ns()
         for _ in range(round(TRIGGER_S / 0.002)):
             frame = self._camera.latest()
-            if frame is not None and frame.host_ns > asked_ns:
+            if (
+                frame is not None
+                and frame.host_ns > asked_ns
+                and not (frame.repeated and is_lit(frame.gray))
+            ):
                 return Frame(frame.seq, frame.host_ns, frame.gray)
             self._clock.sleep(0.002)
         raise DeviceTimeout(
             f"camera {self.identity['source']}",
-            f"no frame within {TRIGGER_S:g} s",
+            f"no new frame within {TRIGGER_S:g} s",
             "check its cable and that no other program uses it",
         )
 

@@ -35,7 +35,7 @@ def reduce_ram(run: Run) -> Reduction:
     record = ValveRecord(run, "switching-time")
     rows = []
     for event in record.events:
-        part = record.samples(event["valve_seq"])
+        part, sent = record.on_time(record.asked(event))
         row: dict[str, Any] = {k: event.get(k) for k in LABELS}
         row["repeat"], row["set_pressure_kpa"] = event["replicate"], event["set_pressure_kpa"]
         row.update(dict.fromkeys(NUMBERS[1:], math.nan))
@@ -51,11 +51,19 @@ def reduce_ram(run: Run) -> Reduction:
             edge = max(len(kpa) // 5, 1)
             row["reach_s"] = at * 1e-3
             row["hold_s"] = len(kpa) * 1e-3
-            row["held_share"] = float(on[at:].mean())
+            row["held_share"] = float(on[at:][sent[at:]].mean())
             row["pressure_kpa"] = float(kpa[-edge:].mean())
             row["drift_kpa"] = float(kpa[-edge:].mean() - kpa[:edge].mean())
             row["switchings"] = float((np.diff(driven.astype(np.int8), axis=0) > 0).sum())
-            row["u_reach_s"] = 1e-3 / math.sqrt(3.0)
+            seen = np.flatnonzero(sent[:at])
+            unseen = at - 1 - int(seen[-1]) if len(seen) else at  # it came while none was sent
+            row["u_reach_s"] = (1 + unseen) * 1e-3 / math.sqrt(3.0)
+            if not sent[at:].all():
+                row["switchings"] = math.nan
+            if not sent.all():
+                record.notes.append(
+                    f"point {event['order']}: {int((~sent).sum())} samples are missing"
+                )
             row["u_pressure_kpa"] = float(record.pressure.u(row["pressure_kpa"]))
         else:
             row["settled"] = False

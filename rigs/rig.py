@@ -13,8 +13,9 @@ from daq.clock import Clock, RealClock, VirtualClock
 from daq.errors import ConfigError, PamrigError
 from daq.transport import Link
 from rigs.balance import Balance
-from rigs.camera import CallCamera, Camera, open_camera
+from rigs.camera import CallCamera, open_camera
 from rigs.config import RigConfig
+from rigs.freshcamera import FreshCamera
 from rigs.instruments.instrument import Instrument
 from rigs.instruments.load_cell import LoadCell
 from rigs.instruments.supply import Supply
@@ -52,7 +53,7 @@ class Rig:
     valve: ValveController
     balance: Balance | LoadCell
     stage: Stage | ManualStage
-    camera: Camera
+    camera: FreshCamera
     bench: VirtualBench | None
     identities: dict[str, dict[str, str]]
     operator: Operator
@@ -162,11 +163,11 @@ def open_rig(
         ports = Ports(config, clock, stack, bench)
         identities = {"valve": valve.identity}
         supply = open_supply(ports, pump, identities)
-        camera: Camera
         if bench is not None:
-            camera = CallCamera(bench.expose, config.camera.serial)
+            eye = CallCamera(bench.expose, config.camera.serial)
+            camera = FreshCamera(eye, clock, bench.camera_model.noise > 0.0)
         else:
-            camera = open_camera(config.camera, clock)
+            camera = FreshCamera(open_camera(config.camera, clock), clock)
             stack.callback(camera.close)
         person = operator or default_operator(ports, bench)
         instruments = open_readers(ports, pump)

@@ -343,6 +343,7 @@ def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException |
             counters={
                 "valve": rig.valve.counters(),
                 "balance": rig.balance.counters(),
+                "camera": rig.camera.counters(),
                 **instrument_counters(rig),
             },
             duration_s=(rig.clock.now_ns() - record.start_ns) / NS_PER_S,

@@ -71,6 +71,27 @@ def judge(
     }
 
 
+def unknown(figures: dict[str, Any], came: npt.NDArray[np.bool_], last: int) -> list[str]:
+    """Figures of a response of which samples are missing that cannot be told any more.
+
+    Args:
+        figures: as :func:`judge` gives them, of samples that are filled in.
+        came: which of them are real, shape (n,).
+        last: as for :func:`judge`.
+    """
+    out = []
+    for name in ("rise_s", "settle_s"):
+        seconds = figures[name]
+        at = round(seconds * 1e3) if math.isfinite(seconds) else 0
+        if not came[max(0, at - SMOOTH) : at + 2 * SMOOTH].all():
+            out.append(name)
+    if not came[:-last].all():
+        out.append("overshoot_kpa")
+    if not came[-last - SMOOTH :].all():
+        out += ["overshoot_kpa", "ripple_kpa", "switchings_per_s", "error_kpa", "settle_s"]
+    return out
+
+
 def reduce_step(run: Run) -> Reduction:
     """Each step's figures with their uncertainty.
 
@@ -83,14 +104,21 @@ def reduce_step(run: Run) -> Reduction:
     band = float(p.get("band_percent", 3.0)) / 100.0 * float(p.get("supply_kpa", 550.0))
     rows = []
     for event in record.events:
-        part = record.samples(event["valve_seq"])
+        part, came = record.on_time(record.asked(event))
         row: dict[str, Any] = {k: event.get(k) for k in LABELS}
         row["repeat"] = event["replicate"]
-        if len(part.get("counts", ())) > last:
+        if int(came.sum()) > last:
             kpa = record.kpa(part["counts"])
             driven = np.column_stack([part["inlet_u5"] > 0, part["vent_u5"] > 0])
             goal, before = float(event["set_pressure_kpa"]), float(event["from_kpa"])
             row.update(judge(kpa, driven, goal, before, last, band))
+            if not came.all():
+                n = int((~came).sum())
+                record.notes.append(
+                    f"point {event['order']}: {n} samples are missing; figures that hang on them"
+                    " are left out"
+                )
+                row.update(dict.fromkeys(unknown(row, came, last), math.nan))
             # Second differences see noise and hardly the gas, their median no edge at all.
             noise = 1.4826 * float(np.median(np.abs(np.diff(kpa, 2)))) / math.sqrt(6.0 * SMOOTH)
             cal = float(record.pressure.u(goal))

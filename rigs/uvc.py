@@ -25,11 +25,15 @@ STALE_READS = 5  # failed reads in a row before the camera counts as lost
 
 @dataclass(frozen=True)
 class UvcFrame:
-    """One frame: the thread's count, the host's monotonic time of arrival, grey levels."""
+    """One frame: the thread's count, the host's monotonic time of arrival, grey levels.
+
+    ``repeated``: its grey levels are those of the frame before, to the last bit.
+    """
 
     seq: int
     host_ns: int
     gray: npt.NDArray[np.uint8]
+    repeated: bool = False
 
 
 class UvcCamera:
@@ -94,11 +98,12 @@ class UvcCamera:
         return np.ascontiguousarray(array, dtype=np.uint8)
 
     def _keep(self, seq: int, gray: npt.NDArray[np.uint8]) -> None:
-        frame = UvcFrame(seq, self._clock.now_ns(), gray)
+        now_ns = self._clock.now_ns()
         with self._lock:
             before = self._newest
-            if before is not None and np.array_equal(before.gray, gray):
-                self.repeated += 1
+            repeated = before is not None and np.array_equal(before.gray, gray)
+            self.repeated += repeated
+            frame = UvcFrame(seq, now_ns, gray, repeated)
             if len(self._kept) == KEPT:
                 self.dropped += 1
             self._kept.append(frame)

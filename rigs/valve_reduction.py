@@ -21,6 +21,8 @@ Floats = npt.NDArray[np.float64]
 BEFORE = 20
 """Pressure samples before a pulse that tell what was upstream; so many around its end, too."""
 AROUND = 3
+WHOLE = 0.97
+"""Share of the samples between two readings of the meter that must be there (1 kHz)."""
 ALIKE = 0.85
 """Readings of one opening are averaged down to this share of the highest pressure among them."""
 
@@ -37,6 +39,7 @@ class ValveRecord:
         self.pressure = run.calibration("pressure_kpa")
         self.valve = self.stream("valve")
         self.rows: list[dict[str, Any]] = []
+        self._host_ns: npt.NDArray[Any] | None = None
 
     def stream(self, name: str) -> dict[str, npt.NDArray[Any]]:
         """A stream's columns; none, and a note, where nothing of it survived."""
@@ -53,6 +56,46 @@ class ValveRecord:
         seq = self.valve["seq"]
         inside = (seq >= window[0]) & (seq < window[1])
         return {name: values[inside] for name, values in self.valve.items()}
+
+    def asked(self, event: Mapping[str, Any]) -> list[int]:
+        """The window of a point from the sample on at which its set-point was asked for.
+
+        The window of the event begins with the newest sample that the host had then, some 50 ms
+        before. An older record does not say when it was asked for, and keeps that.
+        """
+        first, end = event["valve_seq"]
+        asked_ns = event.get("asked_t_ns")
+        if asked_ns is None or not self.valve:
+            return [first, end]
+        if self._host_ns is None:
+            from daq.derive import sample_host_ns
+
+            self._host_ns = sample_host_ns(self.run, "valve", self.valve)
+        zero_ns = int(self.run.manifest["started"]["monotonic_ns"])
+        seq = self.valve["seq"]
+        later = (self._host_ns >= zero_ns + asked_ns) & (seq >= first) & (seq < end)
+        if not later.any():
+            return [first, end]
+        at = int(np.argmax(later))
+        late = int((self._host_ns[at] - zero_ns - asked_ns) // 1_000_000)  # of samples lost there
+        return [max(first, int(seq[at]) - late), end]
+
+    def on_time(
+        self, window: list[int]
+    ) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.bool_]]:
+        """The valve's samples of a range, one each millisecond, and which of them came.
+
+        One that was lost on the way is put between its neighbours (counts), or as the one before
+        it (all else), so that what follows keeps its time. Nothing where none came.
+        """
+        part = self.samples(window)
+        if not len(part.get("counts", ())):
+            return {}, np.zeros(0, dtype=bool)
+        grid = np.arange(window[0], window[1])
+        before = np.maximum(np.searchsorted(part["seq"], grid, side="right") - 1, 0)
+        out = {name: values[before] for name, values in part.items()}
+        out["counts"] = np.interp(grid, part["seq"], part["counts"])
+        return out, np.isin(grid, part["seq"])
 
     def kpa(self, counts: npt.NDArray[Any]) -> Floats:
         """Counts as pressure."""
@@ -213,7 +256,8 @@ def _pairs(
     for k in range(1, len(at)):
         if at[k - 1] >= opened and at[k] <= shut:
             use = (host_ns > at[k - 1]) & (host_ns <= at[k])
-            if use.any():
+            # Pressure falls meanwhile: a mean over part of that time is that of another moment.
+            if use.sum() >= WHOLE * (at[k] - at[k - 1]) * 1e-6:
                 kpa = float(record.kpa(record.valve["counts"][use]).mean())
                 out.append((kpa, float(readings["reading"][k])))
     return np.array(out, dtype=np.float64).reshape(-1, 2)
@@ -249,7 +293,9 @@ def reduce_switching_voltage(run: Run) -> Reduction:
                 [
                     (_measured(supply, t), open_in(record.kpa(part["counts"]), t, part))
                     for t in own
-                    if t["edge"] == edge and len(part := record.samples(t["valve_seq"]))
+                    if t["edge"] == edge
+                    and len((part := record.samples(t["valve_seq"])).get("counts", ()))
+                    == t["valve_seq"][1] - t["valve_seq"][0]
                 ]
             )
             if not (math.isfinite(low) and math.isfinite(high)):

@@ -20,6 +20,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import daq.disk
 from daq.clock import RealClock
 from daq.errors import RecordError
 from daq.record import RecordWriter
@@ -556,6 +557,32 @@ def test_a_slow_disk_does_not_hold_up_the_caller(
     monkeypatch.undo()
     writer.finalize("clean")
     assert verify(open_run(writer.folder)) == []
+
+
+def test_a_disk_slower_than_the_data_is_waited_for_at_the_end_and_bounded_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The end of a run gave up after 30 s, and what was still queued was lost."""
+    real = daq.disk.write_all
+
+    def slow(fd: int, data: bytes) -> None:
+        time.sleep(0.01)
+        real(fd, data)
+
+    monkeypatch.setattr(daq.disk, "write_all", slow)
+    monkeypatch.setattr(daq.disk, "JOIN_S", 0.1)
+    writer, _ = begin(tmp_path / "patient", durable=True, threaded=True)
+    for k in range(40):
+        writer.append("valve", valve_batch(50 * k))
+    assert writer.finalize("clean")["outcome"] == "clean"  # 80 writes: eight times JOIN_S
+    assert len(open_run(writer.folder).samples("valve")["seq"]) == 2000
+
+    monkeypatch.setattr(daq.disk, "QUEUE_BYTES", 50_000)
+    writer, _ = begin(tmp_path / "full", durable=True, threaded=True)
+    with pytest.raises(RecordError, match="behind the data"):  # noqa: PT012
+        for k in range(10_000):
+            writer.append("valve", valve_batch(50 * k))
+    assert writer.finalize("clean")["outcome"] == "faulted"
 
 
 def test_a_writer_that_breaks_in_an_unforeseen_way_says_so_too(

@@ -10,6 +10,7 @@ import pytest
 from audit import LOCK, loose
 from fuzz.loop import Target, fuzz
 from fuzz.targets import targets
+from rigs.config import load_rig
 from soak import soak
 
 TARGETS = {target.name: (target, share) for target, share in targets()}
@@ -42,7 +43,7 @@ def test_the_loop_finds_what_there_is_to_be_found() -> None:
 
 
 def test_a_minute_of_soaking_loses_nothing(tmp_path: Path) -> None:
-    result = soak(1 / 60, tmp_path, tell=False)
+    result = soak(1 / 60, tmp_path, load_rig("virtual"), tell=False)
     assert result["gaps_in_seq"] == result["missing_told"] == 0
     assert result["rows"] >= 60_000
     assert result["faults"] == []
@@ -50,7 +51,7 @@ def test_a_minute_of_soaking_loses_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.campaign
 def test_a_virtual_day_at_1_khz(tmp_path: Path) -> None:
-    result = soak(24.0, tmp_path)
+    result = soak(24.0, tmp_path, load_rig("virtual"))
     print(result)
     assert result["gaps_in_seq"] == result["missing_told"] == 0
     assert result["rss_mb_per_hour"] < 1.0

@@ -23,6 +23,7 @@ KINDS = {
     "stranger": "another instrument answered after the link was found again",
     "restarted": "the instrument restarted by itself",
     "outside": "reading outside the calibrated range (kept, and said)",
+    "repeated": "the last picture once more",
 }
 """Every kind of fault and its meaning; none of them ever becomes a value."""
 

@@ -54,6 +54,7 @@ def instrument_manifest(rig: Rig) -> dict[str, Any]:
 
 def record_instruments(rig: Rig, record: RecordWriter) -> None:
     """A stream for each instrument as it reads, and an event for each fault and hand setting."""
+    rig.camera.faults.on_fault.append(_teller(record, "camera", rig.camera.faults.counts))
     for name, instrument in rig.instruments.items():
         record.stream(name, COLUMNS, {"host_ns": "ns", "reading": instrument.unit})
         instrument.on_rows.append(_appender(record, name))

@@ -102,8 +102,8 @@ class Move(Act):
         runner.record.event(
             "command", device="valve", pressure_kpa=self.set_pressure_kpa, counts=counts
         )
-        valve.set_point(counts)
         begin_ns = runner.rig.clock.now_ns()
+        valve.set_point(counts)
         flag = SWITCHES[self.switch]
         # The switch that it stands at is left first, if it is the same.
         if valve.flags & flag:
@@ -120,7 +120,8 @@ class Move(Act):
             "point", trial=self.trial, slot=f"{self.way} to {self.switch}",
             replicate=self.replicate, order=self.order, mounting=self.mounting,
             direction=self.way, switch=self.switch, set_pressure_kpa=self.set_pressure_kpa,
-            settled=reached, valve_seq=[first, valve.seq_end], **more,
+            settled=reached, valve_seq=[first, valve.seq_end],
+            asked_t_ns=begin_ns - runner.record.start_ns, **more,
         )  # fmt: skip
         runner.progress.done += 1 if take == 1 else 0
 
@@ -174,5 +175,5 @@ def layout(parameters: Mapping[str, Any]) -> LiveLayout:
 
 PROCEDURE = Procedure(
     "ram", "Ram test", read, reduce_ram, layout, ram_findings,
-    firmware={"leak_counts": 0, "rise_ms": 0},
+    firmware={"leak_counts": 0, "rise_ms": 400},
 )  # fmt: skip

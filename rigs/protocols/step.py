@@ -105,6 +105,7 @@ class Response(Act):
             self._ask(runner, self.from_kpa)
             runner.rig.pump.for_seconds(self.step_s)
         first = valve.seq_end
+        asked_ns = runner.rig.clock.now_ns() - runner.record.start_ns
         self._ask(runner, self.set_pressure_kpa)
         runner.rig.pump.for_seconds(self.step_s)
         self._show(runner)
@@ -115,7 +116,7 @@ class Response(Act):
             replicate=self.replicate, order=self.order, mounting=self.mounting,
             scheme=self.scheme, from_kpa=self.from_kpa, set_pressure_kpa=self.set_pressure_kpa,
             direction="up" if self.set_pressure_kpa > self.from_kpa else "down", settled=True,
-            valve_seq=[first, valve.seq_end], **more,
+            valve_seq=[first, valve.seq_end], asked_t_ns=asked_ns, **more,
         )  # fmt: skip
         runner.progress.done += 1 if take == 1 else 0
 

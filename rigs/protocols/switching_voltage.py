@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from rigs.findings_switching import voltage_findings
 from rigs.protocols.procedure import Procedure
 from rigs.protocols.schedule import arrange
+from rigs.runner import RunFault
 from rigs.steps import EndTrial, State, Steps, Trial
 from rigs.toml_reader import load_toml
 from rigs.valve_acts import ValvePoint, has_supply_axis, pressure_now, release
@@ -36,6 +37,8 @@ TAIL = 90
 """Samples at the command's end in which the pressure must move if the valve is still open."""
 LATEST_MS = HOLD_MS - TAIL - 40
 """The lowered voltage must stand by then."""
+MOST_AGAIN = 6
+"""So often a try is made again that came too late or of which samples were lost."""
 
 
 @dataclass(frozen=True)
@@ -123,10 +126,19 @@ class VoltagePoint(ValvePoint):
             tries += 1
         return open_v
 
-    def _try(self, runner: Runner, supply: Supply, edge: str, volts: float, number: int) -> bool:
+    def _try(
+        self, runner: Runner, supply: Supply, edge: str, volts: float, number: int, again: int = 0
+    ) -> bool:
         """One command; whether the valve was open at that voltage."""
         rig, valve = runner.rig, runner.rig.valve
+        if again > MOST_AGAIN:
+            raise RunFault(
+                valve.name,
+                f"{volts:g} V was tried {again} times and no try was whole",
+                "check its cable and that the computer is not busy; the record says what was lost",
+            )
         self._restore(runner, supply)
+        missing = valve.telemetry.missing
         if edge == "on":
             supply.set_voltage(volts)
             supply_row = supply.rows
@@ -148,7 +160,10 @@ class VoltagePoint(ValvePoint):
             rig.pump.for_seconds(0.05)
             if late:
                 runner.record.event("late", order=self.order, edge=edge, set_v=volts)
-                return self._try(runner, supply, edge, volts, number)
+                return self._try(runner, supply, edge, volts, number, again + 1)
+        if valve.telemetry.missing > missing:  # whether it opened may lie in what was lost
+            runner.record.event("lost", order=self.order, edge=edge, set_v=volts)
+            return self._try(runner, supply, edge, volts, number, again + 1)
         take = runner.steering.take
         event: dict[str, Any] = {
             "order": self.order, "edge": edge, "valve": self.valve, "number": number,
@@ -165,9 +180,8 @@ class VoltagePoint(ValvePoint):
         """The valve's upstream side back to its pressure, at the solenoids' normal voltage."""
         if abs(supply.set_v - supply.voltage_v) > 1e-9:
             supply.set_voltage(supply.voltage_v)
-        if self.valve == "inlet":
-            if pressure_now(runner) > 0.3 * self.set_pressure_kpa:
-                release(runner)
+        if self.valve == "inlet":  # each try begins anew for the controller's look at the sensor
+            release(runner)
         elif abs(pressure_now(runner) - self.set_pressure_kpa) > self.plan.tolerance_kpa:
             self.upstream(runner, self.plan.tolerance_kpa, self.plan.supply_kpa)
 
@@ -234,5 +248,5 @@ PROCEDURE = Procedure(
     reduce_switching_voltage,
     layout,
     voltage_findings,
-    firmware={"rise_ms": 0},
+    firmware={"rise_ms": 400},
 )

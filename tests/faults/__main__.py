@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from .campaign import one, protocol_of, run_campaign
+from .campaign import FINDINGS, one, protocol_of, run_campaign
 from .judge import Verdict
 
 
@@ -20,6 +20,7 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=1, help="at a time (default 1)")
     parser.add_argument("--work", type=Path, default=Path("out/faults"), help="journal and runs")
     parser.add_argument("--only", type=int, help="one run by its number; everything is kept")
+    parser.add_argument("--again", action="store_true", help="make runs with findings once more")
     parser.add_argument("--page", type=Path, help="write the results there, as a page")
     args = parser.parse_args()
     if args.only is not None:
@@ -41,7 +42,7 @@ def main() -> int:
             print(f"{done} runs, {time.monotonic() - start:.0f} s", flush=True)
 
     numbers = range(args.first, args.first + args.runs)
-    results = run_campaign(numbers, args.work, args.processes, tell)
+    results = run_campaign(numbers, args.work, args.processes, tell, args.again)
     bad = [r for r in results if trouble(r)]
     print(f"{len(results)} runs, {len(bad)} with findings, "
           f"{sum(r['cpu_s'] for r in results):.0f} s of CPU")  # fmt: skip
@@ -57,9 +58,8 @@ def main() -> int:
 
 def trouble(result: dict[str, Any]) -> list[str]:
     """Everything found of a run, in lines."""
-    names = ("untold", "late", "unreadable", "wrong", "stuck")
-    out = [f"{name}: {text}" for name in names for text in result[name]]
-    assert set(names) < set(Verdict.__dataclass_fields__)
+    out = [f"{name}: {text}" for name in FINDINGS for text in result[name]]
+    assert set(FINDINGS) < set(Verdict.__dataclass_fields__)
     return out + ([f"crashed: {result['crashed']}"] if result["crashed"] else [])
 
 

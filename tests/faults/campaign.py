@@ -8,11 +8,13 @@ import shutil
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
+from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from rigs.protocols.names import PROTOCOLS
+from rigs.session import software
 
 from .judge import Verdict, judge
 from .kinds import Fault, draw
@@ -20,6 +22,7 @@ from .trial import run_trial
 from .values import check_continuing, check_values
 
 ORDER = tuple(PROTOCOLS)
+FINDINGS = ("untold", "late", "unreadable", "wrong", "stuck")
 SHOWN = ("layer", "kind", "device", "hits", "must_tell")
 
 
@@ -53,6 +56,7 @@ def one(
         ],
         **asdict(verdict),
         "cpu_s": round(_cpu_s() - start, 3),
+        "revision": revision(),
     }  # fmt: skip
 
 
@@ -69,7 +73,14 @@ def _one(job: tuple[int, str]) -> dict[str, Any]:
     except Exception as error:  # the campaign's own; it is told, and the others go on
         verdict = Verdict(crashed=f"judging failed: {type(error).__name__}: {error}")
         return {"number": number, "protocol": protocol_of(number), "outcome": "?", "faults": [],
-                **asdict(verdict), "cpu_s": 0.0}  # fmt: skip
+                **asdict(verdict), "cpu_s": 0.0, "revision": revision()}  # fmt: skip
+
+
+@lru_cache
+def revision() -> str:
+    """Of the source that makes the runs; with a + where it was changed since."""
+    git = software()["git"] or {}
+    return f"{(git.get('revision') or 'unknown')[:7]}{'+' if git.get('dirty') else ''}"
 
 
 def run_campaign(
@@ -77,6 +88,7 @@ def run_campaign(
     work: Path,
     processes: int = 1,
     tell: Callable[[dict[str, Any]], None] = lambda result: None,
+    again: bool = False,
 ) -> list[dict[str, Any]]:
     """Run what is not yet in the journal; everything that is in it then.
 
@@ -85,17 +97,20 @@ def run_campaign(
         work: folder of journal and runs; what failed stays there.
         processes: how many at a time.
         tell: called with each new result.
+        again: make those once more of which something was found.
     """
     work.mkdir(parents=True, exist_ok=True)
     journal = work / "journal.jsonl"
     known = read_journal(journal)
-    jobs = [(n, str(work)) for n in numbers if n not in known]
+    wanted = [n for n in numbers if n not in known or (again and bad(known[n]))]
+    jobs = [(n, str(work)) for n in wanted]
     with open(journal, "a", encoding="utf-8") as out:
 
         def note(result: dict[str, Any]) -> None:
             out.write(json.dumps(result) + "\n")
             out.flush()
-            known[result["number"]] = result
+            before = known.get(result["number"])
+            known[result["number"]] = result | ({"before": before} if before else {})
             tell(result)
 
         if processes <= 1:
@@ -108,8 +123,16 @@ def run_campaign(
     return [known[n] for n in sorted(known)]
 
 
+def bad(result: dict[str, Any]) -> bool:
+    """Whether anything was found of a run."""
+    return bool(result["crashed"]) or any(result[name] for name in FINDINGS)
+
+
 def read_journal(path: Path) -> dict[int, dict[str, Any]]:
-    """Results by number; a last line that was being written is left out."""
+    """Results by number; a last line that was being written is left out.
+
+    Of a run that was made again the last result counts; the one before it is its ``before``.
+    """
     out: dict[int, dict[str, Any]] = {}
     if not path.exists():
         return out
@@ -118,7 +141,8 @@ def read_journal(path: Path) -> dict[int, dict[str, Any]]:
             result = json.loads(line)
         except ValueError:
             continue
-        out[result["number"]] = result
+        number = result["number"]
+        out[number] = result | ({"before": out[number]} if number in out else {})
     return out
 
 

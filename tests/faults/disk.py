@@ -16,26 +16,31 @@ if TYPE_CHECKING:
     from .kinds import Fault
 
 RESERVE = 65536
-STALLS = 4
-"""Writes that take long, one after another. On the virtual clock the record writes without a thread
-of its own; a disk that is slower than the data for ever is ``tests/test_daq_record.py``'s."""
+PAUSE = 4.0
+"""Times a long write's length until the next one. On the virtual clock the record writes without a
+thread of its own, and each long write brings new data to write: a disk that is slower than the
+data would never come to an end there. With the threads of real time it does, as
+``tests/test_daq_record.py`` shows."""
 
 
 class FaultyDisk:
     """Stands between the record and the operating system's write and fsync.
 
     Attributes:
-        stall: lets time pass, in bench seconds, as a write that takes long does.
+        stall: lets time pass, in bench seconds, as a write that takes long does; now_s tells it.
         die: ends the process; with ``die_in_write`` it is called in the midst of the next write.
     """
 
     def __init__(self, rng: random.Random) -> None:
         self.rng = rng
         self.stall: Callable[[float], None] = lambda seconds: None
+        self.now_s: Callable[[], float] = lambda: 0.0
         self.die: Callable[[], None] = lambda: None
         self.die_in_write = False
         self._on: Fault | None = None
         self._room = 0
+        self._next_s = 0.0
+        self._stalling = False
         self._write, self._sync = os.write, os.fsync
 
     def begin(self, fault: Fault) -> None:
@@ -82,8 +87,11 @@ class FaultyDisk:
             fault.hits += 1
             seconds = 0.02 + 0.5 * fault.size
             fault.must_tell = int(seconds > 0.45)
-            if fault.hits <= STALLS:
+            if self.now_s() >= self._next_s and not self._stalling:
+                self._stalling = True  # what else is written meanwhile waits with it
                 self.stall(seconds)
+                self._stalling = False
+                self._next_s = self.now_s() + PAUSE * seconds
         elif fault.kind == "full" and self._room < len(data):
             self._put(fd, data[: self._room])
             self._refuse(fault, errno.ENOSPC, room=RESERVE)

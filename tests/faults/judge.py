@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -29,10 +31,18 @@ EMPTY_KPA = 20.0
 SIGMAS = 6.0
 TELLABLE_LOW_KPA = 75.0
 """A sensor that breaks to 0 below this cannot be told from an empty muscle (safety contract)."""
+BLIND_KPA = 250.0
+"""Filled at most by this before it shows that nothing is read."""
 TICK_US = 1000
 STRETCH_MS = 100
 HOST_SILENT_US = 290_000
 NO_BEAT = "no heartbeat"
+LOOK_US = 20_000
+"""The bench is looked at every 20 ms: so much later a fault may have ended."""
+RANGE_KPA = (5.0, 990.0)
+"""Between the ends of the converter, where it shows what there is."""
+SAMPLE_SIGMAS = 8.0
+LEAST_SAMPLES = 200
 
 
 @dataclass
@@ -97,6 +107,17 @@ class Bytes:
         table = pa.concat_tables(tables)
         return {name: table[name].to_numpy() for name in table.column_names}
 
+    def pictures(self) -> dict[int, bytes]:
+        """JPEGs by number, cut out of their files as the index says."""
+        path = self.folder / "frames.jsonl"
+        lines = path.read_bytes().split(b"\n")[1:-1] if path.exists() else []
+        out, files = {}, dict[str, bytes]()
+        for line in map(json.loads, lines):
+            name = line["file"]
+            data = files.setdefault(name, (self.folder / name).read_bytes())
+            out[line["frame"]] = data[line["offset"] : line["offset"] + line["length"]]
+        return out
+
     def kind(self, kind: str) -> list[dict[str, Any]]:
         """All events of a kind."""
         return [event for event in self.events if event["kind"] == kind]
@@ -115,6 +136,8 @@ def judge(truth: Truth) -> Verdict:
     """All that can be said of a run; the table and going on with it are judged elsewhere."""
     verdict = Verdict(crashed=truth.crashed)
     if not truth.folder:
+        if not truth.crashed:
+            verdict.stuck.append(f"did not begin: {truth.error or truth.outcome}")
         return verdict
     record = Bytes(Path(truth.folder))
     for fault in truth.faults:
@@ -127,21 +150,32 @@ def judge(truth: Truth) -> Verdict:
 
 # ---- told ---------------------------------------------------------------------------
 
+JUST_BEFORE_US = 2_500_000
+"""A fault that begins so shortly before another one ends the run may not be noticed any more."""
+WORDS = {"controller": "valve controller", "process": "valve controller|nobody expected",
+         "camera": "camera", "disk": "written|disk"}  # fmt: skip
+
 
 def told(fault: Fault, truth: Truth, record: Bytes) -> bool:
     """Whether record or message show that something was wrong, where the fault was."""
-    if truth.outcome not in ("clean", "stopped") and (truth.error or truth.killed):
-        return True
     final = record.final
-    if final.get("outcome") not in ("clean", None) or not final:
-        return bool(truth.error)  # nothing else tells the person at the terminal
-    counters = final.get("counters") or {}
-    if fault.layer in ("wire", "instrument"):
-        mine = counters.get(fault.device) or {}
+    if truth.killed:
+        return not final  # it reads as interrupted; what was counted is gone
+    if final.get("outcome") != "clean" and not truth.error:
+        return False  # nothing tells the person at the terminal
+    ended = truth.outcome not in ("clean", "stopped") and bool(truth.error)
+    if ended and re.search(WORDS.get(fault.layer, fault.device), truth.error):
+        return True
+    if ended and len(truth.faults) > 1 and truth.done_us - fault.first_us < JUST_BEFORE_US:
+        return True
+    if fault.layer in ("wire", "instrument", "camera"):
+        counters = (final.get("counters") or {}).get(fault.device or "camera") or {}
         fine = ("frames", "samples", "lines", "rows")
-        return any(v for k, v in mine.items() if k not in fine and isinstance(v, int))
-    if fault.layer == "camera":
-        return any(not e["trusted"] for e in record.kind("length"))
+        if any(v for k, v in counters.items() if k not in fine and isinstance(v, int)):
+            return True
+        if fault.layer == "camera":
+            return any(not e["trusted"] for e in record.kind("length"))
+        return False
     faults = [*record.kind("fault"), *record.kind("vent_unconfirmed")]
     return bool(faults) or any(not e["settled"] for e in record.kind("point") if "settled" in e)
 
@@ -164,6 +198,7 @@ def _vents(truth: Truth, record: Bytes, verdict: Verdict) -> None:
         if vented and truth.outcome == "clean" and not record.kind("fault"):
             verdict.untold.append(f"{what}: the controller vented")
     _emptied(truth, verdict)
+    _blind(truth, verdict)
     air = truth.end_kpa >= EMPTY_KPA
     if air and not truth.sealed_in:
         verdict.late.append(f"{truth.end_kpa:.0f} kPa in the muscle 3 s after the end")
@@ -202,6 +237,18 @@ def _must_vent(truth: Truth) -> Iterator[tuple[str, int, int]]:
         runs = np.flatnonzero(over[2:] & over[1:-1] & over[:-2])
         if len(runs) and armed_at and armed_at[0] < truth.us[runs[0]] <= truth.done_us:
             yield "over-pressure", int(truth.us[runs[0]]), OVER_PRESSURE_US
+
+
+def _blind(truth: Truth, verdict: Verdict) -> None:
+    """A sensor that reads nothing must not have the muscle filled for long."""
+    for fault in truth.faults:
+        if fault.layer == "sensor" and fault.kind == "low" and fault.begun_us >= 0:
+            inside = (truth.us >= fault.begun_us) & (truth.us < fault.end_s * 1e6)
+            rose = float(truth.kpa[inside].max() if inside.any() else 0.0) - _kpa_at(
+                truth, fault.begun_us
+            )
+            if rose > BLIND_KPA:
+                verdict.late.append(f"filled by {rose:.0f} kPa while the sensor read nothing")
 
 
 def _kpa_at(truth: Truth, us: int) -> float:
@@ -251,6 +298,7 @@ def _emptied(truth: Truth, verdict: Verdict) -> None:
 
 
 def _readable(truth: Truth, record: Bytes, verdict: Verdict) -> None:
+    """All that the record took is on the disk as it was, by Arrow and JSON and by the package."""
     from daq.run import open_run
     from daq.verify import verify
 
@@ -260,33 +308,50 @@ def _readable(truth: Truth, record: Bytes, verdict: Verdict) -> None:
         if not problem.tail and not (broken_disk and "writing failed" in problem.what):
             verdict.unreadable.append(str(problem))
     for stream, taken in truth.taken.items():
-        if not taken:
-            continue
-        key = "seq" if stream == "valve" else "row"
+        first = truth.first_row[stream]
+        last = first + len(next(iter(taken.values())))
         for how, rows in (("arrow", record.rows(stream)), ("pamrig", run.samples(stream))):
-            at = np.searchsorted(rows.get(key, np.empty(0)), taken[key])
-            lost = len(taken[key]) if not rows else int((at >= len(rows[key])).sum())
-            if lost:
-                verdict.unreadable.append(f"{lost} rows of {stream} are gone ({how})")
+            there = len(next(iter(rows.values()))) if rows else 0
+            if there < last:
+                verdict.unreadable.append(f"{last - there} rows of {stream} are gone ({how})")
                 continue
             for name, values in taken.items():
-                if not np.array_equal(rows[name][at], values):
+                if not np.array_equal(rows[name][first:last], values):
                     verdict.unreadable.append(f"{stream}.{name} reads otherwise ({how})")
+    kinds = {e["n"]: e["kind"] for e in record.events}
+    gone = [f"{kind} ({n})" for n, kind in truth.events if kinds.get(n) != kind]
+    if gone:
+        verdict.unreadable.append(f"{len(gone)} events are gone, the first: {gone[0]}")
+    pictures = record.pictures()
+    for number, crc, _ in truth.frames:
+        found = {zlib.crc32(pictures.get(number, b"")), zlib.crc32(run.frame_bytes(number))}
+        if found != {crc}:
+            verdict.unreadable.append(f"picture {number} is gone or reads otherwise")
     _counts(truth, verdict)
 
 
 def _counts(truth: Truth, verdict: Verdict) -> None:
     """Recorded pressure counts against the true pressure of the same millisecond."""
     valve = truth.taken.get("valve")
-    if not valve or any(f.layer in ("sensor", "controller") and f.hits for f in truth.faults):
+    if not valve:
         return
     us = valve["device_us"] - truth.start0_us
-    at = np.searchsorted(truth.us, us)
-    known = (at < len(truth.us)) & (at > 0)
-    true = truth.kpa[np.minimum(at, len(truth.us) - 1)]
-    read = valve["counts"] * (1000.0 / 4095.0)
-    off = np.abs(read - true)[known]
-    if len(off) and off.max() > 12.0 + 0.02 * true.max():
+    seen = (valve["boot"] == valve["boot"][0]) & (us >= truth.us[0])
+    for fault in truth.faults:
+        if fault.layer == "sensor" and fault.begun_us >= 0:
+            seen &= (us < fault.begun_us - 1000) | (us > fault.end_s * 1e6 + 2 * LOOK_US)
+    at = np.minimum(np.searchsorted(truth.us, us), len(truth.us) - 1)
+    strange = seen & (truth.us[at] != us)
+    if strange.any():
+        verdict.wrong.append(f"{int(strange.sum())} samples bear times at which none was taken")
+    true, read = truth.kpa[at], valve["counts"] * (1000.0 / 4095.0)
+    seen &= ~strange & (true > RANGE_KPA[0]) & (true < RANGE_KPA[1])
+    if seen.sum() < LEAST_SAMPLES:
+        return
+    # The bench's own zero and gain error is in all of them.
+    line = np.polyfit(true[seen], read[seen], 1)
+    off = np.abs(read - np.polyval(line, true))[seen]
+    if off.max() > SAMPLE_SIGMAS * truth.noise_kpa + 1.0 or abs(line[0] - 1.0) > 0.05:
         verdict.wrong.append(f"a pressure sample is {off.max():.1f} kPa off")
 
 

@@ -34,6 +34,7 @@ KINDS: dict[str, tuple[str, ...]] = {
               "slow"),
 }  # fmt: skip
 FROM_THE_START = {"clock"}
+KEYPAD = ("unit", "overload", "comma")
 FOR_GOOD = 1e9
 
 
@@ -49,6 +50,8 @@ class Fault:
         hits: how often it did something; 0: it never came to it.
         must_tell: hits that a record or message has to show.
         begun_us: bench time at which it began; -1: not yet.
+        first_us: bench time at which it first did something; -1: never.
+        scripted: its place is given, as a share of the test's length; it stays.
     """
 
     layer: str
@@ -60,6 +63,8 @@ class Fault:
     hits: int = 0
     must_tell: int = 0
     begun_us: int = -1
+    first_us: int = -1
+    scripted: bool = False
 
     @property
     def name(self) -> str:
@@ -68,13 +73,31 @@ class Fault:
         return f"{self.layer}: {self.kind}{where}"
 
 
-def draw(protocol: str, seed: int, layer: str = "") -> list[Fault]:
-    """The faults of a run, none of them with a place in time yet; one to three of them."""
+MOMENTS = (0.1, 0.45, 0.8)
+"""Of a scripted fault, as shares of the test's length."""
+
+
+def script(protocol: str) -> list[Fault]:
+    """Every kind by itself, early, midway and late in the test, and there for good."""
+    kinds = [(layer, kind) for layer in layers_of(protocol) for kind in KINDS[layer]]
+    return [Fault(*what, start_s=share, scripted=True) for share in MOMENTS for what in kinds]
+
+
+def layers_of(protocol: str) -> list[str]:
+    """The layers of a protocol: only some look through the camera."""
+    return [layer for layer in KINDS if layer != "camera" or protocol in STATIC]
+
+
+def draw(protocol: str, seed: int) -> list[Fault]:
+    """The faults of a run: first the script, one by one, then one to three at random at once."""
+    scripted = script(protocol)
+    if 0 <= seed < len(scripted):
+        return [scripted[seed]]
     rng = random.Random(f"{protocol}/{seed}")
-    layers = [k for k in KINDS if k != "camera" or protocol in STATIC]
-    count = rng.choices((1, 2, 3), (6, 3, 1))[0]
-    chosen = [layer or layers[seed % len(layers)]]
-    chosen += rng.sample([k for k in layers if k not in chosen], count - 1)
+    layers = layers_of(protocol)
+    how_many = rng.choices((1, 2, 3), (4, 4, 2))[0]
+    chosen = [layers[seed % len(layers)]]
+    chosen += rng.sample([k for k in layers if k not in chosen], how_many - 1)
     return [Fault(k, rng.choice(KINDS[k]), size=rng.random()) for k in chosen]
 
 
@@ -83,6 +106,9 @@ STATIC = ("isometric", "isobaric", "isotonic", "isothermal", "hysteresis")
 
 def place(fault: Fault, rng: random.Random, seconds: float) -> None:
     """Give a fault its time, in bench seconds from the start of the test."""
+    if fault.scripted:
+        fault.start_s *= seconds
+        return
     fault.start_s = rng.uniform(0.0, 0.85 * seconds)
     short = () if fault.layer in ("camera", "instrument") else (0.1, 0.4)
     lasts = rng.choice((*short, 1.0, 3.0, FOR_GOOD))
@@ -95,11 +121,27 @@ def begin(trial: Trial, fault: Fault) -> None:
     _BEGIN[fault.layer](trial, fault)
 
 
-def end(trial: Trial, fault: Fault) -> None:
-    """It is over; what it did is counted."""
-    over = _END.get(fault.layer)
+def count(trial: Trial, fault: Fault) -> None:
+    """Put down what it did up to now."""
+    counter = _COUNT.get(fault.layer)
+    if counter is not None:
+        counter(trial, fault)
+
+
+def undo(trial: Trial, fault: Fault) -> None:
+    """It is over."""
+    over = _UNDO.get(fault.layer)
     if over is not None:
         over(trial, fault)
+
+
+def acted(trial: Trial, fault: Fault) -> bool:
+    """Whether it did anything yet."""
+    if fault.layer == "wire" and fault.kind != "unplugged":
+        return bool(trial.rules[id(fault)].altered)
+    if fault.layer == "instrument" and fault.kind not in KEYPAD:
+        return len(_device(trial, fault).wire.done) > trial.rules[id(fault)]
+    return fault.hits > 0 or fault.layer == "instrument"
 
 
 # ---- wire ---------------------------------------------------------------------------
@@ -119,9 +161,13 @@ def _wire(trial: Trial, fault: Fault) -> None:
     trial.wires.rules.append(rule)
 
 
-def _wire_end(trial: Trial, fault: Fault) -> None:
+def _wire_undo(trial: Trial, fault: Fault) -> None:
     if fault.kind == "unplugged":
         trial.bench.replug(fault.device)
+
+
+def _wire_count(trial: Trial, fault: Fault) -> None:
+    if fault.kind == "unplugged":
         return
     rule = trial.rules[id(fault)]
     fault.hits = rule.altered
@@ -142,7 +188,7 @@ def _instrument(trial: Trial, fault: Fault) -> None:
     there = {name: d for name, d in there.items() if name in trial.spoken()}
     fault.device = trial.rng.choice(list(there))
     device = there[fault.device]
-    if fault.kind in ("unit", "overload", "comma"):
+    if fault.kind in KEYPAD:
         _keypad(device, fault.kind, True)
         return
     count = 1 + int(fault.size * 12)
@@ -166,14 +212,20 @@ def _keypad(device: Any, kind: str, on: bool) -> None:
         )
 
 
-def _instrument_end(trial: Trial, fault: Fault) -> None:
-    if not fault.device:
-        return
+def _device(trial: Trial, fault: Fault) -> Any:
     bench = trial.bench
-    device = bench.balance if fault.device == "balance" else bench.extras.devices[fault.device]
-    if fault.kind in ("unit", "overload", "comma"):
-        _keypad(device, fault.kind, False)
-        seconds = min(fault.end_s, bench.board.bench_us * 1e-6) - fault.start_s
+    return bench.balance if fault.device == "balance" else bench.extras.devices[fault.device]
+
+
+def _instrument_undo(trial: Trial, fault: Fault) -> None:
+    if fault.kind in KEYPAD:
+        _keypad(_device(trial, fault), fault.kind, False)
+
+
+def _instrument_count(trial: Trial, fault: Fault) -> None:
+    device = _device(trial, fault)
+    if fault.kind in KEYPAD:
+        seconds = min(fault.end_s, trial.bench.board.bench_us * 1e-6) - fault.start_s
         fault.hits = int(seconds > 0.0)
         talks = fault.device != "supply" and not (
             fault.kind == "comma" and not hasattr(device, "comma")
@@ -206,7 +258,7 @@ def _sensor(trial: Trial, fault: Fault) -> None:
     fault.hits = 1
 
 
-def _sensor_end(trial: Trial, fault: Fault) -> None:
+def _sensor_undo(trial: Trial, fault: Fault) -> None:
     trial.bench.board.sensor_override = None
 
 
@@ -225,7 +277,7 @@ def _camera(trial: Trial, fault: Fault) -> None:
     trial.camera_fault = fault
 
 
-def _camera_end(trial: Trial, fault: Fault) -> None:
+def _camera_undo(trial: Trial, fault: Fault) -> None:
     if trial.camera_fault is fault:
         trial.camera_fault = None
 
@@ -265,7 +317,7 @@ def _disk(trial: Trial, fault: Fault) -> None:
     trial.disk.begin(fault)
 
 
-def _disk_end(trial: Trial, fault: Fault) -> None:
+def _disk_undo(trial: Trial, fault: Fault) -> None:
     trial.disk.end(fault)
 
 
@@ -306,7 +358,7 @@ def _supply(trial: Trial, fault: Fault) -> None:
     bench.plant.set_supply(min(1200.0, trial.supply_kpa * factor))
 
 
-def _supply_end(trial: Trial, fault: Fault) -> None:
+def _supply_undo(trial: Trial, fault: Fault) -> None:
     if not fault.kind.startswith("solenoids"):
         trial.bench.plant.set_supply(trial.supply_kpa)
 
@@ -325,7 +377,7 @@ def _valve(trial: Trial, fault: Fault) -> None:
         trial.shut.add(fault.kind.split()[0])
 
 
-def _valve_end(trial: Trial, fault: Fault) -> None:
+def _valve_undo(trial: Trial, fault: Fault) -> None:
     board = trial.bench.board
     if fault.kind == "inlet stuck open":
         board.inlet_jammed = False
@@ -347,7 +399,8 @@ _BEGIN = {
     "camera": _camera, "disk": _disk, "process": _process, "supply": _supply, "valve": _valve,
     "clock": _nothing,
 }  # fmt: skip
-_END = {
-    "wire": _wire_end, "instrument": _instrument_end, "sensor": _sensor_end,
-    "camera": _camera_end, "disk": _disk_end, "supply": _supply_end, "valve": _valve_end,
+_COUNT = {"wire": _wire_count, "instrument": _instrument_count}
+_UNDO = {
+    "wire": _wire_undo, "instrument": _instrument_undo, "sensor": _sensor_undo,
+    "camera": _camera_undo, "disk": _disk_undo, "supply": _supply_undo, "valve": _valve_undo,
 }  # fmt: skip

@@ -9,20 +9,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from .campaign import versions
+from .campaign import FINDINGS, bad, versions
 from .kinds import KINDS
 from .places import CLASSES
 
 Z95 = 1.6449
 """Of a one-sided bound at 95 %."""
-FINDINGS = ("untold", "late", "unreadable", "wrong", "stuck")
 TITLE = (
     "# Faults survived",
     "",
     "Made by `make faults` (`python -m tests.faults --page docs/faults.md`): tiny runs of every",
-    "protocol on the virtual clock, each with one to three faults at random moments, judged by",
-    "the bench's own truth and by the bytes on disk. A run's number names protocol, seed and",
-    "faults: `python -m tests.faults --only NUMBER` makes one again, and keeps it.",
+    "protocol on the virtual clock, judged by the bench's own truth and by the bytes on disk.",
+    "First every kind of fault by itself, early, midway and late in every protocol; then one to",
+    "three layers at once, kind, moment, length and strength at random. A run's number names",
+    "protocol, bench and faults: `python -m tests.faults --only NUMBER` makes it again, and keeps",
+    "it.",
     "",
 )
 HEAD = (
@@ -33,16 +34,19 @@ LEGEND = (
     "*Untold*: neither record nor message shows that something was wrong. *Vent late*: beyond",
     "the deadlines of docs/safety-contract.md, or air in the muscle 3 s after the end that could",
     "have gone. *Unreadable*: a row that the host had taken before the fault is gone or reads",
-    "otherwise, or `runs verify` finds damage. *Wrong value*: a number in the table beyond six",
-    "of its own standard uncertainties (and what it moved meanwhile) from the truth, or, for",
-    "valve and control tests, beyond six times the spread of runs without fault. *Bound*: upper",
-    "95 % Wilson bound of the share of runs with any finding. A run with several faults counts",
-    "for each.",
+    "otherwise (events and pictures too), or `runs verify` finds damage. *Wrong value*: a sample",
+    "or a number in the table that is not the truth of its moment, beyond six of its own standard",
+    "uncertainties and what moved meanwhile; of valve and control tests, beyond that from what",
+    "the same bench gives without a fault (of a ram, its first move). *Cannot go on*: `pamrig",
+    "continue` does not make the table whole. *Bound*: upper 95 % Wilson bound of the share of",
+    "runs with any finding. A run with several faults counts for each.",
 )
 EXEMPT = (
     "Not held against a run: a heartbeat, command or single reading that was lost and made good;",
     "a digit flipped into another digit on a line whose protocol has no checksum (MT-SICS), as",
-    "long as no value is wrong by it; a supply or valve fault after which every value is right.",
+    "long as no value is wrong by it; a supply or valve fault after which every value is right;",
+    "a pressure read as 0 by a wire that broke in an empty muscle. A valve or control test",
+    "measures the valve: what it says of one that is stuck, slow or short of air is not judged.",
 )
 MARK = "<!-- below this line the page is written by hand -->"
 
@@ -68,21 +72,35 @@ def write_page(results: Sequence[dict[str, Any]], path: Path) -> None:
 
 def _lines(results: Sequence[dict[str, Any]]) -> list[str]:
     numbers = [r["number"] for r in results]
-    bad = [r for r in results if r["crashed"] or any(r[k] for k in FINDINGS)]
+    found = [r for r in results if bad(r)]
     hit = [r for r in results if any(f["hits"] for f in r["faults"])]
+    several = sum(sum(bool(f["hits"]) for f in r["faults"]) > 1 for r in results)
     ends = Counter(r["outcome"] for r in results)
     cpu_min = sum(r["cpu_s"] for r in results) / 60
     gone_on = sum(r["continued"] for r in results)
+    made = Counter(r["revision"] for r in results)
+    again = sum("before" in r for r in results)
+    mended = sum("before" in r and not bad(r) for r in results)
     about = f"{datetime.now(UTC):%Y-%m-%d}, {versions()}; {cpu_min:.0f} min of CPU"
     lines = [
         *TITLE,
         f"{len(results)} runs, numbers {min(numbers)} to {max(numbers)}, in {len(hit)} of which a"
-        f" fault came to act; {about}. They ended"
+        f" fault came to act and in {several} several; {about}. They ended"
         f" {', '.join(f'{n} {k}' for k, n in ends.most_common())}; {gone_on} that did not come to"
         " their end were gone on with (`pamrig continue`; every other one was tried).",
         "",
-        f"**{len(bad)} runs with a finding**; with 95 % confidence fewer than"
-        f" {100 * wilson_upper(len(bad), len(results)):.2f} % of such runs have one.",
+        "Source that made them: "
+        + ", ".join(f"{k} ({n})" for k, n in made.items())
+        + "."
+        + (
+            f" {again} had a finding, of product or judge, and were made again after the mend;"
+            f" {mended} of these have none now."
+            if again
+            else ""
+        ),
+        "",
+        f"**{len(found)} runs with a finding**; with 95 % confidence fewer than"
+        f" {100 * wilson_upper(len(found), len(results)):.2f} % of such runs have one.",
         "",
         HEAD,
         "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
@@ -95,9 +113,9 @@ def _lines(results: Sequence[dict[str, Any]]) -> list[str]:
     lines.append(_row("**all**", "all", list(results)))
     lines += ["", *LEGEND, "", "Kinds: " + "; ".join(_kinds(layer, hit) for layer in KINDS) + "."]
     lines += ["", *EXEMPT, ""]
-    if bad:
+    if found:
         lines += ["Findings:", ""]
-        lines += [f"- run {r['number']} ({r['protocol']}): {_first(r)}" for r in bad[:40]]
+        lines += [f"- run {r['number']} ({r['protocol']}): {_first(r)}" for r in found[:40]]
         lines.append("")
     return lines
 
@@ -108,10 +126,10 @@ def _has(result: dict[str, Any], layer: str) -> bool:
 
 def _row(layer: str, group: str, mine: Sequence[dict[str, Any]]) -> str:
     counts = [sum(bool(r[k]) for r in mine) for k in FINDINGS]
-    bad = sum(bool(r["crashed"]) or any(r[k] for k in FINDINGS) for r in mine)
+    some = sum(bad(r) for r in mine)
     command = max((r["worst_commanded_s"] for r in mine), default=0.0)
     empty = max((r["worst_empty_s"] for r in mine), default=0.0)
-    cells = [layer, group, len(mine), *counts, f"{100 * wilson_upper(bad, len(mine)):.1f} %"]
+    cells = [layer, group, len(mine), *counts, f"{100 * wilson_upper(some, len(mine)):.1f} %"]
     cells += [f"{command * 1e3:.0f} ms", f"{empty:.2f} s"]
     return "| " + " | ".join(map(str, cells)) + " |"
 

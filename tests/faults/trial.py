@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import os
 import pickle
 import random
 import signal
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,8 +20,11 @@ import numpy as np
 import rigs.virtual.bench as bench_module
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
+from plant.constants import GAS_CONSTANT_J_KG_K
+from plant.layout import MASS, MASS_OUT
 from rigs.config import load_rig
 from rigs.protocols.registry import procedure
+from rigs.protocols.schedule import outline
 from rigs.runner import Runner
 from rigs.session import run_protocol
 from rigs.virtual.board import SimBoard
@@ -46,9 +51,14 @@ class Truth:
         us, kpa: true pressure, each millisecond (bench time).
         vents: (bench us, whether the outlet is told to stay open and the inlet shut), at changes.
         beats: (bench us, armed) of every heartbeat that reached the controller whole.
-        track: rows of (bench us, length mm, pull N), each 20 ms.
-        frame_mm: true length at each picture that was stored, from picture ``first_frame`` on.
-        taken: rows of each stream that the host handed to its record before anything failed.
+        track: rows of (bench us, length mm, pull N, hung mass kg, way of the air m), each 20 ms.
+        frames: (number, CRC-32 of its JPEG, true length in mm when it was exposed) of every
+            picture that the record took.
+        events: (number, kind) of every event that the record took before its disk failed.
+        taken, first_row: rows of each stream that the record took, by column, from this one on.
+        start_ns, origin_ns, rate: zero of the record's times, of bench time, and how much
+            faster the host's clock is, to turn an event's time into bench time.
+        noise_kpa: standard deviation of a pressure reading.
         end_kpa: true pressure 3 s after the host was done.
     """
 
@@ -61,10 +71,15 @@ class Truth:
     kpa: Any = None
     vents: list[tuple[int, bool]] = field(default_factory=list)
     beats: list[tuple[int, bool]] = field(default_factory=list)
-    track: list[tuple[int, float, float]] = field(default_factory=list)
-    frame_mm: list[float] = field(default_factory=list)
-    first_frame: int = 0
+    track: list[tuple[int, float, float, float, float]] = field(default_factory=list)
+    frames: list[tuple[int, int, float]] = field(default_factory=list)
+    events: list[tuple[int, str]] = field(default_factory=list)
+    start_ns: int = 0
+    origin_ns: int = 0
+    rate: float = 1.0
+    noise_kpa: float = 0.0
     taken: dict[str, Any] = field(default_factory=dict)
+    first_row: dict[str, int] = field(default_factory=dict)
     end_kpa: float = 0.0
     sealed_in: bool = False
     """The inlet stays open or the outlet shut, so that the air cannot go."""
@@ -75,6 +90,10 @@ class Truth:
     folder: str = ""
     planned: int = 0
     killed: bool = False
+
+    def bench_us(self, t_ns: int) -> float:
+        """Bench time of an event's ``t_ns``."""
+        return (self.start_ns + t_ns - self.origin_ns) / self.rate * 1e-3
 
 
 class Trial:
@@ -87,6 +106,7 @@ class Trial:
         self.root = work / "runs" / f"{protocol}-{seed}"
         self.disk = FaultyDisk(self.rng)
         self.disk.stall, self.disk.die = self._stall, self.die
+        self.disk.now_s = lambda: self.bench.board.bench_us * 1e-6
         self.rules: dict[int, Any] = {}
         self.camera_fault: Fault | None = None
         self.hang_s = 0.0
@@ -98,6 +118,9 @@ class Trial:
         self._begun: list[Fault] = []
         self._waiting: list[Fault] = []
         self._last_frame: Any = None
+        self._exposed_mm = math.nan
+        self._truth_from = 0
+        self._taken: dict[str, list[Any]] = {}
 
     # ---- the run --------------------------------------------------------------------
 
@@ -108,6 +131,9 @@ class Trial:
         kind = procedure(truth.protocol)
         plan = kind.read(str(self.files[1]), config)
         truth.trip_kpa = config.limits.trip_kpa
+        truth.planned = outline(plan.steps(), config.stage.speed_mm_s)[0]
+        assert config.virtual is not None
+        truth.noise_kpa = config.virtual.pressure_noise_kpa
         with self._clocks(), self.disk.fitted():
             try:
                 result = run_protocol(
@@ -115,7 +141,6 @@ class Trial:
                 )
                 truth.outcome = result.outcome
                 truth.error = str(result.error) if result.error else ""
-                truth.planned = result.planned
             except PamrigError as error:  # what the command line prints
                 truth.outcome, truth.error = "refused", str(error)
             except Bug as error:
@@ -160,13 +185,15 @@ class Trial:
         self.truth.folder = str(record.folder)
         self._clock = rig.clock
         bench.board._truth_every = bench.board._truth_left = 1
+        self._truth_from = len(bench.board.truth_us)
         self.wires = Wires(bench, self.rng)
         self.wires.on_beat = lambda: self.truth.beats.append(
             (bench.board.bench_us, bool(bench.board.controller.safety.armed))
         )
+        self.truth.start_ns, self.truth.origin_ns = record.start_ns, bench._origin_ns
+        self.truth.rate = 1.0 + bench_module.DRIFT
         self._watch_valves()
-        self._watch_rows(rig, record)
-        self.truth.first_frame = max(0, record._frames.n - 1)
+        self._watch_record(record)
         self._watch_camera(rig)
         now_s = bench.board.bench_us * 1e-6
         self._waiting = [f for f in self.truth.faults if f.layer not in kinds.FROM_THE_START]
@@ -200,36 +227,52 @@ class Trial:
         board.drive, board._let_go = watched, released
         note()
 
-    def _watch_rows(self, rig: Any, record: Any) -> None:
-        taken: dict[str, list[Any]] = {"valve": [], "balance": []}
-        self._taken = taken
+    def _watch_record(self, record: Any) -> None:
+        """Keep what the record took, as it was handed over."""
+        taken, truth = self._taken, self.truth
+        append, frame, event = record.append, record.frame, record.event
 
-        def keep(stream: str, batch: Any) -> None:
-            if not record._closed:  # a device still talks while the bench is being closed
-                taken[stream].append({k: np.array(v) for k, v in batch.items()})
+        def watched(stream: str, columns: Any) -> int:
+            open_yet = not record._closed  # a device still talks while the bench is being closed
+            row: int = append(stream, columns)
+            if open_yet:
+                truth.first_row.setdefault(stream, row)
+                kept = {k: np.array(v) for k, v in columns.items()}
+                taken.setdefault(stream, []).append(kept)
+            return row
 
-        rig.valve.on_batch.append(functools.partial(keep, "valve"))
-        rig.balance.on_rows.append(functools.partial(keep, "balance"))
+        def pictured(jpeg: bytes, host_ns: int, **meta: Any) -> int:
+            number: int = frame(jpeg, host_ns, **meta)
+            truth.frames.append((number, zlib.crc32(jpeg), self._exposed_mm))
+            return number
+
+        def noted(kind: str, **fields: Any) -> int:
+            number: int = event(kind, **fields)
+            if record.failed is None and not record._closed:
+                truth.events.append((number, kind))
+            return number
+
+        record.append, record.frame, record.event = watched, pictured, noted
 
     def _watch_camera(self, rig: Any) -> None:
-        if not hasattr(rig.camera, "_expose"):
+        camera = rig.camera._camera
+        if not hasattr(camera, "_expose"):
             return
-        real, frame_mm = rig.camera._expose, self.truth.frame_mm
+        real = camera._expose
 
         def expose() -> Any:
+            self._exposed_mm = self.bench.plant.length_mm
             frame = real()
-            length = self.bench.plant.length_mm
             if self.camera_fault is not None:
                 try:
                     frame = kinds.spoil_frame(self, self.camera_fault, frame, self._last_frame)
                 except PamrigError:
                     self._clock.sleep(2.0)
                     raise
-            frame_mm.append(length)
             self._last_frame = frame
             return frame
 
-        rig.camera._expose = expose
+        camera._expose = expose
 
     # ---- while it runs --------------------------------------------------------------
 
@@ -237,16 +280,34 @@ class Trial:
         del until_ns
         bench = self.bench
         now_us = bench.board.bench_us
-        self.truth.track.append((now_us, bench.plant.length_mm, bench._lift_n()))
+        plant = bench.plant
+        hung_kg = float(plant.params[MASS]) if plant.load == "isotonic" else 0.0
+        self.truth.track.append(
+            (now_us, plant.length_mm, bench._lift_n(), hung_kg, self._blown_m())
+        )
         self.wires.advance()
         now_s = now_us * 1e-6
         for fault in [f for f in self._begun if now_s >= f.end_s]:
             self._begun.remove(fault)
-            kinds.end(self, fault)
+            kinds.count(self, fault)
+            kinds.undo(self, fault)
         for fault in [f for f in self._waiting if now_s >= f.start_s]:
             self._waiting.remove(fault)
             self._begun.append(fault)
             kinds.begin(self, fault)
+        for fault in self._begun:
+            if fault.first_us < 0 and kinds.acted(self, fault):
+                fault.first_us = now_us
+
+    def _blown_m(self) -> float:
+        """How far the air in the outlet line has come; its velocity is the change of that."""
+        meter = self.bench.config.instruments.text.get("flow")
+        if meter is None:
+            return 0.0
+        constants = self.bench.plant.constants
+        density = constants.atmosphere_pa / (GAS_CONSTANT_J_KG_K * constants.gas_temperature_k)
+        area_m2 = math.pi / 4 * (meter.bore_mm * 1e-3) ** 2
+        return float(self.bench.plant.state[MASS_OUT]) / (density * area_m2)
 
     def _poll(self) -> None:
         if self.hang_s:
@@ -277,6 +338,8 @@ class Trial:
         board = self.bench.board
         truth.done_us = board.bench_us
         self._waiting.clear()
+        for fault in self._begun:  # what it does from now on nobody is there to see
+            kinds.count(self, fault)
         board_clock = self._clock
         if truth.killed:  # inside the clock's own round: the bench is turned by hand
             self.bench.advance_to(board_clock.now_ns() + round(AFTER_S * 1e9))
@@ -285,10 +348,10 @@ class Trial:
             board_clock.sleep(AFTER_S)
         truth.sealed_in = board.inlet_jammed or "outlet" in self.shut
         for fault in self._begun:
-            kinds.end(self, fault)
+            kinds.undo(self, fault)
         truth.end_kpa = board.pressure_kpa
-        truth.us = np.array(board.truth_us)
-        truth.kpa = np.array(board.truth_kpa)
+        truth.us = np.array(board.truth_us[self._truth_from :])
+        truth.kpa = np.array(board.truth_kpa[self._truth_from :])
         for stream, batches in self._taken.items():
             truth.taken[stream] = (
                 {k: np.concatenate([b[k] for b in batches]) for k in batches[0]} if batches else {}

@@ -71,7 +71,7 @@ class Wires:
 
     def _to_device(self, device: str, data: bytes) -> None:
         rule = self._rule(device, False)
-        good = rule is None
+        good = rule is None or rule.how == "doubled"  # of two like beats the first one counts
         if rule is not None:
             data = self._spoilt(data, rule)
         if device == "valve" and BEAT in data and good:
@@ -88,6 +88,8 @@ class Wires:
 
     def _spoilt(self, data: bytes, rule: Rule) -> bytes:
         out = spoil(data, rule.how, self.rng)
+        if out[-1:] == b"\n" and out.strip() == data.strip():
+            return data  # a space or carriage return at the end of a line says nothing
         if out != data:
             rule.altered += 1
             same = len(out) == len(data)

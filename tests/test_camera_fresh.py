@@ -1,0 +1,138 @@
+"""No picture is handed out twice: a camera that freezes or repeats is refused, and that is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.clock import VirtualClock
+from daq.errors import DeviceError, DeviceTimeout
+from protocol_runs import run_short
+from rigs.camera import CallCamera, TriggeredUvc
+from rigs.freshcamera import AGAIN_S, FreshCamera
+from rigs.uvc import UvcFrame
+
+SHAPE = (8, 8)
+
+
+class Sensor:
+    """A camera with noise of its own, of which any picture may be taken out of a drawer."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.rng = np.random.default_rng(0)
+        self.seq = 0
+        self.again = 0
+        self.keep: tuple[bool, bool] = (True, True)
+        self.last: Any = None
+
+    def expose(self) -> Any:
+        self.clock.sleep(0.01)
+        self.seq += 1
+        gray = self.rng.integers(90, 110, SHAPE).astype(np.uint8)
+        now = self.seq, self.clock.now_ns(), gray
+        if self.again and self.last is not None:
+            self.again -= 1
+            seq = self.last[0] if self.keep[0] else now[0]
+            stamp = self.last[1] if self.keep[1] else now[1]
+            return seq, stamp, self.last[2]
+        self.last = now
+        return now
+
+
+@pytest.fixture
+def sensor() -> Sensor:
+    return Sensor(VirtualClock())
+
+
+@pytest.mark.parametrize("keep", [(True, True), (False, True), (False, False)])
+def test_an_old_picture_is_counted_and_asked_for_anew(
+    sensor: Sensor, keep: tuple[bool, bool]
+) -> None:
+    """With the old number and stamp, with the old stamp alone, with all of them new."""
+    camera = FreshCamera(CallCamera(sensor.expose, "x"), sensor.clock)
+    first = camera.trigger()
+    sensor.again, sensor.keep = 3, keep
+    second = camera.trigger()
+    assert not np.array_equal(first.gray, second.gray)
+    assert camera.counters() == {"frames": 2, "repeated": 3}
+
+
+def test_a_frozen_camera_is_a_fault_before_the_heart_stops(sensor: Sensor) -> None:
+    camera = FreshCamera(CallCamera(sensor.expose, "x"), sensor.clock)
+    camera.trigger()
+    sensor.again = 10**6
+    begin_ns = sensor.clock.now_ns()
+    with pytest.raises(DeviceError, match="same picture again and again"):
+        camera.trigger()
+    assert sensor.clock.now_ns() - begin_ns < 1e9 * (AGAIN_S + 0.05)
+
+
+def test_pictures_without_noise_or_light_may_be_alike(sensor: Sensor) -> None:
+    def dark() -> Any:
+        seq, stamp, gray = sensor.expose()
+        return seq, stamp, gray * 0
+
+    def drawn() -> Any:
+        seq, stamp, _ = sensor.expose()
+        return seq, stamp, np.arange(64, dtype=np.uint8).reshape(SHAPE)
+
+    for expose, noisy in ((dark, True), (drawn, False)):
+        camera = FreshCamera(CallCamera(expose, "x"), sensor.clock, noisy)
+        camera.trigger()
+        camera.trigger()
+        assert camera.counters() == {"frames": 2}
+
+
+def test_a_driver_that_hands_its_buffer_out_twice_is_waited_for(sensor: Sensor) -> None:
+    """The stamp of a UVC frame is that of its arrival: an old buffer has a new one."""
+
+    class Repeating:
+        def __init__(self, ends_after: int) -> None:
+            self.asked, self.ends_after = 0, ends_after
+            self.old = np.arange(64, dtype=np.uint8).reshape(SHAPE)
+
+        def latest(self) -> UvcFrame:
+            self.asked += 1
+            old = self.asked <= self.ends_after
+            gray = self.old if old else self.old + 1
+            return UvcFrame(self.asked, sensor.clock.now_ns() + 1, gray, repeated=old)
+
+    frame = TriggeredUvc(Repeating(5), "uvc:0", sensor.clock).trigger()  # type: ignore[arg-type]
+    assert frame.gray[0, 0] == 1
+    with pytest.raises(DeviceTimeout, match="no new frame"):
+        TriggeredUvc(Repeating(10**6), "uvc:0", sensor.clock).trigger()  # type: ignore[arg-type]
+
+
+def test_an_isotonic_test_does_not_take_an_old_picture_for_a_length(tmp_path: Path) -> None:
+    """The camera freezes between two points: its last length had passed for that of the second."""
+
+    def freeze(runner: Any) -> None:
+        camera = runner.rig.camera
+        camera = getattr(camera, "_camera", camera)
+        expose, event, kept = camera._expose, runner.record.event, []
+
+        def frozen() -> Any:
+            frame = kept[0] if kept else expose()
+            newest.append(frame)
+            return frame
+
+        def noted(kind: str, **fields: Any) -> Any:
+            if kind == "point" and not kept:
+                kept.append(newest[-1])
+            return event(kind, **fields)
+
+        newest: list[Any] = []
+        camera._expose, runner.record.event = frozen, noted
+
+    result, run, _ = run_short("isotonic", tmp_path, begin=freeze)
+    assert result.outcome == "faulted"
+    assert "same picture" in str(result.error)
+    assert [e["order"] for e in run.events if e["kind"] == "point"] == [1]
+    assert run.final["counters"]["camera"]["repeated"] > 0
+    assert any(e["kind"] == "instrument" and e["device"] == "camera" for e in run.events)
+    lowered = [e for e in run.events if e["kind"] == "lowered"]
+    assert [e["done"] for e in lowered] == [True]  # the load came down in good order
