@@ -17,7 +17,7 @@ from gap.agreement import repeated
 from gap.belief import learnt
 from gap.cleared import Cleared, cleared
 from gap.inquiry import Inquiry, State
-from gap.mimic import Mimic, Mimicked, Mimicry
+from gap.mimic import Mimic, Mimicry
 from gap.naming import ALARM, Choice, Naming
 from gap.parameters import headline_estimates, limits_of
 from gap.shrink import Held, gap_of, held_out
@@ -142,12 +142,11 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             f"the data look like {names}, but with {q.noise.freedom} replicates beyond the first "
             "nothing can be told from noise", none=0.3, unknown=0.5, gap=gap,
         )  # fmt: skip
-    mimicked = Mimicry(q).of_state(chosen.state)
-    traits = traits_of(q, naming, held, mimicked)
+    traits = traits_of(q, naming, held)
     belief = learnt().of(traits)
     none = min(naming.chance, 0.5)
     weighed = _weigh(naming, belief, none)
-    one, two = _fair(q, mimicked, naming)
+    one, two = _mimics(q, naming)
     extra = [m for m in (one, two) if m is not None and m.share >= MIMIC]
     evidence: dict[str, object] = {
         "share_explained": share,
@@ -186,12 +185,14 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
     )  # fmt: skip
 
 
-def _fair(q: Inquiry, found: Mimicked, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
+def _mimics(q: Inquiry, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
     """Best single and pair that could stand in, their shares capped where the data rule them out.
 
     A mimic that leaves more than noise and inexact forms could is no mimic on these data.
     """
-    whole = max(q.base.cost - naming.chosen.state.cost, 0.0)
+    state = naming.chosen.state
+    found = Mimicry(q).of(q.base.residual - state.residual, frozenset(state.ids))
+    whole = max(q.base.cost - state.cost, 0.0)
     bearable = max(TOLD_APART, 3.0 * naming.left)
 
     def fair(mimic: Mimic | None) -> Mimic | None:
@@ -199,7 +200,7 @@ def _fair(q: Inquiry, found: Mimicked, naming: Naming) -> tuple[Mimic | None, Mi
             return mimic
         return Mimic(mimic.ids, min(mimic.share, 0.99 * MIMIC))
 
-    return fair(found.one), fair(found.two)
+    return fair(found[0]), fair(found[1])
 
 
 def _status(
