@@ -201,7 +201,7 @@ class _SerialPort:
             return int(self._serial.write(data) or 0)
         # pyserial looks at the clock after the bytes have gone, so that a program kept from the
         # processor for 0.2 s would take its device for lost. Only waiting for the port counts.
-        # Asked for room only when full: a terminal asked waits for its kernel thread, 0.1 s at worst.
+        # Asked for room only when full: to answer, a terminal waits for a kernel thread.
         sent, port = 0, self._serial.fileno()
         while sent < len(data):
             with contextlib.suppress(BlockingIOError):

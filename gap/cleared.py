@@ -14,17 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
+from gap.further import PLAINLY_SEEN, apart, excess, seen
 from gap.inquiry import Inquiry, State
-from gap.naming import (
-    PLAIN,
-    PLAINLY_SEEN,
-    Choice,
-    Naming,
-    apart,
-    excess,
-    name_effects,
-    seen,
-)  # fmt: skip
+from gap.naming import PLAIN, Choice, Naming, name_effects
 from gap.shrink import Held, held_out
 
 Array = npt.NDArray[np.float64]

@@ -11,9 +11,10 @@ from collections.abc import Iterable
 from gap.dataset import DataSet
 from gap.errors import GapError
 from gap.fitness import Unfit, unfit_channels
+from gap.further import excess
 from gap.inquiry import Inquiry, State
 from gap.judge import judge
-from gap.naming import Naming, excess, name_effects
+from gap.naming import Naming, name_effects
 from gap.suspects import SUSPECTS
 from gap.timing import mistimed_channel
 from gap.verdict import Verdict

@@ -17,7 +17,7 @@ from gap.agreement import repeated
 from gap.belief import learnt
 from gap.cleared import Cleared, cleared
 from gap.inquiry import Inquiry, State
-from gap.mimic import Mimic, Mimicked, Mimicry
+from gap.mimic import Mimic, Mimicry
 from gap.naming import ALARM, Choice, Naming
 from gap.parameters import headline_estimates, limits_of
 from gap.shrink import Held, gap_of, held_out
@@ -35,11 +35,14 @@ MIMIC = 0.9
 SURE = 0.985
 TOLD_APART = 120.0
 """Whitened sum of squares that a mimic may leave more than the named effect does."""
-NAMED = 0.55
-"""Least belief in an explanation for it to be named rather than offered beside others."""
-NAMED_EACH = 0.4
-NAMED_ANY = 0.75
-"""For several effects: least belief in all of them, and in the catalogue holding the truth."""
+NAMED = 0.8
+"""Least belief that a name is not wrong (all of it hidden, or part) for it to be given."""
+NAMED_SEVERAL = 0.6
+"""The same for several effects: where one of them is wrong, the other seldom is."""
+NAMED_ALL = 0.4
+"""For several effects: least belief in all of them."""
+UNKNOWN = 0.45
+"""Belief in something outside the catalogue from which the verdict says so."""
 HALF = 0.5
 FORM_FULL = 0.9
 UNSEEN = 0.2
@@ -139,12 +142,11 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             f"the data look like {names}, but with {q.noise.freedom} replicates beyond the first "
             "nothing can be told from noise", none=0.3, unknown=0.5, gap=gap,
         )  # fmt: skip
-    mimicked = Mimicry(q).of_state(chosen.state)
-    traits = traits_of(q, naming, held, mimicked)
+    traits = traits_of(q, naming, held)
     belief = learnt().of(traits)
     none = min(naming.chance, 0.5)
     weighed = _weigh(naming, belief, none)
-    one, two = _fair(q, mimicked, naming)
+    one, two = _mimics(q, naming)
     extra = [m for m in (one, two) if m is not None and m.share >= MIMIC]
     evidence: dict[str, object] = {
         "share_explained": share,
@@ -154,7 +156,7 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
         "further": naming.tried,
         "traits": traits,
     }
-    if belief["unknown"] > belief["right"] + belief["other"]:
+    if belief["unknown"] > UNKNOWN:
         return _verdict(
             q, naming, held, "unknown",
             f"a gap of which the best entry ({names}) explains {100 * share:.0f} %, in a way that "
@@ -165,10 +167,11 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
     entries = _ambiguity_set(weighed)
     ids = {frozenset(choice.state.ids) for choice, _ in entries}
     status, reason = _status(naming, gap, share, one, two, len(ids), names)
-    several = len(chosen.state.ids) > 1
-    sure = belief["right"] >= (NAMED_EACH if several else NAMED)
-    if several:
-        sure = sure and belief["right"] + belief["other"] >= NAMED_ANY
+    partly = belief["right"] + belief["part"]
+    if len(chosen.state.ids) > 1:
+        sure = partly >= NAMED_SEVERAL and belief["right"] >= NAMED_ALL
+    else:
+        sure = partly >= NAMED
     if status in ("named", "named_form_inadequate") and not sure:
         status, reason = (
             "indistinguishable",
@@ -182,12 +185,14 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
     )  # fmt: skip
 
 
-def _fair(q: Inquiry, found: Mimicked, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
+def _mimics(q: Inquiry, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
     """Best single and pair that could stand in, their shares capped where the data rule them out.
 
     A mimic that leaves more than noise and inexact forms could is no mimic on these data.
     """
-    whole = max(q.base.cost - naming.chosen.state.cost, 0.0)
+    state = naming.chosen.state
+    found = Mimicry(q).of(q.base.residual - state.residual, frozenset(state.ids))
+    whole = max(q.base.cost - state.cost, 0.0)
     bearable = max(TOLD_APART, 3.0 * naming.left)
 
     def fair(mimic: Mimic | None) -> Mimic | None:
@@ -195,7 +200,7 @@ def _fair(q: Inquiry, found: Mimicked, naming: Naming) -> tuple[Mimic | None, Mi
             return mimic
         return Mimic(mimic.ids, min(mimic.share, 0.99 * MIMIC))
 
-    return fair(found.one), fair(found.two)
+    return fair(found[0]), fair(found[1])
 
 
 def _status(
@@ -233,7 +238,7 @@ def _weigh(naming: Naming, belief: Mapping[str, float], none: float) -> _Weighed
     # Where none does, being wrong means something that was not thought of.
     alike = 1.0 + float(weights.sum())
     real = 1.0 - none
-    known_at_all = belief["right"] + belief["other"]
+    known_at_all = 1.0 - belief["unknown"]
     entries = [(naming.chosen, belief["right"] * real / alike)]
     entries += [(c, known_at_all * real * w / alike) for c, w in zip(known, weights, strict=True)]
     unknown = real - sum(p for _, p in entries)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from gap.columns import suspect_columns
 from gap.evidence import gather, projected
-from gap.inquiry import Inquiry, State
+from gap.inquiry import Inquiry
 
 Array = npt.NDArray[np.float64]
 
@@ -20,21 +20,6 @@ class Mimic:
 
     ids: tuple[str, ...]
     share: float
-
-
-@dataclass(frozen=True)
-class Mimicked:
-    """Best single and pair that could stand in for an explanation.
-
-    `member_one` and `member_two` are the largest shares that a single and a pair take of one of
-    its effects alone; `apart` says that its effects show in different channels.
-    """
-
-    one: Mimic | None
-    two: Mimic | None
-    member_one: float
-    member_two: float
-    apart: bool
 
 
 class Mimicry:
@@ -73,30 +58,6 @@ class Mimicry:
             Mimic((q.suspects[best].id,), float(single[best] / whole)) if single[best] > 0 else None
         )
         return one, self._pair(b, g, norm, signs, usable, whole)
-
-    def of_state(self, state: State) -> Mimicked:
-        """What could look like a fitted explanation, whole and effect by effect."""
-        q = self.q
-        ids = frozenset(state.ids)
-        one, two = self.of(q.base.residual - state.residual, ids)
-        if len(ids) < 2:
-            return Mimicked(one, two, one.share if one else 0.0, two.share if two else 0.0, True)
-        singles, pairs = [0.0], [0.0]
-        for name in state.ids:
-            kept = [(s, a) for s, a in zip(state.suspects, state.amounts, strict=True)
-                    if s.id != name]  # fmt: skip
-            without = q.residual_at(
-                state.shift, [s for s, _ in kept], np.array([float(a) for _, a in kept])
-            )
-            single, pair = self.of(without - state.residual, ids)
-            singles.append(single.share if single else 0.0)
-            pairs.append(pair.share if pair else 0.0)
-        blocks = [
-            {b for s in state.suspects if s.id == name for b in s.blocks} & set(q.grid.points)
-            for name in state.ids
-        ]
-        apart = not any(a & b for k, a in enumerate(blocks) for b in blocks[:k])
-        return Mimicked(one, two, max(singles), max(pairs), apart)
 
     def _pair(
         self, b: Array, g: Array, norm: Array, signs: Array, usable: npt.NDArray[np.bool_],

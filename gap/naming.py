@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from gap.agreement import inflation
 from gap.evidence import SLACK, projected
+from gap.further import apart, counts, excess, plea
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
 from gap.suspects import Suspect
-from plant.catalogue import CATALOGUE
 from plant.constants import KEYS
 
 Array = npt.NDArray[np.float64]
@@ -31,21 +31,12 @@ PLAIN = 100.0
 """Gain from which a first effect needs no proof on slots it was not fitted to."""
 CARRIED = 0.3
 """Least share of its gain that a first effect must carry over to such slots."""
-SHARE_SURE = 0.06
-"""Least share of the gap's excess that a further effect must take away."""
-SEEN_NEXT = 0.6
-"""Least change of the residual in some block, in units of its floor, for an effect to count."""
-FAR_ABOVE = 3.0
-"""The same, from which a further effect counts beside one whose form leaves much."""
-PLAINLY_SEEN = 1.5
-"""The same, from which an effect counts beside one of any size."""
 MOST = 3
 BENT = 2.2
 """Shift of a constant, in sd, from which an effect may have bent the recalibration."""
 EDGES = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
 _REFINED = 7
 _ELSEWHERE = 4
-_LEAST_NEXT = 40.0
 _CLOCKS_MS = (8.0, 20.0, 45.0, 80.0, 120.0, 170.0, 230.0, 300.0, 380.0, 480.0)
 _SHAPES = 2
 
@@ -132,7 +123,10 @@ def name_effects(q: Inquiry) -> Naming:
         tried.sort(key=lambda choice: choice.cost)
         fit = [choice for choice in tried if _counts(q, naming, state, choice)]
         if step:
-            naming.tried.append(_further(q, naming, state, (fit or tried)[0], bool(fit)))
+            best_of = (fit or tried)[0]
+            naming.tried.append(
+                plea(q, naming.excess, alarm, state, best_of.keys[-1], best_of.state)
+            )
         if not fit:
             break
         tried.remove(fit[0])
@@ -223,47 +217,11 @@ def _swapped(q: Inquiry, state: State, key: str) -> tuple[Array, float] | None:
     return None
 
 
-def apart(q: Inquiry, state: State, key: str) -> bool:
-    """Whether the effect of `key` shows in channels that no other effect in force touches."""
-    own = next(s.blocks for s in q.suspects if s.key == key)
-    others = {b for s in state.suspects if s.key != key for b in s.blocks}
-    return not set(own) & others & set(q.grid.points)
-
-
 def _counts(q: Inquiry, naming: Naming, before: State, choice: Choice) -> bool:
-    """Whether an effect that was fitted takes away enough to count as one more."""
-    gain = before.cost - choice.cost
+    """Whether an effect that was fitted takes away enough to count."""
     if not before.suspects:
-        return gain >= naming.alarm
-    if apart(q, before, choice.keys[-1]):
-        return gain >= max(_LEAST_NEXT, naming.alarm) and (
-            seen(q, before, choice.state) > SEEN_NEXT
-        )
-    if gain < max(_LEAST_NEXT, naming.alarm):
-        return False
-    return _worth(q, naming, before, choice.state)
-
-
-def _further(
-    q: Inquiry, naming: Naming, before: State, choice: Choice, counted: bool
-) -> dict[str, float | str]:
-    """What speaks for one more effect, in plain numbers."""
-    gain = before.cost - choice.cost
-    last = choice.state.suspects[-1].id
-    families = {CATALOGUE[s.id].family for s in before.suspects if s.id in CATALOGUE}
-    return {
-        "key": choice.keys[-1],
-        "gain": gain,
-        "alarm": naming.alarm,
-        "share": gain / max(naming.excess, 1.0),
-        "of_left": gain / max(excess(q, before), 1.0),
-        "left": excess(q, before),
-        "rows": float(len(q.rows)),
-        "seen": seen(q, before, choice.state),
-        "apart": float(apart(q, before, choice.keys[-1])),
-        "same_family": float(last in CATALOGUE and CATALOGUE[last].family in families),
-        "counted": float(counted),
-    }
+        return before.cost - choice.cost >= naming.alarm
+    return counts(q, naming.excess, naming.alarm, before, choice.keys[-1], choice.state)
 
 
 def _scan_clocks(q: Inquiry) -> dict[str, tuple[float, float]]:
@@ -296,47 +254,6 @@ def _scan_clocks(q: Inquiry) -> dict[str, tuple[float, float]]:
 def naming_scale(q: Inquiry, gains: Array, fresh: Array) -> float:
     """Factor that brings gains at the stated plant to those at the recalibrated one."""
     return float(gains.max(initial=0.0) / max(fresh.max(initial=0.0), 1e-9))
-
-
-def _worth(q: Inquiry, naming: Naming, before: State, after: State) -> bool:
-    """Whether a further effect is seen, and takes a fair share of the gap or of what is left.
-
-    What is left of a first effect whose form is not exact can be taken by many others; that shows
-    over a floor nowhere, and is little of the gap.
-    """
-    visible = seen(q, before, after)
-    if visible <= SEEN_NEXT:
-        return False
-    gain = before.cost - after.cost
-    left = max(excess(q, before), 1.0)
-    if gain > SHARE_SURE * naming.excess:
-        return True
-    if left < 2.0 * np.sqrt(2.0 * len(q.rows)) and gain > 1.5 * max(_LEAST_NEXT, naming.alarm):
-        return True  # nothing is left of the first effect that a second could mend
-    if visible > FAR_ABOVE and gain > 0.15 * left:
-        return True
-    if gain < 0.35 * left:
-        return False
-    large = left > 0.02 / 0.35 * naming.excess
-    return visible > PLAINLY_SEEN or large
-
-
-def seen(q: Inquiry, before: State, after: State) -> float:
-    """Largest drop of the residual in any block: root of the drop in squares over the floor's."""
-    rows = q.rows
-    best = 0.0
-    for number in np.unique(rows.block).tolist():
-        here = rows.block == number
-        span = rows.span_s[here] / rows.span_s[here].sum()
-        drop = float(span @ (before.residual[here] ** 2 - after.residual[here] ** 2))
-        floor = float(span @ q.floor_variance[here])
-        best = max(best, drop / max(floor, 1e-12))
-    return float(np.sqrt(best))
-
-
-def excess(q: Inquiry, state: State) -> float:
-    """Whitened sum of squares beyond what noise alone leaves."""
-    return max(state.cost - len(q.rows), 0.0)
 
 
 def linear_gains(q: Inquiry, state: State) -> tuple[Array, Array]:

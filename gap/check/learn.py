@@ -10,21 +10,24 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import minimize
 
 from blind.seal import opened
-from gap.belief import FEATURES, OUTCOMES, Array, Belief, features
+from blind.sets import BLOCK
+from gap.belief import FEATURES, OUTCOMES, Array, Weights, features, kind_of
 from gap.check.errors import CheckError
 from gap.check.score import parameter_row
 from gap.check.totals import CLEAR
 from plant.catalogue import CATALOGUE
 
 FOLDS = 10
-RIDGE = 10.0
+RIDGE = 4.0
 """Weight of the prior that no feature matters, in sets."""
 LEAN = 1.0
 """Sets that the mean over all entries counts for."""
@@ -32,37 +35,61 @@ LEAST_ERROR = 0.04
 MOST_ERROR = 0.8
 
 
-def samples(lines: Sequence[dict[str, Any]]) -> tuple[Array, Array]:
-    """Features and outcomes of all sets in which something was explained.
+@dataclass(frozen=True)
+class Samples:
+    """Explanations of one kind: features, shape (sets, features), outcomes and weights (sets,)."""
 
-    Returns:
-        Features, shape (sets, features), and the number of each outcome, shape (sets,).
+    x: Array
+    y: npt.NDArray[np.int64]
+    weight: Array
+
+
+def samples(lines: Sequence[dict[str, Any]]) -> dict[str, Samples]:
+    """Features and outcomes of all sets in which something was explained, by kind of explanation.
+
+    A set counts as often as its kind (single, pair, ...) has a place in the mixture of the blind
+    check, however many of that kind were made for practice.
     """
-    x, y = [], []
+    kinds = [line["score"]["kind"] for line in lines]
+    made: dict[str, tuple[list[list[float]], list[int], list[float]]] = {
+        kind: ([], [], []) for kind in FEATURES
+    }
     for line in lines:
         score, verdict = line["score"], line["verdict"]
         if score["stream"] != "practice":
             raise CheckError("learn", f"set {score['number']} is of the {score['stream']} stream")
-        traits = (verdict.get("evidence") or {}).get("traits")
-        found = (verdict.get("evidence") or {}).get("found")
+        evidence = verdict.get("evidence") or {}
+        traits, found = evidence.get("traits"), evidence.get("found")
         if score["kind"] in ("unfit", "nominal") or not traits or not found:
             continue
         hidden = set(score["hidden"]) if score["truth"] == "effects" else set()
-        if score["truth"] == "effects":
-            outcome = "right" if set(found) == hidden else "other"
-        else:
+        if not hidden:
             outcome = "unknown"
-        x.append(features(traits))
+        elif set(found) == hidden:
+            outcome = "right"
+        else:
+            outcome = "part" if hidden & set(found) else "other"
+        kind = kind_of(traits)
+        x, y, weight = made[kind]
+        known = features(traits)
+        x.append([known[name] for name in FEATURES[kind]])
         y.append(OUTCOMES.index(outcome))
-    return np.array(x), np.array(y)
+        share = kinds.count(score["kind"]) / len(kinds)
+        weight.append(BLOCK.count(score["kind"]) / len(BLOCK) / share)
+    return {
+        kind: Samples(np.array(x), np.array(y, dtype=np.int64), np.array(w) / np.mean(w))
+        for kind, (x, y, w) in made.items()
+    }
 
 
-def fit(x: Array, y: Array) -> Belief:
+def fit(of: Samples) -> Weights:
     """Multinomial logistic regression with a ridge, on standardised features."""
-    mean, spread = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-6)
-    z = np.hstack([np.ones((len(x), 1)), np.clip((x - mean) / spread, -4.0, 4.0)])
+    mean = np.average(of.x, axis=0, weights=of.weight)
+    spread = np.sqrt(np.average((of.x - mean) ** 2, axis=0, weights=of.weight))
+    spread = np.maximum(spread, 1e-6)
+    z = np.hstack([np.ones((len(of.x), 1)), np.clip((of.x - mean) / spread, -4.0, 4.0)])
     shape = (len(OUTCOMES), z.shape[1])
-    target = np.eye(len(OUTCOMES))[y]
+    target = np.eye(len(OUTCOMES))[of.y]
 
     def loss(flat: Array) -> tuple[float, Array]:
         weights = flat.reshape(shape)
@@ -70,32 +97,26 @@ def fit(x: Array, y: Array) -> Belief:
         scores -= scores.max(axis=1, keepdims=True)
         odds = np.exp(scores)
         p = odds / odds.sum(axis=1, keepdims=True)
-        cost = -float(np.sum(target * np.log(np.maximum(p, 1e-12))))
+        cost = -float(np.sum(of.weight[:, None] * target * np.log(np.maximum(p, 1e-12))))
         cost += 0.5 * RIDGE * float(np.sum(weights[:, 1:] ** 2))
-        slope = (p - target).T @ z
+        slope = ((p - target) * of.weight[:, None]).T @ z
         slope[:, 1:] += RIDGE * weights[:, 1:]
         return cost, slope.ravel()
 
     found = minimize(loss, np.zeros(shape[0] * shape[1]), jac=True, method="L-BFGS-B")
-    return Belief(mean, spread, found.x.reshape(shape))
+    return Weights(mean, spread, found.x.reshape(shape))
 
 
-def crossed(x: Array, y: Array) -> Array:
+def crossed(of: Samples) -> Array:
     """Probabilities of each set by a fit to the other folds, shape (sets, outcomes)."""
-    made = np.zeros((len(x), len(OUTCOMES)))
-    fold = np.random.default_rng(0).permutation(len(x)) % FOLDS
+    made = np.zeros((len(of.x), len(OUTCOMES)))
+    fold = np.random.default_rng(0).permutation(len(of.x)) % FOLDS
     for k in range(FOLDS):
-        belief = fit(x[fold != k], y[fold != k])
-        for i in np.flatnonzero(fold == k):
-            made[i] = _weigh(belief, x[i])
+        rest = fold != k
+        weights = fit(Samples(of.x[rest], of.y[rest], of.weight[rest]))
+        for i in np.flatnonzero(~rest):
+            made[i] = weights.of(of.x[i])
     return made
-
-
-def _weigh(belief: Belief, x: Array) -> Array:
-    z = np.r_[1.0, np.clip((x - belief.mean) / belief.spread, -4.0, 4.0)]
-    scores = belief.weights @ z
-    odds = np.exp(scores - scores.max())
-    return np.asarray(odds / odds.sum())
 
 
 def form_errors(lines: Sequence[dict[str, Any]]) -> dict[str, float]:
@@ -125,37 +146,54 @@ def form_errors(lines: Sequence[dict[str, Any]]) -> dict[str, float]:
     return made
 
 
-def as_toml(belief: Belief, form: Mapping[str, float], sets: int) -> str:
+def as_toml(kinds: Mapping[str, Weights], form: Mapping[str, float], sets: int) -> str:
     """The coefficients as the file that ships."""
 
     def row(values: Array) -> str:
         return "[" + ", ".join(f"{v:.5g}" for v in values) + "]"
 
-    weights = ",\n  ".join(row(w) for w in belief.weights)
-    names = ", ".join(f'"{name}"' for name in FEATURES)
-    return (
-        f"# Made by `python -m gap.check.learn` from {sets} practice sets; do not edit.\n"
-        f"features = [{names}]\nmean = {row(belief.mean)}\nspread = {row(belief.spread)}\n"
-        f"# Rows: {', '.join(OUTCOMES)}. First column: constant.\nweights = [\n  {weights},\n]\n"
-        "\n# What other forms of an effect do to its headline, relative, one sd.\n[form]\n"
-        + "".join(f"{name} = {value:.3g}\n" for name, value in form.items())
+    made = (
+        f"# Made by `python -m gap.check.learn` from {sets} explanations of practice sets; do not "
+        f"edit.\n# Rows of weights: {', '.join(OUTCOMES)}. First column: constant.\n"
     )
+    for kind, of in kinds.items():
+        names = ", ".join(f'"{name}"' for name in FEATURES[kind])
+        weights = ",\n  ".join(row(w) for w in of.weights)
+        made += (
+            f"\n[{kind}]\nfeatures = [{names}]\nmean = {row(of.mean)}\n"
+            f"spread = {row(of.spread)}\nweights = [\n  {weights},\n]\n"
+        )
+    made += "\n# What other forms of an effect do to its headline, relative, one sd.\n[form]\n"
+    return made + "".join(f"{name} = {value:.3g}\n" for name, value in form.items())
 
 
 def main(paths: Sequence[str]) -> int:
     """Learn from results files and write the shipped coefficients."""
     lines = [json.loads(text) for path in paths for text in Path(path).read_text().splitlines()]
-    x, y = samples(lines)
-    p = crossed(x, y)
-    print(f"{len(x)} explanations: {np.bincount(y, minlength=len(OUTCOMES)).tolist()} {OUTCOMES}")
-    print(f"log loss, crossed: {-np.mean(np.log(p[np.arange(len(y)), y])):.3f}")
-    for least in (0.5, 0.6, 0.7, 0.8, 0.9):
-        sure = p[:, 0] >= least
-        print(
-            f"right with {least:.1f} or more: {sure.sum()} sets, {np.mean(y[sure] == 0):.3f} right"
+    kinds = samples(lines)
+    for kind, of in kinds.items():
+        p = crossed(of)
+        counts = dict(
+            zip(OUTCOMES, np.bincount(of.y, minlength=len(OUTCOMES)).tolist(), strict=True)
         )
+        loss = -np.average(np.log(p[np.arange(len(of.y)), of.y]), weights=of.weight)
+        print(f"{kind}: {counts}, log loss of sets not learnt from {loss:.3f}")
+        for least in (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
+            # A name is wrong where nothing of it is hidden.
+            sure = p[:, 0] + p[:, 1] >= least
+            w = of.weight[sure]
+            wrong = float(w[of.y[sure] >= 2].sum() / max(w.sum(), 1e-9))
+            unknown = of.y == OUTCOMES.index("unknown")
+            flagged = p[:, 3] >= least
+            print(
+                f"  named from {least:.1f}: {sure.sum()} sets, {100 * wrong:.1f} % wrong; "
+                f"unknown from {least:.1f}: {int((flagged & unknown).sum())} of {unknown.sum()}, "
+                f"{int((flagged & ~unknown).sum())} of {(~unknown).sum()} in error"
+            )
     target = Path(__file__).parents[1] / "belief.toml"
-    target.write_text(as_toml(fit(x, y), form_errors(lines), len(x)), encoding="utf-8")
+    count = sum(len(of.x) for of in kinds.values())
+    made = as_toml({kind: fit(of) for kind, of in kinds.items()}, form_errors(lines), count)
+    target.write_text(made, encoding="utf-8")
     return 0
 
 

@@ -1,0 +1,102 @@
+"""When one more effect counts: what it takes, where it shows, and what the first one left.
+
+What is left of a first effect whose form is not exact can be taken by many others. So a further
+effect must be seen over the floor, and take a fair share of the gap unless it shows in channels of
+its own or the first one leaves nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gap.inquiry import Inquiry, State
+from plant.catalogue import CATALOGUE
+
+SHARE_SURE = 0.06
+"""Least share of the gap's excess that a further effect must take away."""
+SEEN_NEXT = 0.6
+"""Least change of the residual in some block, in units of its floor, for an effect to count."""
+FAR_ABOVE = 3.0
+"""The same, from which a further effect counts beside one whose form leaves much."""
+PLAINLY_SEEN = 1.5
+"""The same, from which an effect counts beside one of any size."""
+_LEAST_NEXT = 40.0
+
+
+def excess(q: Inquiry, state: State) -> float:
+    """Whitened sum of squares beyond what noise alone leaves."""
+    return max(state.cost - len(q.rows), 0.0)
+
+
+def seen(q: Inquiry, before: State, after: State) -> float:
+    """Largest drop of the residual in any block: root of the drop in squares over the floor's."""
+    rows = q.rows
+    best = 0.0
+    for number in np.unique(rows.block).tolist():
+        here = rows.block == number
+        span = rows.span_s[here] / rows.span_s[here].sum()
+        drop = float(span @ (before.residual[here] ** 2 - after.residual[here] ** 2))
+        floor = float(span @ q.floor_variance[here])
+        best = max(best, drop / max(floor, 1e-12))
+    return float(np.sqrt(best))
+
+
+def apart(q: Inquiry, state: State, key: str) -> bool:
+    """Whether the effect of `key` shows in channels that no other effect in force touches."""
+    own = next(s.blocks for s in q.suspects if s.key == key)
+    others = {b for s in state.suspects if s.key != key for b in s.blocks}
+    return not set(own) & others & set(q.grid.points)
+
+
+def counts(q: Inquiry, gap: float, alarm: float, before: State, key: str, after: State) -> bool:
+    """Whether a further effect of `key` takes away enough to count as one more.
+
+    `gap` is the whitened gap beyond noise at the base, `alarm` what a first effect needs.
+    """
+    gain = before.cost - after.cost
+    if gain < max(_LEAST_NEXT, alarm) or seen(q, before, after) <= SEEN_NEXT:
+        return False
+    return apart(q, before, key) or _worth(q, gap, alarm, before, after)
+
+
+def _worth(q: Inquiry, gap: float, alarm: float, before: State, after: State) -> bool:
+    """Whether it takes a fair share of the gap or of what is left.
+
+    What is left of a first effect whose form is not exact can be taken by many others; that shows
+    over a floor nowhere, and is little of the gap.
+    """
+    visible = seen(q, before, after)
+    gain = before.cost - after.cost
+    left = max(excess(q, before), 1.0)
+    if gain > SHARE_SURE * gap:
+        return True
+    if left < 2.0 * np.sqrt(2.0 * len(q.rows)) and gain > 1.5 * max(_LEAST_NEXT, alarm):
+        return True  # nothing is left of the first effect that a second could mend
+    if visible > FAR_ABOVE and gain > 0.15 * left:
+        return True
+    if gain < 0.35 * left:
+        return False
+    large = left > 0.02 / 0.35 * gap
+    return visible > PLAINLY_SEEN or large
+
+
+def plea(
+    q: Inquiry, gap: float, alarm: float, before: State, key: str, after: State
+) -> dict[str, float | str]:
+    """What speaks for one more effect, in plain numbers."""
+    gain = before.cost - after.cost
+    last = after.suspects[-1].id
+    families = {CATALOGUE[s.id].family for s in before.suspects if s.id in CATALOGUE}
+    return {
+        "key": key,
+        "gain": gain,
+        "alarm": alarm,
+        "share": gain / max(gap, 1.0),
+        "of_left": gain / max(excess(q, before), 1.0),
+        "left": excess(q, before),
+        "rows": float(len(q.rows)),
+        "seen": seen(q, before, after),
+        "apart": float(apart(q, before, key)),
+        "same_family": float(last in CATALOGUE and CATALOGUE[last].family in families),
+        "counted": float(counts(q, gap, alarm, before, key, after)),
+    }
