@@ -30,8 +30,9 @@ faults: $(READY)   ## thousands of runs with things going wrong, and their page;
 fuzz: $(READY)   ## ten million inputs that nobody would write
 	$(BIN)/python -m tests.fuzz
 
-soak: $(READY)   ## a virtual day at 1 kHz: memory and completeness
-	$(BIN)/python -m tests.soak --hours 24
+soak: $(READY)   ## a virtual day at 1 kHz and a real hour: memory and completeness, and their page
+	$(BIN)/python -m tests.soak --hours 24 --page docs/soak.md
+	$(BIN)/python -m tests.soak --real --page docs/soak.md
 
 audit: $(READY)   ## pins of the lock file, and known holes where pip-audit and a network are there
 	$(BIN)/python -m tests.audit

@@ -78,7 +78,7 @@ def test_a_fault_without_a_trace_is_untold(sound: Truth) -> None:
     ):
         truth.faults = [Fault(layer, "any", device, hits=1, must_tell=1)]
         assert judge(truth).untold == [truth.faults[0].name]
-    truth.outcome, truth.error = "faulted", "the reason"
+    truth.outcome, truth.error = "faulted", "run.json cannot be written: no space left on device"
     assert judge(truth).untold == []
 
 
@@ -106,15 +106,49 @@ def test_a_row_that_is_gone_or_other_is_unreadable(sound: Truth) -> None:
         judge(truth).unreadable
     )
     truth = copy.deepcopy(sound)
-    truth.taken["valve"]["seq"][-1] += 10_000
-    assert any("gone" in found for found in judge(truth).unreadable)
+    truth.first_row["valve"] += 10_000
+    assert any("rows of valve are gone" in found for found in judge(truth).unreadable)
+    truth = copy.deepcopy(sound)
+    truth.events.append((10_000, "point"))
+    truth.frames.append((3, 1, 50.0))
+    found = judge(truth).unreadable
+    assert any("1 events are gone" in text for text in found)
+    assert any("picture 3 is gone" in text for text in found)
+
+
+def test_a_muscle_that_is_filled_blindly_is_late(sound: Truth) -> None:
+    truth = copy.copy(sound)
+    at = int(np.argmax(truth.kpa > 10.0))  # from here it is filled to 200 kPa
+    truth.faults = [Fault("sensor", "low", begun_us=int(truth.us[at]), hits=1)]
+    truth.kpa = np.where(np.arange(len(truth.kpa)) > at, truth.kpa + 200.0, truth.kpa)
+    assert any("read nothing" in found for found in judge(truth).late)
+
+
+def test_a_test_that_does_not_begin_is_stuck() -> None:
+    verdict = judge(Truth("step", 0, [], outcome="refused", error="the reason"))
+    assert verdict.stuck == ["did not begin: the reason"]
+
+
+def test_what_one_fault_told_does_not_speak_for_another(sound: Truth) -> None:
+    """The stage ended the run; of the balance nothing is said."""
+    truth = copy.copy(sound)
+    truth.outcome, truth.error = "faulted", "stage on stage: no answer"
+    early = truth.done_us - 5_000_000
+    truth.faults = [
+        Fault("wire", "lost", device, hits=1, must_tell=1, first_us=early)
+        for device in ("stage", "balance")
+    ]
+    assert judge(truth).untold == ["wire: lost (balance)"]
 
 
 def test_a_sample_that_is_off_is_wrong(sound: Truth) -> None:
     truth = copy.deepcopy(sound)
-    truth.kpa = truth.kpa + 40.0
-    truth.trip_kpa = 1e6
-    assert any("off" in found for found in judge(truth).wrong)
+    counts = truth.taken["valve"]["counts"]
+    counts[np.argmax(counts > 400)] ^= 64  # 16 kPa
+    assert any("kPa off" in found for found in judge(truth).wrong)
+    truth = copy.deepcopy(sound)
+    truth.taken["valve"]["device_us"][1500] += 7  # a tick is a whole millisecond
+    assert judge(truth).wrong == ["1 samples bear times at which none was taken"]
 
 
 # ---- what the campaign found; each was red ---------------------------------------------

@@ -141,5 +141,5 @@ def layout(parameters: Mapping[str, Any]) -> LiveLayout:
 
 
 PROCEDURE = Procedure(
-    "flow", "Flow test", read, reduce_flow, layout, flow_findings, firmware={"rise_ms": 400}
+    "flow", "Flow test", read, reduce_flow, layout, flow_findings, firmware={"rise_ms": 300}
 )

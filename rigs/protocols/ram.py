@@ -175,5 +175,5 @@ def layout(parameters: Mapping[str, Any]) -> LiveLayout:
 
 PROCEDURE = Procedure(
     "ram", "Ram test", read, reduce_ram, layout, ram_findings,
-    firmware={"leak_counts": 0, "rise_ms": 400},
+    firmware={"leak_counts": 0, "rise_ms": 300},
 )  # fmt: skip

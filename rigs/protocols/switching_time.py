@@ -201,5 +201,5 @@ PROCEDURE = Procedure(
     reduce_switching_time,
     layout,
     time_findings,
-    firmware={"rise_ms": 400},
+    firmware={"rise_ms": 300},
 )

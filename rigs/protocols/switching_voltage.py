@@ -248,5 +248,5 @@ PROCEDURE = Procedure(
     reduce_switching_voltage,
     layout,
     voltage_findings,
-    firmware={"rise_ms": 400},
+    firmware={"rise_ms": 300},
 )

@@ -356,6 +356,10 @@ class SimBoard(Board):
         """The sensor repeats its present reading for ever."""
         self.sensor_override = self._counts
 
+    def forget_truth(self) -> None:
+        """Keep no log of the true pressure from now on."""
+        self._truth_every = 0
+
     def mean_kpa(self, first_us: int, last_us: int) -> float:
         """Mean true pressure over the log's entries in ``first_us``..``last_us`` (bench time)."""
         a = bisect_left(self.truth_us, first_us)

@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from daq.errors import RecordError
+
 from .kinds import FOR_GOOD, Fault
 from .places import empty_s
 from .trial import Truth
@@ -324,10 +326,17 @@ def _readable(truth: Truth, record: Bytes, verdict: Verdict) -> None:
         verdict.unreadable.append(f"{len(gone)} events are gone, the first: {gone[0]}")
     pictures = record.pictures()
     for number, crc, _ in truth.frames:
-        found = {zlib.crc32(pictures.get(number, b"")), zlib.crc32(run.frame_bytes(number))}
-        if found != {crc}:
+        found = {pictures.get(number, b""), _stored(run, number)}
+        if {zlib.crc32(jpeg) for jpeg in found} != {crc}:
             verdict.unreadable.append(f"picture {number} is gone or reads otherwise")
     _counts(truth, verdict)
+
+
+def _stored(run: Any, number: int) -> bytes:
+    try:
+        return bytes(run.frame_bytes(number))
+    except RecordError:
+        return b""
 
 
 def _counts(truth: Truth, verdict: Verdict) -> None:

@@ -36,10 +36,10 @@ LEGEND = (
     "have gone. *Unreadable*: a row that the host had taken before the fault is gone or reads",
     "otherwise (events and pictures too), or `runs verify` finds damage. *Wrong value*: a sample",
     "or a number in the table that is not the truth of its moment, beyond six of its own standard",
-    "uncertainties and what moved meanwhile; of valve and control tests, beyond that from what",
-    "the same bench gives without a fault (of a ram, its first move). *Cannot go on*: `pamrig",
-    "continue` does not make the table whole. *Bound*: upper 95 % Wilson bound of the share of",
-    "runs with any finding. A run with several faults counts for each.",
+    "uncertainties and what moved meanwhile; of switching and step tests, beyond that from what",
+    "the same bench gives without a fault. *Cannot go on*: `pamrig continue` does not make the",
+    "table whole. *Bound*: upper 95 % Wilson bound of the share of runs with any finding. A run",
+    "with several faults counts for each.",
 )
 EXEMPT = (
     "Not held against a run: a heartbeat, command or single reading that was lost and made good;",

@@ -50,6 +50,7 @@ class Truth:
     Attributes:
         us, kpa: true pressure, each millisecond (bench time).
         vents: (bench us, whether the outlet is told to stay open and the inlet shut), at changes.
+        prox: (bench us, proximity bits), at changes.
         beats: (bench us, armed) of every heartbeat that reached the controller whole.
         track: rows of (bench us, length mm, pull N, hung mass kg, way of the air m), each 20 ms.
         frames: (number, CRC-32 of its JPEG, true length in mm when it was exposed) of every
@@ -70,6 +71,7 @@ class Truth:
     us: Any = None
     kpa: Any = None
     vents: list[tuple[int, bool]] = field(default_factory=list)
+    prox: list[tuple[int, int]] = field(default_factory=list)
     beats: list[tuple[int, bool]] = field(default_factory=list)
     track: list[tuple[int, float, float, float, float]] = field(default_factory=list)
     frames: list[tuple[int, int, float]] = field(default_factory=list)
@@ -224,7 +226,11 @@ class Trial:
             let_go()
             note()
 
-        board.drive, board._let_go = watched, released
+        def fed() -> None:
+            if board.prox_bits != (self.truth.prox[-1][1] if self.truth.prox else 0):
+                self.truth.prox.append((board.bench_us, board.prox_bits))
+
+        board.drive, board._let_go, board.wdt_feed = watched, released, fed
         note()
 
     def _watch_record(self, record: Any) -> None:

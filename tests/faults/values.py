@@ -50,6 +50,8 @@ def check_values(truth: Truth, verdict: Verdict, work: Path) -> None:
             continue
         elif truth.protocol == "flow":
             _flow(truth, row, point, verdict)
+        elif truth.protocol == "ram":
+            _ram(truth, row, point, verdict)
         else:
             _like_without_fault(truth, row, work, verdict)
 
@@ -134,6 +136,34 @@ def _flow(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: Ver
         )
 
 
+def _ram(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: Verdict) -> None:
+    """When the proximity switch really came on, and what the pressure was at the end."""
+    if not row["settled"]:
+        return
+    asked_us, until_us = truth.bench_us(point["asked_t_ns"]), truth.bench_us(point["t_ns"])
+    bit = {"A": 1, "B": 2}[row["switch"]]
+    came, was_on = math.nan, False
+    for us, bits in truth.prox:
+        on = bool(bits & bit)
+        if asked_us <= us <= until_us and on and not was_on:
+            came = us
+            break
+        was_on = on
+    reach = (came - asked_us) * 1e-6
+    allowed = SIGMAS * row["u_reach_s"] + 0.003
+    if not abs(row["reach_s"] - reach) <= allowed:
+        verdict.wrong.append(
+            f"point {row['order']}: reach_s {row['reach_s']:.4g}, true {reach:.4g}, "
+            f"allowed {allowed:.2g}"
+        )
+        return
+    end_us = came + row["hold_s"] * 1e6
+    inside = (truth.us >= end_us - 0.2e6 * row["hold_s"]) & (truth.us < end_us)
+    if inside.any():
+        kpa = truth.kpa[inside]
+        _compare(row, "pressure_kpa", kpa.mean(), np.ptp(kpa), 0.3, verdict)
+
+
 def _bench_as_ever(truth: Truth, point: dict[str, Any]) -> bool:
     """Whether up to this point the bench itself did what it does without a fault."""
     until_us = truth.bench_us(point["t_ns"])
@@ -156,8 +186,8 @@ def reference(protocol: str, bench: int, work: Path) -> dict[int, dict[str, Any]
 
 def _like_without_fault(truth: Truth, row: dict[str, Any], work: Path, verdict: Verdict) -> None:
     """As the same bench gives it without a fault: noise is all that differs."""
-    if not row["settled"] or (truth.protocol == "ram" and row["order"] > 1):
-        return  # a ram goes on from wherever it was held
+    if not row["settled"]:
+        return
     known = reference(truth.protocol, truth.seed % BENCH_SEEDS, work)[row["order"]]
     for name, value in row.items():
         if not isinstance(value, float) or name.startswith(WORDS):
