@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ def export_runs(
     *,
     plant: Path | None = None,
     form: str = "time",
+    commands_of: Collection[str] | None = None,
 ) -> Exported:
     """Write runs as one data set; trials keep the order in which they were measured.
 
@@ -58,16 +59,16 @@ def export_runs(
     if not runs:
         raise GapError("export", "no run given")
     bench = _bench(runs, plant)
-    trials = [trial for run in runs for trial in _trials(run, form)]
+    trials = [trial for run in runs for trial in _trials(run, form, commands_of)]
     trials.sort(key=lambda trial: float(trial.row["start_s"]))
     return _write(folder, trials, bench, tuple(run.run_id for run in runs))
 
 
-def _trials(run: Run, form: str) -> Iterable[RunTrial]:
+def _trials(run: Run, form: str, commands_of: Collection[str] | None) -> Iterable[RunTrial]:
     _refuse_mechanism(run)
     if form == "points" or run.manifest.get("imported"):
         return table_trials(run)
-    return run_trials(run)
+    return run_trials(run, commands_of is None or run.manifest.get("protocol") in commands_of)
 
 
 def _refuse_mechanism(run: Run) -> None:
