@@ -143,7 +143,7 @@ def investigate(
         minutes = float((run.final or {}).get("duration_s") or 0.0) / 60.0
         used_min += minutes
         runs.append(run)
-        known = ("", (), "nothing is said before the survey is whole")
+        known: tuple[str, tuple[str, ...], str] = ("", (), "the survey is not whole yet")
         if len(runs) >= BEFORE_NAMING:
             verdict = diagnose(joined(runs, folder / f"data-{len(runs):02d}", plant))
             ids = tuple(" + ".join(effect.ids) for effect in verdict.effects)
