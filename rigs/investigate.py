@@ -28,7 +28,7 @@ from rigs.config import RigConfig
 from rigs.interrupt import StopFlag
 from rigs.protocols.registry import procedure
 from rigs.session import run_protocol
-from rigs.survey import BEFORE_NAMING, Test, protocol_text, tests_for
+from rigs.survey import BEFORE_NAMING, Test, protocol_text, battery
 
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench
@@ -116,7 +116,7 @@ def investigate(
         from rigs.virtual.bench import VirtualBench
 
         bench = VirtualBench(config, VirtualClock())
-    left = tests_for(config)
+    left = battery(config)
     runs: list[Run] = []
     rounds: list[Round] = []
     verdict: Verdict | None = None

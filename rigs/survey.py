@@ -39,7 +39,7 @@ class Test:
         return protocol in self.also and not held
 
 
-def tests_for(config: RigConfig) -> list[Test]:
+def battery(config: RigConfig) -> list[Test]:
     """All tests that this rig can run, in the order in which they are run unless advised.
 
     Muscle and sensors at rest; valves and gas; a length that moves; loads; a hold; warmth.

@@ -21,7 +21,7 @@ from rigs.protocols.registry import procedure
 from rigs.protocols.schedule import outline
 from rigs.rig import open_rig
 from rigs.session import run_protocol
-from rigs.survey import BEFORE_NAMING, REPEATS, Test, protocol_text, tests_for
+from rigs.survey import BEFORE_NAMING, REPEATS, Test, protocol_text, battery
 from rigs.virtual.bench import VirtualBench
 from withheld_campaign import MIMICKED, entropy_of, judged, read_journal, seeds_of, totals
 
@@ -38,7 +38,7 @@ def rig_with(folder: Path, effects: str) -> RigConfig:
 @pytest.mark.parametrize("rig", ["virtual", "virtual-instruments", "virtual-thesis-loop"])
 def test_every_test_of_a_survey_is_one_that_the_rig_can_run(rig: str, tmp_path: Path) -> None:
     config = load_rig(rig)
-    for test in tests_for(config):
+    for test in battery(config):
         path = tmp_path / "test.toml"
         path.write_text(protocol_text(test, config))
         plan = procedure(test.protocol).read(str(path), config)
@@ -49,7 +49,7 @@ def test_every_test_of_a_survey_is_one_that_the_rig_can_run(rig: str, tmp_path: 
 
 def test_a_rig_with_a_thermometer_is_also_warmed_and_one_with_a_regulator_tries_no_valve() -> None:
     def names(rig: str) -> set[str]:
-        return {test.protocol for test in tests_for(load_rig(rig))}
+        return {test.protocol for test in battery(load_rig(rig))}
 
     assert "isothermal" in names("virtual-instruments")
     assert "isothermal" not in names("virtual")
@@ -75,7 +75,7 @@ def verdict_with(experiment: Experiment | None) -> Verdict:
 def test_what_is_advised_is_run_next_and_otherwise_the_next_of_the_list(
     protocol: str, why: str, expected: str
 ) -> None:
-    left = tests_for(load_rig("virtual"))
+    left = battery(load_rig("virtual"))
     experiment = Experiment(protocol, {}, 1.0, 4.0, 2, ("a", "b"), why)
     test, told = loop._next(verdict_with(experiment), left)
     assert test.what.startswith(expected)
@@ -96,7 +96,7 @@ def few(config: RigConfig) -> list[Test]:
 def test_an_effect_of_the_plant_is_named_after_the_first_two_tests(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(loop, "tests_for", few)
+    monkeypatch.setattr(loop, "battery", few)
     config = rig_with(tmp_path, "[effects.liner_threshold]\nthreshold_kpa = 80\n")
     told: list[str] = []
     found = investigate(config, tmp_path / "runs", tell=told.append, derive=False)
