@@ -28,7 +28,7 @@ from rigs.config import RigConfig
 from rigs.interrupt import StopFlag
 from rigs.protocols.registry import procedure
 from rigs.session import run_protocol
-from rigs.survey import BEFORE_NAMING, Test, protocol_text, battery
+from rigs.survey import BEFORE_NAMING, Test, battery, protocol_text
 
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench

@@ -21,7 +21,7 @@ from rigs.protocols.registry import procedure
 from rigs.protocols.schedule import outline
 from rigs.rig import open_rig
 from rigs.session import run_protocol
-from rigs.survey import BEFORE_NAMING, REPEATS, Test, protocol_text, battery
+from rigs.survey import BEFORE_NAMING, REPEATS, Test, battery, protocol_text
 from rigs.virtual.bench import VirtualBench
 from withheld_campaign import MIMICKED, entropy_of, judged, read_journal, seeds_of, totals
 
