@@ -19,6 +19,7 @@ from gap.further import apart, counts, excess, plea
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
 from gap.suspects import Suspect
+from plant.catalogue import CATALOGUE
 from plant.constants import KEYS
 
 Array = npt.NDArray[np.float64]
