@@ -55,7 +55,7 @@ def battery(config: RigConfig) -> list[Test]:
     regulated = config.virtual is not None and config.virtual.source == "regulator"
     moved = [pressures[1], pressures[3]]
     sweeps = {"from_mm": more[0], "to_mm": more[2],
-              "speeds_mm_s": [0.1 * config.stage.speed_mm_s, config.stage.speed_mm_s]}  # fmt: skip
+              "speeds_mm_s": [0.2 * config.stage.speed_mm_s, config.stage.speed_mm_s]}  # fmt: skip
     made = [
         Test(
             "isometric", "pressures at three lengths",

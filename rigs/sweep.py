@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from rigs.config import RigConfig
     from rigs.runner import Runner
 
-PICTURES_HZ = 25.0
+PICTURES_HZ = (10.0, 25.0)
+PICTURES_MM = 1.0 / 3.0
+"""Pictures come every third of a millimetre, within these rates."""
 REST_S = 0.3
 """At each end, so that what needs time shows beside what needs movement."""
 
@@ -46,11 +48,12 @@ class Sweep(Act):
         if not isinstance(stage, Stage):
             raise DeviceError("stage", "is moved by hand; a sweep needs one with a motor")
         clock = runner.rig.clock
+        rate_hz = min(max(self.speed_mm_s / PICTURES_MM, PICTURES_HZ[0]), PICTURES_HZ[1])
         due_ns = [clock.now_ns()]
 
         def look() -> None:
             if clock.now_ns() >= due_ns[0]:
-                due_ns[0] = clock.now_ns() + round(NS_PER_S / PICTURES_HZ)
+                due_ns[0] = clock.now_ns() + round(NS_PER_S / rate_hz)
                 picture = take_picture(runner.rig, runner.record, runner.camera)
                 runner.watch.picture(picture.host_ns, picture.jpeg, picture.gap)
 
