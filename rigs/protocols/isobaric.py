@@ -14,6 +14,7 @@ from rigs.protocols.procedure import Procedure
 from rigs.protocols.trials import Logbook
 from rigs.reduction import reduce_points
 from rigs.steps import State, Steps
+from rigs.sweep import Sweeps, read_sweeps
 from rigs.toml_reader import load_toml
 
 
@@ -26,6 +27,7 @@ class Isobaric:
     lengths_mm: tuple[float, ...]
     slack_length_mm: float
     method: Method
+    sweeps: Sweeps | None = None
     source: str = ""
 
     @property
@@ -40,15 +42,17 @@ class Isobaric:
             "pressures_kpa": list(self.pressures_kpa),
             "lengths_mm": list(self.lengths_mm),
             "method": self.method.as_dict(),
+            "sweeps": None if self.sweeps is None else self.sweeps.as_dict(),
         }
 
     def steps(self) -> Steps:
         """The method: for each pressure tare, hold it, and go through the lengths and back."""
+        sweeps = self.sweeps.steps() if self.sweeps is not None else []
         book = Logbook(self.method, "isobaric", self.slack_length_mm)
         yield from book.opening(sum(self.lengths_mm) / len(self.lengths_mm))
         for place, pressure in self.method.trials(list(self.pressures_kpa)):
             yield from book.remount(place)
-            yield from book.isobaric(place, pressure, book.path(self.lengths_mm))
+            yield from book.isobaric(place, pressure, book.path(self.lengths_mm), sweeps)
         yield State("done")
 
 
@@ -67,6 +71,7 @@ def read(name: str, config: RigConfig) -> Isobaric:
         lengths_mm=t.numbers("lengths_mm", low, high, unit="mm"),
         slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
         method=read_method(t, config, drift_n=0.05),
+        sweeps=read_sweeps(t, config),
         source=t.source,
     )
     t.finish()

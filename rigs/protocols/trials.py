@@ -28,6 +28,7 @@ from rigs.steps import (
     Vent,
     Zero,
 )
+from rigs.sweep import Sweep
 
 BREATH_KPA = 20.0
 BREATH_S = 0.5
@@ -104,8 +105,13 @@ class Logbook:
         yield Vent()
         yield from self._end()
 
-    def isobaric(self, place: Place, pressure_kpa: float, points: Path) -> Steps:
-        """A pressure held, the length stepped through its range, the force read (4.8.2)."""
+    def isobaric(
+        self, place: Place, pressure_kpa: float, points: Path, sweeps: Sequence[Sweep] = ()
+    ) -> Steps:
+        """A pressure held, the length stepped through its range, the force read (4.8.2).
+
+        After the points the stage may sweep through a stretch at some speeds.
+        """
         name = f"P{pressure_kpa:g}"
         yield from self._begin(place, name, "isobaric", (("held_pressure_kpa", pressure_kpa),))
         yield from self._tared()
@@ -118,6 +124,7 @@ class Logbook:
             if pressure_kpa < VENTED_KPA:
                 yield from self._breath()
             yield from self._point(place, name, direction, pressure_kpa, length_mm=length)
+        yield from sweeps
         yield Vent()
         yield from self._end()
 
