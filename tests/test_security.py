@@ -16,6 +16,7 @@ import struct
 import subprocess
 import sys
 import time
+import tracemalloc
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -49,6 +50,7 @@ from plant.links.reader import load_arm
 from plant.models.catalogue import load as load_model
 from rigs.camera_calibration import load_camera_calibration
 from rigs.config import load_rig
+from rigs.frames import open_frames
 from rigs.importer import import_points
 from rigs.products import derive_all
 from rigs.segments import reduce_run
@@ -130,6 +132,24 @@ def test_a_record_names_no_file_outside_itself(run: Run, tmp_path: Path, name: s
     strange = tamper(strange, "frames.jsonl", elsewhere)
     with pytest.raises(RecordError, match=r"outside|link"):
         strange.frame_bytes(0)
+
+
+def test_a_small_file_is_read_into_little_memory(run: Run) -> None:
+    """Two gigabytes were set aside for each segment, however small: what a reader may take."""
+    other = tamper(run, "frames.jsonl", lambda f: f.update(length=2**31) if "length" in f else None)
+    picture = run.folder / "strange.png"
+    picture.write_bytes(b"no picture")
+    tracemalloc.start()
+    try:
+        verify(other)
+        assert len(run.samples("valve")["seq"]) == 150
+        with pytest.raises(RecordError, match="CRC"):
+            other.frame_bytes(0)
+        with pytest.raises(PamrigError):
+            list(open_frames(picture))
+        assert tracemalloc.get_traced_memory()[1] < 5e7
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("name", ["events.jsonl", "final.json", INDEX, "derived/manifest.json"])
