@@ -191,6 +191,14 @@ def test_rows_that_its_bytes_cannot_hold_are_not_set_aside(run: Run) -> None:
     assert len(again(run).samples("valve")["seq"]) == 100
 
 
+@pytest.mark.parametrize("member", ["first_row", "rows"])
+def test_a_chunk_of_rows_that_does_not_say_which_is_not_read(run: Run, member: str) -> None:
+    """Found by fuzzing: `runs verify` ended in a KeyError."""
+    strange = tamper(run, INDEX, lambda f: f.pop(member, None) if f.get("first_row") else None)
+    assert any("claims" in p.what for p in verify(strange))
+    assert again(run).samples("valve")["seq"].tolist() == list(range(50))
+
+
 def test_a_chunk_counts_once(run: Run) -> None:
     """Ten thousand lines upon one chunk stood for ten thousand times its rows."""
     path = run.folder / INDEX

@@ -13,12 +13,13 @@ import cv2
 import numpy as np
 import pandas as pd
 
+from daq.annotations import annotate
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
 from daq.record import RecordWriter
 from daq.run import Run, open_run
 from daq.sealed import seal_line
-from daq.store import show
+from daq.store import rebuild, show
 from daq.verify import verify
 from gap.reader import read_dataset
 from plant.errors import PlantError
@@ -94,6 +95,8 @@ def _record(folder: Path, ended: bool) -> Path:
     record.wire("valve", 1, b"bytes")
     if ended:
         record.finalize("clean")
+        rebuild(open_run(record.folder))
+        annotate(record.folder, "exclude", [1], "a leak")
     else:
         record.ahead("valve", rows(40))
         record.abandon()
@@ -101,7 +104,8 @@ def _record(folder: Path, ended: bool) -> Path:
 
 
 LINES = ("events.jsonl", "samples/valve.index.jsonl", "frames.jsonl", "wire/valve.index.jsonl")
-ENDED = ("run.json", "final.json", *LINES, "samples/valve/000001.arrows")
+OWN = ("annotations.jsonl", "derived/manifest.json")
+ENDED = ("run.json", "final.json", *LINES, *OWN, "samples/valve/000001.arrows")
 KILLED = ("run.json", *LINES[:2], "samples/valve/000001.arrows", "samples/valve.ahead")
 
 

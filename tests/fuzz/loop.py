@@ -12,9 +12,11 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 from .cover import Marks
 
@@ -58,7 +60,7 @@ class Tally:
         seconds: of processor time.
         before_mb, peak_mb: largest resident size after the sound inputs, and since.
         slowest_s: of any one input.
-        found: what was wrong, each with the input it was wrong with.
+        found: what was wrong, once for each place, with the first input it was wrong with.
     """
 
     name: str
@@ -103,6 +105,7 @@ class Loop:
         self._rng = random.Random(f"{target.name}/{seed}")
         self._tell = tell
         self._began_s = 0.0
+        self._places: set[tuple[Any, ...]] = set()
 
     def warm(self, more: Sequence[bytes] = ()) -> None:
         """Run the sound inputs, and ``more`` that were kept before."""
@@ -143,7 +146,10 @@ class Loop:
         except self.target.errors:
             self.tally.refused += 1
         except (Exception, Hang) as error:
-            if len(self.tally.found) < MOST_FOUND:
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            place = (type(error).__name__, where.filename, where.lineno)
+            if place not in self._places and len(self.tally.found) < MOST_FOUND:
+                self._places.add(place)
                 self.tally.found.append((f"{type(error).__name__}: {error}"[:300], data))
         self._began_s = 0.0
         self.tally.slowest_s = max(self.tally.slowest_s, time.monotonic() - began)
