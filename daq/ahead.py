@@ -45,8 +45,18 @@ def ahead_name(stream: str) -> str:
 def ahead_entry(columns: Columns, first_row: int) -> bytes:
     """One entry; ``columns`` in the schema's order and dtypes, all of one length."""
     rows = len(next(iter(columns.values())))
-    body = _ROWS.pack(first_row, rows) + b"".join([a.tobytes() for a in columns.values()])
+    return packed_entry(b"".join([a.tobytes() for a in columns.values()]), first_row, rows)
+
+
+def packed_entry(packed: bytes, first_row: int, rows: int) -> bytes:
+    """One entry of columns that are bytes already, one after the other."""
+    body = _ROWS.pack(first_row, rows) + packed
     return _HEAD.pack(MAGIC, zlib.crc32(body)) + body
+
+
+def entries_a_slot(row_bytes: int) -> int:
+    """How many entries of one row a slot has room for."""
+    return SLOT_BYTES // (_START + row_bytes)
 
 
 class AheadFile:

@@ -6,6 +6,7 @@ Stopped and started again it goes on where it was: the journal lies in ``--out``
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from pathlib import Path
 
@@ -24,6 +25,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="journal and findings")
     parser.add_argument("--page", type=Path, help="write the results there")
     args = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # takes the worker along
     wanted = [name for name in SHARES if args.only in name]
     jobs = [Job(name, round(args.inputs * SHARES[name]), args.out.resolve(), args.seed,
                 args.seconds, marked=MARKED) for name in wanted]  # fmt: skip

@@ -72,7 +72,8 @@ def run(job: Job) -> dict[str, Any]:
     """Fuzz until the target has had its inputs; what was found is kept, one file an input."""
     for folder in ("kept", "tmp", "found"):
         (job.own / folder).mkdir(parents=True, exist_ok=True)
-    sofar, deaths, end = total(job), 0, time.monotonic() + job.most_s
+    sofar = _added(job, total(job), _taken(job))  # of a guard that was killed
+    deaths, end = 0, time.monotonic() + job.most_s
     while sofar["inputs"] < job.inputs and deaths < job.deaths and time.monotonic() < end:
         part, why, data = _once(job, job.inputs - sofar["inputs"], end - time.monotonic(), sofar)
         if why:
@@ -89,7 +90,6 @@ def _once(
 ) -> tuple[dict[str, Any], str, bytes]:
     """One process: its tally, and what it died of with the input it died of."""
     own = job.own
-    (own / "tally.json").unlink(missing_ok=True)
     (own / "now").unlink(missing_ok=True)
     shutil.rmtree(own / "tmp", ignore_errors=True)
     (own / "tmp").mkdir()
@@ -110,8 +110,7 @@ def _once(
     finally:
         worker.kill()
         worker.wait()
-    path = own / "tally.json"
-    part: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    part = _taken(job)
     if why:
         count, data = now.read()
         part["inputs"] = max(int(part.get("inputs", 0)), min(count, inputs))
@@ -122,6 +121,14 @@ def _once(
     if more > job.more_mb:
         part["found"].append([f"memory grew by {more:.0f} MB", ""])
     return part, "", b""
+
+
+def _taken(job: Job) -> dict[str, Any]:
+    """A worker's journal, taken away, so that nothing counts twice."""
+    path = job.own / "tally.json"
+    part: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    path.unlink(missing_ok=True)
+    return part
 
 
 def _watched(worker: subprocess.Popen[bytes], now: Now, hang_s: float) -> str:
