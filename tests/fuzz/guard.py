@@ -14,12 +14,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from .worker import Now
 
 HOUSE = Path(__file__).resolve().parent.parent.parent
 HANG_S = 10.0
-"""Twice what the loop itself allows: until then Python would have come to its alarm."""
-START_S = 180.0
+"""Processor time; twice what the loop itself allows, in which Python would come to its alarm."""
+ASLEEP = 12
+"""So many times as long may one input sleep: a busy machine makes a process wait as well."""
+START_S = 600.0
 MORE_MB = 300.0
 MOST_DEATHS = 10
 STEP = 20_000
@@ -133,15 +137,17 @@ def _taken(job: Job) -> dict[str, Any]:
 
 def _watched(worker: subprocess.Popen[bytes], now: Now, hang_s: float) -> str:
     """Wait for its end; why it was no good one."""
-    last, since = 0, time.monotonic()
+    last, since, spent = 0, time.monotonic(), 0.0
     while True:
         try:
             code = worker.wait(0.5)
         except subprocess.TimeoutExpired:
             count, _ = now.read()
+            cpu = _cpu_s(worker.pid)
             if count != last:
-                last, since = count, time.monotonic()
-            if time.monotonic() - since > (hang_s if count else START_S):
+                last, since, spent = count, time.monotonic(), cpu
+            asleep_s = hang_s * ASLEEP if count else START_S
+            if (count and cpu - spent > hang_s) or time.monotonic() - since > asleep_s:
                 worker.send_signal(signal.SIGABRT)  # it says where it stands
                 worker.wait(10.0)
                 return f"hang: longer than {hang_s:g} s"
@@ -149,6 +155,14 @@ def _watched(worker: subprocess.Popen[bytes], now: Now, hang_s: float) -> str:
         if code < 0:
             return f"crash: {signal.Signals(-code).name}"
         return f"crash: exit status {code}" if code else ""
+
+
+def _cpu_s(pid: int) -> float:
+    try:
+        times = psutil.Process(pid).cpu_times()
+    except psutil.Error:
+        return 0.0
+    return float(times.user + times.system)
 
 
 def _added(job: Job, sofar: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:

@@ -59,7 +59,7 @@ class Tally:
         branches: taken so far by sound inputs and others.
         seconds: of processor time.
         before_mb, peak_mb: largest resident size after the sound inputs, and since.
-        slowest_s: of any one input.
+        slowest_s: of any one input, processor time.
         found: what was wrong, once for each place, with the first input it was wrong with.
     """
 
@@ -76,7 +76,7 @@ class Tally:
 
 
 class Hang(BaseException):
-    """An input took longer than ``HANG_S``; no ``except Exception`` of a target may hide it."""
+    """An input took ``HANG_S`` of processor time; no ``except Exception`` of a target may hide it."""
 
 
 class Loop:
@@ -140,7 +140,7 @@ class Loop:
 
     def _one(self, data: bytes) -> None:
         self._tell(data)
-        self._began_s = began = time.monotonic()
+        self._began_s = began = time.process_time()
         try:
             self.target.run(data)
         except self.target.errors:
@@ -152,10 +152,10 @@ class Loop:
                 self._places.add(place)
                 self.tally.found.append((f"{type(error).__name__}: {error}"[:300], data))
         self._began_s = 0.0
-        self.tally.slowest_s = max(self.tally.slowest_s, time.monotonic() - began)
+        self.tally.slowest_s = max(self.tally.slowest_s, time.process_time() - began)
 
     def _hung(self, *_: object) -> None:
-        if self._began_s and time.monotonic() - self._began_s > HANG_S:
+        if self._began_s and time.process_time() - self._began_s > HANG_S:
             raise Hang(f"longer than {HANG_S:g} s")
 
 

@@ -21,8 +21,8 @@ instrument, a file or a folder of others gets inputs made from sound ones by mut
 takes a branch no other took is kept and mutated further (`tests/fuzz/cover.py` marks the branches,
 so that every input is watched). Half of the inputs of a sealed or framed form get sound seals, so
 that what lies behind them is reached. Each target runs in a process of its own. A *finding* is an
-exception that is not the documented error, the end of the process, more than {hang:g} s for one
-input, or more than {more:g} MB beyond what the sound inputs took.
+exception that is not the documented error, the end of the process, more than {hang:g} s of
+processor time for one input, or more than {more:g} MB beyond what the sound inputs took.
 """
 
 
