@@ -76,7 +76,7 @@ class Tally:
 
 
 class Hang(BaseException):
-    """An input took ``HANG_S`` of processor time; no ``except Exception`` of a target may hide it."""
+    """An input took ``HANG_S`` of processor time; no target's ``except Exception`` may hide it."""
 
 
 class Loop:
@@ -119,7 +119,7 @@ class Loop:
     def run(self, inputs: int, most_s: float = 1e9) -> Tally:
         """So many inputs more, or as many as ``most_s`` allows; what is found does not end it."""
         rng, target, tally = self._rng, self.target, self.tally
-        start, upto, cpu = time.monotonic(), tally.inputs + inputs, time.process_time()
+        upto, start, cpu = tally.inputs + inputs, time.monotonic(), time.process_time()
         with _alarm(self._hung):
             while tally.inputs < upto and time.monotonic() - start < most_s:
                 corpus = self.corpus
