@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -136,6 +137,15 @@ def test_what_is_no_row_is_refused_and_nothing_is_lost_by_it(
     rows.add(given_row(1))
     record.abandon()
     assert_rows(open_run(record.folder), 2)
+
+
+def test_what_the_docs_show_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "record-format.md").read_text()
+    (block,) = re.findall(r"## Record something else\n\n```python\n(.*?)```", page, re.S)
+    monkeypatch.chdir(tmp_path)
+    exec(block, {})
+    (folder,) = (p.parent for p in tmp_path.glob("runs/*/run.json"))
+    np.testing.assert_allclose(open_run(folder).samples("strain")["strain"], np.arange(100) * 1e-3)
 
 
 KILLED = """

@@ -172,7 +172,7 @@ def test_one_state_a_call_gives_what_the_batch_gives(arm: Arm) -> None:
 def test_what_is_no_state_is_refused_and_not_read_beyond_its_end(q: Any) -> None:
     zero = np.zeros(3)
     with pytest.raises(LinkError, match=r"expected contiguous float64 arrays \(3,\)"):
-        OneState(ARMS["finger"]).inverse_dynamics(q, zero, zero)
+        OneState(ARMS["planar3"]).inverse_dynamics(q, zero, zero)
 
 
 def test_a_payload_is_a_point_mass_at_the_tip() -> None:

@@ -11,6 +11,7 @@ import json
 import os
 import re
 import resource
+import socket
 import sqlite3
 import struct
 import subprocess
@@ -501,14 +502,31 @@ def test_a_report_shows_names_and_does_not_run_them(tmp_path: Path) -> None:
     assert "<img src=x" not in html
 
 
-def test_everything_listens_on_loopback(tmp_path: Path) -> None:
+def port_of(address: str) -> int:
+    return int(address.rpartition(":")[2])
+
+
+STRANGE = (b'{"axis": 1}\n', b"[]\n", b"7\n", b"[" * 50_000 + b"\n", b'{"value": []}\n', b"\xff\n",
+           b'{"axis": "mass", "value": 1e999, "unit": null, "text": 3}\n', b" " * 100_000)  # fmt: skip
+
+
+def test_everything_listens_on_loopback_and_bears_what_comes(tmp_path: Path) -> None:
+    """A request without its members ended the bench of `pamrig virtual`."""
+
     def listening() -> set[tuple[str, int]]:
         found = psutil.Process().net_connections()
         return {(c.laddr.ip, c.laddr.port) for c in found if c.status == psutil.CONN_LISTEN}
 
     before = listening()
-    with open_server(load_rig("virtual-instruments"), tmp_path / "bench", True, None):
+    with open_server(load_rig("virtual-instruments"), tmp_path / "bench", True, None) as server:
         mine = listening() - before
+        for request in STRANGE:
+            address = ("127.0.0.1", port_of(server.person.address))
+            with socket.create_connection(address) as client:
+                client.sendall(request)
+                for _ in range(50):
+                    server.person.step()
+            assert len(server.person._buffer) < 20_000
     assert len(mine) >= 8
     assert {address for address, _ in mine} == {"127.0.0.1"}
 
