@@ -506,8 +506,16 @@ def port_of(address: str) -> int:
     return int(address.rpartition(":")[2])
 
 
-STRANGE = (b'{"axis": 1}\n', b"[]\n", b"7\n", b"[" * 50_000 + b"\n", b'{"value": []}\n', b"\xff\n",
-           b'{"axis": "mass", "value": 1e999, "unit": null, "text": 3}\n', b" " * 100_000)  # fmt: skip
+STRANGE = (
+    b'{"axis": 1}\n',
+    b"[]\n",
+    b"7\n",
+    b"[" * 50_000 + b"\n",
+    b'{"value": []}\n',
+    b"\xff\n",
+    b'{"axis": "mass", "value": 1e999, "unit": null, "text": 3}\n',
+    b" " * 100_000,
+)
 
 
 def test_everything_listens_on_loopback_and_bears_what_comes(tmp_path: Path) -> None:
