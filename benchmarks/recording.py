@@ -299,15 +299,18 @@ def lines(result: dict[str, Any]) -> list[str]:
     out.append("")
     best = best_peer(result)
     if best is not None:
-        ratio, alike = (
-            ratios(ways[k]["flat_hz"], ways[best]["flat_hz"]) for k in ("pamrig", WAYS[best].like)
+        peer = ways[best]
+        ratio, rows_ratio = (
+            ratios(ways[k]["flat_hz"], peer["flat_hz"]) for k in ("pamrig-blocks", "pamrig")
         )
-        cost = ratios(ways[best]["flat_cpu_us"], first["flat_cpu_us"])
-        blocks = f" (fed in blocks as it is {alike})" if WAYS[best].blocks else ""
+        cost, rows_cost = (
+            ratios(peer["flat_cpu_us"], ways[k]["flat_cpu_us"]) for k in ("pamrig-blocks", "pamrig")
+        )
         out += [
             "At equal durability (to the system within 50 ms, to the medium within 1 s) the best "
-            f"peer is {WAYS[best].title}; pamrig row by row records **{ratio}** times as many "
-            f"rows a second{blocks}, and a row takes the peer's processor {cost} times as long.",
+            f"peer is {WAYS[best].title}. Fed in blocks of 50, as drivers bring them, pamrig "
+            f"records **{ratio}** times as many rows a second, row by row {rows_ratio} times; a "
+            f"row takes the peer's processor {cost} times as long, row by row {rows_cost} times.",
             "",
             losses(ways),
             "",

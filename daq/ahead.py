@@ -33,7 +33,8 @@ MAGIC = b"PAhd"
 SLOTS = 8
 SLOT_BYTES = 8192
 _HEAD = struct.Struct("<4sI")
-_ROWS = struct.Struct("<qI")
+ROWS = "<qI"
+_ROWS = struct.Struct(ROWS)
 _START = _HEAD.size + _ROWS.size
 
 
@@ -45,12 +46,13 @@ def ahead_name(stream: str) -> str:
 def ahead_entry(columns: Columns, first_row: int) -> bytes:
     """One entry; ``columns`` in the schema's order and dtypes, all of one length."""
     rows = len(next(iter(columns.values())))
-    return packed_entry(b"".join([a.tobytes() for a in columns.values()]), first_row, rows)
+    return sealed_entry(
+        _ROWS.pack(first_row, rows) + b"".join([a.tobytes() for a in columns.values()])
+    )
 
 
-def packed_entry(packed: bytes, first_row: int, rows: int) -> bytes:
-    """One entry of columns that are bytes already, one after the other."""
-    body = _ROWS.pack(first_row, rows) + packed
+def sealed_entry(body: bytes) -> bytes:
+    """One entry; ``body`` is the number of its first row, how many they are, and the columns."""
     return _HEAD.pack(MAGIC, zlib.crc32(body)) + body
 
 

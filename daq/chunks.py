@@ -195,9 +195,9 @@ def only_possible_rows(index: ChunkIndex, row_bytes: int = 1) -> None:
     """Leave out lines that claim rows which their bytes cannot hold; each is a problem."""
     kept = []
     for entry in index.entries:
-        said = None if entry.fields.get("chunk") == "rows" else 0  # a chunk of rows says both
-        rows, first = entry.fields.get("rows", said), entry.fields.get("first_row", said)
-        counts = type(rows) is int and type(first) is int and 0 <= first < 2**62
+        rows, first = entry.fields.get("rows", 0), entry.fields.get("first_row", 0)
+        says = entry.fields.get("chunk") != "rows" or {"rows", "first_row"} <= set(entry.fields)
+        counts = says and type(rows) is int and type(first) is int and 0 <= first < 2**62
         if counts and 0 <= rows * max(row_bytes, 1) <= entry.length:
             kept.append(entry)
             continue

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from daq.ahead import AheadFile, ahead_entry, ahead_name, packed_entry
+from daq.ahead import AheadFile, ahead_entry, ahead_name
 from daq.chunks import index_line, members
 from daq.clock import Clock
 from daq.disk import Disk, disk_error
@@ -231,12 +231,11 @@ class RecordWriter:
             if rows:
                 self._put_ahead(s, ahead_entry(checked, s.rows + s.ahead), rows)
 
-    def ahead_row(self, stream: str, packed: bytes) -> None:
-        """The same for one row, its values packed as the schema declares them."""
+    def ahead_row(self, stream: str, entry: bytes) -> None:
+        """The same for one row that is an entry already, see :mod:`daq.rows`."""
         with self._lock:
-            s = self._streams[stream]
             if not self._closed:
-                self._put_ahead(s, packed_entry(packed, s.rows + s.ahead, 1), 1)
+                self._put_ahead(self._streams[stream], entry, 1)
 
     def _put_ahead(self, s: _Stream, entry: bytes, rows: int) -> None:
         if s.ahead_file is None:

@@ -1,8 +1,8 @@
 """A stream that is given row by row: each row is safe from a kill when the call returns.
 
 A message for each row would be a dozen times its data, and a reader would wait for them; so rows
-are joined into batches of up to 50 ms. Until its batch is written a row stands in pages that the
-process shares with the operating system, see :mod:`daq.ahead`.
+are joined into batches of up to 50 ms or 8 kB. Until its batch is written a row stands in pages
+that the process shares with the operating system, see :mod:`daq.ahead`.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.ahead import entries_a_slot
+from daq.ahead import ROWS, entries_a_slot, sealed_entry
 from daq.clock import Clock
 from daq.record import RecordWriter
 from daq.segments import StreamSchema
 
-BATCH_ROWS = 50
 BATCH_NS = 50_000_000
 _CODES = {"i1": "b", "i2": "h", "i4": "i", "i8": "q", "u1": "B", "u2": "H", "u4": "I", "u8": "Q",
           "f2": "e", "f4": "f", "f8": "d"}  # fmt: skip
@@ -54,10 +53,10 @@ class RowWriter:
         self._clock = clock
         self._name = name
         dtypes = {n: np.dtype(d).newbyteorder("<") for n, d in schema.items()}
-        self._struct = struct.Struct("<" + "".join(_CODES[d.str[1:]] for d in dtypes.values()))
-        self._layout = np.dtype(list(dtypes.items()))
-        most = entries_a_slot(StreamSchema(name, schema).row_bytes)
-        self._most = max(1, min(BATCH_ROWS, most))
+        self._pack = struct.Struct(ROWS + "".join(_CODES[d.str[1:]] for d in dtypes.values())).pack
+        self._layout = np.dtype([("", "<i8"), ("", "<u4"), *dtypes.items()])
+        self._names = list(dtypes)
+        self._most = max(1, entries_a_slot(StreamSchema(name, schema).row_bytes))
         self._waiting: list[bytes] = []
         self._until_ns = self._last_ns = -BATCH_NS
 
@@ -69,15 +68,15 @@ class RowWriter:
             ValueError: a value is missing, too many, or does not fit its column.
         """
         try:
-            packed = self._struct.pack(*values)
+            body = self._pack(self.rows, 1, *values)
         except struct.error as error:
             raise ValueError(f"stream {self._name}: {values!r} is no row of it: {error}") from None
         now_ns = self._clock.now_ns()
         waiting = self._waiting
         if not waiting:
             self._until_ns = now_ns + BATCH_NS
-        self._record.ahead_row(self._name, packed)
-        waiting.append(packed)
+        self._record.ahead_row(self._name, sealed_entry(body))
+        waiting.append(body)
         self.rows += 1
         alone = now_ns - self._last_ns > BATCH_NS
         if alone or len(waiting) >= self._most or now_ns >= self._until_ns:
@@ -94,4 +93,4 @@ class RowWriter:
         if self._waiting:
             rows = np.frombuffer(b"".join(self._waiting), self._layout)
             self._waiting.clear()
-            self._record.append(self._name, {n: rows[n] for n in self._layout.names or ()})
+            self._record.append(self._name, {n: rows[n] for n in self._names})

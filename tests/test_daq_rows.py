@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 from daq.ahead import SLOT_BYTES
 from daq.clock import VirtualClock
 from daq.record import RecordWriter
-from daq.rows import BATCH_ROWS, RowWriter
+from daq.rows import RowWriter
 from daq.run import Run, open_run
 from daq.verify import verify
 
+BATCH_ROWS = SLOT_BYTES // (20 + 8 + 8 + 2 + 4 + 1)
 SCHEMA = {"row": "int64", "level": "float64", "counts": "uint16", "small": "float32", "on": "uint8"}
 
 
@@ -65,7 +66,7 @@ def test_rows_that_come_fast_share_a_batch_and_one_that_comes_alone_has_its_own(
         clock.sleep(1.0)
         rows.add(given_row(k))
     for k in range(3, 3 + 2 * BATCH_ROWS):
-        clock.sleep(0.0005)
+        clock.sleep(0.0001)
         rows.add(given_row(k))
     rows.add(given_row(3 + 2 * BATCH_ROWS))
     rows.flush()
