@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import zlib
 from functools import cached_property
 from pathlib import Path
@@ -310,7 +309,7 @@ class Run:
             raise RecordError(str(path), f"frame {number}: its file is missing")
         with open(path, "rb") as file:
             file.seek(entry.offset)
-            there = max(0, os.fstat(file.fileno()).st_size - entry.offset)
+            there = max(0, path.stat().st_size - entry.offset)
             data = file.read(min(entry.length, there, LARGEST_BULK))
         if f"{zlib.crc32(data):08x}" != entry.crc32 or len(data) != entry.length:
             what = f"frame {number} does not match its CRC, not read"
