@@ -8,10 +8,11 @@ import multiprocessing
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -138,14 +139,21 @@ def outcomes(plan: Plan, tasks: Sequence[Task]) -> Iterator[dict[str, Any]]:
 
 
 def on_pool(jobs: int, tasks: Sequence[Task]) -> Iterator[dict[str, Any]]:
-    """On processes of this machine; what has not begun is dropped when stopped."""
+    """On processes of this machine; what has not begun is dropped when stopped.
+
+    The first task is run alone, so that what it compiles is there for the others: numba enters
+    machine code in its index before the file is written, and a process that comes in between is
+    handed whatever an older version of the source left under that name, which may end it.
+    """
     with (
         single_threaded(),
         ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool,
     ):
         waiting: set[Future[dict[str, Any]]] = set()
-        todo: Iterable[Task] = iter(tasks)
+        todo = iter(tasks)
         try:
+            for task in islice(todo, 1):
+                yield pool.submit(examine, task).result()
             for task in todo:
                 waiting.add(pool.submit(examine, task))
                 if len(waiting) >= 2 * jobs:
