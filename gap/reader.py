@@ -8,6 +8,7 @@ unit, a slip of the hand or a broken clock stops the reading with the file, the 
 
 from __future__ import annotations
 
+import os
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +39,7 @@ def read_dataset(folder: str | Path) -> DataSet:
         GapError: names the file, the row and the column, what came and what was expected.
     """
     path = Path(folder)
-    if not path.exists():
+    if not os.path.exists(path):
         raise GapError(str(path), "no such folder", "check the path")
     if not path.is_dir():
         raise GapError(str(path), "is a file", "give the folder that holds trials.csv")

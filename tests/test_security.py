@@ -368,6 +368,16 @@ def test_a_toml_file_of_a_stranger_is_refused_in_words(
 
 
 @pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("name", ["x" * 300, "x" * 5000, "a\0b"], ids=["long", "endless", "zero"])
+def test_a_name_that_no_file_can_have_is_refused_in_words(reader: str, name: str) -> None:
+    """Found by fuzzing, in a rig file's `form`: it ended in an OSError."""
+    read, error = READERS[reader]
+    with pytest.raises(error) as caught:
+        read(Path(name))
+    assert isinstance(caught.value, PamrigError | PlantError)
+
+
+@pytest.mark.parametrize("reader", READERS)
 def test_a_pipe_is_no_toml_file(tmp_path: Path, reader: str) -> None:
     """It was waited for without end."""
     read, error = READERS[reader]

@@ -34,6 +34,8 @@ class OperatorPort:
         with contextlib.suppress(BlockingIOError, OSError):
             client, _ = self._server.accept()
             client.setblocking(False)
+            if self._client is not None:
+                self._client.close()
             self._client, self._buffer = client, b""
         if self._client is None:
             return
