@@ -149,7 +149,7 @@ SWEPT = (
 )
 
 
-def test_a_sweep_is_seen_by_the_camera_all_the_way_and_is_part_of_the_trial(
+def test_a_sweep_is_a_trial_of_its_own_seen_by_the_camera_all_the_way(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "swept.toml"
@@ -160,9 +160,10 @@ def test_a_sweep_is_seen_by_the_camera_all_the_way_and_is_part_of_the_trial(
         kind, config, kind.read(str(path), config), tmp_path / "runs", derive=False
     )
     assert result.outcome == "clean"
-    (trial,) = run_trials(open_run(result.folder))
-    seen = trial.samples[["time_s", "length_mm"]].dropna()
-    assert len(seen) > 30
+    stepped, swept = run_trials(open_run(result.folder))
+    assert swept.row["slot"] == f"{stepped.row['slot']} swept"
+    seen = swept.samples[["time_s", "length_mm"]].dropna()
+    assert len(seen) > 25
     middle = seen[(seen.length_mm > 58.3) & (seen.length_mm < 61.7)]
     rate = abs(middle.length_mm.diff() / middle.time_s.diff())
     assert rate.median() == pytest.approx(4.0, rel=0.05)

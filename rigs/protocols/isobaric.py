@@ -11,7 +11,7 @@ from rigs.config import RigConfig
 from rigs.findings_isobaric import isobaric_findings
 from rigs.protocols.method import Method, read_method
 from rigs.protocols.procedure import Procedure
-from rigs.protocols.trials import Logbook
+from rigs.protocols.trials import VENTED_KPA, Logbook
 from rigs.reduction import reduce_points
 from rigs.steps import State, Steps
 from rigs.sweep import Sweeps, read_sweeps
@@ -52,7 +52,9 @@ class Isobaric:
         yield from book.opening(sum(self.lengths_mm) / len(self.lengths_mm))
         for place, pressure in self.method.trials(list(self.pressures_kpa)):
             yield from book.remount(place)
-            yield from book.isobaric(place, pressure, book.path(self.lengths_mm), sweeps)
+            yield from book.isobaric(place, pressure, book.path(self.lengths_mm))
+            if sweeps and pressure >= VENTED_KPA:
+                yield from book.swept(place, pressure, sweeps)
         yield State("done")
 
 
