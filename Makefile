@@ -28,7 +28,7 @@ faults: $(READY)   ## thousands of runs with things going wrong, and their page;
 	$(BIN)/python -m tests.faults --processes 2 --page docs/faults.md
 
 fuzz: $(READY)   ## ten million inputs that nobody would write
-	$(BIN)/python -m tests.fuzz
+	$(BIN)/python -m tests.fuzz --page docs/fuzz.md
 
 soak: $(READY)   ## a virtual day at 1 kHz and a real hour: memory and completeness, and their page
 	$(BIN)/python -m tests.soak --hours 24 --page docs/soak.md
@@ -40,7 +40,11 @@ audit: $(READY)   ## pins of the lock file, and known holes where pip-audit and 
 look: $(READY)   ## what needs a browser: the pictures in docs
 	$(BIN)/python -m pytest -m look
 
-bench: $(READY)   ## side by side with what one would use instead: docs/benchmarks.md
+$(VENV)/.peers: $(READY)   # pamrig's own packages stay as they are pinned
+	$(BIN)/python -m pip install --quiet --constraint requirements.lock --editable '.[bench,peers]'
+	@touch $@
+
+bench: $(VENV)/.peers   ## side by side with what one would use instead: docs/benchmarks.md
 	$(BIN)/python -m benchmarks --page docs/benchmarks.md
 
 lint: $(READY)

@@ -22,6 +22,7 @@ from benchmarks.paired import Spread, ratios, rounds, short, table
 
 TITLE = "Inverse dynamics of an arm"
 OURS = "pamrig, compiled, batch"
+ONE = "pamrig, one state a call"
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 
@@ -78,11 +79,21 @@ def lines(result: dict[str, Any]) -> list[str]:
     out += [
         f"{versions}; {links.STATES} random states, {result['rounds']} rounds, processor time of "
         f"one core. Torques agree to {worst:.0e} of each state's largest. Pinocchio and MuJoCo "
-        "take one state a call from Python; pamrig takes arrays.",
+        "take one state a call from Python, and so does pamrig where it says so "
+        "(`plant.links.onestate`, for control loops); otherwise it takes arrays.",
         "",
-        "Behind: with one state a call pamrig is the slowest of all, most of it spent on checking "
-        "arguments. A controller that needs one state at a time should call "
-        "`plant.links.kernel` from compiled code.",
-        "",
+        *_behind(arms),
     ]
     return out
+
+
+def _behind(arms: dict[str, Any]) -> list[str]:
+    """Whoever is quicker than pamrig at one state a call."""
+    quicker = []
+    for arm, found in arms.items():
+        ours = Spread.of(found["us"][ONE]).median
+        others = {n: Spread.of(t).median for n, t in found["us"].items() if "pamrig" not in n}
+        quicker += [f"{n} ({arm}: {short(t)} us)" for n, t in others.items() if t < ours]
+    if not quicker:
+        return ["No other is quicker at one state a call.", ""]
+    return [f"Behind: at one state a call quicker are {', '.join(quicker)}.", ""]

@@ -43,6 +43,7 @@ def ways_of(arm_name: str) -> dict[str, Callable[[], object]]:
     from plant.links import dynamics as dyn
     from plant.links import load_arm
     from plant.links.generated import generated
+    from plant.links.onestate import OneState
 
     arm = load_arm(arm_name)
     r = np.random.default_rng(1)
@@ -63,7 +64,13 @@ def ways_of(arm_name: str) -> dict[str, Callable[[], object]]:
         for _ in range(STATES):
             mj_inverse(mj_model, mj_data)
 
+    one = OneState(arm).inverse_dynamics
+
     def each_ours() -> None:
+        for a, b, c in rows:
+            one(a, b, c)
+
+    def each_array() -> None:
         for a, b, c in rows:
             dyn.inverse_dynamics(arm, a, b, c)
 
@@ -71,7 +78,8 @@ def ways_of(arm_name: str) -> dict[str, Callable[[], object]]:
     return {
         "pamrig, compiled, batch": lambda: dyn.inverse_dynamics(arm, q, qd, qdd),
         "pamrig, equations in numpy, batch": lambda: symbolic.inverse_dynamics(q, qd, qdd),
-        "pamrig, compiled, one state a call": each_ours,
+        "pamrig, one state a call": each_ours,
+        "pamrig, batches of one state": each_array,
         "Pinocchio rnea, Python call": each_pinocchio,
         "MuJoCo mj_inverse, Python call": each_mujoco,
         "pamrig, forward dynamics, batch": lambda: dyn.forward_dynamics(arm, q, qd, torque),

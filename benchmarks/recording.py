@@ -3,11 +3,12 @@
     python -m benchmarks recording
 
 Every tool runs in a process of its own (``benchmarks/recorders``) and gets the same numbers. *Flat
-out*: a second of feeding as fast as the tool takes it, closing included; rounds take turns. *At
-1 kHz*: processor time while rows come one by one (in blocks of 50 to the ways that take blocks).
-*Killed*: SIGKILL at a random moment while 1 kHz comes in; what the tool's own reader finds is
-counted against the clock, so that lateness counts as loss too. `PAMRIG_BENCH_PYTHON` names another
-Python that has the peers, where they are not to stand beside pamrig's own packages.
+out*: seconds of feeding as fast as the tool takes it, closing included; rounds take turns. *At
+1 kHz*: processor time while rows come one by one (in blocks to the ways that take blocks).
+*Killed*: SIGKILL at a random moment while 1 kHz comes in. *Lost* is what the tool had been given
+(its call had returned: a counter in shared pages says so) and its own reader does not find;
+*missing by the clock* is what was due and is not found, lateness included. `PAMRIG_BENCH_PYTHON`
+names another Python that has the peers, where they are not to stand beside pamrig's own packages.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ import json
 import math
 import os
 import random
+import shutil
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -45,12 +48,23 @@ class Way:
     medium: str
     setting: dict[str, Any]
     level: str = ""
+    blocks: bool = False
+    flat: bool = True
+
+    @property
+    def like(self) -> str:
+        """The way of pamrig that is fed alike."""
+        return "pamrig-blocks" if self.blocks else "pamrig"
 
 
 WAYS = {
-    "pamrig": Way("pamrig", "pamrig", "each row", "1 s", {"frame": 1}, EQUAL),
+    "pamrig": Way("pamrig", "pamrig, row by row", "each row", "1 s", {"rows": 1}, EQUAL),
+    "pamrig-blocks": Way(
+        "pamrig", "pamrig, blocks of 50", "50 ms", "1 s", {"rows": 50}, EQUAL, blocks=True
+    ),
     "pamrig-frames": Way(
-        "pamrig", "pamrig, frames of 10 as its controller sends", "10 ms", "1 s", {"frame": 10}
+        "pamrig", "pamrig, frames of 10 as its controller sends", "10 ms", "1 s", {"rows": 10},
+        blocks=True, flat=False,
     ),
     "pymeasure": Way("pymeasure", "PyMeasure, default", "each row", "never", {"fsync": False}),
     "pymeasure-fsync": Way(
@@ -61,11 +75,11 @@ WAYS = {
     ),
     "qcodes-1s": Way(
         "qcodes", "QCoDeS, arrays of 50, write period 1 s", "1 s", "1 s",
-        {"arrays": True, "write_period_s": 1.0},
+        {"arrays": True, "write_period_s": 1.0}, blocks=True,
     ),
     "qcodes-50ms": Way(
         "qcodes", "QCoDeS, arrays of 50, write period 50 ms", "50 ms", "50 ms",
-        {"arrays": True, "write_period_s": 0.05}, EQUAL,
+        {"arrays": True, "write_period_s": 0.05}, EQUAL, blocks=True,
     ),
     "bluesky": Way(
         "bluesky", "Bluesky, events (default)", "each row", "never",
@@ -73,10 +87,10 @@ WAYS = {
     ),
     "bluesky-pages": Way(
         "bluesky", "Bluesky, pages of 50, fsync added", "50 ms", "1 s",
-        {"pages": True, "fsync": True}, EQUAL,
+        {"pages": True, "fsync": True}, EQUAL, blocks=True,
     ),
 }  # fmt: skip
-FLAT_ONLY_ONCE = "pamrig-frames"  # flat out it is the same as pamrig
+FLAT_S, PACED_S, KILLED_S, HOLDS_BACK_S = 2.0, 3.0, 1.5, 7.0
 
 
 class Recorder:
@@ -110,13 +124,6 @@ class Recorder:
             raise RuntimeError("the recorder ended; run its script by hand to see why")
         return json.loads(line)  # type: ignore[no-any-return]
 
-    def kill(self) -> int:
-        """SIGKILL; the monotonic time of it in ns."""
-        killed_ns = time.monotonic_ns()
-        self.process.send_signal(signal.SIGKILL)
-        self.close()
-        return killed_ns
-
     def close(self) -> None:
         for stream in (self.process.stdin, self.process.stdout):
             if stream is not None:
@@ -145,30 +152,42 @@ def sync_ms(folder: Path, count: int) -> list[float]:
     return took
 
 
-def killed(way: Way, folder: Path, after_s: float) -> Path:
-    """One recording killed ``after_s`` after its first row; writes when that was."""
-    recorder = Recorder(way.tool)
+def killed(way: Way, recorder: Recorder, folder: Path, after_s: float) -> dict[str, float]:
+    """One recording killed ``after_s`` after its first row: seconds lost, and missing."""
     folder.mkdir()
-    recorder.begin({**way.setting, "mode": "paced", "folder": str(folder), "seconds": 60.0})
+    job = {**way.setting, "folder": str(folder)}
+    pid = recorder.ask({**job, "mode": "fork", "seconds": 60.0})["pid"]
     end = time.monotonic() + START_S
     while not (folder / "started").exists():
-        if time.monotonic() > end or recorder.process.poll() is not None:
+        if time.monotonic() > end:
             raise RuntimeError(f"{way.title} did not begin")
         time.sleep(0.01)
     begin_ns = int((folder / "started").read_text())
     time.sleep(max(0.0, begin_ns * 1e-9 + after_s - time.monotonic()))
-    came = (recorder.kill() - begin_ns) * 1e-9 * RATE_HZ
-    (folder / "came").write_text(str(came))
-    return folder
+    killed_ns = time.monotonic_ns()
+    os.kill(pid, signal.SIGKILL)
+    recorder.ask({"mode": "reap", "pid": pid})
+    (given,) = struct.unpack("<q", (folder / "given").read_bytes())
+    back = recorder.ask({**job, "mode": "read"})
+    if back["wrong"]:
+        raise RuntimeError(f"{way.title}: {back['wrong']} rows are wrong after a kill")
+    due = math.floor((killed_ns - begin_ns) * 1e-9 * RATE_HZ)
+    return {
+        "lost_s": max(0, given - back["rows"]) / RATE_HZ,
+        "missing_s": max(0, due - back["rows"]) / RATE_HZ,
+    }
 
 
 def measure(tiny: bool = False) -> dict[str, Any]:
     """Rates, processor time and losses of every way that can run here."""
-    count, seconds, paced_s, kills = (1, 0.2, 0.3, 1) if tiny else (5, 1.0, 4.0, 6)
+    count, paced, kills = (1, 1, 1) if tiny else (4, 3, 8)
+    seconds, paced_s = (0.2, 0.3) if tiny else (FLAT_S, PACED_S)
     missing = available()
     ways = {k: w for k, w in WAYS.items() if not missing[w.tool]}
     rng = random.Random(9)
-    out: dict[str, Any] = {"missing": {t: why for t, why in missing.items() if why}, "ways": {}}
+    names = ("flat_hz", "flat_cpu_us", "cpu", "lost_s", "missing_s")
+    found: dict[str, dict[str, list[float]]] = {k: {n: [] for n in names} for k in ways}
+    out: dict[str, Any] = {"missing": {t: why for t, why in missing.items() if why}, "ways": found}
     with tempfile.TemporaryDirectory() as root:
         place = Path(root)
         out["fsync_ms"] = sync_ms(place, 5 if tiny else 50)
@@ -179,74 +198,70 @@ def measure(tiny: bool = False) -> dict[str, Any]:
             folder = place / f"{key}-{mode}-{number}"
             folder.mkdir()
             job = {**ways[key].setting, "folder": str(folder), "seconds": seconds}
-            found = recorders[ways[key].tool].ask({**job, "mode": mode})
+            gave = recorders[ways[key].tool].ask({**job, "mode": mode})
             back = recorders[ways[key].tool].ask({**job, "mode": "read"})
-            if back != {"rows": found["rows"], "wrong": 0}:
-                raise RuntimeError(f"{ways[key].title}: gave {found['rows']} rows, read {back}")
-            return found
+            shutil.rmtree(folder, ignore_errors=True)
+            if back != {"rows": gave["rows"], "wrong": 0}:
+                raise RuntimeError(f"{ways[key].title}: gave {gave['rows']} rows, read {back}")
+            return gave
 
-        found: dict[str, dict[str, list[float]]] = {
-            k: {"flat_hz": [], "flat_cpu_us": [], "cpu": [], "wall": [], "lost_s": []} for k in ways
-        }
         for number in range(-1, count):  # the first round only warms up
-            for key in ways:
-                if key == FLAT_ONLY_ONCE:
-                    continue
-                flat = once(key, "flat", number, seconds if number >= 0 else 0.2)
+            for key in (k for k, w in ways.items() if w.flat):
+                gave = once(key, "flat", number, seconds if number >= 0 else 0.2)
                 if number >= 0:
-                    found[key]["flat_hz"].append(flat["rows"] / flat["wall_s"])
-                    found[key]["flat_cpu_us"].append(flat["cpu_s"] / flat["rows"] * 1e6)
-        for number in range(1 if tiny else 3):
+                    found[key]["flat_hz"].append(gave["rows"] / gave["wall_s"])
+                    found[key]["flat_cpu_us"].append(gave["cpu_s"] / gave["rows"] * 1e6)
+        for number in range(paced):
             for key in ways:
-                paced = once(key, "paced", number, paced_s)
-                found[key]["cpu"].append(paced["cpu_s"] / paced_s)
-                found[key]["wall"].append(paced["wall_s"] / paced_s)
-        for number in range(kills):
-            for key, way in ways.items():
-                longest = 0.5 if tiny else 7.0 if key == "qcodes" else 3.0
-                folder = killed(way, place / f"{key}-kill-{number}", rng.uniform(0.3, longest))
-                job = {**way.setting, "mode": "read", "folder": str(folder)}
-                back = recorders[way.tool].ask(job)
-                if back["wrong"]:
-                    raise RuntimeError(f"{way.title}: {back['wrong']} rows are wrong after a kill")
-                came = float((folder / "came").read_text())
-                lost = max(0, math.floor(came) - back["rows"])  # whole rows that were due
-                found[key]["lost_s"].append(lost / RATE_HZ)
+                found[key]["cpu"].append(once(key, "paced", number, paced_s)["cpu_s"] / paced_s)
         for recorder in recorders.values():
             recorder.close()
-    out["ways"] = found
+        fresh = {tool: Recorder(tool) for tool in recorders}  # whose threads no fork breaks off
+        for number in range(kills):
+            for key, way in ways.items():
+                longest = 0.5 if tiny else HOLDS_BACK_S if key == "qcodes" else KILLED_S
+                folder = place / f"{key}-kill-{number}"
+                cost = killed(way, fresh[way.tool], folder, rng.uniform(0.3, longest))
+                for name, value in cost.items():
+                    found[key][name].append(value)
+        for recorder in fresh.values():
+            recorder.close()
     return out
 
 
 def best_peer(result: dict[str, Any]) -> str | None:
-    """The peer's way of equal durability that pamrig's rate exceeds least."""
-    ways = result["ways"]
-    times = {
-        k: ratios(ways["pamrig"]["flat_hz"], v["flat_hz"]).median
-        for k, v in ways.items()
+    """The peer's way of equal durability that records most rows a second."""
+    rates = {
+        k: Spread.of(found["flat_hz"]).median
+        for k, found in result["ways"].items()
         if WAYS[k].tool != "pamrig" and WAYS[k].level == EQUAL
     }
-    return min(times, key=lambda k: times[k]) if times else None
+    return max(rates, key=lambda k: rates[k]) if rates else None
 
 
-def lost_ms(found: dict[str, list[float]]) -> Spread:
-    """Rows lost at each kill as ms of data."""
-    return Spread.of([round(1e3 * s) for s in found["lost_s"]])
+def ms(seconds: list[float]) -> Spread:
+    """Of rows at each kill, as ms of data."""
+    return Spread.of([round(1e3 * s) for s in seconds])
+
+
+def span(spread: Spread) -> str:
+    """Whole ms."""
+    return f"{spread.median:.0f} ({spread.low:.0f} to {spread.high:.0f})"
 
 
 def losses(ways: dict[str, Any]) -> str:
     """What a kill cost pamrig, and every peer that lost less."""
-    ours = lost_ms(ways["pamrig"])
-    peers = {k: lost_ms(f) for k, f in ways.items() if WAYS[k].tool != "pamrig"}
+    ours = ms(ways["pamrig"]["lost_s"])
+    peers = {k: ms(f["lost_s"]) for k, f in ways.items() if WAYS[k].tool != "pamrig"}
     less = [
-        f"{WAYS[k].title} ({p.median:.0f}, at most {p.high:.0f} ms)"
+        f"{WAYS[k].title} ({span(p)})"
         for k, p in peers.items()
         if p.median < ours.median or p.high < ours.high
     ]
-    told = f"Killed, pamrig lost {ours.median:.0f} ms ({ours.low:.0f} to {ours.high:.0f}). "
+    told = f"Killed, pamrig lost {span(ours)} ms of the rows that it had been given one by one. "
     if not less:
         return told + "No peer lost less, by median or by its worst."
-    return f"{told}By median or by its worst, less was lost by {', '.join(less)}. A row is 1 ms."
+    return f"{told}By median or by its worst, less was lost by {', '.join(less)}."
 
 
 def lines(result: dict[str, Any]) -> list[str]:
@@ -255,57 +270,66 @@ def lines(result: dict[str, Any]) -> list[str]:
     rows = []
     for key, found in ways.items():
         way = WAYS[key]
-        flat = "" if not found["flat_hz"] else str(Spread.of(found["flat_hz"]))
+        flat = str(Spread.of(found["flat_hz"])) if found["flat_hz"] else ""
         times = ""
-        if found["flat_hz"] and key != "pamrig":
-            times = str(ratios(ways["pamrig"]["flat_hz"], found["flat_hz"]))
-        lost = lost_ms(found)
+        if found["flat_hz"] and way.tool != "pamrig":
+            times = str(ratios(ways[way.like]["flat_hz"], found["flat_hz"]))
         rows.append([
             way.title, way.system, way.medium, flat, times,
             f"{short(100 * Spread.of(found['cpu']).median)} %",
-            f"{lost.median:.0f} ({lost.low:.0f} to {lost.high:.0f})",
+            span(ms(found["lost_s"])), span(ms(found["missing_s"])),
         ])  # fmt: skip
     for tool, why in result["missing"].items():
-        rows.append([tool, "", "", why, "", "", ""])
+        rows.append([tool, "", "", why, "", "", "", ""])
     out = table(
-        ["tool", "to system", "to medium", "rows/s flat out", "pamrig is ... times",
-         "processor at 1 kHz", "lost at kill -9, ms"], rows,
+        ["tool", "to system", "to medium", "rows/s flat out", "pamrig fed alike is ... times",
+         "processor at 1 kHz", "lost at kill -9, ms", "missing by the clock, ms"], rows,
     )  # fmt: skip
-    count = len(ways["pamrig"]["flat_hz"])
-    kills = len(ways["pamrig"]["lost_s"])
+    first = ways["pamrig"]
     out.append(
         f"Versions: {', '.join(result['versions'].values())}. A row is a number and eight 64-bit "
-        f"channels; {count} rounds of 1 s flat out, {len(ways['pamrig']['cpu'])} of 4 s at 1 kHz, "
-        f"{kills} kills a way; an fsync of 4 kB takes "
-        f"{Spread.of(result['fsync_ms'])} ms here. All rows were read back by each tool's own "
-        "reader and compared. *To system*: when rows survive a kill; *to medium*: a power cut. "
-        "PyMeasure takes no blocks. Not tried: Bluesky's Tiled writer, which needs a "
-        "server and holds 10,000 events back by default."
+        f"channels; {len(first['flat_hz'])} rounds of {FLAT_S:g} s flat out, closing included, "
+        f"{len(first['cpu'])} of {PACED_S:g} s at 1 kHz, {len(first['lost_s'])} kills a way; an "
+        f"fsync of 4 kB takes {Spread.of(result['fsync_ms'])} ms here. All rows were read back by "
+        "each tool's own reader and compared. *To system*: when rows survive a kill; *to medium*: "
+        "a power cut. *Lost*: given, its call returned, and not found. *Missing by the clock*: due "
+        "and not found, lateness of waking included. PyMeasure takes no blocks. Not tried: "
+        "Bluesky's Tiled writer, which needs a server and holds 10,000 events back by default."
     )
     out.append("")
     best = best_peer(result)
     if best is not None:
-        ratio = ratios(ways["pamrig"]["flat_hz"], ways[best]["flat_hz"])
-        cost = ratios(ways[best]["flat_cpu_us"], ways["pamrig"]["flat_cpu_us"])
-        out.append(
-            f"At equal durability (to the system within 50 ms, to the medium within 1 s) the best "
-            f"peer is {WAYS[best].title}; pamrig's rate is **{ratio}** times its, and a row takes "
-            f"its processor {cost} times as long."
+        peer = ways[best]
+        ratio, rows_ratio = (
+            ratios(ways[k]["flat_hz"], peer["flat_hz"]) for k in ("pamrig-blocks", "pamrig")
         )
-        out += ["", losses(ways)]
-        cpu = {k: Spread.of(f["cpu"]).median for k, f in ways.items()}
-        ahead = [k for k in cpu if WAYS[k].tool != "pamrig" and cpu[k] < cpu["pamrig"]]
-        if ahead:
-            names = ", ".join(f"{WAYS[k].title} ({short(100 * cpu[k])} %)" for k in ahead)
-            out.append("")
-            out.append(
-                f"Behind: with rows one by one, less processor time at 1 kHz is used by {names}: "
-                "pamrig seals each row with a CRC and writes it a second time in its batch. "
-                f"In frames of 10 it takes "
-                f"{short(100 * cpu['pamrig-frames'])} %."
-            )
-        out.append("")
+        cost, rows_cost = (
+            ratios(peer["flat_cpu_us"], ways[k]["flat_cpu_us"]) for k in ("pamrig-blocks", "pamrig")
+        )
+        out += [
+            "At equal durability (to the system within 50 ms, to the medium within 1 s) the best "
+            f"peer is {WAYS[best].title}. Fed in blocks of 50, as drivers bring them, pamrig "
+            f"records **{ratio}** times as many rows a second, row by row {rows_ratio} times; a "
+            f"row takes the peer's processor {cost} times as long, row by row {rows_cost} times.",
+            "",
+            losses(ways),
+            "",
+        ]
+        out += behind(ways)
     return out
+
+
+def behind(ways: dict[str, Any]) -> list[str]:
+    """Peers that take less processor time at 1 kHz than pamrig fed alike."""
+    cpu = {k: Spread.of(f["cpu"]).median for k, f in ways.items()}
+    less = [
+        f"{WAYS[k].title} ({short(100 * share)} %)"
+        for k, share in cpu.items()
+        if WAYS[k].tool != "pamrig" and share < cpu[WAYS[k].like]
+    ]
+    if not less:
+        return ["No peer fed alike takes less processor time at 1 kHz.", ""]
+    return [f"Behind: at 1 kHz less processor time is used by {', '.join(less)}.", ""]
 
 
 if __name__ == "__main__":

@@ -33,7 +33,8 @@ MAGIC = b"PAhd"
 SLOTS = 8
 SLOT_BYTES = 8192
 _HEAD = struct.Struct("<4sI")
-_ROWS = struct.Struct("<qI")
+ROWS = "<qI"
+_ROWS = struct.Struct(ROWS)
 _START = _HEAD.size + _ROWS.size
 
 
@@ -45,8 +46,19 @@ def ahead_name(stream: str) -> str:
 def ahead_entry(columns: Columns, first_row: int) -> bytes:
     """One entry; ``columns`` in the schema's order and dtypes, all of one length."""
     rows = len(next(iter(columns.values())))
-    body = _ROWS.pack(first_row, rows) + b"".join([a.tobytes() for a in columns.values()])
+    return sealed_entry(
+        _ROWS.pack(first_row, rows) + b"".join([a.tobytes() for a in columns.values()])
+    )
+
+
+def sealed_entry(body: bytes) -> bytes:
+    """One entry; ``body`` is the number of its first row, how many they are, and the columns."""
     return _HEAD.pack(MAGIC, zlib.crc32(body)) + body
+
+
+def entries_a_slot(row_bytes: int) -> int:
+    """How many entries of one row a slot has room for."""
+    return SLOT_BYTES // (_START + row_bytes)
 
 
 class AheadFile:

@@ -196,7 +196,8 @@ def only_possible_rows(index: ChunkIndex, row_bytes: int = 1) -> None:
     kept = []
     for entry in index.entries:
         rows, first = entry.fields.get("rows", 0), entry.fields.get("first_row", 0)
-        counts = type(rows) is int and type(first) is int and 0 <= first < 2**62
+        says = entry.fields.get("chunk") != "rows" or {"rows", "first_row"} <= set(entry.fields)
+        counts = says and type(rows) is int and type(first) is int and 0 <= first < 2**62
         if counts and 0 <= rows * max(row_bytes, 1) <= entry.length:
             kept.append(entry)
             continue

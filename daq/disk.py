@@ -82,6 +82,7 @@ class Disk:
     def __init__(self, root: Path, durable: bool, threaded: bool) -> None:
         self.root = root
         self.durable = durable
+        self.threaded = threaded
         self.failed: RecordError | None = None
         self.discarded_bytes = 0
         self._files: dict[str, _File] = {}

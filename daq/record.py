@@ -20,14 +20,9 @@ from daq.chunks import index_line, members
 from daq.clock import Clock
 from daq.disk import Disk, disk_error
 from daq.errors import RecordError
-from daq.runname import run_name
+from daq.runname import run_name, slug
 from daq.sealed import seal_line, sync_folder, write_sealed
-from daq.segments import (
-    END_OF_STREAM,
-    BatchEncoder,
-    Columns,
-    StreamSchema,
-)
+from daq.segments import END_OF_STREAM, BatchEncoder, Columns, StreamSchema
 
 SCHEMA = "pamrig-run/1"
 OUTCOMES = ("clean", "stopped", "aborted", "faulted")
@@ -35,11 +30,6 @@ SEGMENT_ROWS = 300_000  # 5 min at 1 kHz
 FRAMES_FILE_BYTES = 256 << 20
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*\Z")
-
-
-def slug(text: object) -> str:
-    """``text`` as part of a folder name."""
-    return re.sub(r"[^A-Za-z0-9.-]+", "-", str(text)).strip("-.")[:40] or "none"
 
 
 class _Indexed:
@@ -191,6 +181,8 @@ class RecordWriter:
     def append(self, stream: str, columns: Columns) -> int:
         """Append one batch; nothing any more once the record is finalised.
 
+        A batch of up to 8 kB survives a kill of the process when this returns.
+
         Returns:
             the number of its first row within the stream.
 
@@ -206,6 +198,8 @@ class RecordWriter:
             first_row = s.rows
             if rows == 0:
                 return first_row
+            if self._disk.threaded and not s.ahead:  # until the writer's thread comes to it
+                self._put_ahead(s, ahead_entry(s.encoder.checked(columns)[0], first_row), rows)
             if not s.file or 0 < self._segment_rows < s.rows_in_file + rows:
                 self._end_segment(s)
                 s.next_file()
@@ -234,14 +228,23 @@ class RecordWriter:
             if self._closed:
                 return
             checked, rows = s.encoder.checked(columns)
-            if s.ahead_file is None:
-                try:
-                    s.ahead_file = AheadFile(self.folder / ahead_name(stream))
-                except OSError as error:
-                    raise disk_error(self.folder, "cannot be written", error) from error
             if rows:
-                s.ahead_file.put(ahead_entry(checked, s.rows + s.ahead))
-                s.ahead += rows
+                self._put_ahead(s, ahead_entry(checked, s.rows + s.ahead), rows)
+
+    def ahead_row(self, stream: str, entry: bytes) -> None:
+        """The same for one row that is an entry already, see :mod:`daq.rows`."""
+        with self._lock:
+            if not self._closed:
+                self._put_ahead(self._streams[stream], entry, 1)
+
+    def _put_ahead(self, s: _Stream, entry: bytes, rows: int) -> None:
+        if s.ahead_file is None:
+            try:
+                s.ahead_file = AheadFile(self.folder / ahead_name(s.schema.name))
+            except OSError as error:
+                raise disk_error(self.folder, "cannot be written", error) from error
+        s.ahead_file.put(entry)
+        s.ahead += rows
 
     def rows(self, stream: str) -> int:
         """Rows appended to a stream so far."""

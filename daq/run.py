@@ -309,7 +309,8 @@ class Run:
             raise RecordError(str(path), f"frame {number}: its file is missing")
         with open(path, "rb") as file:
             file.seek(entry.offset)
-            data = file.read(min(entry.length, LARGEST_BULK))
+            there = max(0, path.stat().st_size - entry.offset)
+            data = file.read(min(entry.length, there, LARGEST_BULK))
         if f"{zlib.crc32(data):08x}" != entry.crc32 or len(data) != entry.length:
             what = f"frame {number} does not match its CRC, not read"
             self.problems.append(Problem(entry.file, entry.offset, what, entry.length))

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 from datetime import UTC, datetime
 from pathlib import Path
 
 STAMP = 16
 TAIL = 6
+
+
+def slug(text: object) -> str:
+    """``text`` as part of a folder name."""
+    return re.sub(r"[^A-Za-z0-9.-]+", "-", str(text)).strip("-.")[:40] or "none"
 
 
 def run_name(wall_ns: int, protocol: str, specimen: str) -> str:

@@ -57,7 +57,7 @@ def read_inside(root: Path, name: str, at_most: int = LARGEST_TEXT) -> bytes:
             if about.st_size > at_most:
                 what = f"has {about.st_size} bytes, more than the {at_most} that one may have"
                 raise RecordError(str(path), f"{what}, not read", _REMEDY)
-            return file.read(at_most)
+            return file.read(about.st_size)  # asked for more, Python sets that much memory aside
     except OSError as error:
         raise RecordError(str(path), f"cannot be read: {error.strerror}") from None
 

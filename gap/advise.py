@@ -208,6 +208,14 @@ def _standard(best: State, between: tuple[str, str], now: float) -> Experiment:
     return Experiment("reference", settings, now, now, 1, between, told)
 
 
+def reference_for(name: str) -> str:
+    """What gives an effect by itself: a standard, or what the catalogue says tells it apart."""
+    if name in REFERENCES:
+        standard = REFERENCES[name][0]
+        return f"{standard.name}: {standard.what}"
+    return CATALOGUE[name].told_apart_by
+
+
 def protocol_text(experiment: Experiment) -> str | None:
     """A protocol file for the experiment, after the shipped one of its name; None without one."""
     folder = resources.files("configs").joinpath("protocols")

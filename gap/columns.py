@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from gap.dataset import CALIBRATION
 from gap.laws import Active
 from gap.model import Model, shifted
 from gap.rows import BLOCKS
@@ -123,6 +124,32 @@ def mounting_columns(model: Model, c: PlantConstants, active: Active, count: int
         low = model.stacked(model.residual(c, [*active, *mounted(-one)], there))
         high = model.stacked(model.residual(c, [*active, *mounted(one)], there))
         columns[:, number] = low - high
+    return columns
+
+
+def miscalibrated(shift: Array, calibration: Mapping[str, float]) -> Active:
+    """What the sensors' calibrations are off by, `shift` sd of each that is stated."""
+    return [
+        (CALIBRATION[key], "", u * float(sd), {})
+        for (key, u), sd in zip(calibration.items(), shift, strict=True)
+    ]
+
+
+def calibration_columns(
+    model: Model, c: PlantConstants, active: Active, calibration: Mapping[str, float]
+) -> Array:
+    """What one sd of each calibration adds to the reading, shape (rows, calibrations).
+
+    All trials share it, so no replicates show it.
+    """
+    columns = np.zeros((len(model.grid.rows), len(calibration)))
+    there = [block for block in BLOCKS if block in model.grid.points]
+    for number in range(len(calibration)):
+        one = np.zeros(len(calibration))
+        one[number] = 0.5
+        low = model.residual(c, [*active, *miscalibrated(-one, calibration)], there)
+        high = model.residual(c, [*active, *miscalibrated(one, calibration)], there)
+        columns[:, number] = model.stacked(low) - model.stacked(high)
     return columns
 
 

@@ -12,6 +12,7 @@ import typer
 from gap.diagnose import diagnose, examine
 from gap.opening import open_data as read_dataset
 from gap.verdict import Verdict, plain
+from gap.written import write_text
 
 
 def struck(text: str) -> list[str]:
@@ -42,7 +43,8 @@ def where_command(data: Path, out: Path | None, as_json: bool) -> None:
     verdict, inquiry, state = examine(read_dataset(data))
     found = whereabouts(inquiry, state) if inquiry is not None and state is not None else None
     courses = residual_maps(inquiry, state) if inquiry is not None and state is not None else []
-    if out is not None:
+    drawn = out is not None and bool(courses)
+    if out is not None and drawn:
         write_courses(courses, bool(verdict.effects), out)
     table = verdict.as_dict()
     if as_json:
@@ -51,14 +53,15 @@ def where_command(data: Path, out: Path | None, as_json: bool) -> None:
                 "where": table["where"], "gap": table["gap"], "status": table["status"],
                 "reason": table["reason"], "meaning": MEANING, **plain(found or {}),
                 "maps": [plain(course.as_dict()) for course in courses],
-                "figure": str(out) if out else None,
+                "figure": str(out) if drawn else None,
             }
         )  # fmt: skip
         return
     lines = [f"{verdict.status.replace('_', ' ')}: {verdict.reason}"]
     if verdict.stages:
         lines.append("share of the end-to-end gap by stage (Shapley; 95 % interval over slots)")
-    lines += _where_text(verdict) or ["no stage and no comparison stands out"]
+    if inquiry is not None:
+        lines += _where_text(verdict) or ["no stage and no comparison stands out"]
     if found:
         lines.append("end to end, commands replayed    rms    floor")
         lines += [
@@ -70,8 +73,10 @@ def where_command(data: Path, out: Path | None, as_json: bool) -> None:
             f"  {r['block']:9s}  {r['recalibrated']:15.3g} {r['unit']:3s}  {r['floor']:.3g}"
             for r in found["stage_by_stage"]
         ]
-    if out is not None:
+    if drawn:
         lines.append(f"residual over pressure, length, temperature and time: {out}")
+    elif out is not None:
+        lines.append(f"{out} is not written: there is no residual to draw")
     typer.echo("\n".join(lines))
 
 
@@ -89,21 +94,22 @@ def shrink_command(data: Path, without: str, out: Path | None, as_json: bool) ->
         kept = state if named else inquiry.base
         found = plain(shrinkage(inquiry, kept, named))
         if out is not None:
-            out.write_text(improved_plant(inquiry, kept), encoding="utf-8")
-    elif out is not None:
-        out = None
+            write_text(out, improved_plant(inquiry, kept))
+    written = out if found else None
     if as_json:
         show(
             {
                 "gap": table["gap"], "status": table["status"], "effects": table["effects"],
-                **(found or {"held_out": {}}), "plant": str(out) if out else None,
+                **(found or {"held_out": {}}), "plant": str(written) if written else None,
             }
         )  # fmt: skip
         return
     lines = [f"{verdict.status.replace('_', ' ')}: {verdict.reason}", *_gap_text(verdict)]
     lines += as_lines(found) if found else []
-    if out is not None:
-        lines.append(f"improved plant written to {out}")
+    if written is not None:
+        lines.append(f"improved plant written to {written}")
+    elif out is not None:
+        lines.append(f"{out} is not written: nothing in these data improves a plant")
     typer.echo("\n".join(lines))
 
 
@@ -117,7 +123,7 @@ def next_command(data: Path, without: str, out: Path | None, as_json: bool) -> N
     if experiment is not None and out is not None:
         text = protocol_text(experiment)
         if text is not None:
-            out.write_text(text, encoding="utf-8")
+            write_text(out, text)
             written = str(out)
     if as_json:
         table = verdict.as_dict()
@@ -128,7 +134,10 @@ def next_command(data: Path, without: str, out: Path | None, as_json: bool) -> N
             }
         )  # fmt: skip
         return
-    typer.echo("\n".join(_next_text(verdict, written)))
+    lines = _next_text(verdict, written)
+    if out is not None and written is None:
+        lines.append(f"{out} is not written: no test of a protocol is advised")
+    typer.echo("\n".join(lines))
 
 
 def _next_text(verdict: Verdict, written: str | None) -> list[str]:

@@ -17,6 +17,15 @@ CHANNELS = ("supply_kpa", "pressure_kpa", "length_mm", "force_n", "temperature_c
 """Measured channels, in the units of their names."""
 COMMANDS = ("inlet_cmd", "outlet_cmd")
 """Commanded channels, 0 or 1, held until the next value."""
+CALIBRATION = {
+    "pressure_zero_kpa": "pressure_zero",
+    "pressure_gain_percent": "pressure_gain",
+    "force_zero_n": "force_zero",
+    "force_gain_percent": "force_gain",
+    "length_zero_mm": "camera_zero",
+    "length_gain_percent": "camera_scale",
+}
+"""Keys of `calibration.toml`, and the change of a reading that each stands for."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +90,8 @@ class DataSet:
         constants: the nominal plant with what `bench.toml` states.
         effects: effects that `bench.toml` switches on, so that they are no gap.
         notes: what a reader of the verdict should know (columns ignored, trials left out).
+        calibration: standard uncertainty of what all trials share of a sensor's zero or gain, by
+            `CALIBRATION`'s names; what is not stated is taken as exact.
     """
 
     origin: str
@@ -88,6 +99,7 @@ class DataSet:
     constants: PlantConstants
     effects: Effects = NONE
     notes: tuple[str, ...] = field(default=())
+    calibration: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def slots(self) -> dict[str, list[int]]:

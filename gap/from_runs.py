@@ -1,9 +1,11 @@
-"""Recorded runs as a data set in the EXCHANGE form: trials.csv, samples.parquet, bench.toml."""
+"""Recorded runs as a data set in the EXCHANGE form: trials.csv, samples.parquet, bench.toml; and
+calibration.toml, what the sensors may be off by in all trials alike.
+"""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +42,7 @@ def export_runs(
     *,
     plant: Path | None = None,
     form: str = "time",
+    commands_of: Collection[str] | None = None,
 ) -> Exported:
     """Write runs as one data set; trials keep the order in which they were measured.
 
@@ -58,16 +61,17 @@ def export_runs(
     if not runs:
         raise GapError("export", "no run given")
     bench = _bench(runs, plant)
-    trials = [trial for run in runs for trial in _trials(run, form)]
+    calibration = _calibration(runs)
+    trials = [trial for run in runs for trial in _trials(run, form, commands_of)]
     trials.sort(key=lambda trial: float(trial.row["start_s"]))
-    return _write(folder, trials, bench, tuple(run.run_id for run in runs))
+    return _write(folder, trials, bench, calibration, tuple(run.run_id for run in runs))
 
 
-def _trials(run: Run, form: str) -> Iterable[RunTrial]:
+def _trials(run: Run, form: str, commands_of: Collection[str] | None) -> Iterable[RunTrial]:
     _refuse_mechanism(run)
     if form == "points" or run.manifest.get("imported"):
         return table_trials(run)
-    return run_trials(run)
+    return run_trials(run, commands_of is None or run.manifest.get("protocol") in commands_of)
 
 
 def _refuse_mechanism(run: Run) -> None:
@@ -82,8 +86,9 @@ def _refuse_mechanism(run: Run) -> None:
 
 
 def _write(
-    folder: Path, trials: Sequence[RunTrial], bench: dict[str, Any], runs: tuple[str, ...]
-) -> Exported:
+    folder: Path, trials: Sequence[RunTrial], bench: dict[str, Any],
+    calibration: dict[str, float], runs: tuple[str, ...],
+) -> Exported:  # fmt: skip
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -101,9 +106,10 @@ def _write(
     try:
         pd.DataFrame(rows, columns=list(COLUMNS)).to_csv(folder / "trials.csv", index=False)
         samples.to_parquet(folder / "samples.parquet", index=False)
-        if bench:
-            lines = [f"{key} = {_toml(value)}" for key, value in bench.items()]
-            (folder / "bench.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        for name, table in (("bench.toml", bench), ("calibration.toml", calibration)):
+            if table:
+                lines = [f"{key} = {_toml(value)}" for key, value in table.items()]
+                (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:
         raise GapError(str(folder), f"cannot be written: {error.strerror}") from None
     slots = len({row["slot"] for row in rows})
@@ -123,6 +129,24 @@ def _bench(runs: Sequence[Run], plant: Path | None) -> dict[str, Any]:
                 "export runs of one bench at a time, or name its constants with --plant",
             )
     return stated[0][1]
+
+
+def _calibration(runs: Sequence[Run]) -> dict[str, float]:
+    """What each sensor's zero and gain may be off by in all trials alike, the largest of the runs.
+
+    A force zero is left anew by each tare, so its trials tell; what they share is no calibration.
+    """
+    found: dict[str, float] = {}
+    for run in runs:
+        for quantity, known in run.calibrations.items():
+            name, _, unit = quantity.rpartition("_")
+            zero, gain = f"{name}_zero_{unit}", f"{name}_gain_percent"
+            if quantity in ("pressure_kpa", "length_mm"):
+                found[zero] = max(found.get(zero, 0.0), float(known.u_offset))
+            elif quantity != "force_n":
+                continue
+            found[gain] = max(found.get(gain, 0.0), 100.0 * float(known.u_gain))
+    return {key: value for key, value in found.items() if value > 0.0}
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -13,7 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.columns import constant_columns, mounted, mounting_columns, suspect_columns
+from gap.columns import (
+    calibration_columns,
+    constant_columns,
+    miscalibrated,
+    mounted,
+    mounting_columns,
+    suspect_columns,
+)
 from gap.copies import without_copies
 from gap.dataset import DataSet
 from gap.evidence import Evidence, gather, tolerance
@@ -91,8 +98,9 @@ class Inquiry:
         )
         self.mountings = int(data.mountings.max(initial=-1)) + 1
         self.names += [f"mounting {number + 1}" for number in range(self.mountings)]
-        own = mounting_columns(self.model, data.constants, self.given, self.mountings)
-        self.stated_columns = np.hstack([stated, own])
+        self.names += [f"calibration {key}" for key in data.calibration]
+        self.unnamed = self.mountings + len(data.calibration)
+        self.stated_columns = np.hstack([stated, self._unnamed_columns(data.constants, self.given)])
         self.columns = self.stated_columns
         self.units = self._units()
         self._near: tuple[State, Array] | None = None
@@ -112,7 +120,7 @@ class Inquiry:
         """Constants of the bench moved by `shift` sd of their tolerances."""
         c = self.data.constants
         changes = {}
-        recalibrated = len(self.names) - self.mountings
+        recalibrated = len(self.names) - self.unnamed
         for key, sd in zip(self.names[:recalibrated], shift, strict=False):
             field = KEYS[key].field
             value = getattr(c, field) + float(sd) * c.tolerance_si(key)
@@ -123,11 +131,21 @@ class Inquiry:
 
     def found(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Active:
         """What the model takes: what is given, each mounting's offset, and suspects in force."""
-        own = shift[len(self.names) - self.mountings :]
+        own = shift[len(self.names) - self.unnamed :]
         active = [
             (s.id, s.option, float(a), s.shape) for s, a in zip(suspects, amounts, strict=True)
         ]
-        return [*self.given, *mounted(own), *active]
+        off = miscalibrated(own[self.mountings :], self.data.calibration)
+        return [*self.given, *mounted(own[: self.mountings]), *off, *active]
+
+    def _unnamed_columns(self, c: PlantConstants, active: Active) -> Array:
+        """Signatures of mountings and calibrations, whose errors all trials of one share."""
+        return np.hstack(
+            [
+                mounting_columns(self.model, c, active, self.mountings),
+                calibration_columns(self.model, c, active, self.data.calibration),
+            ]
+        )
 
     def fit(
         self, suspects: Sequence[Suspect], start: Sequence[float] = (), near: State | None = None
@@ -194,8 +212,8 @@ class Inquiry:
         active = self.found(shift, suspects, amounts)
         c = self.constants(shift)
         names, columns = constant_columns(self.model, c, active, self.data.constants)
-        names += self.names[len(self.names) - self.mountings :]
-        columns = np.hstack([columns, mounting_columns(self.model, c, active, self.mountings)])
+        names += self.names[len(self.names) - self.unnamed :]
+        columns = np.hstack([columns, self._unnamed_columns(c, active)])
         made = np.zeros((len(self.rows), len(self.names)))
         for j, name in enumerate(self.names):
             if name in names:

@@ -7,6 +7,7 @@ the experiment would tell apart; the settings make the protocol file that `pamri
 
 from __future__ import annotations
 
+import dataclasses
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -287,4 +288,4 @@ def _bursts(bench: _Bench, length: float) -> Trial:
 
 def as_data(q: Inquiry, trials: Sequence[Trial]) -> DataSet:
     """Simulated trials as a data set of the same bench."""
-    return DataSet("advice", tuple(trials), q.data.constants, q.data.effects)
+    return dataclasses.replace(q.data, origin="advice", trials=tuple(trials), notes=())

@@ -84,6 +84,7 @@ def write_courses(courses: Sequence[Course], named: bool, path: Path) -> None:
     if figure is None:
         raise GapError(str(path), "there is no residual to draw")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=150)
     except (OSError, ValueError) as error:
         raise GapError(str(path), f"cannot be written: {error}") from None

@@ -13,11 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.agreement import inflation
+from gap.dataset import CALIBRATION
 from gap.evidence import SLACK, projected
 from gap.further import apart, counts, excess, plea
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
 from gap.suspects import Suspect
+from plant.catalogue import CATALOGUE
 from plant.constants import KEYS
 
 Array = npt.NDArray[np.float64]
@@ -169,6 +171,7 @@ _STANDS_FOR = {
     "outlet_conductance_m3_s_pa": ("flow_area:outlet",),
     "critical_ratio": ("critical_ratio",),
     "dead_volume_ml": ("dead_volume",),
+    **{f"calibration {key}": (name,) for key, name in CALIBRATION.items() if name in CATALOGUE},
     **{f"{e}_ms": (f"valve_delay:{e}",) for e in EDGES},
     **{f"{e}_ms_per_kpa": (f"valve_delay_pressure:{e}",) for e in EDGES},
 }
@@ -204,12 +207,13 @@ def _swapped(q: Inquiry, state: State, key: str) -> tuple[Array, float] | None:
         if key not in _STANDS_FOR.get(name, ()) or abs(state.shift[at]) < BENT:
             continue
         c = q.data.constants
-        amount = float(state.shift[at]) * c.tolerance_si(name)
+        sd = q.data.calibration.get(name.removeprefix("calibration "))
+        amount = float(state.shift[at]) * (c.tolerance_si(name) if sd is None else sd)
         if key.startswith("flow_area"):
             amount /= max(getattr(c, KEYS[name].field), 1e-300)
         elif key.partition(":")[0] in _PER_SI:
             amount *= _PER_SI[key.partition(":")[0]]
-        else:
+        elif sd is None:
             continue
         shift = state.shift.copy()
         shift[at] = 0.0

@@ -1,12 +1,16 @@
 """Reads a folder in the EXCHANGE form: trials.csv, samples.csv or .parquet, bench.toml.
 
+Beside them may lie calibration.toml: what the sensors may be off by in all trials alike.
+
 A number that is silently wrong costs more than a file that is refused: whatever could be another
 unit, a slip of the hand or a broken clock stops the reading with the file, the row and the column.
 """
 
 from __future__ import annotations
 
+import os
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from gap.dataset import CHANNELS, COMMANDS, Array, Channel, DataSet, Trial
+from gap.dataset import CALIBRATION, CHANNELS, COMMANDS, Array, Channel, DataSet, Trial
 from gap.errors import GapError
 from gap.tables import Table, numbers, read_table, unit_check
 from plant import tomlfile
@@ -25,6 +29,7 @@ from plant.errors import PlantError
 TRIAL_TEXT = ("trial", "slot", "replicate", "protocol", "mounting")
 TRIAL_NUMBERS = ("order", "held_length_mm", "load_kg", "temperature_c", "start_s")
 SAMPLE_NUMBERS = ("time_s", *COMMANDS, *CHANNELS)
+MOST_UNCERTAIN = 1000.0
 
 
 def read_dataset(folder: str | Path) -> DataSet:
@@ -34,29 +39,47 @@ def read_dataset(folder: str | Path) -> DataSet:
         GapError: names the file, the row and the column, what came and what was expected.
     """
     path = Path(folder)
-    if not path.exists():
+    if not os.path.exists(path):
         raise GapError(str(path), "no such folder", "check the path")
     if not path.is_dir():
         raise GapError(str(path), "is a file", "give the folder that holds trials.csv")
     constants, effects = _bench(path / "bench.toml")
     trials = _trials_table(path / "trials.csv")
     samples = _samples_table(path)
-    return _join(path, trials, samples, constants, effects)
+    made = _join(path, trials, samples, constants, effects)
+    return replace(made, calibration=_calibration(path / "calibration.toml"))
 
 
 def _bench(path: Path) -> tuple[PlantConstants, Effects]:
     if not path.exists():
         return nominal(), NONE
-    try:
-        table = tomlfile.loads(tomlfile.read_text(path))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as exc:
-        raise GapError(str(path), f"cannot be read as TOML ({exc})") from exc
+    table = _toml(path)
     effects = table.pop("effects", {})
     try:
         constants = nominal().with_overrides(table, str(path))
         return constants, Effects.from_config(effects, f"{path} effects")
     except PlantError as exc:
         raise GapError(str(path), str(exc).removeprefix(f"{path}: ")) from exc
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomlfile.loads(tomlfile.read_text(path))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as exc:
+        raise GapError(str(path), f"cannot be read as TOML ({exc})") from exc
+
+
+def _calibration(path: Path) -> dict[str, float]:
+    """Stated uncertainties of the sensors' calibrations, in the order of `CALIBRATION`."""
+    table = _toml(path) if path.exists() else {}
+    for key, value in table.items():
+        where = f"{path}: {key}"
+        if key not in CALIBRATION:
+            raise GapError(where, "unknown key", f"known: {', '.join(CALIBRATION)}")
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not number or not 0.0 <= value < MOST_UNCERTAIN:
+            raise GapError(where, f"expected a standard uncertainty of 0 or more, got {value!r}")
+    return {key: float(table[key]) for key in CALIBRATION if table.get(key)}
 
 
 def _trials_table(path: Path) -> Table:

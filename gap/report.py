@@ -7,7 +7,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from gap.errors import GapError
 from gap.examination import Examination
 from gap.reportfigures import figures
 from gap.reporttext import (
@@ -22,6 +21,7 @@ from gap.reporttext import (
     told_apart,
 )
 from gap.verdict import Verdict
+from gap.written import write_text
 
 NEAREST = 8
 """Rivals that are named one by one; the others stand in a fold."""
@@ -40,12 +40,7 @@ def render_report(examined: Examination) -> str:
 
 def write_report(examined: Examination, path: Path) -> None:
     """Write the report to `path`. Raises `GapError` where it cannot be written."""
-    text = render_report(examined)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise GapError(str(path), f"cannot be written: {error.strerror}") from None
+    write_text(path, render_report(examined))
 
 
 def context(examined: Examination) -> dict[str, Any]:

@@ -48,8 +48,8 @@ class _Span:
     zeros: int = 0
 
 
-def run_trials(run: Run) -> Iterator[RunTrial]:
-    """Every whole trial of a run with its channels, in order.
+def run_trials(run: Run, commands: bool = True) -> Iterator[RunTrial]:
+    """Every whole trial of a run with its channels, in order; valve commands where wanted.
 
     Raises:
         RecordError: the run holds no trial, or its record is damaged.
@@ -59,7 +59,7 @@ def run_trials(run: Run) -> Iterator[RunTrial]:
         raise RecordError(
             str(run.folder), "holds no whole trial", "a run that was stopped early may have none"
         )
-    channels = _Channels(run)
+    channels = _Channels(run, commands)
     protocol = str(run.manifest.get("protocol", "unnamed"))
     conditions = run.manifest.get("conditions", {})
     wall_s = int(run.manifest["started"]["wall_ns"]) * 1e-9
@@ -142,12 +142,12 @@ def _around_points(run: Run) -> dict[Any, _Span]:
 class _Channels:
     """Every channel of a run as (times, values), cut to a trial on demand."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, commands: bool) -> None:
         self._parts: list[tuple[str, Array, Array]] = []
         valve, _ = engineering(run, VALVE_STREAM)
         time_s = np.asarray(valve["time_s"], dtype=np.float64)
         self._parts.append(("pressure_kpa", time_s, np.asarray(valve["pressure_kpa"])))
-        if not _regulated(run):
+        if commands and not _regulated(run):
             for name, column in (("inlet_cmd", "inlet_cmd"), ("outlet_cmd", "vent_cmd")):
                 self._parts.append((name, *_edges(time_s, np.asarray(valve[column]))))
         forces = [name for name in run.streams if name == "balance"]

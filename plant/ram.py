@@ -172,8 +172,12 @@ class Ram:
     @property
     def prox_bits(self) -> int:
         """Proximity switches as the firmware reads them: bit 0 is A, bit 1 is B."""
-        on = self.scene.world.switches[:, SWITCH_ON]
-        return sum(1 << i for i, value in enumerate(on) if value)
+        switches = self.scene.world.switches
+        bits = 0
+        for i in range(len(switches)):  # asked at every tick
+            if switches.item(i, SWITCH_ON):
+                bits |= 1 << i
+        return bits
 
     def take_events(self) -> list[Event]:
         """What happened since the last call, at its own time."""

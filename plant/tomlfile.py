@@ -34,6 +34,8 @@ def read_text(path: Path | str, at_most: int = LARGEST) -> str:
 
 def read_bytes(path: Path | str, at_most: int) -> bytes:
     """The bytes of a plain file; see :func:`read_text`. A pipe is not waited for."""
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "no name has a zero byte in it", str(path))
     fd = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with os.fdopen(fd, "rb") as file:
         about = os.fstat(fd)
@@ -44,7 +46,7 @@ def read_bytes(path: Path | str, at_most: int) -> bytes:
         if about.st_size > at_most:
             what = f"holds {about.st_size} bytes, more than {at_most}"
             raise OSError(errno.EFBIG, what, str(path))
-        return file.read(at_most)
+        return file.read(about.st_size)  # asked for more, Python sets that much memory aside
 
 
 def loads(text: str) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,7 +69,7 @@ def load_calibration(
         ConfigError: missing, of another quantity or of another instrument.
     """
     path = Path(name)
-    if not path.is_absolute() and (Path(rig_source).parent / path).exists():
+    if not path.is_absolute() and os.path.exists(Path(rig_source).parent / path):
         path = Path(rig_source).parent / path
     t = load_toml(str(path), "rigs")
     found = t.text("quantity")

@@ -82,6 +82,18 @@ def sequence(count: int) -> list[Any]:
     return list(mpl.colormaps["viridis"](np.linspace(0.02, 0.86, max(count, 1))))
 
 
+def directions_legend(axes: Axes, what: str, place: str) -> None:
+    """Say which marker stands for ``what`` rising and which for falling."""
+    from matplotlib.lines import Line2D
+
+    looks: tuple[dict[str, Any], ...] = (
+        {"label": f"{what} rising"},
+        {"label": f"{what} falling", "mfc": "white", "ls": "--"},
+    )
+    handles = [Line2D([], [], color=INK, marker="o", markersize=4, **look) for look in looks]
+    axes.legend(handles=handles, loc=place)
+
+
 def labels_at_right(axes: Axes, ends: list[tuple[float, float, str, Any]], heading: str) -> None:
     """Name each curve where it ends, moved apart so that no two names overlap."""
     if not ends:

@@ -15,6 +15,7 @@ from rigs.drawing import (
     MEASURED,
     QUIET,
     SET,
+    directions_legend,
     labels_at_right,
     new_figure,
     sequence,
@@ -36,8 +37,6 @@ def force_figure(table: pd.DataFrame) -> Figure:
     Up is drawn filled with a solid line, down open with a dashed one; repeats are joined by
     their mean; bars are expanded uncertainties (k = 2), hidden where smaller than the marker.
     """
-    from matplotlib.lines import Line2D
-
     groups = length_groups(table)
     colours = sequence(len(groups))
     with style():
@@ -60,20 +59,7 @@ def force_figure(table: pd.DataFrame) -> Figure:
         axes.margins(y=0.06)
         labels_at_right(axes, ends, "length (mm)")
         if "down" in directions:
-            handles = [
-                Line2D([], [], color=INK, marker="o", markersize=4, label="pressure rising"),
-                Line2D(
-                    [],
-                    [],
-                    color=INK,
-                    marker="o",
-                    markersize=4,
-                    mfc="white",
-                    ls="--",
-                    label="pressure falling",
-                ),
-            ]
-            axes.legend(handles=handles, loc="upper left")
+            directions_legend(axes, "pressure", "upper left")
     return figure
 
 

@@ -182,7 +182,15 @@ def _thesis(curves: list[tuple[str, pd.DataFrame]], rows: list[dict[str, Any]]) 
 
 
 def _figure(table: pd.DataFrame) -> Figure:
-    from rigs.drawing import COVERAGE, MARKERS, labels_at_right, new_figure, sequence, style
+    from rigs.drawing import (
+        COVERAGE,
+        MARKERS,
+        directions_legend,
+        labels_at_right,
+        new_figure,
+        sequence,
+        style,
+    )
 
     curves = curves_of(table)
     colours = sequence(len(curves))
@@ -211,4 +219,6 @@ def _figure(table: pd.DataFrame) -> Figure:
         axes.set_xlabel("pressure (kPa gauge)")
         axes.set_ylabel("length (mm)")
         labels_at_right(axes, ends, "load")
+        if (table["direction"] == "down").any():
+            directions_legend(axes, "pressure", "upper right")
     return figure

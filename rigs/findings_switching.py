@@ -137,7 +137,8 @@ def _headline(
             f" {ends[2]} to {ends[3]} {shown}"
         )
     if not parts:
-        return f"{points} points were measured, too few for a law in pressure."
+        measured = "One point was" if points == 1 else f"{points} points were"
+        return f"{measured} measured, too few for a law in pressure."
     return f"From 0 to 600 kPa {'; '.join(parts)} (by their lines)."
 
 
@@ -208,7 +209,7 @@ def _law_section(laws: dict[tuple[str, str], tuple[Line, float] | None], unit: s
     )  # fmt: skip
     return Section(
         "Straight lines in pressure",
-        ("Least squares over all readings.",),
+        ("Least squares over all readings." if rows else "Too few readings for a line.",),
         pd.DataFrame(rows),
         heads,
         caption="± expanded uncertainty, k = 2, from the scatter about the line; that at 0 kPa"

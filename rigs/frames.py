@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -60,7 +61,7 @@ def open_frames(
         yield from _live(text.removeprefix("uvc:"), clock, count)
         return
     path = Path(source)
-    if not path.exists():
+    if not os.path.exists(path):
         raise FramesError(
             text, "no such file or folder", "give a picture, folder, TIFF stack, video or run"
         )

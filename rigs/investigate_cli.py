@@ -14,7 +14,7 @@ def gap_investigate(
         str, typer.Option("--rig", help="Rig file, or the name of a shipped one.")
     ] = "virtual",
     out: Annotated[Path, typer.Option("--out", help="Folder of runs.")] = Path("runs"),
-    budget: Annotated[float, typer.Option("--budget", help="Bench time, minutes.")] = 30.0,
+    budget: Annotated[float, typer.Option("--budget", help="Bench time, minutes.")] = 60.0,
     plant: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option("--plant", help="Constants of the bench, as bench.toml holds them."),

@@ -23,10 +23,17 @@ def encode(request: Request) -> bytes:
 
 
 def decode(line: bytes) -> Request:
-    """A request as it came."""
-    fields = json.loads(line)
-    value = math.nan if fields["value"] is None else float(fields["value"])
-    return Request(fields["axis"], value, fields["unit"], fields["text"])
+    """A request as it came.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        fields = json.loads(line)
+        value = math.nan if fields["value"] is None else float(fields["value"])
+        return Request(str(fields["axis"]), value, str(fields["unit"]), str(fields["text"]))
+    except (KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise ValueError(f"no request: {error!r}") from None
 
 
 class RemoteOperator:

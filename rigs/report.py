@@ -115,7 +115,9 @@ def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
                 **{k: v for k, v in event.items() if k not in ("n", "t_ns")},
             }
             for event in run.events
-            if event.get("kind") not in QUIET_EVENTS and not event.get("confirmed")
+            if event.get("kind") not in QUIET_EVENTS
+            and not event.get("confirmed")
+            and not (event.get("kind") == "soaked" and event.get("settled"))
         ],
         "counters": final.get("counters"),
         "problems": [f"{p.file} at byte {p.offset}: {p.what}" for p in run.problems],

@@ -61,4 +61,6 @@ def _cell(record: Mapping[Any, Any], name: str) -> dict[str, Any]:
         u = record.get(f"u_{name}")
         if u is not None:
             return {"text": with_u(value, float(u)), "left": False}
+        if abs(value) < 1e5:  # without a stated uncertainty five digits say more than enough
+            return {"text": with_u(value, None), "left": False}
     return {"text": value_cell(value), "left": text}

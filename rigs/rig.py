@@ -105,19 +105,22 @@ def firmware_parameters(config: RigConfig) -> dict[str, int]:
 
 @contextmanager
 def open_valve(
-    config: RigConfig, clock: Clock | None = None
+    config: RigConfig, clock: Clock | None = None, bench: VirtualBench | None = None
 ) -> Iterator[tuple[ValveController, Pump, ExitStack, VirtualBench | None]]:
     """Open the valve controller alone, check who it is; vent and close on the way out.
 
-    On a virtual rig the whole bench is made, because its parts share one plant.
+    On a virtual rig the whole bench is made, because its parts share one plant; `bench` is one
+    that is there already, as it stands after other tests.
 
     Raises:
         PortError, DeviceError, ConfigError: names device, key and remedy.
     """
     with ExitStack() as stack:
-        bench: VirtualBench | None = None
         link: Link
-        if config.is_virtual:
+        if bench is not None:
+            clock = bench.plug_in()
+            link = bench.links["valve"]
+        elif config.is_virtual:
             from rigs.virtual.bench import VirtualBench
 
             clock = VirtualClock() if clock is None else clock
@@ -143,7 +146,10 @@ def open_valve(
 
 @contextmanager
 def open_rig(
-    config: RigConfig, clock: Clock | None = None, operator: Operator | None = None
+    config: RigConfig,
+    clock: Clock | None = None,
+    operator: Operator | None = None,
+    bench: VirtualBench | None = None,
 ) -> Iterator[Rig]:
     """Open every instrument of a rig and check who they are; vent and close on the way out.
 
@@ -152,12 +158,13 @@ def open_rig(
         clock: time; made to fit the rig when none is given.
         operator: who sets manual axes; the person at the terminal, or a simulated one on a
             virtual rig, when none is given.
+        bench: a virtual bench that other tests were run on; a new one when none is given.
 
     Raises:
         PortError, DeviceError, ConfigError: names device, key and remedy; whatever had been
             opened is vented and closed.
     """
-    with open_valve(config, clock) as (valve, pump, stack, bench):
+    with open_valve(config, clock, bench) as (valve, pump, stack, bench):
         clock = pump.clock
         valve.configure(firmware_parameters(config))
         ports = Ports(config, clock, stack, bench)

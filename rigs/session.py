@@ -36,6 +36,7 @@ from rigs.steps import Steps
 
 if TYPE_CHECKING:
     from rigs.livefeed import LiveFeed
+    from rigs.virtual.bench import VirtualBench
 
 BALANCE_SCHEMA = {"row": "int64", "host_ns": "int64", "grams": "float64", "stable": "uint8"}
 BALANCE_UNITS = {"host_ns": "ns", "grams": "g"}
@@ -163,6 +164,7 @@ def run_protocol(
     derive: bool = True,
     wire: bool = False,
     continues: dict[str, Any] | None = None,
+    bench: VirtualBench | None = None,
 ) -> Result:
     """Run a test and leave a finished record.
 
@@ -182,6 +184,7 @@ def run_protocol(
         wire: also record every byte that came in: a fixture, or evidence after a fault.
         continues: the run that this one goes on with (``rigs.segments.continuation``); its
             whole trials are not made again.
+        bench: the virtual bench of earlier tests, where this one is to go on with it.
 
     Raises:
         PamrigError: nothing was recorded yet: device, key and remedy are named. Once a
@@ -199,7 +202,7 @@ def run_protocol(
     if not config.is_virtual:
         # The record's encoder loads it with the first batch: half a second without a heartbeat.
         import pyarrow  # noqa: F401
-    with open_rig(config) as rig:
+    with open_rig(config, bench=bench) as rig:
         virtual = rig.clock.virtual
         if kind.firmware:
             rig.valve.configure({**firmware_parameters(config), **kind.firmware})

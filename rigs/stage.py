@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 from daq.errors import DeviceError, DeviceTimeout
 from daq.transport import Link
@@ -115,18 +116,27 @@ class Stage(LineDevice):
             return match[1], float(match[2])
         raise AssertionError("unreachable")
 
-    def move(self, length_mm: float) -> float:
+    def move(
+        self,
+        length_mm: float,
+        speed_mm_s: float | None = None,
+        meanwhile: Callable[[], object] = lambda: None,
+    ) -> float:
         """Go to a length and wait until the stage is at rest there; returns the position.
+
+        `meanwhile` is called in every round of waiting; the speed is the usual one by default.
 
         Raises:
             DeviceError: it stopped elsewhere or raised an alarm.
         """
+        speed = self.speed_mm_s if speed_mm_s is None else speed_mm_s
         _, start = self.status()
-        self.command(f"G1 X{length_mm:.3f} F{self.speed_mm_s * 60:.0f}")
-        seconds = abs(length_mm - start) / self.speed_mm_s * 1.5 + 3.0
+        self.command(f"G1 X{length_mm:.3f} F{speed * 60:.0f}")
+        seconds = abs(length_mm - start) / speed * 1.5 + 3.0
         state = {"at": ("Run", start)}
 
         def at_rest() -> bool:
+            meanwhile()
             # Twice the same: a report that was late or came twice is not of now.
             before, state["at"] = state["at"], self.status()
             return state["at"][0] == "Alarm" or (

@@ -21,7 +21,8 @@ Floats = npt.NDArray[np.float64]
 def timeline_figure(run: Run) -> Figure | None:
     """Set-point and measured pressure, force, and when the points were taken; None if no samples.
 
-    Decimated to the lowest and highest value of each bin, so that nothing short is lost.
+    Decimated to the lowest and highest value of each bin, so that nothing short is lost. Force is
+    drawn where the test tared it: what else a balance reads beside a valve or a hung load is none.
     """
     try:
         valve, balance = run.samples("valve"), run.samples("balance")
@@ -34,16 +35,25 @@ def timeline_figure(run: Run) -> Figure | None:
     time_s = (valve["host_ns"].astype(np.int64) - start_ns) / 1e9
     pressure = np.asarray(pressure_cal.apply(valve["counts"].astype(np.float64)))
     setpoint = np.asarray(pressure_cal.apply(valve["setpoint_x16"] / 16.0))
+    forces = run.manifest.get("protocol") == "simulate" or any(
+        event.get("kind") == "tare" for event in run.events
+    )
     with style():
-        figure, (top, bottom) = new_figure(7.2, 4.2, rows=2, sharex=True)
+        if forces:
+            figure, (top, bottom) = new_figure(7.2, 4.2, rows=2, sharex=True)
+        else:
+            figure, top = new_figure(7.2, 2.6)
+            bottom = top
         top.plot(*min_max(time_s, setpoint), color=SET, linewidth=1.4, label="set-point")
         top.plot(*min_max(time_s, pressure), color=MEASURED, linewidth=0.7, label="measured")
         top.set_ylabel("pressure (kPa)")
-        if len(balance.get("grams", ())):
+        if forces and len(balance.get("grams", ())):
             force = np.asarray(force_cal.apply(balance["grams"].astype(np.float64)))
             force_s = (balance["host_ns"].astype(np.int64) - start_ns) / 1e9
             bottom.plot(*min_max(force_s, force), color=MEASURED, linewidth=0.8, label="force")
-        bottom.set_ylabel("force (N)")
+        if forces:
+            bottom.set_ylabel("force (N)")
+            figure.align_ylabels([top, bottom])
         bottom.set_xlabel("time since the first sample (s)")
         middles = _point_times(run, valve["seq"], time_s)
         top.plot(
@@ -56,7 +66,6 @@ def timeline_figure(run: Run) -> Figure | None:
             label="settled point",
         )
         top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8)
-        figure.align_ylabels([top, bottom])
     return figure
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import importlib.resources
+import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -174,16 +175,16 @@ def find_config(name: str, folder: str) -> tuple[str, str]:
         ConfigError: neither exists, or it cannot be read as text.
     """
     path = Path(name)
-    if path.suffix == ".toml" or path.exists():
+    if path.suffix == ".toml" or os.path.exists(path):  # Path.exists raises for a long name
         try:
             return tomlfile.read_text(path), str(path)
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(str(path), f"cannot be read: {error}", "check the path") from None
     shipped = importlib.resources.files("configs") / folder
-    entry = shipped / f"{name}.toml"
-    if entry.is_file():
-        return entry.read_text(encoding="utf-8"), f"configs/{folder}/{name}.toml"
     names = sorted(e.name[:-5] for e in shipped.iterdir() if e.name.endswith(".toml"))
+    if name in names:
+        text = (shipped / f"{name}.toml").read_text(encoding="utf-8")
+        return text, f"configs/{folder}/{name}.toml"
     raise ConfigError(
         name,
         f"no such file, and no shipped {folder[:-1]} of that name",

@@ -82,5 +82,5 @@ def value_cell(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.6g}".replace("-", "−") if abs(value) < 1e-3 else f"{value:.7g}"
+        return (f"{value:.6g}" if abs(value) < 1e-3 else f"{value:.7g}").replace("-", "−")
     return str(value)

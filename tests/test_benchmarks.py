@@ -62,8 +62,9 @@ def test_recording_reads_back_every_row_also_after_a_kill(
     absent = {"pamrig": "", "pymeasure": "not installed", "qcodes": "x", "bluesky": "x"}
     monkeypatch.setattr(recording, "available", lambda: absent)
     found = json.loads(json.dumps(recording.measure(True)))
-    assert list(found["ways"]) == ["pamrig", "pamrig-frames"]
-    assert all(math.isfinite(s) for w in found["ways"].values() for s in w["lost_s"])
+    assert list(found["ways"]) == ["pamrig", "pamrig-blocks", "pamrig-frames"]
+    assert [w["lost_s"] for w in found["ways"].values()] == [[0.0]] * 3
+    assert all(math.isfinite(s) for w in found["ways"].values() for s in w["missing_s"])
     text = "\n".join(recording.lines(found))
     assert "| pymeasure |  |  | not installed |" in text
 

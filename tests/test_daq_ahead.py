@@ -193,6 +193,30 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+def test_a_batch_is_safe_before_the_disk_has_come_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was lost while the writer's thread was held up."""
+    writer = RecordWriter(tmp_path, {}, RealClock(), durable=False)
+    writer.stream("valve", VALVE_COLUMNS)
+    assert writer.sync()
+    stuck, plain = threading.Event(), disk.write_all
+
+    def waiting(fd: int, data: bytes) -> None:
+        stuck.wait(20.0)
+        plain(fd, data)
+
+    monkeypatch.setattr(disk, "write_all", waiting)
+    writer.append("valve", valve_batch(0))
+    writer.append("valve", valve_batch(50, 7))
+    assert_rows(writer.folder, 57)
+    stuck.set()
+    assert writer.sync()
+    writer.abandon()
+    assert_rows(writer.folder, 57)
+    assert verify(open_run(writer.folder)) == []
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL")
 def test_kill_9_takes_no_row_that_was_handed_over(tmp_path: Path) -> None:
     here = Path(__file__).parent

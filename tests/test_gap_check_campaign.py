@@ -9,8 +9,17 @@ import pytest
 from typer.testing import CliRunner
 
 from blind.seal import opened
-from gap.check.campaign import RESULTS, SEALS, Plan, parse_numbers, read_results, run_campaign
+from gap.check.campaign import (
+    RESULTS,
+    SEALS,
+    Plan,
+    on_pool,
+    parse_numbers,
+    read_results,
+    run_campaign,
+)
 from gap.check.errors import CheckError
+from gap.check.examine import Task
 from gap.check.ledger import enter, next_free, used_before
 from gap.check.page import write_page
 
@@ -69,9 +78,17 @@ def test_a_diagnosis_that_falls_over_is_a_result_too(tmp_path: Path) -> None:
     assert entry["score"]["crashed"]
 
 
-def test_a_pool_gives_what_one_process_gives(tmp_path: Path) -> None:
+def test_a_pool_gives_what_one_process_gives_and_compiles_before_it_spreads(
+    tmp_path: Path,
+) -> None:
+    """Two that warmed numba's cache at once have ended in a segmentation fault."""
     alone = run_campaign(plan(tmp_path / "a"))
-    pooled = run_campaign(plan(tmp_path / "b", jobs=2))
+    engine, seals = "gap_check_stub:quiet", tmp_path / "seals"
+    tasks = [Task("smoke", n, True, str(seals), engine, False) for n in NOMINAL]
+    outcomes = on_pool(2, tasks)
+    pooled = [next(outcomes)]
+    assert len(seals.read_text().splitlines()) == 1
+    pooled += outcomes
 
     def scores(entries):
         rows = [{k: v for k, v in e["score"].items() if k != "seconds"} for e in entries]

@@ -3,27 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from blind.bench import Trial as BlindTrial
-from blind.exchange import write
-from blind.recording import record
-from blind.sets import BlindSet, blind_set
+import advice_campaign
 from daq.run import open_run
 from gap.advise import ENOUGH, REFERENCES, advise, protocol_text
-from gap.dataset import Trial
 from gap.foresight import foreseen, products, separation
 from gap.inquiry import Inquiry, State
 from gap.library import Candidate, candidates
-from gap.naming import name_effects
 from gap.opening import open_data
-from gap.reader import read_dataset
 from gap.runtrials import run_trials
 from gap.verdict import Experiment
 from gap_sets import settled_set
@@ -167,97 +158,12 @@ def test_the_command_writes_the_file_or_names_the_standard(tmp_path: Path) -> No
 # ---------------------------------------------------------------------------- advice that holds
 
 
-def on_the_blind_bench(trial: Trial, at: int, mounting: int) -> BlindTrial:
-    """An advised trial as the blind bench runs it: its courses as prescribed, not its answers."""
-
-    def course(name: str) -> Any:
-        channel = trial.channels[name]
-        return channel.time_s, channel.value
-
-    seconds = float(max(c.time_s[-1] for c in trial.channels.values()))
-    valves = "inlet_cmd" in trial.channels
-    hung = bool(np.isfinite(trial.load_kg))
-    moves = "length_mm" in trial.channels and not hung
-    edges = [
-        (t, side, value)
-        for side, name in enumerate(("inlet_cmd", "outlet_cmd"))
-        if valves
-        for t, value in zip(*course(name), strict=True)
-        if t > 0.0
-    ]
-    fields: dict[str, Any] = {
-        "pressure_hz": 500.0 if valves else 20.0, "force_hz": 80.0 if valves else 10.0,
-        "camera_hz": 10.0 if hung or moves else 0.0,
-    }  # fmt: skip
-    if valves:
-        fields["edges"] = np.array(sorted(edges), dtype=float)
-    else:
-        t, p = course("pressure_kpa")
-        fields |= {"regulator": (t, np.maximum(p, 0.0)), "regulator_s": 0.05}
-    if hung:
-        fields["load_kg"] = trial.load_kg
-    elif moves:
-        fields["length"] = course("length_mm")
-    else:
-        fields["held_mm"] = trial.held_length_mm
-    return BlindTrial(
-        f"advised{at}", f"advised-{trial.slot}", trial.protocol, at, mounting, 1000 + at, seconds,
-        **fields,
-    )  # fmt: skip
-
-
-def with_advised(one: BlindSet, candidate: Candidate, repeats: int) -> BlindSet:
-    more = [
-        on_the_blind_bench(trial, k * len(candidate.trials) + j, 0)
-        for k in range(repeats)
-        for j, trial in enumerate(candidate.trials)
-    ]
-    design = replace(one.design, trials=(*one.design.trials, *more))
-    return replace(one, design=design)
-
-
 @pytest.mark.campaign
 def test_on_practice_sets_the_advised_experiment_separates_the_pair(tmp_path: Path) -> None:
     """Of pairs that hold the truth and are not told apart yet, at least nine in ten then are."""
-    told = []
-    for number in range(300, 380):
-        one = blind_set("practice", number, small=True)
-        if one.kind != "single" or any(t.settled_s is not None for t in one.design.trials):
-            continue
-        folder = tmp_path / f"{number}"
-        write(record(one), folder)
-        q = Inquiry(read_dataset(folder))
-        naming = name_effects(q)
-        pair = [naming.chosen, *naming.rivals[:1]]
-        truth = one.hidden[0].id
-        at = [k for k, choice in enumerate(pair) if choice.state.ids == (truth,)]
-        if len(pair) < 2 or not at:
-            continue
-        right, wrong = pair[at[0]].state, pair[1 - at[0]].state
-        now = separation(products(q, right, wrong), wrong)
-        if now > 2.0 * ENOUGH:
-            continue
-        advised = advise(q, right, [wrong])
-        if advised is None or advised.protocol == "reference" or "like_slot" in advised.settings:
-            continue
-        chosen = next(
-            c for c in candidates(q, right) if {**c.settings, "repeats": 0}
-            == {**advised.settings, "repeats": 0} and c.protocol == advised.protocol
-        )  # fmt: skip
-        again = tmp_path / f"{number}-more"
-        write(record(with_advised(one, chosen, int(advised.settings["repeats"]))), again)
-        more = Inquiry(read_dataset(again))
-        keys = [{s.key for s in state.suspects} for state in (right, wrong)]
-        fits = [
-            min(
-                (more.polish(more.fit_afresh([s], [s.step])) for s in more.suspects
-                 if s.key in own), key=lambda f: f.cost,
-            )
-            for own in keys
-        ]  # fmt: skip
-        gained = fits[1].cost - fits[0].cost
-        told.append((number, truth, wrong.ids, now, advised.separation_after, gained))
-        print(told[-1], flush=True)
-    assert len(told) >= 5
-    apart = sum(gained > 0.5 * ENOUGH**2 for *_, gained in told)
-    assert apart >= 0.9 * len(told), told
+    rows = [advice_campaign.one(number, tmp_path / f"{number}") for number in range(300, 380)]
+    tried = [row for row in rows if row is not None and row.get("achieved") is not None]
+    print("\n".join(advice_campaign.told(tried)))
+    assert len(tried) >= 5
+    apart = sum(row["achieved"] > 0.7 * ENOUGH for row in tried)
+    assert apart >= 0.9 * len(tried), tried

@@ -9,7 +9,11 @@ import pandas as pd
 import pytest
 
 from gap.errors import GapError
+from gap.inquiry import Inquiry
+from gap.naming import linear_gains
 from gap.reader import read_dataset
+from gap.suspects import SUSPECTS
+from gap_sets import settled_set
 
 TRIALS = (
     "trial,slot,replicate,protocol,mounting,order,held_length_mm\n"
@@ -92,3 +96,35 @@ def test_bad_data_is_refused_by_file_row_and_column(case: str, tmp_path: Path) -
 def test_bad_bench_names_the_key(tmp_path: Path) -> None:
     with pytest.raises(GapError, match="supply_psi"):
         read_dataset(folder(tmp_path, bench="supply_psi = 80\n"))
+
+
+# ---------------------------------------------------------------------------- calibrations
+
+
+@pytest.mark.parametrize(
+    ("table", "named"),
+    [
+        ("pressure_zero = 0.3", "calibration.toml: pressure_zero: unknown key"),
+        ('pressure_zero_kpa = "0.3"', "calibration.toml: pressure_zero_kpa"),
+        ("pressure_zero_kpa = -0.3", "calibration.toml: pressure_zero_kpa"),
+        ("force_zero_n = nan", "calibration.toml: force_zero_n"),
+    ],
+)
+def test_a_calibration_that_cannot_be_is_refused(table: str, named: str, tmp_path: Path) -> None:
+    (tmp_path / "calibration.toml").write_text(f"{table}\n")
+    with pytest.raises(GapError, match="calibration") as caught:
+        read_dataset(folder(tmp_path))
+    assert named in str(caught.value)
+
+
+def test_what_a_sensor_may_be_off_by_in_all_trials_is_no_effect(tmp_path: Path) -> None:
+    """Replicates share it, so only a stated calibration can tell it from a gap."""
+    gains = []
+    path = settled_set(tmp_path / "data", {"pressure_zero": {"offset_kpa": 1.0}})
+    for text in ("", "pressure_zero_kpa = 1.0\n"):
+        (path / "calibration.toml").write_text(text)
+        data = read_dataset(path)
+        q = Inquiry(data, [s for s in SUSPECTS if s.id == "pressure_zero"])
+        gains.append(float(linear_gains(q, q.base)[0].max()))
+        assert q.unnamed == q.mountings + len(data.calibration)
+    assert gains[1] < 0.2 * gains[0]

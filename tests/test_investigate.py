@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import rigs.investigate as loop
-import rigs.virtual.bench as virtual
 from daq.clock import VirtualClock
+from daq.errors import PamrigError
+from daq.run import open_run
+from gap.runtrials import run_trials
+from gap.verdict import Experiment, Verdict
 from rigs.config import RigConfig, load_rig
-from rigs.investigate import investigate, protocol_text
+from rigs.interrupt import StopFlag
+from rigs.investigate import investigate
 from rigs.protocols.registry import procedure
 from rigs.protocols.schedule import outline
+from rigs.rig import open_rig
+from rigs.session import run_protocol
+from rigs.survey import BEFORE_NAMING, REPEATS, Test, battery, protocol_text
 from rigs.virtual.bench import VirtualBench
-from rigs.virtual.withheld import WithheldBench, draw
+from withheld_campaign import MIMICKED, entropy_of, judged, read_journal, seeds_of, totals
 
 
 def rig_with(folder: Path, effects: str) -> RigConfig:
@@ -25,62 +32,185 @@ def rig_with(folder: Path, effects: str) -> RigConfig:
     return load_rig(str(path))
 
 
-@pytest.mark.parametrize("name", loop.BATTERY)
-def test_every_test_of_the_battery_is_one_that_the_rig_can_run(name: str, tmp_path: Path) -> None:
-    config = load_rig("virtual")
-    path = tmp_path / f"{name}.toml"
-    path.write_text(protocol_text(name, config, {}))
-    usual, _ = outline(procedure(name).read(str(path), config).steps())
-    path.write_text(protocol_text(name, config, {"repeats": 6, "no_such_setting": 1}))
-    more, _ = outline(procedure(name).read(str(path), config).steps())
-    assert usual > 20
-    assert more == 2 * usual
-    assert loop.REPEATS == 3
+# ---------------------------------------------------------------------------- what is run
 
 
-def test_an_effect_of_the_plant_is_named_in_the_first_round(
+@pytest.mark.parametrize("rig", ["virtual", "virtual-instruments", "virtual-thesis-loop"])
+def test_every_test_of_a_survey_is_one_that_the_rig_can_run(rig: str, tmp_path: Path) -> None:
+    config = load_rig(rig)
+    for test in battery(config):
+        path = tmp_path / "test.toml"
+        path.write_text(protocol_text(test, config))
+        plan = procedure(test.protocol).read(str(path), config)
+        points, seconds = outline(plan.steps(), config.stage.speed_mm_s or 10.0)
+        assert points >= 2 * REPEATS, test.what
+        assert 0.0 < seconds < 1500.0, test.what
+
+
+def test_a_rig_with_a_thermometer_is_also_warmed_and_one_with_a_regulator_tries_no_valve() -> None:
+    def names(rig: str) -> set[str]:
+        return {test.protocol for test in battery(load_rig(rig))}
+
+    assert "isothermal" in names("virtual-instruments")
+    assert "isothermal" not in names("virtual")
+    assert "step" in names("virtual")
+    assert "step" not in names("virtual-thesis")
+
+
+def verdict_with(experiment: Experiment | None) -> Verdict:
+    return Verdict(
+        "unknown", "", None, (), 0.0, 1.0, None, (), (), {}, experiment, {},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("protocol", "why", "expected"),
+    [
+        ("isotonic", "pressures up and down under two loads", "pressures under two loads"),
+        ("isometric", "a minute at each of two pressures: ...", "a minute at each"),
+        ("hysteresis", "cycles up and down at two lengths", "pressures at three lengths"),
+        ("reference", "", "pressures at three lengths"),
+    ],
+)
+def test_what_is_advised_is_run_next_and_otherwise_the_next_of_the_list(
+    protocol: str, why: str, expected: str
+) -> None:
+    left = battery(load_rig("virtual"))
+    experiment = Experiment(protocol, {}, 1.0, 4.0, 2, ("a", "b"), why)
+    test, told = loop._next(verdict_with(experiment), left)
+    assert test.what.startswith(expected)
+    assert told.startswith("advised") == (protocol != "reference")
+
+
+# ---------------------------------------------------------------------------- the loop
+
+
+def few(config: RigConfig) -> list[Test]:
+    del config
+    held = {"lengths_mm": [54.0, 60.0, 66.0], "pressures_kpa": [60, 150, 350, 550], "repeats": 3}
+    steps = {"schemes": ["two"], "pressures_kpa": [300, 100], "step_s": 0.6, "supply_kpa": 600,
+             "length_mm": 60.0, "repeats": 3}  # fmt: skip
+    return [Test("isometric", "short", held), Test("step", "short", steps)]
+
+
+def test_an_effect_of_the_plant_is_named_after_the_first_two_tests(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def few(name: str, config: RigConfig) -> dict[str, Any]:
-        del config
-        assert name == "isometric"
-        return {"lengths_mm": [54.0, 60.0, 66.0], "pressures_kpa": [60, 150, 350, 550],
-                "repeats": 3}  # fmt: skip
-
-    monkeypatch.setattr(loop, "_usual", few)
+    monkeypatch.setattr(loop, "battery", few)
     config = rig_with(tmp_path, "[effects.liner_threshold]\nthreshold_kpa = 80\n")
     told: list[str] = []
-    found = investigate(config, tmp_path / "runs", tell=told.append)
+    found = investigate(config, tmp_path / "runs", tell=told.append, derive=False)
     assert found.conclusion == "named"
-    assert found.rounds[0].effects[0] == "liner_threshold"
+    assert len(found.rounds) == BEFORE_NAMING
+    assert found.rounds[0].status == ""
+    assert found.rounds[-1].effects[0] == "liner_threshold"
     value = found.verdict.effects[0].parameters["threshold_kpa"].value
     assert float(value) == pytest.approx(80.0, rel=0.2)
     written = json.loads((tmp_path / "runs" / "investigation" / "investigation.json").read_text())
     assert written["conclusion"] == "named"
-    assert len(told) == 2
+    assert len(told) == 4
 
 
-@pytest.mark.campaign
-def test_withheld_benches_over_forty_seeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Right family in at least 85 %; the rest may only be what the generator calls alike."""
-    right = alike = 0
-    for seed in range(40):
-        secret = draw(load_rig("virtual"))
-        (hidden,) = secret.answer()["effects"]
+def test_a_second_investigation_has_a_folder_of_its_own(tmp_path: Path) -> None:
+    names = [loop._own_folder(tmp_path).name for _ in range(3)]
+    assert names == ["investigation", "investigation-2", "investigation-3"]
 
-        def make(
-            config: RigConfig, clock: VirtualClock | None = None, origin_ns: int = 0,
-            secret: Any = secret,
-        ) -> VirtualBench:  # fmt: skip
-            return WithheldBench(config, secret, clock, origin_ns)
 
-        monkeypatch.setattr(virtual, "VirtualBench", make)
-        found = investigate(load_rig("virtual", seed), tmp_path / str(seed))
-        families = [effect.family for effect in found.verdict.effects]
-        mimicked = float(secret.measured.get("mimic_index", 0.0)) >= 0.9  # type: ignore[arg-type]
-        named = found.conclusion == "named" and families[:1] == [hidden["family"]]
-        right += named
-        alike += not named and mimicked and hidden["family"] in families
-        print(seed, hidden["id"], found.conclusion, families)
-    assert right >= 34, (right, alike)
-    assert right + alike == 40
+def test_nothing_is_begun_where_it_is_to_stop_or_has_no_time(tmp_path: Path) -> None:
+    stop = StopFlag()
+    stop.set("Ctrl-C")
+    with pytest.raises(PamrigError, match="no test was run to its end"):
+        investigate(load_rig("virtual"), tmp_path, stop=stop)
+    with pytest.raises(PamrigError, match="--budget"):
+        investigate(load_rig("virtual"), tmp_path, budget_min=0.0)
+
+
+def test_a_bench_goes_on_from_one_test_to_the_next(tmp_path: Path) -> None:
+    config = rig_with(tmp_path, "[effects.wear]\npercent_per_100_trials = -20\n")
+    bench = VirtualBench(config, VirtualClock())
+    times = []
+    for _ in range(2):
+        with open_rig(config, bench=bench) as rig:
+            assert rig.bench is bench
+            rig.pump.for_seconds(0.2)
+            assert rig.valve.seq_end > 0
+            assert rig.balance.rows > 0
+            times.append(bench.time_s)
+    assert times[1] > times[0] > 0.2
+
+
+# ---------------------------------------------------------------------------- sweeps
+
+
+SWEPT = (
+    'protocol = "isobaric"\npressures_kpa = [200]\nlengths_mm = [58.0, 62.0]\nrepeats = 1\n'
+    "slack_length_mm = 54.0\n[precondition]\ncycles = 0\n[settle]\ntimeout_s = 2.0\n"
+    "[sweeps]\nfrom_mm = 58.0\nto_mm = 62.0\nspeeds_mm_s = [{speeds}]\n"
+)
+
+
+def test_a_sweep_is_a_trial_of_its_own_seen_by_the_camera_all_the_way(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "swept.toml"
+    path.write_text(SWEPT.format(speeds="4.0"))
+    config = load_rig("virtual")
+    kind = procedure("isobaric")
+    result = run_protocol(
+        kind, config, kind.read(str(path), config), tmp_path / "runs", derive=False
+    )
+    assert result.outcome == "clean"
+    stepped, swept = run_trials(open_run(result.folder))
+    assert swept.row["slot"] == f"{stepped.row['slot']} swept"
+    seen = swept.samples[["time_s", "length_mm"]].dropna()
+    assert len(seen) > 25
+    middle = seen[(seen.length_mm > 58.3) & (seen.length_mm < 61.7)]
+    rate = abs(middle.length_mm.diff() / middle.time_s.diff())
+    assert rate.median() == pytest.approx(4.0, rel=0.05)
+
+
+def test_sweeps_beyond_the_stage_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "swept.toml"
+    config = load_rig("virtual")
+    path.write_text(SWEPT.format(speeds="40.0"))
+    with pytest.raises(PamrigError, match=r"swept.toml.*speeds_mm_s"):
+        procedure("isobaric").read(str(path), config)
+    path.write_text(SWEPT.format(speeds="4.0"))
+    by_hand = dataclasses.replace(config, stage=dataclasses.replace(config.stage, kind="manual"))
+    with pytest.raises(PamrigError, match="moved by hand"):
+        procedure("isobaric").read(str(path), by_hand)
+
+
+# ---------------------------------------------------------------------------- the campaign
+
+
+def row(hidden: str, conclusion: str, families: list[str], mimic: float = 0.0) -> dict[str, object]:
+    measured = {"mimic_index": mimic}
+    one = {
+        "answer": {"effects": [{"id": hidden, "family": hidden}], "measured": measured},
+        "set": [{"ids": [f], "family": f} for f in families], "conclusion": conclusion,
+    }  # fmt: skip
+    return one | judged(one)
+
+
+def test_the_campaign_judges_right_alike_and_wrong() -> None:
+    rows = [
+        row("friction", "named", ["friction"]),
+        row("friction", "named", ["friction+rate"]),
+        row("friction", "needs reference", ["rate", "friction"], MIMICKED),
+        row("friction", "needs reference", ["rate", "friction"]),
+        row("friction", "needs reference", ["rate"], MIMICKED),
+        row("friction", "open", []),
+    ]
+    assert [r["right"] for r in rows] == [True, False, False, False, False, False]
+    assert [r["wrong"] for r in rows] == [False, True, False, False, False, False]
+    assert [r["confirmed"] for r in rows] == [False, False, True, False, False, False]
+    assert totals(rows)["right family named"].of == 6
+
+
+def test_the_campaign_goes_on_after_a_line_that_was_cut_short(tmp_path: Path) -> None:
+    journal = tmp_path / "journal.jsonl"
+    journal.write_text('{"seed": 3}\n{"seed": 4}\n{"se')
+    assert sorted(read_journal(journal)) == [3, 4]
+    assert seeds_of("0-2,7") == [0, 1, 2, 7]
+    assert len({entropy_of(seed) for seed in range(50)}) == 50

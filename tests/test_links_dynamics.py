@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio
 import pytest
@@ -11,6 +13,7 @@ from plant.links import Arm, LinkError, load_arm
 from plant.links import dynamics as dyn
 from plant.links.inertia import Array
 from plant.links.newton_euler import newton_euler
+from plant.links.onestate import OneState
 
 ARMS = {
     "planar2": load_arm("planar2"),
@@ -152,6 +155,24 @@ def test_a_batch_is_its_rows_and_one_state_needs_no_batch() -> None:
     assert dyn.inertia_matrix(arm, q[0]).shape == (4, 4)
     assert dyn.total_energy(arm, q[0], qd[0]).shape == ()
     assert dyn.coriolis_matrix(arm, q[0], qd[0]).shape == (4, 4)
+
+
+@each_arm
+def test_one_state_a_call_gives_what_the_batch_gives(arm: Arm) -> None:
+    q, qd, qdd = states(arm, 20)
+    one = OneState(arm)
+    for number, expected in enumerate(dyn.inverse_dynamics(arm, q, qd, qdd)):
+        got = one.inverse_dynamics(q[number], qd[number], qdd[number])
+        assert got is one.torque
+        np.testing.assert_array_equal(got, expected)
+
+
+@pytest.mark.parametrize("q", [np.zeros(4), np.zeros(2), np.zeros(6)[::2], np.zeros(3, np.float32),
+                               np.zeros((1, 3)), [0.0, 0.0, 0.0], None])  # fmt: skip
+def test_what_is_no_state_is_refused_and_not_read_beyond_its_end(q: Any) -> None:
+    zero = np.zeros(3)
+    with pytest.raises(LinkError, match=r"expected contiguous float64 arrays \(3,\)"):
+        OneState(ARMS["planar3"]).inverse_dynamics(q, zero, zero)
 
 
 def test_a_payload_is_a_point_mass_at_the_tip() -> None:

@@ -302,6 +302,11 @@ def test_a_model_file_reads_back_to_an_equal_model(name: str, tmp_path) -> None:
         ("low = 60.0", "low = 99.0", "outside low = 99"),
         ('law = "chou-hannaford"', 'law = "chou"', "known: chou-hannaford"),
         ("pressure_kpa = [0.0, 600.0]", "pressure_kpa = 3", "expected \\[lowest, highest\\]"),
+        # Found by fuzzing: each ended in a traceback.
+        ("sd = ", 'sd = "wide" # ', "sd = 'wide'; expected a number"),
+        ("pressure_kpa = [0.0, 600.0]", 'pressure_kpa = [0.0, "b"]', "'b'; expected a number"),
+        ('law = "chou-hannaford"', "law = [1]", "known: chou-hannaford"),
+        ("[domain]", "[[domain]]", "expected a table"),
     ],
 )
 def test_a_bad_model_file_is_refused_with_its_key(old, new, said, tmp_path) -> None:

@@ -11,11 +11,13 @@ import json
 import os
 import re
 import resource
+import socket
 import sqlite3
 import struct
 import subprocess
 import sys
 import time
+import tracemalloc
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -49,6 +51,7 @@ from plant.links.reader import load_arm
 from plant.models.catalogue import load as load_model
 from rigs.camera_calibration import load_camera_calibration
 from rigs.config import load_rig
+from rigs.frames import open_frames
 from rigs.importer import import_points
 from rigs.products import derive_all
 from rigs.segments import reduce_run
@@ -132,6 +135,24 @@ def test_a_record_names_no_file_outside_itself(run: Run, tmp_path: Path, name: s
         strange.frame_bytes(0)
 
 
+def test_a_small_file_is_read_into_little_memory(run: Run) -> None:
+    """Two gigabytes were set aside for each segment, however small: what a reader may take."""
+    other = tamper(run, "frames.jsonl", lambda f: f.update(length=2**31) if "length" in f else None)
+    picture = run.folder / "strange.png"
+    picture.write_bytes(b"no picture")
+    tracemalloc.start()
+    try:
+        verify(other)
+        assert len(run.samples("valve")["seq"]) == 150
+        with pytest.raises(RecordError, match="CRC"):
+            other.frame_bytes(0)
+        with pytest.raises(PamrigError):
+            list(open_frames(picture))
+        assert tracemalloc.get_traced_memory()[1] < 5e7
+    finally:
+        tracemalloc.stop()
+
+
 @pytest.mark.parametrize("name", ["events.jsonl", "final.json", INDEX, "derived/manifest.json"])
 @pytest.mark.parametrize("kind", ["device", "pipe", "sparse"])
 def test_a_file_without_end_is_not_read(run: Run, name: str, kind: str) -> None:
@@ -169,6 +190,14 @@ def test_rows_that_its_bytes_cannot_hold_are_not_set_aside(run: Run) -> None:
     assert any("claims" in p.what for p in verify(strange))
     tamper(run, "final.json", lambda fields: fields["rows"].update(valve=10**18))
     assert len(again(run).samples("valve")["seq"]) == 100
+
+
+@pytest.mark.parametrize("member", ["first_row", "rows"])
+def test_a_chunk_of_rows_that_does_not_say_which_is_not_read(run: Run, member: str) -> None:
+    """Found by fuzzing: `runs verify` ended in a KeyError."""
+    strange = tamper(run, INDEX, lambda f: f.pop(member, None) if f.get("first_row") else None)
+    assert any("claims" in p.what for p in verify(strange))
+    assert again(run).samples("valve")["seq"].tolist() == list(range(50))
 
 
 def test_a_chunk_counts_once(run: Run) -> None:
@@ -339,6 +368,16 @@ def test_a_toml_file_of_a_stranger_is_refused_in_words(
 
 
 @pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("name", ["x" * 300, "x" * 5000, "a\0b"], ids=["long", "endless", "zero"])
+def test_a_name_that_no_file_can_have_is_refused_in_words(reader: str, name: str) -> None:
+    """Found by fuzzing, in a rig file's `form`: it ended in an OSError."""
+    read, error = READERS[reader]
+    with pytest.raises(error) as caught:
+        read(Path(name))
+    assert isinstance(caught.value, PamrigError | PlantError)
+
+
+@pytest.mark.parametrize("reader", READERS)
 def test_a_pipe_is_no_toml_file(tmp_path: Path, reader: str) -> None:
     """It was waited for without end."""
     read, error = READERS[reader]
@@ -473,14 +512,39 @@ def test_a_report_shows_names_and_does_not_run_them(tmp_path: Path) -> None:
     assert "<img src=x" not in html
 
 
-def test_everything_listens_on_loopback(tmp_path: Path) -> None:
+def port_of(address: str) -> int:
+    return int(address.rpartition(":")[2])
+
+
+STRANGE = (
+    b'{"axis": 1}\n',
+    b"[]\n",
+    b"7\n",
+    b"[" * 50_000 + b"\n",
+    b'{"value": []}\n',
+    b"\xff\n",
+    b'{"axis": "mass", "value": 1e999, "unit": null, "text": 3}\n',
+    b" " * 100_000,
+)
+
+
+def test_everything_listens_on_loopback_and_bears_what_comes(tmp_path: Path) -> None:
+    """A request without its members ended the bench of `pamrig virtual`."""
+
     def listening() -> set[tuple[str, int]]:
         found = psutil.Process().net_connections()
         return {(c.laddr.ip, c.laddr.port) for c in found if c.status == psutil.CONN_LISTEN}
 
     before = listening()
-    with open_server(load_rig("virtual-instruments"), tmp_path / "bench", True, None):
+    with open_server(load_rig("virtual-instruments"), tmp_path / "bench", True, None) as server:
         mine = listening() - before
+        for request in STRANGE:
+            address = ("127.0.0.1", port_of(server.person.address))
+            with socket.create_connection(address) as client:
+                client.sendall(request)
+                for _ in range(50):
+                    server.person.step()
+            assert len(server.person._buffer) < 20_000
     assert len(mine) >= 8
     assert {address for address, _ in mine} == {"127.0.0.1"}
 

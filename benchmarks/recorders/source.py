@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import mmap
 import os
+import struct
 import sys
 import threading
 import time
@@ -21,11 +23,11 @@ TABLE = np.random.default_rng(8).normal(0.0, 100.0, (1000, len(CHANNELS)))
 LISTS = TABLE.tolist()
 
 
-def blocks(job: dict[str, Any]) -> Iterator[tuple[int, np.ndarray]]:
-    """(number of the first row, (50, 8) float64): flat out, or as 1 kHz brings them."""
-    for first in _times(job, BLOCK):
+def blocks(job: dict[str, Any], rows: int = BLOCK) -> Iterator[tuple[int, np.ndarray]]:
+    """(number of the first row, (rows, 8) float64): flat out, or as 1 kHz brings them."""
+    for first in _times(job, rows):
         at = first % len(TABLE)
-        yield first, TABLE[at : at + BLOCK]
+        yield first, TABLE[at : at + rows]
 
 
 def rows(job: dict[str, Any]) -> Iterator[tuple[int, list[float]]]:
@@ -42,6 +44,10 @@ def _times(job: dict[str, Any], step: int) -> Iterator[int]:
             yield number
             number += step
         return
+    with open(Path(job["folder"]) / "given", "w+b") as file:
+        file.write(bytes(8))
+        file.flush()
+        given = mmap.mmap(file.fileno(), 8)  # outlives the process
     begin_ns = time.monotonic_ns()
     partial = Path(job["folder"]) / "started.partial"
     partial.write_text(str(begin_ns))
@@ -51,6 +57,7 @@ def _times(job: dict[str, Any], step: int) -> Iterator[int]:
         while (left := due - time.monotonic()) > 0:
             time.sleep(left)
         yield number
+        struct.pack_into("<q", given, 0, number + step)  # the tool has asked for more
 
 
 @contextlib.contextmanager
@@ -107,6 +114,15 @@ def serve(
         job = json.loads(line)
         if job["mode"] == "read":
             answer: dict[str, Any] = read(job)
+        elif job["mode"] == "fork":  # to be killed: in a process of its own, imports done
+            pid = os.fork()
+            if not pid:
+                record({**job, "mode": "paced"})
+                os._exit(0)
+            answer = {"pid": pid}
+        elif job["mode"] == "reap":
+            os.waitpid(job["pid"], 0)
+            answer = {}
         else:
             wall, cpu = time.perf_counter(), time.process_time()
             count = record(job)

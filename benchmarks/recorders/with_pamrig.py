@@ -1,4 +1,4 @@
-"""pamrig's record: rows to the system as they come, a batch each 50, fsync each second."""
+"""pamrig's record: row by row or in blocks, fsync each second."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ import numpy as np
 import pyarrow  # noqa: F401  a run imports it before it begins
 from source import BLOCK, CHANNELS, TABLE, blocks, checked, rows, serve
 
+from daq.ahead import SLOTS
 from daq.clock import RealClock
 from daq.record import RecordWriter
+from daq.rows import RowWriter
 from daq.run import open_run
 
 COLUMNS = {"row": "int64", **dict.fromkeys(CHANNELS, "float64")}
-BACKLOG = 500  # batches: the queue refuses more than 64 MB, so a flat-out feed must wait for it
+BATCHES = SLOTS - 1
+BACKLOG = 50  # batches, some 10 ms of a flat-out feed
 
 
 def columns(first: int, block: np.ndarray) -> dict[str, np.ndarray]:
@@ -30,25 +33,36 @@ def columns(first: int, block: np.ndarray) -> dict[str, np.ndarray]:
 
 def record(job: dict[str, Any]) -> int:
     writer = RecordWriter(job["folder"], {"protocol": "bench"}, RealClock())
-    writer.stream("bench", COLUMNS)
-    count = 0
-    if job["mode"] == "flat":
-        for first, block in blocks(job):
-            writer.append("bench", columns(first, block))
-            count = first + BLOCK
-            if count % (BACKLOG * BLOCK) == 0:
-                writer.sync()
-    else:
-        frame = job["frame"]
-        for number, _ in rows(job):
-            count = number + 1
-            if count % frame == 0:
-                at = (count - frame) % len(TABLE)
-                writer.ahead("bench", columns(count - frame, TABLE[at : at + frame]))
-            if count % BLOCK == 0:
-                at = (count - BLOCK) % len(TABLE)
-                writer.append("bench", columns(count - BLOCK, TABLE[at : at + BLOCK]))
+    count = (by_row if job["rows"] == 1 else by_block)(writer, job)
     writer.finalize("clean")
+    return count
+
+
+def by_row(writer: RecordWriter, job: dict[str, Any]) -> int:
+    """Each is with the system when `add` returns, as long as so many batches are not behind."""
+    stream = RowWriter(writer, RealClock(), "bench", COLUMNS)
+    behind = BATCHES * BLOCK if job["mode"] == "flat" else 1 << 60
+    for number, values in rows(job):
+        stream.add((number, *values))
+        if not stream.rows % behind:
+            writer.sync()
+    stream.flush()
+    return stream.rows
+
+
+def by_block(writer: RecordWriter, job: dict[str, Any]) -> int:
+    """Blocks as batches; of fewer rows than a batch (frames of the controller) ahead of it."""
+    writer.stream("bench", COLUMNS)
+    count, size = 0, job["rows"]
+    for first, block in blocks(job, size):
+        count = first + size
+        if size < BLOCK:
+            writer.ahead("bench", columns(first, block))
+        if not count % BLOCK:
+            at = (count - BLOCK) % len(TABLE)
+            writer.append("bench", columns(count - BLOCK, TABLE[at : at + BLOCK]))
+        if job["mode"] == "flat" and not count % (BACKLOG * BLOCK):
+            writer.sync()
     return count
 
 

@@ -8,10 +8,11 @@ import multiprocessing
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from gap.check.errors import CheckError
 from gap.check.examine import Task, examine
 
 ENGINE = "gap.check.engine:verdict_of_folder"
+MOST_DIGITS = 6
 RESULTS, SEALS = "results.jsonl", "seals.jsonl"
 
 
@@ -42,8 +44,10 @@ def parse_numbers(text: str) -> tuple[int, ...]:
     found: set[int] = set()
     for part in text.split(","):
         first, _, last = part.strip().partition("-")
-        if not first.isdigit() or not (last or first).isdigit():
+        if not first.isdecimal() or not (last or first).isdecimal():
             raise CheckError("--sets", f"expected numbers like 0-59 or 3,5,8, got {text!r}")
+        if max(len(first), len(last)) > MOST_DIGITS:
+            raise CheckError("--sets", f"{part.strip()!r} is beyond any stream")
         found |= set(range(int(first), int(last or first) + 1))
     if not found:
         raise CheckError("--sets", f"no set in {text!r}")
@@ -88,7 +92,12 @@ def run_campaign(plan: Plan) -> list[dict[str, Any]]:
 
     Each finished set is on disk before the next is waited for: stop at any moment.
     """
-    plan.out.mkdir(parents=True, exist_ok=True)
+    if plan.jobs < 0:
+        raise CheckError("--jobs", f"expected 0 or more, got {plan.jobs}")
+    try:
+        plan.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CheckError(str(plan.out), f"cannot be made: {error.strerror}") from None
     results = plan.out / RESULTS
     done = {(r["stream"], r["number"]) for r in read_results(results)}
     left = [i for i in plan.numbers if (plan.stream, i) not in done]
@@ -130,14 +139,21 @@ def outcomes(plan: Plan, tasks: Sequence[Task]) -> Iterator[dict[str, Any]]:
 
 
 def on_pool(jobs: int, tasks: Sequence[Task]) -> Iterator[dict[str, Any]]:
-    """On processes of this machine; what has not begun is dropped when stopped."""
+    """On processes of this machine; what has not begun is dropped when stopped.
+
+    The first task is run alone, so that what it compiles is there for the others: numba enters
+    machine code in its index before the file is written, and a process that comes in between is
+    handed whatever an older version of the source left under that name, which may end it.
+    """
     with (
         single_threaded(),
         ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool,
     ):
         waiting: set[Future[dict[str, Any]]] = set()
-        todo: Iterable[Task] = iter(tasks)
+        todo = iter(tasks)
         try:
+            for task in islice(todo, 1):
+                yield pool.submit(examine, task).result()
             for task in todo:
                 waiting.add(pool.submit(examine, task))
                 if len(waiting) >= 2 * jobs:

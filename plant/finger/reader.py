@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import tomllib
 from collections.abc import Mapping
 from importlib import resources
@@ -58,7 +59,7 @@ def _names(folder: str) -> list[str]:
 
 def _table(source: str, folder: str, what: str) -> tuple[dict[str, Any], str]:
     path = Path(source)
-    if path.suffix != ".toml" and not path.exists():
+    if path.suffix != ".toml" and not os.path.exists(path):
         known = _names(folder)
         if source not in known:
             near = difflib.get_close_matches(source, known, n=1)

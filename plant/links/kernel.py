@@ -23,6 +23,7 @@ Array = npt.NDArray[np.float64]
 
 CA, SA, A, D, OFFSET, MASS, COM, INERTIA, DAMPING = 0, 1, 2, 3, 4, 5, 6, 9, 15
 """Columns of an arm's table."""
+COLUMNS = 16
 WORK = 8
 """Columns of the work space, a row a link: cosine, sine, force F (3), moment N (3)."""
 
@@ -272,6 +273,23 @@ def inverse_batch(
     work = np.zeros((table.shape[0], WORK))
     for b in range(q.shape[0]):
         inverse(table, gravity, q[b], qd[b], qdd[b], work, out[b])
+
+
+@entry_point("boolean(float64[::1],float64[::1],float64[::1],float64[::1])")
+def inverse_one(pad: Array, q: Array, qd: Array, qdd: Array) -> bool:
+    """Torques of one state, at the end of `pad`; False where a size does not fit.
+
+    `pad` holds gravity (3), the table, work space and torques, one after the other: every array
+    that is handed over costs a tenth of a microsecond, as much as half an arm.
+    """
+    n = (pad.shape[0] - 3) // (COLUMNS + WORK + 1)
+    if q.shape[0] != n or qd.shape[0] != n or qdd.shape[0] != n:
+        return False
+    end = 3 + COLUMNS * n
+    table = pad[3:end].reshape((n, COLUMNS))
+    work = pad[end : end + WORK * n].reshape((n, WORK))
+    inverse(table, pad[:3], q, qd, qdd, work, pad[end + WORK * n :])
+    return True
 
 
 @entry_point(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import tomllib
 from collections.abc import Mapping
 from importlib import resources
@@ -46,7 +47,7 @@ def load_arm(source: str | Path | Mapping[str, Any]) -> Arm:
     if isinstance(source, Mapping):
         return _arm(source, "arm table")
     path = Path(source)
-    if path.suffix != ".toml" and not path.exists():
+    if path.suffix != ".toml" and not os.path.exists(path):
         return _shipped(str(source))
     try:
         text = tomlfile.read_text(path)

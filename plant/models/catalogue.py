@@ -121,7 +121,7 @@ def _parse(text: str, origin: str) -> dict[str, Any]:
 
 def _model(table: Mapping[str, Any], origin: str) -> Model:
     law_name = table.get("law")
-    if law_name not in LAWS:
+    if not isinstance(law_name, str) or law_name not in LAWS:
         raise PlantError(f"{origin}: law = {law_name!r}; known: {', '.join(LAWS)}")
     if table.get("version") != VERSION:
         raise PlantError(
@@ -129,7 +129,7 @@ def _model(table: Mapping[str, Any], origin: str) -> Model:
             "fit the model anew"
         )
     law = LAWS[law_name]
-    given = table.get("parameters", {})
+    given = _within(table, "parameters", origin)
     if set(given) != set(law.parameters):
         missing = [n for n in law.parameters if n not in given]
         extra = [n for n in given if n not in law.parameters]
@@ -138,7 +138,7 @@ def _model(table: Mapping[str, Any], origin: str) -> Model:
             f"{'; missing ' + ', '.join(missing) if missing else ''}"
             f"{'; unknown ' + ', '.join(extra) if extra else ''}"
         )
-    domain = table.get("domain", {})
+    domain = _within(table, "domain", origin)
     pressure, length, temperature = (
         _range(domain, axis, origin) for axis in ("pressure_kpa", "length_mm", "temperature_c")
     )
@@ -146,24 +146,22 @@ def _model(table: Mapping[str, Any], origin: str) -> Model:
         name=str(table.get("name", law_name)),
         title=str(table.get("title", "")),
         law=law,
-        parameters=tuple(_parameter(n, given[n], origin) for n in law.parameters),
+        parameters=tuple(
+            _parameter(n, _within(given, n, f"{origin} [parameters]"), origin)
+            for n in law.parameters
+        ),
         domain=Domain(pressure, length, temperature),
-        equations=tuple(str(e) for e in table.get("equations", [])),
+        equations=_texts(table, "equations", origin),
         source=str(table.get("source", "")),
         data=str(table.get("data", "")),
         data_sha256=str(table.get("data_sha256", "")),
-        notes=tuple(str(n) for n in table.get("notes", [])),
+        notes=_texts(table, "notes", origin),
     )
 
 
 def _parameter(name: str, table: Mapping[str, Any], origin: str) -> Parameter:
     where = f"{origin} [parameters.{name}]"
-    numbers = []
-    for key in _NUMBERS:
-        value = table.get(key)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or math.isnan(value):
-            raise PlantError(f"{where}: {key} = {value!r}; expected a number")
-        numbers.append(float(value))
+    numbers = [_real(table.get(key), key, where) for key in _NUMBERS]
     value, low, high = numbers
     if not low <= value <= high:
         raise PlantError(f"{where}: value = {value:g} is outside low = {low:g} to high = {high:g}")
@@ -172,12 +170,34 @@ def _parameter(name: str, table: Mapping[str, Any], origin: str) -> Parameter:
     sd = table.get("sd")
     return Parameter(
         name, unit, value, low, high, str(table.get("meaning", "")),
-        bool(table.get("fixed", False)), None if sd is None else float(sd),
+        bool(table.get("fixed", False)), None if sd is None else _real(sd, "sd", where),
     )  # fmt: skip
 
 
 def _range(table: Mapping[str, Any], key: str, origin: str) -> tuple[float, float]:
     pair = table.get(key)
-    if not isinstance(pair, list) or len(pair) != 2 or not pair[0] <= pair[1]:
-        raise PlantError(f"{origin} [domain]: {key} = {pair!r}; expected [lowest, highest]")
-    return float(pair[0]), float(pair[1])
+    if isinstance(pair, list) and len(pair) == 2:
+        low, high = (_real(value, key, f"{origin} [domain]") for value in pair)
+        if low <= high:
+            return low, high
+    raise PlantError(f"{origin} [domain]: {key} = {pair!r}; expected [lowest, highest]")
+
+
+def _real(value: object, key: str, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or math.isnan(value):
+        raise PlantError(f"{where}: {key} = {value!r}; expected a number")
+    return float(value)
+
+
+def _within(table: Mapping[str, Any], key: str, origin: str) -> Mapping[str, Any]:
+    found = table.get(key, {})
+    if not isinstance(found, Mapping):
+        raise PlantError(f"{origin}: {key} = {found!r}; expected a table")
+    return found
+
+
+def _texts(table: Mapping[str, Any], key: str, origin: str) -> tuple[str, ...]:
+    found = table.get(key, [])
+    if not isinstance(found, list):
+        raise PlantError(f"{origin}: {key} = {found!r}; expected a list of texts")
+    return tuple(str(text) for text in found)

@@ -11,9 +11,10 @@ from rigs.config import RigConfig
 from rigs.findings_isobaric import isobaric_findings
 from rigs.protocols.method import Method, read_method
 from rigs.protocols.procedure import Procedure
-from rigs.protocols.trials import Logbook
+from rigs.protocols.trials import VENTED_KPA, Logbook
 from rigs.reduction import reduce_points
 from rigs.steps import State, Steps
+from rigs.sweep import Sweeps, read_sweeps
 from rigs.toml_reader import load_toml
 
 
@@ -26,6 +27,7 @@ class Isobaric:
     lengths_mm: tuple[float, ...]
     slack_length_mm: float
     method: Method
+    sweeps: Sweeps | None = None
     source: str = ""
 
     @property
@@ -40,15 +42,19 @@ class Isobaric:
             "pressures_kpa": list(self.pressures_kpa),
             "lengths_mm": list(self.lengths_mm),
             "method": self.method.as_dict(),
+            "sweeps": None if self.sweeps is None else self.sweeps.as_dict(),
         }
 
     def steps(self) -> Steps:
         """The method: for each pressure tare, hold it, and go through the lengths and back."""
+        sweeps = self.sweeps.steps() if self.sweeps is not None else []
         book = Logbook(self.method, "isobaric", self.slack_length_mm)
         yield from book.opening(sum(self.lengths_mm) / len(self.lengths_mm))
         for place, pressure in self.method.trials(list(self.pressures_kpa)):
             yield from book.remount(place)
             yield from book.isobaric(place, pressure, book.path(self.lengths_mm))
+            if sweeps and pressure >= VENTED_KPA:
+                yield from book.swept(place, pressure, sweeps)
         yield State("done")
 
 
@@ -67,6 +73,7 @@ def read(name: str, config: RigConfig) -> Isobaric:
         lengths_mm=t.numbers("lengths_mm", low, high, unit="mm"),
         slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
         method=read_method(t, config, drift_n=0.05),
+        sweeps=read_sweeps(t, config),
         source=t.source,
     )
     t.finish()

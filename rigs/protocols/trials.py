@@ -28,6 +28,7 @@ from rigs.steps import (
     Vent,
     Zero,
 )
+from rigs.sweep import Sweep
 
 BREATH_KPA = 20.0
 BREATH_S = 0.5
@@ -118,6 +119,22 @@ class Logbook:
             if pressure_kpa < VENTED_KPA:
                 yield from self._breath()
             yield from self._point(place, name, direction, pressure_kpa, length_mm=length)
+        yield Vent()
+        yield from self._end()
+
+    def swept(self, place: Place, pressure_kpa: float, sweeps: Sequence[Sweep]) -> Steps:
+        """A pressure held while the stage goes there and back at some speeds, watched all the way.
+
+        A trial of its own: its pictures come evenly, those of settled points do not.
+        """
+        name = f"P{pressure_kpa:g} swept"
+        yield from self._begin(place, name, "isobaric", (("held_pressure_kpa", pressure_kpa),))
+        yield from self._tared()
+        yield SetLength(sweeps[0].from_mm)
+        yield Zero(self.trial, "before", self.method.zero_s)
+        yield SetPressure(pressure_kpa)
+        yield Settle(self.method.settle, pressure_kpa)
+        yield from sweeps
         yield Vent()
         yield from self._end()
 

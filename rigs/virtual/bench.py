@@ -143,6 +143,21 @@ class VirtualBench:
         self.send[name] = send
         return self.links[name]
 
+    def plug_in(self) -> VirtualClock:
+        """Connect every device anew, as a host does that comes back for another test.
+
+        Returns:
+            The clock that the bench hangs on.
+
+        Raises:
+            PortError: the bench hangs on no virtual clock.
+        """
+        if self.clock is None:
+            raise PortError("bench", "runs in real time, behind ports of its own")
+        for name in self.devices:
+            self._plug_in(name, self.clock)
+        return self.clock
+
     def unplug(self, name: str) -> None:
         """Pull a device's cable; :meth:`reopen` fails until :meth:`replug`."""
         end = self._device_ends.pop(name)

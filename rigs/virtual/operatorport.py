@@ -11,6 +11,8 @@ from rigs.operator_port import decode
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.byteports import LOOPBACK
 
+LONGEST = 4096
+"""Bytes of a request; a client that sends more without an end is hung up on."""
 HAND_S = 0.3
 """How long the person of a bench in real time takes: nobody likes to wait for one."""
 
@@ -32,6 +34,8 @@ class OperatorPort:
         with contextlib.suppress(BlockingIOError, OSError):
             client, _ = self._server.accept()
             client.setblocking(False)
+            if self._client is not None:
+                self._client.close()
             self._client, self._buffer = client, b""
         if self._client is None:
             return
@@ -39,6 +43,8 @@ class OperatorPort:
             with contextlib.suppress(BlockingIOError):
                 self._buffer += self._client.recv(4096)
             line, found, rest = self._buffer.partition(b"\n")
+            if len(line) > LONGEST:
+                raise ValueError("no request is that long")
             if found:
                 self._buffer = rest
                 self._person.begin(decode(line))
@@ -46,6 +52,7 @@ class OperatorPort:
             if answer is not None:
                 self._client.send(json.dumps({"answer": answer}).encode() + b"\n")
         except (OSError, ValueError):
+            self._client.close()
             self._client = None
 
     def close(self) -> None:

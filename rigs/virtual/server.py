@@ -58,7 +58,7 @@ class CameraPort:
                 self._talk(file)
 
     def _talk(self, file: Any) -> None:
-        for request in file:
+        while request := file.readline(100):
             if request.strip() == b"I":
                 file.write(f"ID {self._serial}\n".encode())
             elif request.strip() == b"T":

@@ -1,26 +1,29 @@
-"""A mutation loop that keeps what reaches new lines; no library, no network, seeded.
+"""A mutation loop that keeps every input that takes a new branch; seeded, no library, no network.
 
-Every input is made from one of the corpus by a few mutations. Each fiftieth is run under a tracer
-that sees which lines of the target's modules it reaches; one that reaches a new line joins the
-corpus. (Tracing every input would be fifty times slower, which finds less in the same time.)
+Each input is one of the corpus after a few mutations. What it reaches is seen by the marks of
+`cover`; an input that takes a branch no other took joins the corpus, and the newest are tried most.
 """
 
 from __future__ import annotations
 
 import random
+import resource
 import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-import psutil
+from .cover import Marks
 
-TRACED = 50
 HANG_S = 5.0
-MORE_MB = 300.0
-LOOK = 2000
+LARGEST = 100_000
+MOST_KEPT = 5000
+MOST_FOUND = 20
 
 
 @dataclass(frozen=True)
@@ -29,135 +32,188 @@ class Target:
 
     Attributes:
         name: for messages.
+        reads: what it is, in a few words.
         run: takes one input; raises one of ``errors`` or nothing.
         corpus: sound inputs to begin with.
         errors: the documented ones.
-        modules: parts of file names whose lines count as reached.
         words: pieces that the format is made of.
         seal: makes a mutated input pass outer checks, such as a CRC; half of the inputs.
-        traced: one input in so many is traced.
     """
 
     name: str
+    reads: str
     run: Callable[[bytes], object]
     corpus: Sequence[bytes]
     errors: tuple[type[BaseException], ...]
-    modules: tuple[str, ...] = ()
     words: tuple[bytes, ...] = ()
     seal: Callable[[bytes], bytes] | None = None
-    traced: int = TRACED
 
 
 @dataclass
 class Tally:
-    """What came of one target."""
+    """What came of one target.
+
+    Attributes:
+        inputs, refused: how many were run, and how many of them were refused in words.
+        kept: inputs that took a new branch.
+        branches: taken so far by sound inputs and others.
+        seconds: of processor time.
+        before_mb, peak_mb: largest resident size after the sound inputs, and since.
+        slowest_s: of any one input, processor time.
+        found: what was wrong, once for each place, with the first input it was wrong with.
+    """
 
     name: str
     inputs: int = 0
     refused: int = 0
     kept: int = 0
-    lines: int = 0
+    branches: int = 0
     seconds: float = 0.0
-    grown_mb: float = 0.0
+    before_mb: float = 0.0
+    peak_mb: float = 0.0
+    slowest_s: float = 0.0
     found: list[tuple[str, bytes]] = field(default_factory=list)
 
 
-class Hang(Exception):
-    """An input took longer than ``HANG_S``."""
+class Hang(BaseException):
+    """An input took ``HANG_S`` of processor time; no target's ``except Exception`` may hide it."""
 
 
-def mutated(data: bytes, rng: random.Random, words: Sequence[bytes], other: bytes) -> bytes:
-    """A few changes: bits, bytes, cuts, copies, numbers at their edges, pieces, another input."""
-    out = bytearray(data)
-    for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
-        at = rng.randrange(len(out) + 1)
-        size = rng.choice((1, 1, 2, 4, 8, 32))
-        match rng.randrange(8):
-            case 0 if out:
-                out[at % len(out)] ^= 1 << rng.randrange(8)
-            case 1 if out:
-                out[at % len(out)] = rng.choice((0, 1, 0x7F, 0x80, 0xFF, 10, 13, 32, 48, 57))
-            case 2:
-                del out[at : at + size]
-            case 3:
-                out[at:at] = out[at : at + size] * rng.choice((1, 1, 2, 50))
-            case 4:
-                out[at : at + size] = rng.randbytes(size)
-            case 5 if words:
-                out[at:at] = rng.choice(words)
-            case 6:
-                out[at:] = other[rng.randrange(len(other) + 1) :]
-            case _:
-                out[at : at + size] = rng.choice((b"-1", b"1e999", b"nan", b"9" * 25, b"", b"\0"))
-    return bytes(out[:100_000])
+class Loop:
+    """The loop over one target; whoever runs it asks for a stretch at a time.
+
+    Args:
+        target: what is fuzzed.
+        seed: of the mutations.
+        marks: see :mod:`tests.fuzz.cover`; without installed marks nothing new is ever seen.
+        tell: called with each input before it is run.
+    """
+
+    def __init__(
+        self,
+        target: Target,
+        seed: int | str,
+        marks: Marks | None = None,
+        tell: Callable[[bytes], object] = lambda data: None,
+    ) -> None:
+        self.target = target
+        self.tally = Tally(target.name)
+        self.corpus = list(target.corpus)
+        self.kept: list[bytes] = []
+        self._marks = marks or Marks()
+        self._words = (*target.words, *sorted(self._marks.words))
+        self._rng = random.Random(f"{target.name}/{seed}")
+        self._tell = tell
+        self._began_s = 0.0
+        self._places: set[tuple[Any, ...]] = set()
+
+    def warm(self, more: Sequence[bytes] = ()) -> None:
+        """Run the sound inputs, and ``more`` that were kept before."""
+        for data in [*self.target.corpus, *more]:
+            self._one(data)
+        self.corpus += [data for data in more if data not in self.corpus]
+        self._marks.news()
+        self.tally = Tally(self.target.name, found=self.tally.found, before_mb=peak_mb())
+        self.tally.branches = self._marks.reached()
+
+    def run(self, inputs: int, most_s: float = 1e9) -> Tally:
+        """So many inputs more, or as many as ``most_s`` allows; what is found does not end it."""
+        rng, target, tally = self._rng, self.target, self.tally
+        upto, start, cpu = tally.inputs + inputs, time.monotonic(), time.process_time()
+        with _alarm(self._hung):
+            while tally.inputs < upto and time.monotonic() - start < most_s:
+                corpus = self.corpus
+                base = corpus[-1 - int(rng.random() ** 2 * len(corpus))]
+                data = mutated(base, rng, self._words, corpus)
+                if target.seal is not None and rng.random() < 0.5:
+                    data = target.seal(data)
+                self._one(data)
+                tally.inputs += 1
+                if self._marks.news() and len(corpus) < MOST_KEPT:
+                    corpus.append(data)
+                    self.kept.append(data)
+                    tally.kept += 1
+        tally.seconds += time.process_time() - cpu
+        tally.branches = self._marks.reached()
+        tally.peak_mb = max(tally.peak_mb, peak_mb())
+        return tally
+
+    def _one(self, data: bytes) -> None:
+        self._tell(data)
+        self._began_s = began = time.process_time()
+        try:
+            self.target.run(data)
+        except self.target.errors:
+            self.tally.refused += 1
+        except (Exception, Hang) as error:
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            place = (type(error).__name__, where.filename, where.lineno)
+            if place not in self._places and len(self.tally.found) < MOST_FOUND:
+                self._places.add(place)
+                self.tally.found.append((f"{type(error).__name__}: {error}"[:300], data))
+        self._began_s = 0.0
+        self.tally.slowest_s = max(self.tally.slowest_s, time.process_time() - began)
+
+    def _hung(self, *_: object) -> None:
+        if self._began_s and time.process_time() - self._began_s > HANG_S:
+            raise Hang(f"longer than {HANG_S:g} s")
 
 
-def fuzz(target: Target, inputs: int, seed: int, most_s: float = 1e9) -> Tally:
-    """Run so many inputs, or as many as ``most_s`` allow; findings are kept, the loop goes on."""
-    rng = random.Random(f"{target.name}/{seed}")
-    corpus = list(target.corpus)
-    tally = Tally(target.name)
-    reached: set[tuple[str, int]] = set()
-    process = psutil.Process()
-    for data in corpus:
-        _traced(target, data, reached, tally)
-    before = process.memory_info().rss
-    start = time.monotonic()
-    while tally.inputs < inputs and time.monotonic() - start < most_s:
-        base = corpus[-1 - int(rng.random() ** 2 * len(corpus))]
-        data = mutated(base, rng, target.words, rng.choice(corpus))
-        if target.seal is not None and rng.random() < 0.5:
-            data = target.seal(data)
-        if tally.inputs % target.traced == 0:
-            lines = len(reached)
-            _traced(target, data, reached, tally)
-            if len(reached) > lines and len(corpus) < 5000:
-                corpus.append(data)
-                tally.kept += 1
-        else:
-            _run(target, data, tally)
-        if tally.inputs % LOOK == 0:
-            tally.grown_mb = max(tally.grown_mb, (process.memory_info().rss - before) / 1e6)
-    tally.grown_mb = max(tally.grown_mb, (process.memory_info().rss - before) / 1e6)
-    if tally.grown_mb > MORE_MB:
-        tally.found.append((f"memory grew by {tally.grown_mb:.0f} MB", b""))
-    tally.lines = len(reached)
-    tally.seconds = time.monotonic() - start
-    return tally
-
-
-def _run(target: Target, data: bytes, tally: Tally) -> None:
-    def hang(*_: object) -> None:
-        raise Hang(f"longer than {HANG_S:g} s")
-
-    tally.inputs += 1
-    before = signal.signal(signal.SIGALRM, hang)
-    signal.setitimer(signal.ITIMER_REAL, HANG_S)
+@contextmanager
+def _alarm(look: Callable[..., None]) -> Iterator[None]:
+    """Call ``look`` each second, for the price of nothing an input."""
+    if (
+        not hasattr(signal, "setitimer")
+        or threading.current_thread() is not threading.main_thread()
+    ):
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, look)
+    signal.setitimer(signal.ITIMER_REAL, 1.0, 1.0)
     try:
-        target.run(data)
-    except target.errors:
-        tally.refused += 1
-    except Exception as error:
-        if len(tally.found) < 20:
-            tally.found.append((f"{type(error).__name__}: {error}"[:300], data))
+        yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
 
 
-def _traced(target: Target, data: bytes, reached: set[tuple[str, int]], tally: Tally) -> None:
-    def local(frame: Any, event: str, _: Any) -> Any:
-        if event == "line":
-            reached.add((frame.f_code.co_filename, frame.f_lineno))
-        return local
+def peak_mb() -> float:
+    """Largest resident size of this process so far."""
+    unit = 1e6 if sys.platform == "darwin" else 1e3
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
-    def calls(frame: Any, event: str, _: Any) -> Any:
-        del event
-        return local if any(m in frame.f_code.co_filename for m in target.modules) else None
 
-    outer = sys.gettrace()
-    sys.settrace(calls)
-    try:
-        _run(target, data, tally)
-    finally:
-        sys.settrace(outer)
+TIMES = (1, 1, 1, 2, 3, 6)
+SIZES = (1, 1, 2, 4, 8, 32)
+EDGES = (0, 1, 0x7F, 0x80, 0xFF, 10, 13, 32, 48, 57)
+NUMBERS = (b"-1", b"1e999", b"nan", b"9" * 25, b"", b"\0", b"2147483648", b"0.0000001")
+
+
+def mutated(
+    data: bytes, rng: random.Random, words: Sequence[bytes], corpus: Sequence[bytes]
+) -> bytes:
+    """A few changes: bits, bytes, cuts, copies, numbers at their edges, words, another input."""
+    out = bytearray(data)
+    pick = rng.random
+    for _ in range(TIMES[int(pick() * 6)]):
+        at = int(pick() * (len(out) + 1))
+        size = SIZES[int(pick() * 6)]
+        kind = int(pick() * 8)
+        if kind == 0 and out:
+            out[at % len(out)] ^= 1 << int(pick() * 8)
+        elif kind == 1 and out:
+            out[at % len(out)] = EDGES[int(pick() * len(EDGES))]
+        elif kind == 2:
+            del out[at : at + size]
+        elif kind == 3:
+            out[at:at] = out[at : at + size] * (1, 1, 2, 50)[int(pick() * 4)]
+        elif kind == 4:
+            out[at : at + size] = rng.randbytes(size)
+        elif kind == 5 and words:
+            out[at:at] = words[int(pick() * len(words))]
+        elif kind == 6:
+            other = corpus[int(pick() * len(corpus))]
+            out[at:] = other[int(pick() * (len(other) + 1)) :]
+        else:
+            out[at : at + size] = NUMBERS[int(pick() * len(NUMBERS))]
+    return bytes(out[:LARGEST])

@@ -1,0 +1,238 @@
+"""What reads files and folders: TOML, records, data sets, pictures."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import zlib
+from collections.abc import Callable, Sequence
+from importlib.resources import files
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from daq.annotations import annotate
+from daq.clock import VirtualClock
+from daq.errors import PamrigError
+from daq.record import RecordWriter
+from daq.run import Run, open_run
+from daq.sealed import seal_line
+from daq.store import rebuild, show
+from daq.verify import verify
+from gap.reader import read_dataset
+from plant.errors import PlantError
+from plant.models.catalogue import load as load_model
+from rigs.config import load_rig
+from rigs.frames import open_frames
+from rigs.pictures import decode, measure_stored
+from rigs.segments import reduce_run
+from rigs.toml_reader import load_toml
+
+from .loop import Target
+
+LINK = (PamrigError,)
+KEYS = (b"[", b"]", b"= ", b'"', b"{", b"}", b".", b"\n", b"[[", b"true", b"1e400", b"inf")
+
+
+def _file(suffix: str, read: Callable[[Path], object]) -> Callable[[bytes], None]:
+    path = Path(tempfile.mkdtemp(prefix="fuzz")) / f"strange{suffix}"
+
+    def run(data: bytes) -> None:
+        path.write_bytes(data)
+        read(path)
+
+    return run
+
+
+def _shipped(name: str) -> bytes:
+    return files("configs").joinpath(f"{name}.toml").read_bytes()
+
+
+RIGS = ("rigs/virtual", "rigs/virtual-instruments")
+
+
+def _rig() -> Target:
+    run = _file(".toml", lambda p: load_rig(str(p)))
+    return Target("rig file", "a bench in TOML", run, [*map(_shipped, RIGS)], LINK, KEYS)
+
+
+def _toml() -> Target:
+    corpus = [_shipped(name) for name in (*RIGS, "protocols/isometric-short")]
+    run = _file(".toml", lambda p: load_toml(str(p), "rigs"))
+    return Target("TOML", "any TOML file", run, corpus, LINK, KEYS)
+
+
+def _model() -> Target:
+    folder = files("configs").joinpath("plant", "models")
+    names = sorted(e.name for e in folder.iterdir() if e.name.endswith(".toml"))[:4]
+    corpus = [folder.joinpath(name).read_bytes() for name in names]
+    return Target("model file", "a fitted law in TOML", _file(".toml", load_model), corpus,
+                  (PlantError,), KEYS)  # fmt: skip
+
+
+# ---- records -----------------------------------------------------------------------------
+
+
+def _record(folder: Path, ended: bool) -> Path:
+    record = RecordWriter(
+        folder, {"protocol": "isometric", "specimen": "m"}, VirtualClock(), durable=False,
+        threaded=False,
+    )  # fmt: skip
+    record.stream("valve", {"seq": "int64", "counts": "uint16"})
+
+    def rows(first: int) -> dict[str, np.ndarray]:
+        numbers = np.arange(first, first + 20)
+        return {"seq": numbers, "counts": numbers.astype(np.uint16)}
+
+    for k in range(2):
+        record.append("valve", rows(20 * k))
+    record.event("state", state="first")
+    record.event("point", order=1, trial=1, slot="a", mounting="m", replicate=1, direction="up",
+                 settled=True, valve_seq=[0, 40], balance_rows=[0, 0], frames=[0])  # fmt: skip
+    record.frame(b"no picture", 1)
+    record.wire("valve", 1, b"bytes")
+    if ended:
+        record.finalize("clean")
+        rebuild(open_run(record.folder))
+        annotate(record.folder, "exclude", [1], "a leak")
+    else:
+        record.ahead("valve", rows(40))
+        record.abandon()
+    return record.folder
+
+
+LINES = ("events.jsonl", "samples/valve.index.jsonl", "frames.jsonl", "wire/valve.index.jsonl")
+OWN = ("annotations.jsonl", "derived/manifest.json")
+ENDED = ("run.json", "final.json", *LINES, *OWN, "samples/valve/000001.arrows")
+KILLED = ("run.json", *LINES[:2], "samples/valve/000001.arrows", "samples/valve.ahead")
+
+
+def _folder(name: str, names: Sequence[str], ended: bool) -> Target:
+    """A run folder one of whose files is an input; its first byte says which."""
+    folder = _record(Path(tempfile.mkdtemp(prefix="fuzz")), ended)
+    sound = {name: (folder / name).read_bytes() for name in names}
+    looks: tuple[Callable[[Run], object], ...] = (
+        reduce_run, lambda r: r.samples("valve"), lambda r: r.frame_bytes(0)
+    )  # fmt: skip
+
+    def run(data: bytes) -> None:
+        name = names[data[0] % len(names) if data else 0]
+        path = folder / name
+        path.write_bytes(data[1:])
+        try:
+            strange = open_run(folder)
+            verify(strange)
+            show(strange)
+            for look in looks:
+                try:
+                    look(strange)
+                except PamrigError:
+                    continue
+        finally:
+            path.write_bytes(sound[name])
+
+    def seal(data: bytes) -> bytes:
+        if not data:
+            return data
+        name, body = names[data[0] % len(names)], data[1:]
+        if name.endswith(".jsonl"):
+            lines = [_line(line) for line in body.split(b"\n") if line]
+            return data[:1] + b"".join(lines)
+        at = body.rfind(b',\n  "crc"')
+        if name.endswith(".json") and at > 0:
+            return data[:1] + body[:at] + b',\n  "crc": "%08x"\n}\n' % zlib.crc32(body[:at])
+        if name.endswith(".ahead") and len(body) > 8:
+            end = 20 + 20 * 10  # an entry of 20 rows of ten bytes
+            return data[:1] + b"PAhd%b" % zlib.crc32(body[8:end]).to_bytes(4, "little") + body[8:]
+        return data
+
+    corpus = [bytes([k]) + sound[name] for k, name in enumerate(names)]
+    words = (b"[[[[", b'"n":', b'"file":"../x"', b'"rows":', b"{}", b"null", b'"offset":-1', b"1e9")
+    return Target(name, "a record, " + ("ended" if ended else "broken off"), run, corpus, LINK,
+                  words, seal)  # fmt: skip
+
+
+def _line(line: bytes) -> bytes:
+    try:
+        fields = json.loads(line)
+        fields.pop("crc", None)
+        return seal_line(fields)
+    except (ValueError, AttributeError, RecursionError):
+        at = line.rfind(b',"crc"')
+        body = line[:at] if at > 0 else line
+        return b'%s,"crc":"%08x"}\n' % (body, zlib.crc32(body))
+
+
+# ---- data sets and pictures ----------------------------------------------------------------
+
+EXCHANGE = {
+    "trials.csv": b"trial,slot,replicate,protocol,mounting,order,held_length_mm,load_kg,"
+    b"temperature_c,start_s\nt1,a,1,isometric,m1,1,60,,21,0\nt2,a,2,isometric,m1,2,60,,21,9\n",
+    "bench.toml": b"supply_kpa = 700\n[effects.creep]\nrelaxation_percent = 4.0\n",
+    "samples.csv": b"trial,time_s,inlet_cmd,outlet_cmd,pressure_kpa,force_n,length_mm\n"
+    + b"".join(b"t%d,%d.5,1,0,%d,%d.25,60\n" % (1 + k // 4, k % 4, k, k) for k in range(8)),
+}
+
+
+def _exchange() -> Target:
+    """A data set one of whose files is an input; its first byte says which, and of which form."""
+    place = Path(tempfile.mkdtemp(prefix="fuzz"))
+    csv, parquet = place / "csv", place / "parquet"
+    for folder in (csv, parquet):
+        folder.mkdir()
+        for name, data in EXCHANGE.items():
+            (folder / name).write_bytes(data)
+    pd.read_csv(csv / "samples.csv").to_parquet(parquet / "samples.parquet")
+    (parquet / "samples.csv").unlink()
+    paths = [*(csv / name for name in EXCHANGE), parquet / "samples.parquet"]
+    sound = {path: path.read_bytes() for path in paths}
+
+    def run(data: bytes) -> None:
+        path = paths[data[0] % len(paths) if data else 0]
+        path.write_bytes(data[1:])
+        try:
+            read_dataset(path.parent)
+        finally:
+            path.write_bytes(sound[path])
+
+    corpus = [bytes([k]) + sound[path] for k, path in enumerate(paths)]
+    words = (b",", b"\n", b'"', b"pressure_bar", b"1e308", b"inf", b"t1", b"up", b"=", b"[")
+    return Target("EXCHANGE folder", "a data set, CSV and Parquet", run, corpus, LINK, words)
+
+
+def _pictures() -> list[bytes]:
+    gray = np.full((40, 60), 180, np.uint8)
+    gray[5:35, 10:20] = 40
+    gray[5:35, 50:60] = 40
+    kinds = (".jpg", ".png", ".pgm", ".bmp", ".tif")
+    return [cv2.imencode(kind, gray)[1].tobytes() for kind in kinds]
+
+
+def _picture() -> Target:
+    def run(data: bytes) -> None:
+        gray = decode(data)
+        if gray is not None and gray.size:
+            measure_stored(gray, {})
+
+    words = (b"\xff\xd8", b"\xff\xc0", b"IHDR", b"P5")
+    return Target("picture", "a stored picture, measured", run, _pictures(), (), words)
+
+
+def _picture_file() -> Target:
+    run = _file(".tif", lambda p: list(open_frames(p)))
+    words = (b"II*\0", b"MM\0*")
+    return Target("picture file", "a picture or stack of others", run, _pictures(), LINK, words)
+
+
+TARGETS: dict[str, Callable[[], Target]] = {
+    "TOML": _toml,
+    "rig file": _rig,
+    "model file": _model,
+    "run folder": lambda: _folder("run folder", ENDED, True),
+    "killed run": lambda: _folder("killed run", KILLED, False),
+    "EXCHANGE folder": _exchange,
+    "picture": _picture,
+    "picture file": _picture_file,
+}

@@ -1,0 +1,81 @@
+"""The page of a fuzzing campaign, from its journals."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from .guard import HANG_S, HOUSE, MORE_MB
+from .shares import SHARES
+
+HAND = "<!-- below this line the page is written by hand -->"
+HEAD = """\
+# Inputs that nobody would write
+
+Made by `make fuzz` (`python -m tests.fuzz --page docs/fuzz.md`). Everything that reads bytes of an
+instrument, a file or a folder of others gets inputs made from sound ones by mutation; one that
+takes a branch no other took is kept and mutated further (`tests/fuzz/cover.py` marks the branches,
+so that every input is watched). Half of the inputs of a sealed or framed form get sound seals, so
+that what lies behind them is reached. Each target runs in a process of its own. A *finding* is an
+exception that is not the documented error, the end of the process, more than {hang:g} s of
+processor time for one input, or more than {more:g} MB beyond what the sound inputs took.
+"""
+
+
+def page(totals: list[dict[str, Any]], seed: int) -> str:
+    """The whole text but for what was written by hand."""
+    count = sum(t["inputs"] for t in totals)
+    found = sum(len(t["found"]) for t in totals)
+    seconds = sum(t["seconds"] for t in totals)
+    names = ("numpy", "numba", "pandas", "pyarrow", "opencv-python-headless")
+    versions = ", ".join(f"{n} {version(n)}" for n in names)
+    out = [
+        HEAD.format(hang=HANG_S, more=MORE_MB),
+        f"**{count:,} inputs, {found} findings**; {datetime.now(UTC):%Y-%m-%d}, seed {seed}, "
+        f"{seconds / 60:.0f} min on one core; revision {_revision()}, Python "
+        f"{platform.python_version()}, {versions}, {platform.system()}.\n",
+        "| Target | Reads | Inputs | Refused | Kept | Branches | us an input | Slowest, s | "
+        "MB more | Findings |",
+        "|--|--|--:|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for t in totals:
+        each = 1e6 * t["seconds"] / t["inputs"] if t["inputs"] else 0.0
+        refused = t["refused"] / t["inputs"] if t["inputs"] else 0.0
+        out.append(
+            f"| {t['name']} | {t['reads']} | {t['inputs']:,} | {refused:.0%} | {t['kept']:,} | "
+            f"{t['branches']:,} | {each:.0f} | {t['slowest_s']:.2f} | {max(t['more_mb'], 0):.0f} | "
+            f"{len(t['found'])} |"
+        )
+    out += [
+        "",
+        "*Refused*: answered with the documented error; the others were read, or bytes of a wire "
+        "that are no message and are passed over. *Kept*: inputs that took a new branch. "
+        "*Branches*: taken in the marked modules, start-up included. *MB more*: growth of the "
+        "largest resident size since the sound inputs.",
+    ]
+    if len(totals) < len(SHARES):
+        missing = [n for n in SHARES if n not in {t["name"] for t in totals}]
+        out += ["", f"Not run: {', '.join(missing)}."]
+    if found:
+        out += ["", "Findings:", ""]
+        out += [f"- {t['name']}: {what}" for t in totals for what in t["found"]]
+    return "\n".join(out) + "\n"
+
+
+def write_page(totals: list[dict[str, Any]], seed: int, path: Path) -> None:
+    """Replace what the command makes; what stands below the mark stays."""
+    old = path.read_text(encoding="utf-8") if path.exists() else ""
+    _, mark, hand = old.partition(HAND)
+    path.write_text(f"{page(totals, seed)}\n{HAND}{hand if mark else chr(10)}", encoding="utf-8")
+
+
+def _revision() -> str:
+    done = subprocess.run(
+        ["git", "rev-parse", "--short=8", "HEAD"],
+        cwd=HOUSE, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    return done.stdout.strip() or "unknown"

@@ -1,0 +1,55 @@
+"""How many of the inputs each target gets, and whose branches are marked.
+
+What reads bytes off a wire takes ten to fifty microseconds an input and gets most of them. A folder
+has to be written and read anew for each input, which is a hundred times as dear, and gets what can
+be afforded.
+"""
+
+from __future__ import annotations
+
+SHARES = {
+    "framer": 0.2250,
+    "codec": 0.1500,
+    "valve driver": 0.0800,
+    "MT-SICS": 0.1650,
+    "stage": 0.1000,
+    "Modbus": 0.0900,
+    "load cell": 0.0800,
+    "thermometer": 0.0700,
+    "supply": 0.0200,
+    "TOML": 0.0040,
+    "rig file": 0.0030,
+    "model file": 0.0035,
+    "run folder": 0.0020,
+    "killed run": 0.0015,
+    "EXCHANGE folder": 0.0020,
+    "picture": 0.0030,
+    "picture file": 0.0010,
+}
+"""Of all inputs, by target; adds up to 1."""
+
+MARKED = (
+    "daq",
+    "gap.reader",
+    "gap.tables",
+    "gap.dataset",
+    "plant.tomlfile",
+    "plant.constants",
+    "plant.effects",
+    "plant.models",
+    "rigs.balance",
+    "rigs.config",
+    "rigs.device",
+    "rigs.frames",
+    "rigs.instruments",
+    "rigs.lines",
+    "rigs.pictures",
+    "rigs.reduction",
+    "rigs.segments",
+    "rigs.stage",
+    "rigs.toml_reader",
+    "rigs.valve",
+    "valvefw.wire",
+    "vision",
+)
+"""Modules and packages whose branches are marked."""

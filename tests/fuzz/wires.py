@@ -1,0 +1,177 @@
+"""What reads bytes off a wire: frames, replies, lines, registers."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from daq.clock import VirtualClock
+from daq.codec import CodecError, decode_event, decode_reply, encode_request
+from daq.errors import PamrigError
+from daq.framer import CobsFramer
+from daq.telemetry import TelemetryStream
+from daq.transport import memory_pair
+from rigs.balance import Balance
+from rigs.instruments.form import load_form
+from rigs.instruments.modbus import ModbusForm, ModbusInstrument
+from rigs.instruments.supply import Supply
+from rigs.instruments.text import TextInstrument
+from rigs.pump import Pump
+from rigs.stage import Stage
+from rigs.valve import ValveController
+from rigs.virtual.modbus import crc16
+from rigs.virtual.supply import VirtualSupply
+from valvefw import wire
+
+from .loop import Target
+
+LINK = (PamrigError,)
+
+
+def _through(make: Callable[[Any, Pump], Any]) -> Callable[[bytes], None]:
+    """A driver behind a link: each input is what its device sends, whole and then in two."""
+    clock = VirtualClock()
+    pump = Pump(clock, 0.02)
+    link, end = memory_pair(clock, "fuzz")
+    driver = make(link, pump)
+    count = 0
+
+    def run(data: bytes) -> None:
+        nonlocal count
+        count += 1
+        at = count % (len(data) + 1)
+        end.write(data[:at])
+        driver.poll()
+        end.write(data[at:])
+        driver.poll()
+        end.read()
+        clock.sleep(0.03)
+
+    return run
+
+
+def _frame(data: bytes) -> bytes:
+    return bytes(wire.encode_frame(data[:200]))
+
+
+def _telemetry(seq: int, n: int) -> bytes:
+    head = struct.pack(wire.TELEMETRY_HEADER, wire.TELEMETRY, 7, 160, seq, seq * 1000, n)
+    return head + struct.pack(wire.SAMPLE, 1000, 400, 4, 0, 200) * n
+
+
+def _payloads() -> list[bytes]:
+    replies = [b"\x52\x01\x00ok t=1234 armed=1", b"\x52\x02\x00err bounds 5"]
+    return [_telemetry(5, 10), _telemetry(15, 1), b"\x45fault cause=x", *replies]
+
+
+def _frames() -> list[bytes]:
+    return [*map(_frame, _payloads()), encode_request(1, "hb 1")]
+
+
+def _framer() -> Target:
+    framer = CobsFramer()
+    return Target("framer", "COBS frames with a CRC", framer.feed, _frames(), (), (b"\0",))
+
+
+def _codec() -> Target:
+    def run(data: bytes) -> None:
+        for read in (decode_reply, decode_event):
+            try:
+                read(data)
+            except CodecError:
+                continue
+        TelemetryStream(lambda batch: None).feed(data, 0)
+
+    words = (b"=", b" ", b"ok ", b"err ", b"t=")
+    return Target("codec", "replies, events, telemetry", run, _payloads(), (CodecError,), words)
+
+
+def _valve() -> Target:
+    run = _through(lambda link, pump: ValveController(link, pump.clock, pump))
+    return Target("valve driver", "the controller's byte stream", run, _frames(), LINK, (b"\0",),
+                  lambda data: _frame(data[:60]))  # fmt: skip
+
+
+def _balance() -> Target:
+    corpus = [
+        b"S S     12.345 g\r\n",
+        b"S D     -0.500 g\r\n",
+        b"S +\r\n",
+        b'I4 A "B"\r\n',
+        b"ES\r\n",
+    ]
+    run = _through(lambda link, pump: Balance(link, pump))
+    words = (b"\r\n", b"S ", b"S S", b" g")
+    return Target("MT-SICS", "a balance's lines", run, corpus, LINK, words)
+
+
+def _stage() -> Target:
+    corpus = [b"<Idle|MPos:60.000,0,0>\r\n", b"ok\r\n", b"error:9\r\n", b"ALARM:1\r\n"]
+    run = _through(lambda link, pump: Stage(link, pump, 10.0))
+    words = (b"<", b"|", b"MPos:", b"\r\n")
+    return Target("stage", "a motion controller's lines", run, corpus, LINK, words)
+
+
+def _modbus() -> Target:
+    def make(link: Any, pump: Pump) -> ModbusInstrument:
+        form = ModbusForm("pressure_kpa", "kPa", 1, 0)
+        device = ModbusInstrument(link, pump, "p", form, baud=19200)
+        device._begin(0)
+        return device
+
+    answer = bytes([1, 3, 4, 0x41, 0x20, 0, 0])
+    corpus = [answer + crc16(answer), bytes([1, 0x83, 2]) + crc16(bytes([1, 0x83, 2]))]
+    return Target("Modbus", "a transmitter's registers", _through(make), corpus, LINK, (),
+                  lambda data: data[:60] + crc16(data[:60]))  # fmt: skip
+
+
+def _text(name: str, form: str, corpus: list[bytes]) -> Target:
+    def make(link: Any, pump: Pump) -> TextInstrument:
+        device = TextInstrument(link, pump, form, load_form(form))
+        device._begin(0)
+        return device
+
+    words = (b"\r\n", b"N", b"C", b"+")
+    return Target(name, "an indicator's lines", _through(make), corpus, LINK, words)
+
+
+def _supply() -> Target:
+    """Each input is what comes after a question for a measurement; all else is answered well."""
+    clock = VirtualClock()
+    pump = Pump(clock, 0.05)
+    link, end = memory_pair(clock, "fuzz")
+    driver = Supply(link, pump, 24.0, 30.0)
+    sound = VirtualSupply(lambda data: end.write(data), "7")
+    waiting: list[bytes] = []
+
+    def answer() -> None:
+        for line in b"".join(c.data for c in end.read()).splitlines(keepends=True):
+            if b"MEAS" in line and waiting:
+                end.write(waiting.pop())
+            else:
+                sound.feed(line)
+        sound.advance(clock.now_ns())
+        driver.poll()
+
+    pump.add(answer)
+
+    def run(data: bytes) -> None:
+        waiting[:] = [data]
+        driver.measure()
+
+    corpus = [b"24.000\n", b"+2.400000E+01\n", b'0,"No error"\n24.0\n', b"-9.9E37\n"]
+    return Target("supply", "a SCPI supply's answers", run, corpus, LINK, (b"\n", b",", b"9.9E37"))
+
+
+TARGETS: dict[str, Callable[[], Target]] = {
+    "framer": _framer,
+    "codec": _codec,
+    "valve driver": _valve,
+    "MT-SICS": _balance,
+    "stage": _stage,
+    "Modbus": _modbus,
+    "load cell": lambda: _text("load cell", "load-cell-stream", [b"+00012.34 N\r\n"]),
+    "thermometer": lambda: _text("thermometer", "thermometer", [b"21.05 C\r\n", b"21.05\r\n"]),
+    "supply": _supply,
+}
