@@ -39,7 +39,6 @@ class ValveRecord:
         self.pressure = run.calibration("pressure_kpa")
         self.valve = self.stream("valve")
         self.rows: list[dict[str, Any]] = []
-        self._host_ns: npt.NDArray[Any] | None = None
 
     def stream(self, name: str) -> dict[str, npt.NDArray[Any]]:
         """A stream's columns; none, and a note, where nothing of it survived."""
@@ -67,17 +66,19 @@ class ValveRecord:
         asked_ns = event.get("asked_t_ns")
         if asked_ns is None or not self.valve:
             return [first, end]
-        if self._host_ns is None:
-            from daq.derive import sample_host_ns
-
-            self._host_ns = sample_host_ns(self.run, "valve", self.valve)
         zero_ns = int(self.run.manifest["started"]["monotonic_ns"])
-        seq = self.valve["seq"]
-        later = (self._host_ns >= zero_ns + asked_ns) & (seq >= first) & (seq < end)
+        part = self.samples([first, end])
+        if not len(part.get("device_us", ())):
+            return [first, end]
+        # The device's own intervals, behind the arrival of the sample that was under way least:
+        # no clock fit outlives a restart, and over seconds none is needed.
+        device_ns = part["device_us"] * 1000
+        host_ns = device_ns + (part["host_ns"] - device_ns).min()
+        later = host_ns >= zero_ns + asked_ns
         if not later.any():
             return [first, end]
-        at = int(np.argmax(later))
-        late = int((self._host_ns[at] - zero_ns - asked_ns) // 1_000_000)  # of samples lost there
+        at, seq = int(np.argmax(later)), part["seq"]
+        late = int((host_ns[at] - zero_ns - asked_ns) // 1_000_000)  # of samples lost there
         return [max(first, int(seq[at]) - late), end]
 
     def on_time(

@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -194,10 +195,11 @@ def _vents(truth: Truth, record: Bytes, verdict: Verdict) -> None:
         verdict.worst_commanded_s = max(verdict.worst_commanded_s, wait_us * 1e-6)
         if wait_us > limit_us + TICK_US:
             verdict.late.append(f"{what}: vent commanded after {wait_us * 1e-3:.0f} ms")
-        # The host's own last vent follows its last heartbeat sooner than the deadline.
+        # The host's own last vent follows its last heartbeat sooner than the deadline; and it may
+        # come just after something else that the controller would have vented for.
         own_us = HOST_SILENT_US if what == NO_BEAT else 0
         vented = commanded is not None and commanded > event_us + own_us
-        if vented and truth.outcome == "clean" and not record.kind("fault"):
+        if vented and truth.latched and truth.outcome == "clean" and not record.kind("fault"):
             verdict.untold.append(f"{what}: the controller vented")
     _emptied(truth, verdict)
     _blind(truth, verdict)
@@ -212,8 +214,7 @@ def _vents(truth: Truth, record: Bytes, verdict: Verdict) -> None:
 
 def _must_vent(truth: Truth) -> Iterator[tuple[str, int, int]]:
     """(what, bench us, limit in us) of all that has to end in a vent."""
-    ends = [us for us, _ in truth.beats[1:]] + [10**15]
-    for (us, armed), next_us in zip(truth.beats, ends, strict=True):
+    for (us, armed), (next_us, _) in pairwise([*truth.beats, (10**15, False)]):
         if armed and next_us - us > COMMANDED_US:
             yield NO_BEAT, us, COMMANDED_US
     armed_at = [us for us, armed in truth.beats if armed]

@@ -154,7 +154,7 @@ def _wire(trial: Trial, fault: Fault) -> None:
         fault.hits = fault.must_tell = 1
         trial.bench.unplug(fault.device)
         return
-    inward = trial.rng.random() < 0.75
+    inward = trial.rng.random() < 0.75 or fault.kind == "held up"
     share = trial.rng.choice((0.02, 0.2, 1.0))
     rule = Rule(fault.device, inward, fault.kind, share, fault.start_s, fault.end_s)
     trial.rules[id(fault)] = rule

@@ -50,6 +50,7 @@ class Truth:
     Attributes:
         us, kpa: true pressure, each millisecond (bench time).
         vents: (bench us, whether the outlet is told to stay open and the inlet shut), at changes.
+        latched: what the controller vented for by itself, up to the host's end.
         prox: (bench us, proximity bits), at changes.
         beats: (bench us, armed) of every heartbeat that reached the controller whole.
         track: rows of (bench us, length mm, pull N, hung mass kg, way of the air m), each 20 ms.
@@ -85,6 +86,7 @@ class Truth:
     end_kpa: float = 0.0
     sealed_in: bool = False
     """The inlet stays open or the outlet shut, so that the air cannot go."""
+    latched: list[str] = field(default_factory=list)
     done_us: int = 0
     outcome: str = ""
     error: str = ""
@@ -343,6 +345,7 @@ class Trial:
             return
         board = self.bench.board
         truth.done_us = board.bench_us
+        truth.latched = [str(cause) for cause in board.controller.safety.faults]
         self._waiting.clear()
         for fault in self._begun:  # what it does from now on nobody is there to see
             kinds.count(self, fault)
