@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from bench_process import bench_process, pamrig, run_pamrig
+from bench_process import LIMIT_S, bench_process, pamrig, run_pamrig
 from daq.run import open_run
 from rigs.config import load_rig
 
@@ -102,6 +102,7 @@ def test_unknown_names_list_what_there_is() -> None:
     refused("import", "points", "nothing.csv", expect=("nothing.csv",))
 
 
+@pytest.mark.realtime
 def test_ports_as_they_go_wrong(tmp_path: Path) -> None:
     """One bench in real time; each client meets another trouble with it."""
     with bench_process(tmp_path / "bench") as bench:
@@ -139,7 +140,7 @@ def test_ports_as_they_go_wrong(tmp_path: Path) -> None:
         wait_for(lambda: any(line["armed"] for line in bench.truth()[-3:]))
         refused("isometric", "--rig", bench.rig, "--out", out, expect=("valve.port", "in use"))
         busy.send_signal(signal.SIGINT)
-        said, told = busy.communicate(timeout=30)
+        said, told = busy.communicate(timeout=LIMIT_S)
         assert busy.returncode == 130, (said, told)
         assert "stopped" in said
         truth = bench.truth()[-1]
@@ -152,7 +153,7 @@ def test_ports_as_they_go_wrong(tmp_path: Path) -> None:
         wait_for(lambda: any(line["armed"] for line in bench.truth()[-3:]))
         time.sleep(2)
         bench.process.kill()
-        said, told = cut.communicate(timeout=30)
+        said, told = cut.communicate(timeout=LIMIT_S)
         assert cut.returncode == 2, (said, told)
         assert "because: " in said
         assert "Traceback" not in told
@@ -161,7 +162,7 @@ def test_ports_as_they_go_wrong(tmp_path: Path) -> None:
         assert open_run(last).outcome == "faulted"
 
 
-def wait_for(condition: object, seconds: float = 40.0) -> None:
+def wait_for(condition: object, seconds: float = LIMIT_S) -> None:
     end = time.monotonic() + seconds
     while not condition():  # type: ignore[operator]
         assert time.monotonic() < end
@@ -177,7 +178,7 @@ def test_a_full_disk_ends_the_run_in_good_order(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
     client = pamrig("isometric", "--out", tmp_path, preexec_fn=limit)
-    said, told = client.communicate(timeout=120)
+    said, told = client.communicate(timeout=LIMIT_S)
     assert client.returncode == 2, (said, told)
     assert "Traceback" not in told
     (folder,) = [p for p in tmp_path.iterdir() if p.is_dir()]
