@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 ATTEMPTS = 3
+STARVED_MS = 150.0
 LIMIT_S = 600.0
 """Longest that one command may take on a machine that has other things to do."""
 BUSY = frozenset({"no_answer", "late", "silent", "half", "stale"})
@@ -117,23 +118,34 @@ class RealRun:
     worst_late_ms: float
 
 
-def starved(status: int, said: str) -> bool:
-    """Whether a run ended because the program was not given the processor for 0.3 s.
+def worst_late_ms(words: str) -> float:
+    """How late the bench's loop once was, from what it says at its end."""
+    found = re.search(r"worst ([\d.]+) ms", words)
+    assert found, words
+    return float(found[1])
 
-    The firmware then vents, whoever is at fault. A test on a busy machine is made again.
+
+def starved(status: int, said: str, bench_late_ms: float) -> bool:
+    """Whether a run was refused or ended because the machine had no time for it.
+
+    The firmware vents under a program that is not given the processor for 0.3 s. Where even the
+    bench's loop, which has nothing to wait for, once stood still for half of that, devices may
+    have answered too late as well. Such a run is made again.
     """
-    return status == 2 and "host_silent" in said
+    return status == 2 and ("host_silent" in said or bench_late_ms >= STARVED_MS)
 
 
-def check_ended_well(folder: Path) -> None:
+def check_ended_well(runs: Path) -> None:
     """What holds of every starved run: it says so, its record is whole, the muscle was vented."""
     from daq.run import open_run
     from daq.store import verify
 
-    run = open_run(folder)
-    assert run.outcome == "faulted"
-    assert verify(run) == []
-    assert [e for e in run.events if e["kind"] == "vented"]
+    for folder in runs.glob("*/run.json"):
+        run = open_run(folder.parent)
+        assert run.outcome == "faulted"
+        assert verify(run) == []
+        if [e for e in run.events if e["kind"] == "armed"]:
+            assert [e for e in run.events if e["kind"] == "vented"]
 
 
 def run_folder(runs: Path) -> Path:
@@ -152,11 +164,10 @@ def run_in_real_time(
             done = run_pamrig(
                 name, "--rig", process.rig, "--out", place / "runs", *words, **options
             )  # fmt: skip
-            late = re.search(r"worst ([\d.]+) ms", process.stop())
-        assert late
-        if not starved(done.returncode, done.stdout):
+            late_ms = worst_late_ms(process.stop())
+        if not starved(done.returncode, done.stdout, late_ms):
             assert done.returncode == 0, done.stdout + done.stderr
-            return RealRun(done, run_folder(place / "runs"), float(late[1]))
-        check_ended_well(run_folder(place / "runs"))
-        print(f"attempt {attempt}: starved, bench late by {late[1]} ms at worst")
-    raise AssertionError(f"{ATTEMPTS} times the host was silent: {done.stdout}")
+            return RealRun(done, run_folder(place / "runs"), late_ms)
+        check_ended_well(place / "runs")
+        print(f"attempt {attempt}: starved, bench late by {late_ms} ms at worst: {done.stdout}")
+    raise AssertionError(f"starved {ATTEMPTS} times: {done.stdout}{done.stderr}")
