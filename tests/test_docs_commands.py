@@ -46,7 +46,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run(folder, "pamrig isometric --protocol isometric-short")
     prepare = HOUSE / "tests" / "docs_pictures.py"
     if prepare.exists():
-        subprocess.run([sys.executable, str(prepare), str(folder)], check=True, timeout=120)
+        subprocess.run([sys.executable, str(prepare), str(folder)], check=True, timeout=900)
     return folder
 
 
@@ -57,7 +57,7 @@ def argv(command: str) -> list[str]:
 
 def run(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        argv(command), cwd=folder, text=True, capture_output=True, timeout=300, check=False
+        argv(command), cwd=folder, text=True, capture_output=True, timeout=900, check=False
     )
 
 
@@ -94,10 +94,10 @@ def serve(folder: Path, command: str) -> None:
         time.sleep(1.0)
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
-        rest, _ = process.communicate(timeout=30)
+        rest, _ = process.communicate(timeout=300)
     finally:
         process.terminate()
-        process.wait(timeout=30)
+        process.wait(timeout=300)
         process.stdout.close()
     assert "127.0.0.1" in first + rest, f"{command}\n{first}{rest}"
     assert "Traceback" not in rest
