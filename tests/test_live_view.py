@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,14 @@ CLOSE_S = 30.0
 """A viewer that never reads would hold it up for ever; a busy machine may take its time."""
 QUIET = bool(os.environ.get("PAMRIG_CAMPAIGN"))
 JPEG = b"\xff\xd8" + bytes(range(256)) * 400  # 100 kB that no viewer here decodes
+
+
+@pytest.fixture(scope="module", autouse=True)
+def patience() -> Iterator[None]:
+    """A busy machine may take longer to start the viewer's server than a user would wait."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(daq.live, "START_S", 300.0)
+        yield
 
 
 def feed(view: LiveView, seconds: float, frames_hz: float = 20.0) -> np.ndarray:
