@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 ATTEMPTS = 3
 STARVED_MS = 150.0
 LIMIT_S = 600.0
@@ -68,6 +70,13 @@ class BenchProcess:
         """The true states written so far, oldest first."""
         lines = (self.folder / "truth.jsonl").read_text().splitlines()
         return [json.loads(line) for line in lines if line.endswith("}")]
+
+    def lately(self) -> list[dict[str, Any]]:
+        """The last few of them, without reading all that came before; empty at the beginning."""
+        with (self.folder / "truth.jsonl").open("rb") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - 2048))
+            lines = file.read().decode().splitlines()
+        return [json.loads(line) for line in lines if line[:1] == "{" and line[-1:] == "}"]
 
     def stop(self) -> str:
         """End it as Ctrl-C does; what it said."""
@@ -154,20 +163,28 @@ def run_folder(runs: Path) -> Path:
     return folder
 
 
+def gave_up(said: str, late_ms: list[float]) -> AssertionError:
+    """No attempt came to its end: a failure, unless the bench itself was held up each time."""
+    words = f"starved {len(late_ms)} times, bench late by {late_ms} ms at worst: {said}"
+    if min(late_ms) >= STARVED_MS:
+        pytest.skip(f"this machine is too busy for a bench in real time; {words}")
+    return AssertionError(words)
+
+
 def run_in_real_time(
     root: Path, rig: str, name: str, *words: str | Path, bench: tuple[str, ...] = (), **options: Any
 ) -> RealRun:
     """`pamrig NAME` over the ports of a bench of its own, again where the machine was too busy."""
+    late_ms: list[float] = []
     for attempt in range(ATTEMPTS):
         place = root / str(attempt)
         with bench_process(place / "bench", rig, *bench) as process:
             done = run_pamrig(
                 name, "--rig", process.rig, "--out", place / "runs", *words, **options
             )  # fmt: skip
-            late_ms = worst_late_ms(process.stop())
-        if not starved(done.returncode, done.stdout, late_ms):
+            late_ms.append(worst_late_ms(process.stop()))
+        if not starved(done.returncode, done.stdout, late_ms[-1]):
             assert done.returncode == 0, done.stdout + done.stderr
-            return RealRun(done, run_folder(place / "runs"), late_ms)
+            return RealRun(done, run_folder(place / "runs"), late_ms[-1])
         check_ended_well(place / "runs")
-        print(f"attempt {attempt}: starved, bench late by {late_ms} ms at worst: {done.stdout}")
-    raise AssertionError(f"starved {ATTEMPTS} times: {done.stdout}{done.stderr}")
+    raise gave_up(done.stdout + done.stderr, late_ms)

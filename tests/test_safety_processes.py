@@ -80,7 +80,7 @@ def without_its_host(folder: Path, rig: str, how: str) -> list[dict[str, Any]]:
             rng = random.Random(1)
             with (folder / "bench" / "valve").open("wb", buffering=0) as port:
                 # The bench may lag behind the wall clock; its own time is what counts.
-                while time.monotonic_ns() < end_ns or bench.truth()[-1]["t_ns"] < end_ns:
+                while time.monotonic_ns() < end_ns or bench.lately()[-1]["t_ns"] < end_ns:
                     if how == "garbage":
                         port.write(rng.randbytes(115))
                     time.sleep(0.01)
