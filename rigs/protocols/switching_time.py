@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import numpy.ma
+import numpy.ma  # np.median loads it when first called: that must not be while air is on
 
 from daq.errors import DeviceError
 from plant.constants import nominal
