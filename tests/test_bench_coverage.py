@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from bench_runs import run_bench
 from rigs.reduction import reduce_isometric
@@ -31,19 +32,19 @@ def slopes(pressure_kpa: float, length_mm: float) -> tuple[float, float]:
     return scale * (3 * length_mm**2 - BRAID_MM**2), scale * pressure_kpa * 6 * length_mm
 
 
-def agreement(root: Path, rig: str, benches: int, first_seed: int) -> tuple[float, float, int]:
-    """Share of points within k = 2, worst |mean true pressure - set-point| in kPa, points."""
-    inside, points, worst = 0, 0, 0.0
-    for seed in range(first_seed, first_seed + benches):
+def agreement(root: Path, rig: str, benches: int) -> tuple[np.ndarray, float]:
+    """Errors over their u, (benches, points); worst |mean true pressure - set-point| in kPa."""
+    pulls, worst = [], 0.0
+    for seed in range(1000, 1000 + benches):
         result, run, bench = run_bench(root, rig, seed)
         assert result.outcome == "clean", result.error
         table = reduce_isometric(run).table
+        here = []
         for row in table.itertuples():
             by_p, by_l = slopes(row.pressure_kpa, row.length_mm)
             u = math.hypot(row.u_force_n, by_p * row.u_pressure_kpa, by_l * row.u_length_mm)
-            error = row.force_n - force_n(row.pressure_kpa, row.length_mm)
-            inside += abs(error) <= 2 * u
-            points += 1
+            here.append((row.force_n - force_n(row.pressure_kpa, row.length_mm)) / u)
+        pulls.append(here)
         for event in run.events:
             if event["kind"] == "point":
                 a, b = event["valve_seq"]
@@ -52,31 +53,41 @@ def agreement(root: Path, rig: str, benches: int, first_seed: int) -> tuple[floa
                     int(samples["device_us"][0]), int(samples["device_us"][-1])
                 )
                 worst = max(worst, abs(true_kpa - event["set_pressure_kpa"]))
-    return inside / points, worst, points
+    return np.array(pulls), worst
 
 
-def sizes(normal: int, campaign: int) -> int:
-    return campaign if os.environ.get("PAMRIG_CAMPAIGN") else normal
+def check(root: Path, rig: str) -> None:
+    """At full size the share within k = 2; at a small one, what few benches can tell.
+
+    Points of one bench share its calibration errors. Were they all one error, the mean square of
+    pulls over n benches would be chi squared with n degrees over n: its range of 99.8 % holds
+    however much they share. An uncertainty stated at half of what it should be is seen at the
+    small size, one at twice that only at the full one.
+    """
+    full = bool(os.environ.get("PAMRIG_CAMPAIGN"))
+    benches = 400 if full else 12
+    pulls, worst_kpa = agreement(root, rig, benches)
+    share, square = float(np.mean(np.abs(pulls) <= 2.0)), float(np.mean(pulls**2))
+    print(
+        f"\n{rig}: {share:.1%} of {pulls.size} points within k = 2, pulls of {square**0.5:.2f}; "
+        f"worst set-point error {worst_kpa:.2f} kPa"
+    )
+    assert worst_kpa < 2.0
+    if full:
+        assert 0.93 <= share <= 0.98
+        return
+    low, high = chi2.ppf([0.001, 0.999], benches) / benches
+    assert low <= square <= high
+    assert share >= 0.85
 
 
 def test_stated_uncertainty_covers_the_plant_on_the_modern_bench(tmp_path: Path) -> None:
-    share, worst_kpa, points = agreement(tmp_path, "virtual", sizes(60, 400), first_seed=1000)
-    print(
-        f"\nvirtual: {share:.1%} of {points} points within k = 2; "
-        f"worst set-point error {worst_kpa:.2f} kPa"
-    )
-    assert 0.93 <= share <= 0.98
-    assert worst_kpa < 2.0
+    check(tmp_path, "virtual")
 
 
 @pytest.mark.campaign
 def test_stated_uncertainty_covers_the_plant_on_the_thesis_bench(tmp_path: Path) -> None:
-    share, worst_kpa, points = agreement(
-        tmp_path, "virtual-thesis", sizes(60, 400), first_seed=1000
-    )
-    print(f"\nvirtual-thesis: {share:.1%} of {points} within k = 2; worst {worst_kpa:.2f} kPa")
-    assert 0.93 <= share <= 0.98
-    assert worst_kpa < 2.0
+    check(tmp_path, "virtual-thesis")
 
 
 def test_the_equation_here_is_that_of_the_specification() -> None:

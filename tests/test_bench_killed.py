@@ -11,10 +11,20 @@ from pathlib import Path
 
 import pytest
 
-from bench_process import bench_process, pamrig
+from bench_process import (
+    ATTEMPTS,
+    LIMIT_S,
+    bench_process,
+    gave_up,
+    pamrig,
+    run_folder,
+    starved,
+    worst_late_ms,
+)
 from daq.run import open_run
 from daq.store import verify
 
+pytestmark = pytest.mark.realtime
 LOST_S = 0.1
 SILENT_S = 0.350
 VENT_S = {"virtual": 1.5, "virtual-thesis": 0.3}
@@ -24,37 +34,52 @@ SAFE_KPA = 20.0
 STARVED_MS = 25.0
 
 
+class TooSlow(Exception):
+    """The run ended by itself; its argument is the bench's worst lateness in ms."""
+
+
 def kill_once(folder: Path, rig: str, after_s: float) -> dict[str, float]:
     """One run killed ``after_s`` after it was armed; figures of what followed."""
+    late_ms: list[float] = []
+    for attempt in range(ATTEMPTS):
+        try:
+            return kill_attempt(folder / str(attempt), rig, after_s)
+        except TooSlow as slow:
+            late_ms.append(slow.args[0])
+    raise gave_up("before the kill", late_ms)
+
+
+def kill_attempt(folder: Path, rig: str, after_s: float) -> dict[str, float]:
+    """See `kill_once`; raises TooSlow."""
     with bench_process(folder / "bench", rig) as bench:
         client = pamrig(
-            "isometric",
-            "--rig",
-            bench.rig,
-            "--protocol",
-            "isometric-short",
-            "--out",
-            folder / "runs",
-        )
-        end = time.monotonic() + 40
-        while not any(line["armed"] for line in bench.truth()[-3:]):
-            assert client.poll() is None, client.communicate()
+            "isometric", "--rig", bench.rig, "--protocol", "isometric-short",
+            "--out", folder / "runs",
+        )  # fmt: skip
+        end = time.monotonic() + LIMIT_S
+        while not any(line["armed"] for line in bench.lately()):
+            if client.poll() is not None:
+                said, told = client.communicate()
+                slow_ms = worst_late_ms(bench.stop())
+                assert starved(client.returncode, said, slow_ms), said + told
+                raise TooSlow(slow_ms)
             assert time.monotonic() < end
             time.sleep(0.05)
         time.sleep(after_s)
         killed_ns = time.monotonic_ns()
         os.kill(client.pid, signal.SIGKILL)
         client.communicate()
-        time.sleep(SILENT_S + VENT_S[rig] + 0.4)
+        end_ns = killed_ns + round((SILENT_S + VENT_S[rig] + 0.4) * 1e9)
+        while bench.lately()[-1]["t_ns"] < end_ns:  # the bench may lag behind the wall clock
+            time.sleep(0.05)
         truth = bench.truth()
-        late = re.search(r"p99\.9 ([\d.]+) ms", bench.stop())
-        assert late
-    (run_folder,) = (path for path in (folder / "runs").iterdir() if path.is_dir())
-    run = open_run(run_folder)
-    if run.outcome == "faulted" and float(late[1]) >= STARVED_MS:
-        assert run.final is not None
-        pytest.skip(f"this machine was too busy for a bench in real time: {run.final['reason']}")
+        words = bench.stop()
+    run = open_run(run_folder(folder / "runs"))
+    if run.outcome == "faulted" and "host_silent" in str(run.final):
+        raise TooSlow(worst_late_ms(words))
     assert run.outcome == "interrupted"
+    late = re.search(r"p99\.9 ([\d.]+) ms", words)
+    assert late
     samples = run.samples("valve")
     assert all(problem.tail for problem in verify(run)), verify(run)
     last_heartbeat_ns = max(line["last_heartbeat_ns"] for line in truth)

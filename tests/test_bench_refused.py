@@ -5,13 +5,22 @@ from __future__ import annotations
 import os
 import resource
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from bench_process import bench_process, pamrig, run_pamrig
+from bench_process import (
+    LIMIT_S,
+    BenchProcess,
+    bench_process,
+    gave_up,
+    pamrig,
+    run_pamrig,
+    worst_late_ms,
+)
 from daq.run import open_run
 from rigs.config import load_rig
 
@@ -102,6 +111,7 @@ def test_unknown_names_list_what_there_is() -> None:
     refused("import", "points", "nothing.csv", expect=("nothing.csv",))
 
 
+@pytest.mark.realtime
 def test_ports_as_they_go_wrong(tmp_path: Path) -> None:
     """One bench in real time; each client meets another trouble with it."""
     with bench_process(tmp_path / "bench") as bench:
@@ -136,10 +146,10 @@ def test_ports_as_they_go_wrong(tmp_path: Path) -> None:
         busy = pamrig(
             "isometric", "--rig", bench.rig, "--protocol", "isometric-short", "--out", out
         )
-        wait_for(lambda: any(line["armed"] for line in bench.truth()[-3:]))
+        wait_until_armed(bench, busy)
         refused("isometric", "--rig", bench.rig, "--out", out, expect=("valve.port", "in use"))
         busy.send_signal(signal.SIGINT)
-        said, told = busy.communicate(timeout=30)
+        said, told = busy.communicate(timeout=LIMIT_S)
         assert busy.returncode == 130, (said, told)
         assert "stopped" in said
         truth = bench.truth()[-1]
@@ -149,10 +159,10 @@ def test_ports_as_they_go_wrong(tmp_path: Path) -> None:
         assert open_run(folder).outcome == "stopped"
 
         cut = pamrig("isometric", "--rig", bench.rig, "--protocol", "isometric-short", "--out", out)
-        wait_for(lambda: any(line["armed"] for line in bench.truth()[-3:]))
+        wait_until_armed(bench, cut)
         time.sleep(2)
         bench.process.kill()
-        said, told = cut.communicate(timeout=30)
+        said, told = cut.communicate(timeout=LIMIT_S)
         assert cut.returncode == 2, (said, told)
         assert "because: " in said
         assert "Traceback" not in told
@@ -161,9 +171,12 @@ def test_ports_as_they_go_wrong(tmp_path: Path) -> None:
         assert open_run(last).outcome == "faulted"
 
 
-def wait_for(condition: object, seconds: float = 40.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():  # type: ignore[operator]
+def wait_until_armed(bench: BenchProcess, client: subprocess.Popen[str]) -> None:
+    end = time.monotonic() + LIMIT_S
+    while not any(line["armed"] for line in bench.lately()):
+        if client.poll() is not None:
+            said, told = client.communicate()
+            raise gave_up(said + told, [worst_late_ms(bench.stop())])
         assert time.monotonic() < end
         time.sleep(0.05)
 
@@ -177,7 +190,7 @@ def test_a_full_disk_ends_the_run_in_good_order(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
     client = pamrig("isometric", "--out", tmp_path, preexec_fn=limit)
-    said, told = client.communicate(timeout=120)
+    said, told = client.communicate(timeout=LIMIT_S)
     assert client.returncode == 2, (said, told)
     assert "Traceback" not in told
     (folder,) = [p for p in tmp_path.iterdir() if p.is_dir()]
@@ -217,7 +230,6 @@ def test_help_is_light() -> None:
         "bad=[m for m in heavy if m in sys.modules];"
         "print(bad); sys.exit(bool(bad))"
     )
-    import subprocess
 
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

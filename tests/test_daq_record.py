@@ -428,6 +428,7 @@ def kill_attempt(root: Path, after_s: float) -> bool:
     return held_back_s + since_last_batch_s < 0.1
 
 
+@pytest.mark.realtime
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL")
 @pytest.mark.parametrize("moment", range(3))
 def test_kill_9_loses_less_than_a_tenth_of_a_second(tmp_path: Path, moment: int) -> None:
@@ -472,7 +473,8 @@ def test_a_full_disk_stops_the_run_loudly_and_all_before_it_is_readable(
         for k in range(5000):
             writer.append("valve", valve_batch(50 * k))
             appended = k + 1
-            time.sleep(0.0005 * threaded)
+            if threaded and k % 20 == 0:  # so that no more is on its way
+                writer.sync()
     assert writer.failed is not None
     assert "No space left" in str(caught.value)
     assert str(writer.folder) in str(caught.value)
@@ -537,11 +539,12 @@ def test_a_file_that_may_not_grow_is_a_fault_that_names_file_and_remedy(tmp_path
     assert [p.what for p in verify(run) if not p.what.startswith("writing failed")] == []
 
 
+@pytest.mark.realtime
 def test_a_slow_disk_does_not_hold_up_the_caller(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def slow(fd: int) -> None:
-        time.sleep(0.3)
+        time.sleep(1.5)
 
     monkeypatch.setattr(os, "fsync", slow)
     writer, _ = begin(tmp_path, durable=True, threaded=True)
@@ -551,8 +554,8 @@ def test_a_slow_disk_does_not_hold_up_the_caller(
         writer.append("valve", valve_batch(50 * k))
         writer.event("tick", k=k)
         longest = max(longest, time.perf_counter() - start)
-    assert writer.sync(0.25)  # with the operating system, though the medium lags behind
-    assert longest < 0.1
+    assert writer.sync(1.0)  # with the operating system, though the medium lags behind
+    assert longest < 0.75
     assert len(open_run(writer.folder).samples("valve")["seq"]) == 5000
     monkeypatch.undo()
     writer.finalize("clean")

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench_process import BUSY
 from daq.clock import RealClock, VirtualClock
 from daq.transport import SerialLink, memory_pair
 from instrument_desk import Desk
@@ -257,6 +258,7 @@ def server_port(tmp_path: Path) -> Iterator[str]:
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
+@pytest.mark.realtime
 def test_it_talks_to_pymodbus_own_server(server_port: str) -> None:
     clock = RealClock()
     link = SerialLink(server_port, 19200, clock)
@@ -265,9 +267,8 @@ def test_it_talks_to_pymodbus_own_server(server_port: str) -> None:
     driver = ModbusInstrument(link, pump, "pressure_transmitter", form, baud=19200)
     try:
         driver.connect("")
-        pump.for_seconds(1.0)
+        assert pump.until(lambda: driver.rows >= 5, 60.0)
     finally:
         link.close()
-    assert driver.rows >= 5
     assert set(driver.recent(100)[0].tolist()) == {550.25}
-    assert driver.faults.counts == {}
+    assert set(driver.faults.counts) <= BUSY

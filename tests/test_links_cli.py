@@ -19,7 +19,7 @@ def links(tmp_path: Path, *words: str) -> subprocess.CompletedProcess[str]:
         env=os.environ | {"PAMRIG_CACHE": str(tmp_path)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=False,
     )
 
@@ -44,7 +44,7 @@ def test_the_python_it_prints_runs_alone(tmp_path: Path) -> None:
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=True,
     )
     ours = [float(word) for word in alone.stdout.split()]
@@ -98,7 +98,7 @@ def test_without_sympy_it_says_what_to_install(tmp_path: Path) -> None:
         "from rigs.cli import main; main()\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=False
     )
     assert done.returncode == 2
     assert "pip install 'pamrig[symbolic]'" in done.stderr

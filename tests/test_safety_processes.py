@@ -13,10 +13,11 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from bench_process import bench_process
+from bench_process import ATTEMPTS, bench_process
 
 SILENT_S = 0.350
 EMPTY_S = {"virtual": 1.5, "virtual-thesis": 0.3}
@@ -33,17 +34,36 @@ with open_valve(config) as (valve, pump, _, _bench):
     valve.arm()
     valve.request("scheme %s")
     valve.set_point(%d)
-    pump.for_seconds(1.5)
-    print("ready", flush=True)
+    pump.until(lambda: valve.recent_counts(50).mean() > 1800 or valve.faults, 30.0)
+    print(*valve.faults or ["ready"], flush=True)
     pump.for_seconds(60.0)
 """
 
 
+@pytest.mark.realtime
 @pytest.mark.skipif(os.name == "nt", reason="signals and pseudo-terminals")
 @pytest.mark.parametrize("rig", ["virtual"])
 @pytest.mark.parametrize("how", ["stopped", "garbage"])
 def test_the_muscle_is_vented(tmp_path: Path, rig: str, how: str) -> None:
-    with bench_process(tmp_path / "bench", rig) as bench:
+    for attempt in range(ATTEMPTS):
+        truth = without_its_host(tmp_path / str(attempt), rig, how)
+        if truth:
+            break
+    assert truth, "the host was never given the processor for long enough to fill the muscle"
+    faulted = [line for line in truth if line["faults"]]
+    assert "host_silent" in faulted[0]["faults"][0]
+    commanded_ns = faulted[0]["vent_commanded_ns"]
+    assert max(line["pressure_kpa"] for line in truth if line["t_ns"] < commanded_ns) > 400
+    last_ns = max(line["last_heartbeat_ns"] for line in truth)
+    assert (commanded_ns - last_ns) * 1e-9 <= SILENT_S
+    late = [t for t in truth if t["t_ns"] >= commanded_ns + EMPTY_S[rig] * 1e9]
+    assert late
+    assert max(t["pressure_kpa"] for t in late) < EMPTY_KPA
+
+
+def without_its_host(folder: Path, rig: str, how: str) -> list[dict[str, Any]]:
+    """The bench's truth around the moment the host was stopped; empty where it never got going."""
+    with bench_process(folder / "bench", rig) as bench:
         host = subprocess.Popen(
             [sys.executable, "-c", HOST % ("burst", 2000), str(bench.rig)],
             stdout=subprocess.PIPE,
@@ -51,29 +71,21 @@ def test_the_muscle_is_vented(tmp_path: Path, rig: str, how: str) -> None:
         )
         assert host.stdout is not None
         try:
-            assert host.stdout.readline() == "ready\n"
-            high_kpa = bench.truth()[-1]["pressure_kpa"]
+            said = host.stdout.readline()
+            if "host_silent" in said:
+                return []
+            assert said == "ready\n"
             os.kill(host.pid, signal.SIGSTOP)
-            if how == "garbage":
-                rng = random.Random(1)
-                with (tmp_path / "bench" / "valve").open("wb", buffering=0) as port:
-                    end = time.monotonic() + SILENT_S + EMPTY_S[rig] + 0.5
-                    while time.monotonic() < end:
+            end_ns = time.monotonic_ns() + round((SILENT_S + EMPTY_S[rig] + 0.5) * 1e9)
+            rng = random.Random(1)
+            with (folder / "bench" / "valve").open("wb", buffering=0) as port:
+                # The bench may lag behind the wall clock; its own time is what counts.
+                while time.monotonic_ns() < end_ns or bench.lately()[-1]["t_ns"] < end_ns:
+                    if how == "garbage":
                         port.write(rng.randbytes(115))
-                        time.sleep(0.01)
-            else:
-                time.sleep(SILENT_S + EMPTY_S[rig] + 0.5)
+                    time.sleep(0.01)
+            return bench.truth()
         finally:
             host.kill()
-            host.wait(10)
+            host.wait()
             host.stdout.close()
-        truth = bench.truth()
-    assert high_kpa > 400
-    faulted = [line for line in truth if line["faults"]]
-    assert "host_silent" in faulted[0]["faults"][0]
-    commanded_ns = faulted[0]["vent_commanded_ns"]
-    last_ns = max(line["last_heartbeat_ns"] for line in truth)
-    assert (commanded_ns - last_ns) * 1e-9 <= SILENT_S
-    late = [t for t in truth if t["t_ns"] >= commanded_ns + EMPTY_S[rig] * 1e9]
-    assert late
-    assert max(t["pressure_kpa"] for t in late) < EMPTY_KPA

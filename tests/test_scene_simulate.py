@@ -235,7 +235,7 @@ def test_the_command_line_refuses_with_status_2_and_prints_json(tmp_path: Path) 
     def pamrig_command(*words: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [sys.executable, "-m", "rigs.cli", "simulate", *words, "--out", str(tmp_path / "runs")],
-            capture_output=True, text=True, timeout=300, check=False,
+            capture_output=True, text=True, timeout=900, check=False,
         )  # fmt: skip
 
     bad = written(tmp_path, scenario_text().replace("mass_g = 200.0", "mass_g = -200.0"))

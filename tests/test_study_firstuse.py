@@ -14,6 +14,7 @@ import pytest
 from rigs import firstuse
 from rigs.firstuse import WORDS, tell_of_compiling
 
+pytestmark = pytest.mark.realtime
 pty = pytest.importorskip("pty", reason="no terminals of this kind on this system")
 
 
@@ -45,7 +46,7 @@ def test_a_long_wait_is_told_of(
 ) -> None:
     monkeypatch.setattr(sys, "stderr", terminal[1])
     with tell_of_compiling():
-        assert WORDS in shown(terminal[0], 20.0)
+        assert WORDS in shown(terminal[0], 120.0)
 
 
 def test_a_short_one_is_not(terminal: tuple[int, TextIO], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -177,7 +177,7 @@ def test_each_study_answers_in_small(module, tmp_path: Path) -> None:  # type: i
 def test_the_command_writes_figures_and_one_json_value(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "rigs.cli", "study", "delay", "--json", "--out", str(tmp_path)],
-        capture_output=True, text=True, timeout=300, check=False,
+        capture_output=True, text=True, timeout=900, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["study"] == "delay"

@@ -54,7 +54,7 @@ def pty_device() -> Talk:
 
     def carried(data: bytes, write: Callable[[bytes], object], read: Callable[[], bytes]) -> bytes:
         got = b""
-        end = time.monotonic() + 5.0
+        end = time.monotonic() + 60.0
         for at in range(0, len(data), 512):
             write(data[at : at + 512])
             while len(got) < min(at + 512, len(data)):

@@ -16,6 +16,7 @@ from rigs.pump import Pump
 from rigs.valve import ValveController
 from rigs.virtual.server import BenchServer, open_server
 
+pytestmark = pytest.mark.realtime
 STALL_S = 0.7
 """More than twice the heartbeat's deadline."""
 

@@ -12,8 +12,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import numpy.ma  # np.median loads it when first called: that must not be while air is on
 
 from daq.errors import DeviceError
+from plant.constants import nominal
+from plant.valve import off_delay_s, on_delay_s
 from rigs.findings_switching import time_findings
 from rigs.protocols.procedure import Procedure
 from rigs.protocols.schedule import arrange
@@ -134,9 +137,6 @@ class CapturePoint(ValvePoint):
 
 def show_delays(runner: Runner, valve: str, pressure_kpa: float, found: SwitchingTimes) -> None:
     """Both delays in the live view, beside those of the thesis's own valve (its lines)."""
-    from plant.constants import nominal
-    from plant.valve import off_delay_s, on_delay_s
-
     which: Literal["inlet", "outlet"] = "inlet" if valve == "inlet" else "outlet"
     thesis = (
         on_delay_s(which, pressure_kpa * 1e3, nominal()),
