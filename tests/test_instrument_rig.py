@@ -256,6 +256,9 @@ def test_the_same_bytes_over_ports_in_real_time(tmp_path: Path) -> None:
             with open_rig(load_rig(str(server.rig_file))) as rig:
                 rig.valve.progress(10.0)
                 rig.pump.for_seconds(2.0)
+                late = time.monotonic() + 30.0
+                while time.monotonic() < late and any(i.rows < 2 for i in rig.instruments.values()):
+                    rig.pump.for_seconds(0.5)
                 assert rig.supply is not None
                 assert rig.supply.measure()[0] == pytest.approx(12.0, abs=0.02)
                 for name, instrument in rig.instruments.items():
