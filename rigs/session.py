@@ -217,7 +217,7 @@ def run_protocol(
         camera = camera_values(config)
         runner = Runner(rig, record, stop, watch, camera, control)
         try:
-            _connect(rig, record)
+            _connect(rig, record, watch)
             if wire:
                 _record_bytes(rig, record)
             if plan.frames:
@@ -290,7 +290,7 @@ def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> Non
         measure_camera_delay(rig, record, rig.config.camera.sync)
 
 
-def _connect(rig: Rig, record: RecordWriter) -> None:
+def _connect(rig: Rig, record: RecordWriter, watch: Watch) -> None:
     """Everything that comes in goes to the record as it came."""
 
     def valve_batch(batch: dict[str, Any]) -> None:
@@ -300,8 +300,11 @@ def _connect(rig: Rig, record: RecordWriter) -> None:
         record.append("balance", batch)
 
     def event(text: str) -> None:
-        kind = "fault" if text.startswith("fault") else "controller"
+        # A restart that nobody asked for is a fault, in the closing vent too.
+        kind = "fault" if text.startswith(("fault", "reboot")) else "controller"
         record.event(kind, device="valve", text=text)
+        if text.startswith("reboot"):
+            watch.log("WARNING: the valve controller restarted; check its power supply")
 
     def gap(found: Gap) -> None:
         record.event("gap", stream="valve", seq=found.seq, missing=found.missing)

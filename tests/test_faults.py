@@ -283,3 +283,29 @@ def test_a_reading_that_lost_its_head_is_counted(tmp_path: Path) -> None:
     result, run, _ = run_short("step", tmp_path, begin=behead)
     assert result.outcome == "clean"
     assert run.final["counters"]["balance"]["damaged"] == 3
+
+
+def test_a_restart_in_the_closing_vent_is_told(tmp_path: Path) -> None:
+    """Nobody looked for one any more: the run was clean, its record had it as mere chatter."""
+    told: list[str] = []
+
+    def restart(runner: Any) -> None:
+        safe, runner.watch.log = runner._safe, told.append
+
+        def closing() -> None:
+            runner.rig.bench.board.reset("brownout")
+            safe()
+
+        runner._safe = closing
+
+    _, run, _ = run_short("switching-time", tmp_path, begin=restart)
+    assert [e for e in run.events if e["kind"] == "fault" and "reboot" in e["text"]]
+    assert any("restarted" in line for line in told)
+
+
+def test_a_hang_after_disarming_need_not_be_told_but_one_before_must(sound: Truth) -> None:
+    truth = copy.copy(sound)
+    last = max(us for us, armed in truth.beats if armed)
+    for begun, found in ((last - 1_000_000, 1), (last + 400_000, 0)):
+        truth.faults = [Fault("process", "hung", hits=1, must_tell=1, begun_us=begun)]
+        assert len(judge(truth).untold) == found

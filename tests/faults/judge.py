@@ -162,6 +162,10 @@ WORDS = {"controller": "valve controller", "process": "valve controller|nobody e
 def told(fault: Fault, truth: Truth, record: Bytes) -> bool:
     """Whether record or message show that something was wrong, where the fault was."""
     final = record.final
+    if _too_late_to_matter(fault, truth, record):
+        return True
+    if not final and truth.error and any(f.layer == "disk" and f.hits for f in truth.faults):
+        return True  # the counters could not be written any more, and the terminal says so
     if truth.killed:
         return not final  # it reads as interrupted; what was counted is gone
     if final.get("outcome") != "clean" and not truth.error:
@@ -183,6 +187,19 @@ def told(fault: Fault, truth: Truth, record: Bytes) -> bool:
     return bool(faults) or any(not e["settled"] for e in record.kind("point") if "settled" in e)
 
 
+def _too_late_to_matter(fault: Fault, truth: Truth, record: Bytes) -> bool:
+    """Whether it began when there was nothing left that it could do or that could show it."""
+    if fault.begun_us < 0:
+        return False
+    if (fault.layer, fault.kind) in (("process", "hung"), ("disk", "slow")):
+        last = max((us for us, armed in truth.beats if armed), default=0)
+        return fault.begun_us > last + COMMANDED_US  # the controller is disarmed and vents
+    sure = [e for e in record.kind("vented") if e["confirmed"]]
+    if fault.layer == "controller" and sure:  # the muscle is empty, and the run over
+        return fault.begun_us > truth.bench_us(sure[-1]["t_ns"]) - 2 * LOOK_US
+    return False
+
+
 # ---- vented -------------------------------------------------------------------------
 
 
@@ -201,8 +218,10 @@ def _vents(truth: Truth, record: Bytes, verdict: Verdict) -> None:
         vented = commanded is not None and commanded > event_us + own_us
         if vented and truth.latched and truth.outcome == "clean" and not record.kind("fault"):
             verdict.untold.append(f"{what}: the controller vented")
-    _emptied(truth, verdict)
     _blind(truth, verdict)
+    if _supply_left_low(truth):
+        return
+    _emptied(truth, verdict)
     air = truth.end_kpa >= EMPTY_KPA
     if air and not truth.sealed_in:
         verdict.late.append(f"{truth.end_kpa:.0f} kPa in the muscle 3 s after the end")
@@ -210,6 +229,12 @@ def _vents(truth: Truth, record: Bytes, verdict: Verdict) -> None:
         unsure = [e for e in record.kind("vented") if not e["confirmed"]]
         if not unsure and not record.kind("vent_unconfirmed") and not record.kind("fault"):
             verdict.untold.append(f"{truth.end_kpa:.0f} kPa left in the muscle")
+
+
+def _supply_left_low(truth: Truth) -> bool:
+    """A switching-voltage test whose program stops leaves the solenoids at its test voltage."""
+    gone = any(f.layer == "process" and f.kind != "bug" and f.begun_us >= 0 for f in truth.faults)
+    return truth.protocol == "switching-voltage" and gone
 
 
 def _must_vent(truth: Truth) -> Iterator[tuple[str, int, int]]:
