@@ -22,6 +22,8 @@ PAGES = [
     "README.md",
     *sorted(p.relative_to(HOUSE).as_posix() for p in (HOUSE / "docs").glob("*.md")),
 ]
+# A minute of computing each, of commands whose short forms other tests run: with the campaigns.
+LONG = {"docs/models.md", "docs/valve-tests.md", "docs/control.md", "docs/study-finger.md"}
 # What a reader puts in for himself.
 PLACES = {"RUN": "last", "runs/<run>": "last"}
 # These serve until they are stopped.
@@ -71,7 +73,10 @@ def done_once() -> set[str]:
     return set()
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(p, marks=pytest.mark.campaign) if p in LONG else p for p in PAGES],
+)
 def test_every_command_of_the_page_works(page: str, desk: Path, done_once: set[str]) -> None:
     for command in commands(page):
         if command.startswith(ONCE):
