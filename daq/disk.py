@@ -243,7 +243,7 @@ class Disk:
             path = self.root / file
             folders = {path.parent}
             if not path.parent.exists():
-                path.parent.mkdir(parents=True)
+                path.parent.mkdir(parents=True, exist_ok=True)  # the caller may be first
                 folders.add(path.parent.parent)
             handle = self._files[file] = _File(path)
             with self._sync_lock:

@@ -246,3 +246,23 @@ def test_a_writer_with_threads_gives_up_the_file_as_well(tmp_path: Path) -> None
     writer.append("place", {"row": np.arange(4)})
     writer.finalize("clean")
     assert not list(writer.folder.rglob("*.ahead"))
+
+
+def test_a_folder_that_comes_up_meanwhile_is_no_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two threads open the first files of `samples`: rows ahead and the first batch's index."""
+    there = Path.exists
+
+    def late(path: Path) -> bool:
+        known = there(path)
+        if path.name == "samples" and not known:
+            path.mkdir()  # the other thread, between the question and the answer
+        return known
+
+    files = disk.Disk(tmp_path, durable=False, threaded=False)
+    monkeypatch.setattr(Path, "exists", late)
+    files.put("samples/bench.index.jsonl", b"{}\n")
+    assert files.failed is None
+    assert (tmp_path / "samples" / "bench.index.jsonl").read_bytes() == b"{}\n"
+    files.close()
