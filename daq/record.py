@@ -28,6 +28,8 @@ SCHEMA = "pamrig-run/1"
 OUTCOMES = ("clean", "stopped", "aborted", "faulted")
 SEGMENT_ROWS = 300_000  # 5 min at 1 kHz
 FRAMES_FILE_BYTES = 256 << 20
+_DECLARED_S = 1.0
+"""How long a stream's first row waits for the stream's declaration to be written."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*\Z")
 
@@ -239,6 +241,7 @@ class RecordWriter:
 
     def _put_ahead(self, s: _Stream, entry: bytes, rows: int) -> None:
         if s.ahead_file is None:
+            self._disk.drain(_DECLARED_S)  # without its declaration no row of a stream can be read
             try:
                 s.ahead_file = AheadFile(self.folder / ahead_name(s.schema.name))
             except OSError as error:

@@ -150,12 +150,13 @@ def test_what_the_docs_show_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 KILLED = """
-import os, signal, sys
+import os, signal, sys, time
 from daq.clock import RealClock
 from daq.record import RecordWriter
 from daq.rows import RowWriter
 from test_daq_rows import SCHEMA, given_row
 record = RecordWriter(sys.argv[1], {}, RealClock())
+record._disk.then(lambda: time.sleep(float(sys.argv[2])))
 rows = RowWriter(record, RealClock(), "bench", SCHEMA)
 for k in range(300):
     rows.add(given_row(k))
@@ -164,12 +165,14 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL")
-def test_kill_9_takes_no_row_whose_call_has_returned(tmp_path: Path) -> None:
-    """Not a moment is given to the thread that writes batches."""
+@pytest.mark.parametrize("held_up_s", [0.0, 0.3])
+def test_kill_9_takes_no_row_whose_call_has_returned(tmp_path: Path, held_up_s: float) -> None:
+    """Not a moment is given to the thread that writes batches, though it may be late already."""
     here = Path(__file__).parent
     done = subprocess.run(
-        [sys.executable, "-c", KILLED, str(tmp_path)], cwd=here, check=False, capture_output=True
-    )
+        [sys.executable, "-c", KILLED, str(tmp_path), str(held_up_s)],
+        cwd=here, check=False, capture_output=True,
+    )  # fmt: skip
     assert done.returncode == -signal.SIGKILL, done.stderr
     (folder,) = (p.parent for p in tmp_path.glob("*/run.json"))
     found = open_run(folder).samples("bench")
