@@ -19,7 +19,7 @@ import mmap
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,12 +43,9 @@ def ahead_name(stream: str) -> str:
     return f"samples/{stream}.ahead"
 
 
-def ahead_entry(columns: Columns, first_row: int) -> bytes:
-    """One entry; ``columns`` in the schema's order and dtypes, all of one length."""
-    rows = len(next(iter(columns.values())))
-    return sealed_entry(
-        _ROWS.pack(first_row, rows) + b"".join([a.tobytes() for a in columns.values()])
-    )
+def ahead_entry(parts: Sequence[bytes], first_row: int, rows: int) -> bytes:
+    """One entry; ``parts`` are the columns' bytes in the schema's order and dtypes."""
+    return sealed_entry(b"".join([_ROWS.pack(first_row, rows), *parts]))
 
 
 def sealed_entry(body: bytes) -> bytes:

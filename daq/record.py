@@ -196,12 +196,12 @@ class RecordWriter:
             s = self._streams[stream]
             if self._closed:  # a device still talks while the bench is being closed
                 return s.rows
-            message, rows = s.encoder.encode(columns)
+            parts, rows = s.encoder.parts(columns)
             first_row = s.rows
             if rows == 0:
                 return first_row
             if self._disk.threaded and not s.ahead:  # until the writer's thread comes to it
-                self._put_ahead(s, ahead_entry(s.encoder.checked(columns)[0], first_row), rows)
+                self._put_ahead(s, ahead_entry(parts, first_row, rows), rows)
             if not s.file or 0 < self._segment_rows < s.rows_in_file + rows:
                 self._end_segment(s)
                 s.next_file()
@@ -209,7 +209,7 @@ class RecordWriter:
             more = f'"chunk":"rows","rows":{rows},"first_row":{first_row}'
             if s.has_seq:
                 more += f',"first_seq":{int(columns["seq"][0])}'
-            self._put_chunk(s, message, more)
+            self._put_chunk(s, s.encoder.message(parts, rows), more)
             s.rows += rows
             s.rows_in_file += rows
             if s.ahead and s.ahead_file is not None:
@@ -229,9 +229,9 @@ class RecordWriter:
             s = self._streams[stream]
             if self._closed:
                 return
-            checked, rows = s.encoder.checked(columns)
+            parts, rows = s.encoder.parts(columns)
             if rows:
-                self._put_ahead(s, ahead_entry(checked, s.rows + s.ahead), rows)
+                self._put_ahead(s, ahead_entry(parts, s.rows + s.ahead, rows), rows)
 
     def ahead_row(self, stream: str, entry: bytes) -> None:
         """The same for one row that is an entry already, see :mod:`daq.rows`."""

@@ -106,54 +106,60 @@ class BatchEncoder:
         Raises:
             ValueError: a column is missing, unknown, of another type or length.
         """
-        checked, rows = self.checked(columns)
-        arrays = list(checked.values())
-        if rows not in self._heads:
-            return self._learn(arrays, rows), rows
-        head = self._heads[rows]
-        return (self._joined(head, arrays) if head else self._slow(arrays)), rows
+        parts, rows = self.parts(columns)
+        return self.message(parts, rows), rows
 
-    def checked(self, columns: Columns) -> tuple[Columns, int]:
-        """The columns in the schema's order and dtypes, and their number of rows.
+    def parts(self, columns: Columns) -> tuple[list[bytes], int]:
+        """Each column's bytes, in the schema's order and dtypes, and the number of rows.
 
         Raises:
             ValueError: a column is missing, unknown, of another type or length.
         """
-        arrays = [self._checked(name, columns) for name in self._dtypes]
+        arrays = []
+        rows = -1
+        for name, dtype in self._dtypes.items():
+            try:
+                array = columns[name]
+            except KeyError:
+                raise ValueError(f"stream {self.schema.name}: column {name} is missing") from None
+            if array.dtype != dtype:
+                array = self._cast(name, array)
+            if len(array) != rows and rows >= 0:
+                lengths = {n: len(columns[n]) for n in self._dtypes if n in columns}
+                raise ValueError(f"stream {self.schema.name}: columns differ in length: {lengths}")
+            rows = len(array)
+            arrays.append(array)
         if len(columns) != len(arrays):
             extra = sorted(set(columns) - set(self._dtypes))
             raise ValueError(f"stream {self.schema.name}: unknown columns {extra}")
-        rows = len(arrays[0])
-        if any(len(a) != rows for a in arrays):
-            lengths = {n: len(columns[n]) for n in self._dtypes}
-            raise ValueError(f"stream {self.schema.name}: columns differ in length: {lengths}")
-        return dict(zip(self._dtypes, arrays, strict=True)), rows
+        return [array.tobytes() for array in arrays], rows
 
-    def _checked(self, name: str, columns: Columns) -> npt.NDArray[Any]:
-        try:
-            array = columns[name]
-        except KeyError:
-            raise ValueError(f"stream {self.schema.name}: column {name} is missing") from None
+    def _cast(self, name: str, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
         dtype = self._dtypes[name]
-        if array.dtype is not dtype and array.dtype != dtype:
-            if not np.can_cast(array.dtype, dtype, "safe"):
-                raise ValueError(
-                    f"stream {self.schema.name}: column {name} is {array.dtype}, expected {dtype}"
-                )
-            array = array.astype(dtype)
-        return array
+        if not np.can_cast(array.dtype, dtype, "safe"):
+            raise ValueError(
+                f"stream {self.schema.name}: column {name} is {array.dtype}, expected {dtype}"
+            )
+        return array.astype(dtype)
+
+    def message(self, parts: list[bytes], rows: int) -> bytes:
+        """The message of columns that are bytes already, see :meth:`parts`."""
+        if rows not in self._heads:
+            return self._learn(parts, rows)
+        head = self._heads[rows]
+        return self._joined(head, parts) if head else self._slow(parts, rows)
 
     @staticmethod
-    def _joined(head: bytes, arrays: list[npt.NDArray[Any]]) -> bytes:
-        parts = [head]
-        for array in arrays:
-            parts.append(array.tobytes())
-            pad = -array.nbytes % 8
+    def _joined(head: bytes, parts: list[bytes]) -> bytes:
+        padded = [head]
+        for part in parts:
+            padded.append(part)
+            pad = -len(part) % 8
             if pad:
-                parts.append(_PADDING[pad])
-        return b"".join(parts)
+                padded.append(_PADDING[pad])
+        return b"".join(padded)
 
-    def _slow(self, arrays: list[npt.NDArray[Any]]) -> bytes:
+    def _slow(self, parts: list[bytes], rows: int) -> bytes:
         import pyarrow as pa
 
         if self._arrow is None:
@@ -161,23 +167,23 @@ class BatchEncoder:
         batch = pa.RecordBatch.from_arrays(
             # Not pa.array, which imports pandas: a second's stall at the first batch of a run.
             [
-                pa.Array.from_buffers(f.type, len(a), [None, pa.py_buffer(a.tobytes())])
-                for a, f in zip(arrays, self._arrow, strict=True)
+                pa.Array.from_buffers(f.type, rows, [None, pa.py_buffer(part)])
+                for part, f in zip(parts, self._arrow, strict=True)
             ],
             schema=self._arrow,
         )
         return bytes(batch.serialize().to_pybytes())
 
-    def _learn(self, arrays: list[npt.NDArray[Any]], rows: int) -> bytes:
-        message = self._slow(arrays)
+    def _learn(self, parts: list[bytes], rows: int) -> bytes:
+        message = self._slow(parts, rows)
         head = message[: 8 + int.from_bytes(message[4:8], "little")]
-        self._heads[rows] = head if self._joined(head, arrays) == message else None
+        self._heads[rows] = head if self._joined(head, parts) == message else None
         return message
 
     def head(self, rows: int) -> bytes | None:
         """What every message of so many rows begins with; None if that is not settled."""
         if rows not in self._heads:
-            self._learn([np.zeros(rows, dtype) for dtype in self._dtypes.values()], rows)
+            self._learn([bytes(rows * dtype.itemsize) for dtype in self._dtypes.values()], rows)
         return self._heads[rows]
 
     def layout(self, rows: int, head_bytes: int) -> np.dtype[Any]:
