@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -133,3 +133,24 @@ def read_trial(
         states[b:, OUT_A],
         float(states[:, OUT_FALL].max()) if len(states) else 0.0,
     )
+
+
+SETTLED_S = 2.0
+"""A settled point is the mean of this last part of its dwell: a hung load swings on for long."""
+_SETTLED_READINGS = 81
+
+
+def read_settled(trial: Trial, c: Floats, e: Floats) -> Readings:
+    """Noise-free readings of a trial's settled points, one a point in each channel."""
+    assert trial.settled_s is not None
+    back = np.linspace(-SETTLED_S, 0.0, _SETTLED_READINGS)
+    t = (trial.settled_s[:, None] + back).ravel()
+    r = read_trial(trial, c, e, t, t, t)
+
+    def mean(values: Floats) -> Floats:
+        return np.asarray(values.reshape(-1, len(back)).mean(axis=1))
+
+    return replace(
+        r, pressure=mean(r.pressure), force=mean(r.force), length=mean(r.length),
+        speed=mean(r.speed), acceleration=mean(r.acceleration),
+    )  # fmt: skip

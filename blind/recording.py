@@ -10,7 +10,7 @@ import pandas as pd
 from blind.bench import Trial
 from blind.defects import Channels, spoil
 from blind.noise import shake_force, shake_length, shake_pressure
-from blind.readings import read_trial
+from blind.readings import read_settled, read_trial
 from blind.sets import STREAMS, BlindSet
 
 Floats = np.ndarray
@@ -73,7 +73,7 @@ def record_trial(one: BlindSet, trial: Trial, rng: np.random.Generator) -> dict[
     balance = q.balance and trial.force_hz <= 10.0
     if trial.settled_s is not None:
         t = trial.settled_s
-        r = read_trial(real, design.true, e, t, t, t)
+        r = read_settled(real, design.true, e)
         columns: dict[str, object] = {"pressure_kpa": shake_pressure(rng, q, t, r.pressure)}
         if trial.load_kg > 0.0:
             columns["length_mm"] = shake_length(rng, replace(q, dropped_share=0.0), r.length)

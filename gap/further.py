@@ -20,6 +20,11 @@ FAR_ABOVE = 3.0
 """The same, from which a further effect counts beside one whose form leaves much."""
 PLAINLY_SEEN = 1.5
 """The same, from which an effect counts beside one of any size."""
+PLAIN_GAIN = 240.0
+PLAIN_SHARE = 0.1
+PLAIN_OF_LEFT = 0.6
+"""Gain, share of the gap and share of what is left from which less over the floor will do:"""
+PLAIN_SEEN = 0.4
 _LEAST_NEXT = 40.0
 
 
@@ -54,9 +59,23 @@ def counts(q: Inquiry, gap: float, alarm: float, before: State, key: str, after:
     `gap` is the whitened gap beyond noise at the base, `alarm` what a first effect needs.
     """
     gain = before.cost - after.cost
-    if gain < max(_LEAST_NEXT, alarm) or seen(q, before, after) <= SEEN_NEXT:
+    if gain < max(_LEAST_NEXT, alarm):
+        return False
+    visible = seen(q, before, after)
+    if visible > PLAIN_SEEN and _plain(q, gap, before, gain):
+        return True
+    if visible <= SEEN_NEXT:
         return False
     return apart(q, before, key) or _worth(q, gap, alarm, before, after)
+
+
+def _plain(q: Inquiry, gap: float, before: State, gain: float) -> bool:
+    """Whether it takes most of what is left, and much of the gap.
+
+    Such an effect may show in few moments only, as a valve's does, and stand less high over a
+    floor that is a mean over all of them.
+    """
+    return gain > max(PLAIN_GAIN, PLAIN_SHARE * gap, PLAIN_OF_LEFT * excess(q, before))
 
 
 def _worth(q: Inquiry, gap: float, alarm: float, before: State, after: State) -> bool:

@@ -110,6 +110,15 @@ def _without_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             f"a gap that no entry of the catalogue explains, in the {block} residual",
             none=0.02, unknown=0.98, stage=stage,
         )  # fmt: skip
+    apart = next((c for c in contrasts_of(q) if c.alarm), None)
+    if apart is not None:
+        # Replicates far apart in time take a drift for noise; their order tells it.
+        return _verdict(
+            q, naming, held, "unknown",
+            f"a gap that no entry of the catalogue explains: the contrast {apart.name} stands at "
+            f"{apart.z:.1f} sd", none=0.02, unknown=0.98,
+            stage=_stage_of_block(q, naming, _block(held, q.base)),
+        )  # fmt: skip
     best = max(naming.first_gain.values(), default=0.0)
     unknown = 0.02 + 0.2 * min(unseen / UNSEEN, 1.0) ** 2
     none = (1.0 - unknown) * (1.0 - 0.15 * min(best / ALARM, 1.0))

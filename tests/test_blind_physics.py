@@ -14,6 +14,8 @@ from blind import numbers as n
 from blind.bench import Trial, no_effect, nominal, run_trial
 from blind.entries import CATALOGUE, ENTRIES, Hidden, draw
 from blind.laws import static_force, volume
+from blind.protocols import stairs
+from blind.readings import read_settled, read_trial
 from blind.stepping import OUT_F, OUT_FALL, OUT_L, OUT_P, OUT_TAP
 
 C = nominal()
@@ -90,6 +92,24 @@ def test_a_hanging_mass_comes_to_rest_where_the_braid_carries_it() -> None:
     out = run_trial(trial, C, no_effect(), np.array([80.0]))[0]
     carried = (3.0 * out[OUT_L] ** 2 - 88.4**2) * 0.3 / (4.0 * math.pi * 1.855**2)
     assert carried == pytest.approx(2.0 * 9.80665, rel=1e-3)
+
+
+def test_a_settled_point_of_a_swinging_load_is_where_it_comes_to_rest() -> None:
+    """It may swing on for minutes: at an instant it is some tenths of a millimetre off."""
+    slack = C.copy()
+    slack[n.LOAD_C] = 0.0  # two standard deviations of its tolerance below what is stated
+    levels = np.array([0.0, 91.0, 183.0, 275.0])
+
+    def trial(dwell_s: float) -> Trial:
+        ends = np.arange(len(levels)) * (dwell_s + 0.02) + dwell_s - 0.2
+        return plain(load_kg=2.2, regulator=stairs(levels, dwell_s, 0.02), settled_s=ends)
+
+    rest = read_settled(trial(300.0), slack, no_effect()).length
+    settled = read_settled(trial(8.0), slack, no_effect()).length
+    ends = trial(8.0).settled_s
+    at_once = read_trial(trial(8.0), slack, no_effect(), ends, ends, ends).length
+    assert np.abs(at_once - rest).max() > 0.1
+    assert np.abs(settled - rest).max() < 0.03
 
 
 @pytest.mark.parametrize("form", [0, 1, 2])

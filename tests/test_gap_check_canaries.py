@@ -91,3 +91,13 @@ def test_force_shuffled_among_trials_names_nobody(number: int, tmp_path: Path) -
     samples.loc[with_force.index, "force_n"] = values
     verdict = verdict_on(replace(recorded, samples=samples), tmp_path / "shuffled")
     assert verdict.status not in NAMING
+
+
+def test_a_drift_over_trials_that_nothing_may_explain_is_not_passed_over(tmp_path: Path) -> None:
+    """Replicates far apart in time take wear for noise; their order still tells it."""
+    one = blind_set("practice", 8096)
+    assert [h.id for h in one.hidden] == ["wear"]
+    write(record(one), tmp_path / "worn")
+    verdict = diagnose(read_dataset(tmp_path / "worn"), without=["wear"])
+    assert verdict.status == "unknown"
+    assert any(c.alarm and "early-late trials" in c.name for c in verdict.contrasts)
