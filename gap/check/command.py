@@ -26,6 +26,7 @@ def summary(entries: list[dict[str, Any]]) -> dict[str, Any]:
         name: totals([e["baselines"][name] for e in entries if name in e["baselines"]])["headline"]
         for name in names
     }
+    found["baseline_sets"] = sum(1 for e in entries if e["baselines"])
     return found
 
 

@@ -62,6 +62,8 @@ def baseline_table(found: dict[str, Any]) -> list[str]:
     own = {line["figure"]: line for line in found["headline"]}
     tables = {n: {line["figure"]: line for line in found["baselines"][n]} for n in names}
     lines = ["", "## What one would use instead", ""]
+    if found["baseline_sets"] < found["sets"]:
+        lines += [f"The naive methods ran on {found['baseline_sets']} of the sets.", ""]
     lines.append("| figure | this diagnosis | " + " | ".join(names) + " |")
     lines.append("|---" * (len(names) + 2) + "|")
     for figure in wanted:
