@@ -18,7 +18,7 @@ from blind import numbers as n
 from blind.bench import Trial, no_effect, nominal, with_keys
 from blind.design import draw_design, true_constants
 from blind.entries import CATALOGUE, ENTRIES, OUTSIDE, Hidden, draw
-from blind.kernel import command, slopes
+from blind.kernel import QUEUE, SINCE, TIMES, VALVE_CELLS, command, slopes
 from blind.laws import relaxation
 from blind.mimic import measure
 from blind.noise import draw_noise
@@ -29,6 +29,7 @@ from blind.sets import sized
 from blind.stepping import advance, at_rest
 
 FRAME_MEMORY_S = 0.5
+HAIR_S = 1e-9
 
 
 @dataclass(frozen=True)
@@ -139,6 +140,8 @@ class LiveBench:
         if row[0] >= 0.0:
             self._w = relaxation(row[0], row[2])
         self._trials = 0
+        self.time_s = 0.0
+        self._vs: np.ndarray = np.zeros(VALVE_CELLS)
         self._frames: deque[tuple[float, float]] = deque()
         self._none = np.zeros(0), np.zeros((0, 7))
         self.start_trial()
@@ -163,6 +166,10 @@ class LiveBench:
         self.trial = Trial("", "", "free", 0, mounting, count, 1.0, temperature_c=temperature_c)
         c = self.constants
         c[n.MASS], c[n.MUSCLE_C], c[n.TRIAL] = load_kg, temperature_c, count
+        if keep:  # what the valves remember happened so long before the new beginning
+            self._vs[SINCE : SINCE + 2] -= self.time_s
+            for base in (TIMES, TIMES + 2 * QUEUE):
+                self._vs[base : base + QUEUE] -= self.time_s
         self.time_s, self._step = 0.0, 1e-3
         self._written = length_mm
         self._length = self._true_length(length_mm)
@@ -221,9 +228,10 @@ class LiveBench:
         )  # fmt: skip
         self.time_s = end
         dy = np.zeros(n.STATES)
-        last_t, last_v = np.array([start, end]), np.array([goal, goal])
+        # A hair before the end: at a course's last corner nothing moves any more.
+        last = end - min(HAIR_S, 0.5 * dt)
         force, length, _, _ = slopes(
-            end, y, dy, vs, c, e, self._w, regulated, set_t, set_v, last_t, last_v
+            last, y, dy, vs, c, e, self._w, regulated, set_t, set_v, len_t, len_v
         )
         self._length = float(length)
         return self._shown(float(force), float(length))

@@ -12,7 +12,7 @@ import typer
 from gap.diagnose import diagnose, examine
 from gap.opening import open_data as read_dataset
 from gap.verdict import Verdict, plain
-from gap.written import write_text
+from gap.written import check_out, write_text
 
 
 def struck(text: str) -> list[str]:
@@ -36,10 +36,11 @@ def diagnose_command(data: Path, without: str, as_json: bool) -> None:
 
 def where_command(data: Path, out: Path | None, as_json: bool) -> None:
     """`pamrig gap where`: stages, comparisons, and courses of the residual."""
-    from gap.mapfigures import write_courses
+    from gap.mapfigures import check_picture, write_courses
     from gap.maps import residual_maps
     from gap.where import MEANING, whereabouts
 
+    check_picture(out)
     verdict, inquiry, state = examine(read_dataset(data))
     found = whereabouts(inquiry, state) if inquiry is not None and state is not None else None
     courses = residual_maps(inquiry, state) if inquiry is not None and state is not None else []
@@ -85,6 +86,7 @@ def shrink_command(data: Path, without: str, out: Path | None, as_json: bool) ->
     from gap.shrink import improved_plant
     from gap.shrinkage import as_lines, shrinkage
 
+    check_out(out)
     verdict, inquiry, state = examine(read_dataset(data), struck(without))
     table = verdict.as_dict()
     named = bool(verdict.effects)
@@ -117,6 +119,7 @@ def next_command(data: Path, without: str, out: Path | None, as_json: bool) -> N
     """`pamrig gap next`."""
     from gap.advise import protocol_text
 
+    check_out(out)
     verdict = diagnose(read_dataset(data), struck(without))
     experiment = verdict.next_experiment
     written = None

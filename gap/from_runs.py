@@ -15,6 +15,7 @@ import pandas as pd
 from daq.errors import RecordError
 from daq.run import Run
 from gap.errors import GapError
+from gap.reader import read_bench
 from gap.runtables import table_trials
 from gap.runtrials import RunTrial, run_trials
 from plant import tomlfile
@@ -49,7 +50,7 @@ def export_runs(
     Args:
         runs: of any protocols, of one bench.
         folder: made if need be; it must hold no data set yet.
-        plant: constants of the bench that differ from the nominal plant (a `bench.toml`); by
+        plant: what of the bench differs from the nominal plant (a `bench.toml`); by
             default the file of that name beside the rig file, or what a virtual rig states.
         form: "time" for channels against time, "points" for the settled points alone. A run of
             settled points from elsewhere has no other form.
@@ -108,8 +109,7 @@ def _write(
         samples.to_parquet(folder / "samples.parquet", index=False)
         for name, table in (("bench.toml", bench), ("calibration.toml", calibration)):
             if table:
-                lines = [f"{key} = {_toml(value)}" for key, value in table.items()]
-                (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+                (folder / name).write_text(_toml_text(table), encoding="utf-8")
     except OSError as error:
         raise GapError(str(folder), f"cannot be written: {error.strerror}") from None
     slots = len({row["slot"] for row in rows})
@@ -119,7 +119,7 @@ def _write(
 def _bench(runs: Sequence[Run], plant: Path | None) -> dict[str, Any]:
     """Constants that differ from the nominal plant: of a file, or of the virtual rig's own text."""
     if plant is not None:
-        return _read(plant)
+        return stated_plant(plant)
     stated = [(run, _stated(run)) for run in runs]
     for run, table in stated:
         if table != stated[0][1]:
@@ -129,6 +129,16 @@ def _bench(runs: Sequence[Run], plant: Path | None) -> dict[str, Any]:
                 "export runs of one bench at a time, or name its constants with --plant",
             )
     return stated[0][1]
+
+
+def stated_plant(path: Path) -> dict[str, Any]:
+    """What a plant file states, `[effects.<id>]` included.
+
+    Raises:
+        GapError: it cannot be read, or states what the plant does not have.
+    """
+    read_bench(path)
+    return tomlfile.loads(tomlfile.read_text(path))
 
 
 def _calibration(runs: Sequence[Run]) -> dict[str, float]:
@@ -171,6 +181,14 @@ def _stated(run: Run) -> dict[str, Any]:
         return {}
     stated = table.get("virtual", {}).get("plant", {})
     return {key: value for key, value in stated.items() if key in KEYS or key in CHOICES}
+
+
+def _toml_text(table: dict[str, Any]) -> str:
+    """A plant file: constants, then a table for each effect."""
+    lines = [f"{key} = {_toml(value)}" for key, value in table.items() if key != "effects"]
+    for name, effect in table.get("effects", {}).items():
+        lines += ["", f"[effects.{name}]", *(f"{k} = {_toml(v)}" for k, v in effect.items())]
+    return "\n".join(lines) + "\n"
 
 
 def _toml(value: Any) -> str:

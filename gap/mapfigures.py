@@ -10,6 +10,7 @@ import numpy as np
 
 from gap.errors import GapError
 from gap.maps import AXES, Course
+from gap.written import check_out
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,6 +73,16 @@ def _draw(axis: Any, course: Course, named: bool) -> None:
             fmt="s-", ms=3, lw=1.0, color=GREEN, label="with what was found",
         )  # fmt: skip
     axis.tick_params(labelsize=8)
+
+
+def check_picture(path: Path | None) -> None:
+    """Raise `GapError` where no picture could be written: told before the work, not after it."""
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    check_out(path)
+    known = FigureCanvasBase.get_supported_filetypes()
+    if path is not None and path.suffix[1:].lower() not in known:
+        raise GapError(str(path), "has no picture's ending", "end it in .png, .svg or .pdf")
 
 
 def write_courses(courses: Sequence[Course], named: bool, path: Path) -> None:

@@ -43,16 +43,20 @@ def read_dataset(folder: str | Path) -> DataSet:
         raise GapError(str(path), "no such folder", "check the path")
     if not path.is_dir():
         raise GapError(str(path), "is a file", "give the folder that holds trials.csv")
-    constants, effects = _bench(path / "bench.toml")
+    bench = path / "bench.toml"
+    constants, effects = read_bench(bench) if bench.exists() else (nominal(), NONE)
     trials = _trials_table(path / "trials.csv")
     samples = _samples_table(path)
     made = _join(path, trials, samples, constants, effects)
     return replace(made, calibration=_calibration(path / "calibration.toml"))
 
 
-def _bench(path: Path) -> tuple[PlantConstants, Effects]:
-    if not path.exists():
-        return nominal(), NONE
+def read_bench(path: Path) -> tuple[PlantConstants, Effects]:
+    """Constants and effects that a plant file states, over the nominal plant.
+
+    Raises:
+        GapError: it cannot be read, or states what the plant does not have.
+    """
     table = _toml(path)
     effects = table.pop("effects", {})
     try:

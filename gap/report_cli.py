@@ -24,7 +24,9 @@ def gap_report(
     from gap.opening import open_data
     from gap.report import write_report
     from gap.reporttext import headline
+    from gap.written import check_out
 
+    check_out(out)
     struck = [word.strip() for word in without.split(",") if word.strip()]
     examined = examine(open_data(data), struck)
     write_report(examined, out)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from daq.errors import PamrigError
-from daq.tablefile import check_csv, read_parquet
+from daq.tablefile import LARGEST_HEAD, check_csv, read_parquet
 from gap.errors import GapError
 from plant.constants import PlantConstants
 
@@ -94,10 +94,26 @@ def _read_csv(path: Path, labels: tuple[str, ...]) -> pd.DataFrame:
         if names.count(name) > 1:
             raise GapError(f"{path}, column {name}", "appears twice")
     text: dict[Any, Any] = {name: str for name in names if name in (*labels, "note")}
-    return pd.read_csv(
+    frame = pd.read_csv(
         path, dtype=text, skipinitialspace=True, encoding="utf-8-sig", low_memory=False,
         index_col=False,
     )  # fmt: skip
+    _check_end(path, len(names), len(frame))
+    return frame
+
+
+def _check_end(path: Path, columns: int, rows: int) -> None:
+    """Refuse a file that ends in the middle of a row: its last number may be cut short as well."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - LARGEST_HEAD, 0))
+        tail = file.read()
+    last = tail.rpartition(b"\n")[2]
+    if last.strip() and b'"' not in last and last.count(b",") < columns - 1:
+        raise GapError(
+            f"{path}, row {rows + 1}",
+            f"is cut short: {last.count(b',') + 1} of {columns} values, and no end of line",
+            "copy the file again, or drop the row",
+        )
 
 
 def _labels(column: pd.Series[Any]) -> pd.Series[Any]:

@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from gap.errors import GapError
+
+
+def check_out(path: Path | None) -> None:
+    """Raise `GapError` where a file could not be written: told before the work, not after it."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise GapError(str(path), "cannot be written: is a folder", "give a file in it")
+    above = next(folder for folder in path.absolute().parents if folder.exists())
+    if not above.is_dir():
+        raise GapError(str(path), f"cannot be written: {above} is a file")
+    if not os.access(above, os.W_OK):
+        raise GapError(str(path), f"cannot be written: {above} may not be written to")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.calibration import Calibration
+from daq.errors import ConfigError
 from rigs.calibration_file import load_calibration, read_fields
 from rigs.device import Device as Device
 from rigs.instruments.load_cell import GRAMS
@@ -21,6 +22,7 @@ TOP_COUNT = 4095
 """The controller's converter has 12 bits; a calibration's domain may be narrower."""
 VIRTUAL = "virtual"
 """The port of a device that is simulated in this process."""
+MOST_SEED = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -376,8 +378,11 @@ def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
         return None
     t = root.table("virtual")
     sensors = t.table("sensors", optional=True)
+    stated = t.integer("seed", 0, MOST_SEED, 1)
+    if seed is not None and not 0 <= seed <= MOST_SEED:
+        raise ConfigError("--seed", f"expected a whole number from 0 to {MOST_SEED}, got {seed}")
     out = VirtualBenchConfig(
-        seed=t.integer("seed", 0, 2**63 - 1, 1) if seed is None else seed,
+        seed=stated if seed is None else seed,
         draw_calibration_errors=t.flag("draw_calibration_errors", True),
         source=t.text("source", "valve", choices=("valve", "regulator")),
         load=t.text("load", "muscle", choices=("muscle", "ram")),
@@ -389,8 +394,6 @@ def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
         frame_noise_levels=sensors.number("frame_noise_levels", 0, 30, 2.0),
         camera_delay_ms=sensors.number("camera_delay_ms", 0, 500, 12.0, unit="ms"),
     )
-    if seed is not None:
-        t.integer("seed", 0, 2**63 - 1, 1)
     sensors.finish()
     t.finish()
     return out

@@ -20,7 +20,7 @@ from gap.advise import reference_for
 from gap.dataset import DataSet
 from gap.diagnose import diagnose
 from gap.errors import GapError
-from gap.from_runs import export_runs
+from gap.from_runs import export_runs, stated_plant
 from gap.reader import read_dataset
 from gap.reporttext import headline
 from gap.verdict import Verdict
@@ -109,6 +109,8 @@ def investigate(
     """
     if not budget_min > 0.0:
         raise GapError("--budget", f"expected minutes above 0, got {budget_min:g}")
+    if plant is not None:
+        stated_plant(plant)  # refused now, not after the first hour of tests
     stop = stop or StopFlag()
     folder = _own_folder(out)
     if bench is None and config.is_virtual:

@@ -26,7 +26,10 @@ def add_simulation(app: typer.Typer) -> None:
 def simulate(
     scenario: Annotated[str, typer.Argument(help="Scenario file, or the name of a shipped one.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of runs.")] = RUNS,
-    seed: Annotated[Optional[int], typer.Option(help="Another seed of the noise.")] = None,  # noqa: UP045
+    seed: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(min=0, max=2**31 - 1, help="Another seed of the noise."),
+    ] = None,
     plant: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option("--plant", help="Plant file in place of the scenario's own plant."),

@@ -45,6 +45,36 @@ def test_a_moving_stage_and_a_regulator() -> None:
     assert shown.force_n == pytest.approx(33.72, abs=0.05)
 
 
+def test_a_force_that_depends_on_speed_shows_while_the_stage_moves() -> None:
+    hidden = Hidden("viscosity", 1, 0.5, (12.0, 0.0, 0.0))
+    bench = LiveBench(hidden=[hidden])
+    bench.start_trial(length_mm=55.0, pressure_kpa=300.0)
+    shown = [
+        bench.step(0.01, regulator_kpa=300.0, length_mm=55.0 + 0.1 * (i + 1)) for i in range(100)
+    ]
+    course = np.array([0.0, 1.0]), np.array([55.0, 65.0])
+    level = np.array([0.0, 1.0]), np.array([300.0, 300.0])
+    trial = Trial("t", "s", "free", 1, 1, 1, 1.0, length=course, regulator=level)
+    whole = run_trial(trial, nominal(), bench.effects, np.array([s.time_s for s in shown[:-1]]))
+    assert np.abs(whole[:, OUT_F] - [s.force_n for s in shown[:-1]]).max() < 0.05
+    still = bench.step(0.01, regulator_kpa=300.0)
+    assert shown[-1].force_n - still.force_n > 3.0
+
+
+def test_a_new_trial_does_not_touch_valves_that_are_open_or_about_to_move() -> None:
+    shown = {}
+    for keep in (False, True):
+        hidden = Hidden("flow_area", 1, -0.4, variant="outlet")
+        bench = LiveBench(hidden=[hidden])
+        bench.start_trial(length_mm=60.0, pressure_kpa=300.0)
+        for i in range(60):
+            bench.step(1e-3, outlet=int(i < 59))
+        if keep:
+            bench.start_trial(length_mm=60.0, keep=True)
+        shown[keep] = [bench.step(1e-3, outlet=0).true_pressure_kpa for _ in range(20)]
+    assert shown[True] == pytest.approx(shown[False], rel=1e-6)
+
+
 def test_the_camera_is_late_by_the_hidden_delay() -> None:
     bench = LiveBench(hidden=[Hidden("camera_delay", 0, 50.0)])
     bench.start_trial(length_mm=55.0, pressure_kpa=300.0)

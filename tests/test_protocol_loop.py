@@ -85,6 +85,18 @@ def test_schemes_are_told_apart_and_errors_hold_the_truth(tmp_path: Path) -> Non
     assert [row["name"] for row in data["results"]["schemes"]] == ["two", "burst"]
 
 
+def test_the_first_step_begins_at_no_pressure_although_the_muscle_was_shortened(
+    tmp_path: Path,
+) -> None:
+    """An outlet lets no air in: a vacuum would stay, unseen by a sensor that begins at nothing."""
+    kept: list[Any] = []
+    run = measured(tmp_path, "step", kept, pressures_kpa=(200.0,), schemes=("two",), length_mm=54.0)
+    first = next(e for e in run.events if e["kind"] == "point")["valve_seq"][0] * 1000
+    times = np.array(kept[0].board.truth_us)
+    before = np.array(kept[0].board.truth_kpa)[(times > first - 50_000) & (times < first)]
+    assert np.abs(before).max() < 1.0
+
+
 def test_a_step_test_needs_the_valve_and_says_which_rig_has_it() -> None:
     with pytest.raises(ConfigError, match="virtual-thesis-loop"):
         procedure("step").read("step-short", load_rig("virtual-thesis"))

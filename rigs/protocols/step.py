@@ -14,6 +14,7 @@ import numpy as np
 
 from rigs.findings_step import step_findings
 from rigs.protocols.procedure import Procedure
+from rigs.protocols.trials import BREATH_KPA, BREATH_S
 from rigs.step_reduction import reduce_step
 from rigs.steps import Act, EndTrial, SetLength, State, Steps, Trial
 from rigs.toml_reader import load_toml
@@ -52,6 +53,7 @@ class Step:
     def steps(self) -> Steps:
         """The method: for each scheme, from vented, one set-point after another."""
         yield SetLength(self.length_mm)
+        yield Breath(self.schemes[0])
         order = trial = 0
         for replicate in range(1, self.repeats + 1):
             for scheme in self.schemes:
@@ -73,6 +75,27 @@ class Step:
                 yield Release()
                 yield EndTrial(trial)
         yield State("done")
+
+
+@dataclass(frozen=True)
+class Breath(Act):
+    """A breath of air: moving the muscle may draw a vacuum, which an outlet need not let go."""
+
+    scheme: str
+    seconds = BREATH_S
+
+    def perform(self, runner: Runner) -> None:
+        """Ask for a little; the trial that follows lets it out."""
+        runner.rig.valve.request(f"scheme {self.scheme}")
+        _ask(runner, BREATH_KPA)
+        runner.rig.pump.for_seconds(BREATH_S)
+
+
+def _ask(runner: Runner, pressure_kpa: float) -> None:
+    counts = float(runner.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
+    runner.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
+    runner.watch.set_point("pressure", pressure_kpa)
+    runner.rig.valve.set_point(counts)
 
 
 @dataclass(frozen=True)
@@ -102,11 +125,11 @@ class Response(Act):
         if self.first or take > 1:
             valve.request(f"scheme {self.scheme}")
         if take > 1 and self.from_kpa > 0:
-            self._ask(runner, self.from_kpa)
+            _ask(runner, self.from_kpa)
             runner.rig.pump.for_seconds(self.step_s)
         first = valve.seq_end
         asked_ns = runner.rig.clock.now_ns() - runner.record.start_ns
-        self._ask(runner, self.set_pressure_kpa)
+        _ask(runner, self.set_pressure_kpa)
         runner.rig.pump.for_seconds(self.step_s)
         self._show(runner)
         more = {"take": take} if take > 1 else {}
@@ -126,12 +149,6 @@ class Response(Act):
         kpa = runner.rig.config.calibrations["pressure_kpa"].apply(counts)
         error = float(np.sqrt(np.mean((kpa - self.set_pressure_kpa) ** 2)))
         runner.watch.result(self.set_pressure_kpa, error, self.scheme)
-
-    def _ask(self, runner: Runner, pressure_kpa: float) -> None:
-        counts = float(runner.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
-        runner.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
-        runner.watch.set_point("pressure", pressure_kpa)
-        runner.rig.valve.set_point(counts)
 
 
 def read(name: str, config: RigConfig) -> Step:
