@@ -10,6 +10,7 @@ from math import nan
 from typing import TYPE_CHECKING
 
 from daq.clock import Clock, RealClock, VirtualClock
+from daq.deadline import Deadline
 from daq.errors import ConfigError, PamrigError
 from daq.transport import Link
 from rigs.balance import Balance
@@ -41,6 +42,12 @@ REAL_PERIOD_S = 0.005
 VIRTUAL_PERIOD_S = 0.02
 SAFE_KPA = 10.0
 VENT_S = 5.0
+"""A vent is given up when the pressure has not fallen for so long,"""
+VENT_LONGEST_S = 60.0
+"""or after so long in all."""
+VENT_LOOK_S = 1.0
+FALLING_KPA = 1.0
+"""From look to look a pressure that falls at all falls by more."""
 
 
 @dataclass
@@ -68,12 +75,7 @@ class Rig:
 
     def vent(self) -> float:
         """Vent and confirm it; see :func:`vent`. The solenoids get their normal voltage back."""
-        if self.supply is not None:
-            self.valve.progress(2.0)  # a supply answers slowly; silence would be a fault
-            with contextlib.suppress(PamrigError):  # the valve is told to vent in any case
-                self.supply.safe()
-            self.valve.still()
-        return vent(self.valve, self.pump, self.config)
+        return vent(self.valve, self.pump, self.config, self.supply)
 
 
 def pressure_kpa(valve: ValveController, config: RigConfig) -> float:
@@ -82,14 +84,37 @@ def pressure_kpa(valve: ValveController, config: RigConfig) -> float:
     return float(config.calibrations["pressure_kpa"].apply(counts.mean())) if len(counts) else nan
 
 
-def vent(valve: ValveController, pump: Pump, config: RigConfig, seconds: float = VENT_S) -> float:
+def vent(
+    valve: ValveController, pump: Pump, config: RigConfig, supply: Supply | None = None
+) -> float:
     """Vent, disarm and wait until the pressure reading confirms it.
 
+    It goes on for as long as the pressure falls. The solenoids' supply, where there is one, is
+    switched on again at each look: without it an outlet that is shut at rest keeps the air in.
+
     Returns:
-        The pressure in kPa when it was confirmed, or when the time ran out.
+        The pressure in kPa when it was confirmed, or when it did not fall any more.
     """
-    valve.stop()
-    pump.until(lambda: pressure_kpa(valve, config) < SAFE_KPA, seconds)
+
+    def feed() -> None:
+        if supply is not None:
+            with contextlib.suppress(PamrigError):  # the valve is told to vent in any case
+                supply.safe()
+
+    try:
+        valve.stop()
+    finally:  # a controller that does not hear vents by itself, if it can
+        feed()
+    longest, standing = Deadline(pump.clock, VENT_LONGEST_S), Deadline(pump.clock, VENT_S)
+    before = pressure_kpa(valve, config)
+    while not pump.until(lambda: pressure_kpa(valve, config) < SAFE_KPA, VENT_LOOK_S):
+        now = pressure_kpa(valve, config)
+        if now < before - FALLING_KPA:
+            standing = Deadline(pump.clock, VENT_S)
+        if standing.expired or longest.expired:
+            break
+        before = now
+        feed()
     return pressure_kpa(valve, config)
 
 

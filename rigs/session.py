@@ -23,6 +23,7 @@ from rigs.instruments.recording import (
     instrument_counters,
     instrument_manifest,
     record_instruments,
+    recorder,
 )
 from rigs.interrupt import StopFlag, Stopped
 from rigs.operator import ConsoleOperator
@@ -293,12 +294,6 @@ def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> Non
 def _connect(rig: Rig, record: RecordWriter, watch: Watch) -> None:
     """Everything that comes in goes to the record as it came."""
 
-    def valve_batch(batch: dict[str, Any]) -> None:
-        record.append("valve", batch)
-
-    def balance_rows(batch: dict[str, Any]) -> None:
-        record.append("balance", batch)
-
     def event(text: str) -> None:
         # A restart that nobody asked for is a fault, in the closing vent too.
         kind = "fault" if text.startswith(("fault", "reboot")) else "controller"
@@ -310,10 +305,10 @@ def _connect(rig: Rig, record: RecordWriter, watch: Watch) -> None:
         record.event("gap", stream="valve", seq=found.seq, missing=found.missing)
 
     rig.valve.on_gap = gap
-    rig.valve.on_batch.append(valve_batch)
+    rig.valve.on_batch.append(recorder(record, "valve"))
     if not rig.clock.virtual:  # on the virtual clock a killed run is simply run again
         rig.valve.telemetry.on_ahead = lambda frame: record.ahead("valve", frame)
-    rig.balance.on_rows.append(balance_rows)
+    rig.balance.on_rows.append(recorder(record, "balance"))
     rig.valve.on_event = event
     record_instruments(rig, record)
 
@@ -322,7 +317,11 @@ def _record_bytes(rig: Rig, record: RecordWriter) -> None:
     """Every byte that comes in goes to the record, before anything has looked at it."""
 
     def listener(name: str) -> Callable[[int, bytes], None]:
-        return lambda host_ns, data: record.wire(name, host_ns, data)
+        def listen(host_ns: int, data: bytes) -> None:
+            with contextlib.suppress(RecordError):  # see recorder
+                record.wire(name, host_ns, data)
+
+        return listen
 
     rig.valve.on_bytes = listener("valve")
     rig.balance.on_bytes = listener("balance")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from daq.errors import DeviceError
+import contextlib
+
+from daq.errors import DeviceError, PamrigError
 from rigs.config import RigConfig
+from rigs.ports import Ports, open_supply
 from rigs.rig import SAFE_KPA, open_valve, vent
 
 
@@ -13,8 +16,12 @@ def vent_rig(config: RigConfig) -> float:
     Raises:
         DeviceError: the pressure did not fall: the operator must act.
     """
-    with open_valve(config) as (valve, pump, _, _):
-        pressure = vent(valve, pump, config)
+    with open_valve(config) as (valve, pump, stack, bench):
+        valve.stop()  # first of all; an outlet that is shut at rest opens once it has its supply
+        supply = None
+        with contextlib.suppress(PamrigError):
+            supply = open_supply(Ports(config, pump.clock, stack, bench), pump, {})
+        pressure = vent(valve, pump, config, supply)
         if not pressure < SAFE_KPA:
             raise DeviceError(
                 valve.name,

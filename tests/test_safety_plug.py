@@ -175,6 +175,21 @@ def test_sensor_broken_low_from_the_start(name: str) -> None:
     assert bench.latched()[0] == "sensor_no_rise"
 
 
+@pytest.mark.parametrize("share", [0.04, 0.08, 0.15])
+def test_a_wire_that_breaks_at_low_pressure_behind_shut_valves(name: str, share: float) -> None:
+    """Too low for a jump: it was filled, up to all of the supply, before nothing rose."""
+    bench = Plugged(name)
+    bench.hold(share)
+    bench.run(0.1)
+    before_kpa, event_us = bench.board.pressure_kpa, bench.board.bench_us
+    bench.board.sensor_override = 0
+    bench.run(0.35)
+    bench.prove(event_us)
+    t, kpa = np.array(bench.board.truth_us), np.array(bench.board.truth_kpa)
+    assert kpa[t > event_us].max() < before_kpa + 5.0
+    assert bench.latched()[0] in ("outlet_stuck", "sensor_jump")
+
+
 def test_supply_surge(name: str) -> None:
     """The regulator fails open while the inlet is open: 10 ms from the limit to the command."""
     bench = Plugged(name)

@@ -155,6 +155,14 @@ def test_the_shipped_rigs_carry_the_parameters_of_their_valves(rig: str) -> None
         assert told[key] == pytest.approx(value, rel=0.005), key
 
 
+def test_the_valve_stand_knows_how_slowly_its_vessel_changes() -> None:
+    """With a muscle's slew a wire that broke below 100 kPa was told after 457 ms, by another."""
+    config = load_rig("virtual-valve-stand")
+    assert config.virtual is not None
+    c = nominal().with_overrides(config.virtual.plant)
+    assert config.valve.parameters["slew"] == safety_parameters(c)["slew"]
+
+
 def test_set_point_0_vents_and_the_next_starts_from_there() -> None:
     steps = run(virtual(), [0.5, 0.0, 0.3])
     assert steps[1].error < 0.2

@@ -81,11 +81,11 @@ class SensorWatch:
         else:
             track = counts
         self._track = track
-        if track - self._jump <= counts <= track + self._jump:
+        away = not track - self._jump <= counts <= track + self._jump
+        if not away:
             self._away = 0
         else:
             self._away += 1
-            self._shut_us = 0  # no reading to compare with
             if self._away >= JUMP_N:
                 return "sensor_jump"
         if inlet_us:
@@ -103,19 +103,19 @@ class SensorWatch:
         if vent_us or not self._leak:
             self._shut_us = 0
             return ""
+        if away:  # no reading to compare with, nor to judge
+            return ""
         shut_us = self._shut_us + dt_us
         rest_us = self._rest_us
+        self._shut_us = shut_us
+        change = counts - self._reference
+        if shut_us > rest_us and not -self._leak < change < self._leak:
+            self._leaks += 1
+            if self._leaks < LEAK_N:
+                return ""
+            return "inlet_stuck" if change > 0 else "outlet_stuck"
+        self._leaks = 0
         if shut_us <= rest_us or shut_us > rest_us + LEAK_SPAN_US:
             self._shut_us = shut_us if shut_us <= rest_us else rest_us
             self._reference = counts
-            self._leaks = 0
-            return ""
-        self._shut_us = shut_us
-        change = counts - self._reference
-        if -self._leak < change < self._leak:
-            self._leaks = 0
-            return ""
-        self._leaks += 1
-        if self._leaks < LEAK_N:
-            return ""
-        return "inlet_stuck" if change > 0 else "outlet_stuck"
+        return ""

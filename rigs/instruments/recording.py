@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from daq.errors import RecordError
 from rigs.instruments import supply
 from rigs.instruments.readings import COLUMNS, Batch
 from rigs.operator import ManualSetting
@@ -57,11 +59,11 @@ def record_instruments(rig: Rig, record: RecordWriter) -> None:
     rig.camera.faults.on_fault.append(_teller(record, "camera", rig.camera.faults.counts))
     for name, instrument in rig.instruments.items():
         record.stream(name, COLUMNS, {"host_ns": "ns", "reading": instrument.unit})
-        instrument.on_rows.append(_appender(record, name))
+        instrument.on_rows.append(recorder(record, name))
         instrument.faults.on_fault.append(_teller(record, name, instrument.faults.counts))
     if rig.supply is not None:
         record.stream("supply", supply.COLUMNS, supply.UNITS)
-        rig.supply.on_rows.append(_appender(record, "supply"))
+        rig.supply.on_rows.append(recorder(record, "supply"))
         rig.supply.faults.on_fault.append(_teller(record, "supply", rig.supply.faults.counts))
     for axis in _axes(rig):
         axis.on_setting.append(lambda setting: _set(record, setting))
@@ -80,9 +82,16 @@ def _axes(rig: Rig) -> list[Any]:
     return [*rig.axes.values(), *([axis] if axis is not None else [])]
 
 
-def _appender(record: RecordWriter, name: str) -> Callable[[Batch], None]:
+def recorder(record: RecordWriter, stream: str) -> Callable[[Batch], None]:
+    """Appends batches to a stream of the record.
+
+    A disk that fails ends the run by ``record.failed``, which the runner looks at in every round;
+    the drivers read on, so that the closing vent is seen to its end.
+    """
+
     def append(batch: Batch) -> None:
-        record.append(name, batch)
+        with contextlib.suppress(RecordError):
+            record.append(stream, batch)
 
     return append
 

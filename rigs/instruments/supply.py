@@ -160,9 +160,14 @@ class Supply(LineDevice):
         return volts, amps
 
     def safe(self) -> None:
-        """Back to the solenoids' normal voltage, on: so that they do what they are told."""
-        self.set_voltage(self.voltage_v)
-        self.output(True)
+        """Back to the solenoids' normal voltage, on: so that they do what they are told.
+
+        It is switched on even where it does not confirm its voltage.
+        """
+        try:
+            self.set_voltage(self.voltage_v)
+        finally:
+            self.output(True)
 
     # ---- the line ---------------------------------------------------------------------
 

@@ -25,17 +25,14 @@ import pyarrow as pa
 from daq.errors import RecordError
 
 from .kinds import FOR_GOOD, Fault
-from .places import empty_s
+from .places import EMPTY_KPA, empty_s, tellable_kpa
 from .trial import Truth
 
 COMMANDED_US = 350_000
 OVER_PRESSURE_US = 10_000
-EMPTY_KPA = 20.0
 SIGMAS = 6.0
-TELLABLE_LOW_KPA = 75.0
-"""A sensor that breaks to 0 below this cannot be told from an empty muscle (safety contract)."""
-BLIND_KPA = 250.0
-"""Filled at most by this before it shows that nothing is read."""
+BLIND_KPA = 200.0
+"""Filled at most by this before it is vented, where the sensor reads nothing (safety contract)."""
 TICK_US = 1000
 STRETCH_MS = 100
 HOST_SILENT_US = 290_000
@@ -223,7 +220,7 @@ def _vents(truth: Truth, record: Bytes, verdict: Verdict) -> None:
         return
     _emptied(truth, verdict)
     air = truth.end_kpa >= EMPTY_KPA
-    if air and not truth.sealed_in:
+    if air and not truth.sealed_in and not _still_emptying(truth):
         verdict.late.append(f"{truth.end_kpa:.0f} kPa in the muscle 3 s after the end")
     if air and truth.sealed_in and not truth.killed and truth.outcome in ("clean", "stopped"):
         unsure = [e for e in record.kind("vented") if not e["confirmed"]]
@@ -257,7 +254,7 @@ def _must_vent(truth: Truth) -> Iterator[tuple[str, int, int]]:
             if (
                 fault.kind in ("high", "silent")
                 or (fault.kind == "frozen" and before > EMPTY_KPA)
-                or (fault.kind == "low" and before > TELLABLE_LOW_KPA)
+                or (fault.kind == "low" and before > tellable_kpa(truth.protocol))
             ):
                 yield fault.name, fault.begun_us, COMMANDED_US
     if not any(f.layer == "sensor" for f in truth.faults) and truth.us is not None:
@@ -272,11 +269,28 @@ def _blind(truth: Truth, verdict: Verdict) -> None:
     for fault in truth.faults:
         if fault.layer == "sensor" and fault.kind == "low" and fault.begun_us >= 0:
             inside = (truth.us >= fault.begun_us) & (truth.us < fault.end_s * 1e6)
+            # What comes in while the inlet falls shut is the valve's.
+            inside &= ~_venting(truth)
             rose = float(truth.kpa[inside].max() if inside.any() else 0.0) - _kpa_at(
                 truth, fault.begun_us
             )
             if rose > BLIND_KPA:
                 verdict.late.append(f"filled by {rose:.0f} kPa while the sensor read nothing")
+
+
+def _venting(truth: Truth) -> Any:
+    """Whether the outlet is told to stay open, for each of the bench's times."""
+    at = np.searchsorted([us for us, _ in truth.vents], truth.us, side="right") - 1
+    return np.array([venting for _, venting in truth.vents])[np.maximum(at, 0)] & (at >= 0)
+
+
+def _still_emptying(truth: Truth) -> bool:
+    """Whether the air has had less time than it needs since it could go."""
+    if not truth.vents[-1][1]:
+        return False
+    since_us = max(truth.sealed_us, truth.vents[-1][0])
+    needs_s = empty_s(truth.protocol, _kpa_at(truth, since_us))
+    return float(truth.us[-1]) < since_us + (needs_s * 1e6)
 
 
 def _kpa_at(truth: Truth, us: int) -> float:
@@ -301,12 +315,15 @@ def _emptied(truth: Truth, verdict: Verdict) -> None:
     """From each vent that lasts to below 20 kPa."""
     if truth.us is None or any(f.layer in ("valve", "supply") for f in truth.faults):
         return
-    limit_s = empty_s(truth.protocol)
     ends = [us for us, _ in truth.vents[1:]] + [10**15]
     for (us, venting), end_us in zip(truth.vents, ends, strict=True):
-        if not venting or end_us - us < limit_s * 1e6:
-            continue
         inside = (truth.us >= us) & (truth.us < end_us) & (truth.us <= truth.done_us + 3_000_000)
+        if not venting or not inside.any():
+            continue
+        # The inlet falls shut meanwhile: from the highest pressure of the first moments on.
+        limit_s = empty_s(truth.protocol, float(truth.kpa[inside][:STRETCH_MS].max()))
+        if inside.sum() < limit_s * 1000:
+            continue
         high = np.flatnonzero(truth.kpa[inside] >= EMPTY_KPA)
         if not len(high):
             continue

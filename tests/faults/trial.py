@@ -37,6 +37,7 @@ from .wires import Rule, Wires
 
 AFTER_S = 3.0
 """How long the bench goes on without a host."""
+LOOK_S = 0.02
 SECONDS = {"isometric": 10.5, "isobaric": 7.8, "isotonic": 24.0, "isothermal": 12.5,
            "hysteresis": 11.5, "switching-time": 9.2, "switching-voltage": 16.0, "flow": 9.4,
            "step": 5.6, "ram": 8.0}  # fmt: skip
@@ -85,7 +86,9 @@ class Truth:
     first_row: dict[str, int] = field(default_factory=dict)
     end_kpa: float = 0.0
     sealed_in: bool = False
-    """The inlet stays open or the outlet shut, so that the air cannot go."""
+    """The inlet stays open or the outlet shut, so that the air cannot go;"""
+    sealed_us: int = 0
+    """and when that was last so."""
     latched: list[str] = field(default_factory=list)
     done_us: int = 0
     outcome: str = ""
@@ -295,10 +298,7 @@ class Trial:
         )
         self.wires.advance()
         now_s = now_us * 1e-6
-        for fault in [f for f in self._begun if now_s >= f.end_s]:
-            self._begun.remove(fault)
-            kinds.count(self, fault)
-            kinds.undo(self, fault)
+        self._look(now_us)
         for fault in [f for f in self._waiting if now_s >= f.start_s]:
             self._waiting.remove(fault)
             self._begun.append(fault)
@@ -306,6 +306,26 @@ class Trial:
         for fault in self._begun:
             if fault.first_us < 0 and kinds.acted(self, fault):
                 fault.first_us = now_us
+
+    def _look(self, now_us: int) -> None:
+        """End the faults whose time is over."""
+        if self._sealed:
+            self.truth.sealed_us = now_us
+        for fault in [f for f in self._begun if now_us * 1e-6 >= f.end_s]:
+            self._begun.remove(fault)
+            if not self.truth.done_us:
+                kinds.count(self, fault)
+            kinds.undo(self, fault)
+
+    @property
+    def _sealed(self) -> bool:
+        """Whether the air cannot go: it is fed, the outlet is shut, or nobody gives it voltage."""
+        supply = self.bench.extras.devices.get("supply")
+        return (
+            self.bench.board.inlet_jammed
+            or "outlet" in self.shut
+            or (self.truth.killed and supply is not None and not supply.is_on)
+        )
 
     def _blown_m(self) -> float:
         """How far the air in the outlet line has come; its velocity is the change of that."""
@@ -349,13 +369,15 @@ class Trial:
         self._waiting.clear()
         for fault in self._begun:  # what it does from now on nobody is there to see
             kinds.count(self, fault)
-        board_clock = self._clock
-        if truth.killed:  # inside the clock's own round: the bench is turned by hand
-            self.bench.advance_to(board_clock.now_ns() + round(AFTER_S * 1e9))
-        else:
-            self.hang_s = 0.0
-            board_clock.sleep(AFTER_S)
-        truth.sealed_in = board.inlet_jammed or "outlet" in self.shut
+        self.hang_s = 0.0
+        now_ns = self._clock.now_ns()
+        for look in range(1, round(AFTER_S / LOOK_S) + 1):  # faults may end in it
+            if truth.killed:  # inside the clock's own round: the bench is turned by hand
+                self.bench.advance_to(now_ns + round(look * LOOK_S * 1e9))
+                self._look(board.bench_us)
+            else:
+                self._clock.sleep(LOOK_S)
+        truth.sealed_in = self._sealed
         for fault in self._begun:
             kinds.undo(self, fault)
         truth.end_kpa = board.pressure_kpa
