@@ -61,7 +61,9 @@ class Truth:
         start_ns, origin_ns, rate: zero of the record's times, of bench time, and how much
             faster the host's clock is, to turn an event's time into bench time.
         noise_kpa: standard deviation of a pressure reading.
-        end_kpa: true pressure 3 s after the host was done.
+        armed: (bench us, armed), at changes; as it was when the clock was next looked at.
+        closed_us, done_us: when the record was closed, and when the host was done.
+        end_kpa: true pressure 3 s after that.
     """
 
     protocol: str
@@ -72,6 +74,7 @@ class Truth:
     us: Any = None
     kpa: Any = None
     vents: list[tuple[int, bool]] = field(default_factory=list)
+    armed: list[tuple[int, bool]] = field(default_factory=list)
     prox: list[tuple[int, int]] = field(default_factory=list)
     beats: list[tuple[int, bool]] = field(default_factory=list)
     track: list[tuple[int, float, float, float, float]] = field(default_factory=list)
@@ -88,6 +91,7 @@ class Truth:
     """The inlet stays open or the outlet shut, so that the air cannot go."""
     latched: list[str] = field(default_factory=list)
     done_us: int = 0
+    closed_us: int = 0
     outcome: str = ""
     error: str = ""
     crashed: str = ""
@@ -239,6 +243,7 @@ class Trial:
         """Keep what the record took, as it was handed over."""
         taken, truth = self._taken, self.truth
         append, frame, event = record.append, record.frame, record.event
+        finalize = record.finalize
 
         def watched(stream: str, columns: Any) -> int:
             open_yet = not record._closed  # a device still talks while the bench is being closed
@@ -260,7 +265,12 @@ class Trial:
                 truth.events.append((number, kind))
             return number
 
+        def closed(outcome: str, **summary: Any) -> Any:
+            self._closed()
+            return finalize(outcome, **summary)
+
         record.append, record.frame, record.event = watched, pictured, noted
+        record.finalize = closed
 
     def _watch_camera(self, rig: Any) -> None:
         camera = rig.camera._camera
@@ -293,12 +303,16 @@ class Trial:
         self.truth.track.append(
             (now_us, plant.length_mm, bench._lift_n(), hung_kg, self._blown_m())
         )
+        armed = bool(bench.board.controller.safety.armed)
+        if armed != (bool(self.truth.armed) and self.truth.armed[-1][1]):
+            self.truth.armed.append((now_us, armed))
         self.wires.advance()
         now_s = now_us * 1e-6
         for fault in [f for f in self._begun if now_s >= f.end_s]:
             self._begun.remove(fault)
-            kinds.count(self, fault)
+            self._count(fault)
             kinds.undo(self, fault)
+            fault.ended_us = now_us  # later than it was to be, where the program hung
         for fault in [f for f in self._waiting if now_s >= f.start_s]:
             self._waiting.remove(fault)
             self._begun.append(fault)
@@ -306,6 +320,16 @@ class Trial:
         for fault in self._begun:
             if fault.first_us < 0 and kinds.acted(self, fault):
                 fault.first_us = now_us
+
+    def _count(self, fault: Fault) -> None:
+        """What it did up to now; of what comes after the record's end nobody could tell."""
+        if not self.truth.closed_us:
+            kinds.count(self, fault)
+
+    def _closed(self) -> None:
+        for fault in self._begun:
+            self._count(fault)
+        self.truth.closed_us = self.truth.closed_us or self.bench.board.bench_us
 
     def _blown_m(self) -> float:
         """How far the air in the outlet line has come; its velocity is the change of that."""
@@ -345,10 +369,9 @@ class Trial:
             return
         board = self.bench.board
         truth.done_us = board.bench_us
+        self._closed()
         truth.latched = [str(cause) for cause in board.controller.safety.faults]
         self._waiting.clear()
-        for fault in self._begun:  # what it does from now on nobody is there to see
-            kinds.count(self, fault)
         board_clock = self._clock
         if truth.killed:  # inside the clock's own round: the bench is turned by hand
             self.bench.advance_to(board_clock.now_ns() + round(AFTER_S * 1e9))
