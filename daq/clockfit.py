@@ -29,8 +29,8 @@ _HALF = 1 << 31
 BUCKET_NS = 500_000_000
 WINDOW = 120
 DRIFT_PRIOR = 100e-6
-KNOT_S = 30.0
-SPAN_S = 60.0
+KNOT_US = 30_000_000
+SPAN_US = 60_000_000
 RESOLUTION_NS = 2_000.0
 
 
@@ -135,17 +135,23 @@ class _Fit:
 
 
 _Ping = tuple[int, int, int]  # device_us, midpoint_ns, round_trip_ns
+_Knot = tuple[int, int, float]  # device_us, host_ns, error_ns
 
 
 class ClockFit:
     """Running fit of one device's clock; causal: it uses only pings that have been.
+
+    What the map of the whole run needs of older pings are its knots, which are made as time passes
+    them: a run of any length holds some minutes of pings.
 
     Attributes:
         pings: how many were taken.
     """
 
     def __init__(self) -> None:
-        self._all: list[_Ping] = []
+        self._near: deque[_Ping] = deque()
+        self._knots: list[_Knot] = []
+        self._fastest_ns = 0
         self._window: deque[_Ping] = deque(maxlen=WINDOW)
         self._bucket: int | None = None
         self._fit: _Fit | None = None
@@ -161,16 +167,21 @@ class ClockFit:
         if round_trip < 0:
             raise ValueError(f"reply received {-round_trip} ns before its request was sent")
         ping = (device_us, sent_ns + round_trip // 2, round_trip)
+        self._fastest_ns = min(self._fastest_ns, round_trip) if self.pings else round_trip
         self.pings += 1
         self._fit = None
         bucket = sent_ns // BUCKET_NS
         if bucket == self._bucket:
             if round_trip < self._window[-1][2]:
-                self._window[-1] = self._all[-1] = ping
+                self._window[-1] = self._near[-1] = ping
             return
         self._bucket = bucket
         self._window.append(ping)
-        self._all.append(ping)
+        self._near.append(ping)
+        while device_us - self._next_knot > SPAN_US:
+            self._knots.append(self._knot(self._next_knot))
+            while self._near[0][0] < self._next_knot - SPAN_US:
+                self._near.popleft()
 
     @property
     def ready(self) -> bool:
@@ -219,30 +230,27 @@ class ClockFit:
         Raises:
             ValueError: there was no ping.
         """
-        if not self._all:
+        if not self._near:
             raise ValueError("no ping has been answered, so there is no clock fit")
-        device = np.array([p[0] for p in self._all], dtype=np.int64)
-        first, last = int(device[0]), max(int(device[-1]), int(device[0]) + 1_000_000)
-        count = max(2, round((last - first) * 1e-6 / KNOT_S) + 1)
-        knots = np.rint(np.linspace(first, last, count)).astype(np.int64)
-        host: list[int] = []
-        errors: list[float] = []
-        for knot in knots:
-            at = int(knot)
-            near = np.abs(device - at) <= SPAN_S * 1e6
-            pings = [p for p, use in zip(self._all, near, strict=True) if use] or self._all
-            fit = _regress(pings)
-            host.append(fit.host_ns(at))
-            errors.append(fit.error_ns(at))
-        rate = (host[-1] - host[0]) / float(knots[-1] - knots[0]) - 1000.0
-        return ClockMap(
-            tuple(int(k) for k in knots),
-            tuple(host),
-            max(errors),
-            -rate * 1e3,
-            min(p[2] for p in self._all),
-            self.pings,
-        )
+        at, last = self._next_knot, self._near[-1][0]
+        knots = [*self._knots]
+        while not knots or last - at >= KNOT_US // 2:
+            knots.append(self._knot(at))
+            at += KNOT_US
+        knots.append(self._knot(max(last, knots[0][0] + 1_000_000)))
+        device, host, errors = zip(*knots, strict=True)
+        rate = (host[-1] - host[0]) / float(device[-1] - device[0]) - 1000.0
+        return ClockMap(device, host, max(errors), -rate * 1e3, self._fastest_ns, self.pings)
+
+    @property
+    def _next_knot(self) -> int:
+        """Device time of the first knot that is not made yet."""
+        return self._knots[-1][0] + KNOT_US if self._knots else self._near[0][0]
+
+    def _knot(self, at_us: int) -> _Knot:
+        near = [p for p in self._near if abs(p[0] - at_us) <= SPAN_US]
+        fit = _regress(near or list(self._near))
+        return at_us, fit.host_ns(at_us), fit.error_ns(at_us)
 
     def _current(self) -> _Fit:
         if self._fit is None:

@@ -27,6 +27,8 @@ RESERVE_BYTES = 65536
 SYNC_PERIOD_S = 1.0
 QUEUE_BYTES = 64 << 20
 JOIN_S = 30.0
+OWED_BYTES = 1 << 20
+"""So much of what is vital is kept for a disk that may take it later."""
 
 _REMEDIES = {
     errno.ENOSPC: "free some disk space or choose another runs folder; all before this is readable",
@@ -75,7 +77,7 @@ class Disk:
 
     Attributes:
         failed: the first error met, None while all is well. After it bulk data are
-            refused; lines marked ``vital`` are still tried.
+            refused; lines marked ``vital`` are still tried, those refused before them first.
         discarded_bytes: how much was queued and could not be written.
     """
 
@@ -92,6 +94,7 @@ class Disk:
         self._sync_lock = threading.Lock()
         self._sync_wanted = threading.Event()
         self._stop = False
+        self._owed: list[tuple[str, bytes]] = []
         self._queued = 0
         self._written = 0
         self._synced_s = time.monotonic()
@@ -186,6 +189,8 @@ class Disk:
                         f"the disk has not answered for {JOIN_S:.0f} s",
                         "check the disk; what it holds already is readable",
                     )
+        self._pay()
+        self.discarded_bytes += sum(len(data) for _, data in self._owed)
         self._dirty.update(self._files.values())
         self._ended.update(self._files.values())
         self._sync()
@@ -212,30 +217,39 @@ class Disk:
             self.release_reserve()
 
     def _append(self, file: str, data: bytes, flags: int) -> None:
-        if self.failed is not None and not flags & 1:
-            self.discarded_bytes += len(data)
+        if self.failed is not None:
+            if flags & 1:
+                self._owe(file, data)
+                self._pay()
+            else:
+                self.discarded_bytes += len(data)
             return
         try:
-            self._open(file).write(data)
+            self._write(file, data, flags)
         except OSError as error:
-            first = self.failed is None
             self._fail(disk_error(self.root / file, "cannot be written", error))
-            if not (first and flags & 1 and self._retry(file, data)):
-                self.discarded_bytes += len(data)
-                return
-        handle = self._files[file]
+            self._append(file, data, flags)  # now that the reserve has been given back
+
+    def _write(self, file: str, data: bytes, flags: int = 0) -> None:
+        handle = self._open(file)
+        handle.write(data)
         with self._sync_lock:
             self._dirty.add(handle)
             if flags & 2:
                 self._ended.add(handle)
 
-    def _retry(self, file: str, data: bytes) -> bool:
-        """Once more, now that the reserve has been given back."""
-        try:
-            self._open(file).write(data)
-        except OSError:
-            return False
-        return True
+    def _owe(self, file: str, data: bytes) -> None:
+        if sum(len(owed) for _, owed in self._owed) + len(data) > OWED_BYTES:
+            self.discarded_bytes += len(data)
+        else:
+            self._owed.append((file, data))
+
+    def _pay(self) -> None:
+        """Write what was refused, in order, as far as the disk takes it now."""
+        with contextlib.suppress(OSError):
+            while self._owed:
+                self._write(*self._owed[0])
+                del self._owed[0]
 
     def _open(self, file: str) -> _File:
         handle = self._files.get(file)

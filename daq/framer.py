@@ -48,6 +48,11 @@ class CobsFramer:
         self._tail = tail
         return payloads
 
+    @property
+    def partial(self) -> bytes:
+        """What has come of a frame whose end has not."""
+        return self._tail
+
     def _open(self, frame: bytes, payloads: list[bytes]) -> None:
         if len(frame) > self._max:
             self.oversize += 1

@@ -120,6 +120,16 @@ class LineDevice:
             "check port, cable, baud rate and power",
         )
 
+    @property
+    def midway(self) -> bool:
+        """Whether a line has begun to come whose end has not."""
+        return bool(self._framer.partial)
+
+    def finish(self) -> None:
+        """Nothing more is waited for: what has begun to come is half a line, and counted."""
+        if self._framer.discard():
+            self.faults.add("half")
+
     def counters(self) -> dict[str, int]:
         """Everything that was lost or refused on the link so far."""
         framer = self._framer

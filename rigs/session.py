@@ -26,6 +26,7 @@ from rigs.instruments.recording import (
     recorder,
 )
 from rigs.interrupt import StopFlag, Stopped
+from rigs.lines import LineDevice
 from rigs.operator import ConsoleOperator
 from rigs.protocols.procedure import Plan, Procedure
 from rigs.protocols.registry import procedure
@@ -33,6 +34,7 @@ from rigs.protocols.schedule import outline
 from rigs.rig import Rig, firmware_parameters, open_rig
 from rigs.runner import Runner, Watch, outcome_of
 from rigs.segments import remaining
+from rigs.stage import Stage
 from rigs.steps import Steps
 
 if TYPE_CHECKING:
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
 
 BALANCE_SCHEMA = {"row": "int64", "host_ns": "int64", "grams": "float64", "stable": "uint8"}
 BALANCE_UNITS = {"host_ns": "ns", "grams": "g"}
+HEAR_OUT_S = 0.3
+"""So long a line, or an answer, may be on its way when all is done."""
 BYTES_PER_POINT = 400_000
 """Record size of one settled point, generously: 1 kHz for some seconds, and a frame."""
 
@@ -332,8 +336,19 @@ def _record_bytes(rig: Rig, record: RecordWriter) -> None:
         rig.supply.on_bytes = listener("supply")
 
 
+def _hear_out(rig: Rig) -> None:
+    """Let what is on its way come, so that all that came damaged is counted."""
+    devices: list[Any] = [rig.valve, *rig.instruments.values()]
+    devices += [d for d in (rig.balance, rig.stage, rig.supply) if isinstance(d, LineDevice)]
+    with contextlib.suppress(PamrigError):
+        rig.pump.until(lambda: not any(device.midway for device in devices), HEAR_OUT_S)
+    for device in devices:
+        device.finish()
+
+
 def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException | None) -> str:
     """Flush what is held back, write the last events and close the record; how it ended then."""
+    _hear_out(rig)
     with contextlib.suppress(RecordError):  # a failed record is the outcome already
         rig.valve.telemetry.flush()
     fit = rig.valve.clock_fit.final().as_dict() if rig.valve.clock_fit.ready else {}
@@ -348,6 +363,7 @@ def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException |
             counters={
                 "valve": rig.valve.counters(),
                 "balance": rig.balance.counters(),
+                **({"stage": rig.stage.counters()} if isinstance(rig.stage, Stage) else {}),
                 "camera": rig.camera.counters(),
                 **instrument_counters(rig),
             },

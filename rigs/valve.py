@@ -67,6 +67,7 @@ class ValveController:
         self.on_batch: list[Callable[[Batch], None]] = []
         self.on_gap: Callable[[Gap], None] | None = None
         self.bad_payloads = 0
+        self.unanswered = 0
         self.clock_fit = ClockFit()
         self.telemetry = TelemetryStream(self._batch, on_gap=self._gap, on_boot=self._boot)
 
@@ -103,11 +104,16 @@ class ValveController:
             self.bad_payloads += 1
 
     def _reply(self, reply: Reply, host_ns: int) -> None:
-        sent_ns = self._pings.pop(reply.id, None)
+        sent_ns = self._pings.get(reply.id)
         if sent_ns is None:
             if reply.id in self._waiting:
                 self._replies[reply.id] = reply
             return
+        for earlier in list(self._pings):  # answers keep their order: those before it are lost
+            del self._pings[earlier]
+            if earlier == reply.id:
+                break
+            self.unanswered += 1
         if reply.ok and "t" in reply.values:
             if not _COUNT.match(reply.values["t"]):
                 raise CodecError(f"a reply says t={reply.values['t'][:20]!r}, expected a number")
@@ -201,7 +207,7 @@ class ValveController:
     def _beat(self, now_ns: int) -> None:
         self._beat_count += 1
         if len(self._pings) > 50:  # replies that never came
-            self._pings.clear()
+            self.finish()
         # Stamped before the write, because the write is part of the round trip.
         request_id = self._next_id
         self._pings[request_id] = now_ns
@@ -279,6 +285,16 @@ class ValveController:
         """As the newest telemetry says."""
         return bool(self.flags & 8)
 
+    @property
+    def midway(self) -> bool:
+        """Whether a frame has begun to come, or the answer to a beat has not."""
+        return bool(self._pings or self._framer.partial)
+
+    def finish(self) -> None:
+        """Nothing more is waited for: beats without an answer are counted."""
+        self.unanswered += len(self._pings)
+        self._pings.clear()
+
     def counters(self) -> dict[str, int]:
         """Everything that was lost or refused on the link so far."""
         framer = self._framer
@@ -288,5 +304,6 @@ class ValveController:
             "oversize": framer.oversize,
             "dropped_bytes": framer.dropped_bytes,
             "bad_payloads": self.bad_payloads,
+            "unanswered": self.unanswered,
             **self.telemetry.counters(),
         }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -78,6 +80,27 @@ def test_after_the_run_the_two_sided_fit_holds_everywhere(timer_ms: float, limit
         assert error.max() < limit_ms * 1e6
         assert error.max() <= final.error_ns
         assert final.drift_ppm == pytest.approx(40.0, abs=2.0)
+
+
+def test_neither_memory_nor_the_final_fit_grows_with_the_run() -> None:
+    """Every half second's ping was kept: 1.4 MB an hour, and each knot looked at all of them."""
+    bench = Bench(5, timer_ms=1.0)
+    fit = run(bench, 600.0, 0.5)
+    tracemalloc.start()
+    try:
+        before, _ = tracemalloc.get_traced_memory()
+        for k in range(1200, 5 * 1200):
+            fit.add(*bench.ping(k * S // 2))
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 60_000  # 40 min; of pings it was 900 kB
+    found = fit.final()
+    assert found.pings == 6000
+    assert len(found.device_us) == 101
+    truth = np.linspace(0.0, 3000.0 * S, 500)
+    at = np.array([bench.device_us(ns) for ns in truth])
+    assert np.abs(found.to_host_ns(at) - truth).max() < found.error_ns + 1000.0
 
 
 def test_the_fit_follows_a_clock_that_warms_up() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import json
 import os
 import random
@@ -586,6 +587,34 @@ def test_a_disk_slower_than_the_data_is_waited_for_at_the_end_and_bounded_before
         for k in range(10_000):
             writer.append("valve", valve_batch(50 * k))
     assert writer.finalize("clean")["outcome"] == "faulted"
+
+
+@pytest.mark.parametrize("threaded", [False, True])
+def test_events_that_a_disk_refused_for_a_while_are_written_when_it_takes_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threaded: bool
+) -> None:
+    """They were thrown away: later ones stood there, and the record had a hole in the middle."""
+    real, refused = daq.disk.write_all, [0]
+
+    def read_only(fd: int, data: bytes) -> None:
+        refused[0] += 1
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    writer, _ = begin(tmp_path, threaded=threaded)
+    writer.event("tick", k=0)
+    assert writer.sync()
+    monkeypatch.setattr(daq.disk, "write_all", read_only)
+    for k in (1, 2):
+        writer.event("tick", k=k)
+    assert writer.sync()
+    assert refused[0] >= 2
+    monkeypatch.setattr(daq.disk, "write_all", real)
+    for k in (3, 4):
+        writer.event("tick", k=k)
+    assert writer.finalize("clean")["outcome"] == "faulted"
+    run = open_run(writer.folder)
+    assert [e["k"] for e in run.events] == [0, 1, 2, 3, 4]
+    assert [p.what for p in verify(run) if not p.what.startswith("writing failed")] == []
 
 
 def test_a_writer_that_breaks_in_an_unforeseen_way_says_so_too(

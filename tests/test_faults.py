@@ -16,15 +16,20 @@ import pytest
 from daq.framer import CobsFramer
 from daq.run import open_run
 from faults.campaign import run_campaign
-from faults.judge import judge
-from faults.kinds import Fault
+from faults.judge import Verdict, judge
+from faults.kinds import Fault, has_checksum
 from faults.page import wilson_upper, write_page
 from faults.places import empty_s
 from faults.trial import Truth, run_trial
+from faults.values import check_step
 from protocol_runs import run_short
+from rigs.instruments.form import load_form
+from rigs.instruments.modbus import ModbusForm
 from rigs.loads import HangLoad
 from rigs.segments import reduce_run, remaining
 from rigs.steps import EndTrial, Steps, Trial
+from rigs.virtual.modbus import VirtualModbus
+from rigs.virtual.text import VirtualText
 from valvefw.wire import TELEMETRY
 
 SMALL = range(14)
@@ -178,6 +183,48 @@ def test_a_sample_that_is_off_is_wrong(sound: Truth) -> None:
     assert judge(truth).wrong == ["1 samples bear times at which none was taken"]
 
 
+def test_a_sensor_that_stood_still_longer_than_planned_is_not_wrong(sound: Truth) -> None:
+    """The program hung, and with it whoever mends the sensor; before and after it counts."""
+    truth = copy.deepcopy(sound)
+    counts, us = truth.taken["valve"]["counts"], truth.taken["valve"]["device_us"]
+    at = int(np.argmax(counts > 400))
+    counts[at] ^= 64
+    begun, moment = int(us[at]) - 200_000, int(us[at]) - truth.start0_us
+    fault = Fault("sensor", "frozen", hits=1, begun_us=begun, end_s=(begun + 100_000) * 1e-6)
+    truth.faults = [fault]
+    for ended, found in ((moment + 5000, 0), (-1, 0), (moment - 5000, 1)):
+        fault.ended_us = ended
+        assert sum("kPa off" in text for text in judge(truth).wrong) == found
+
+
+def test_times_of_a_step_are_judged_by_the_true_pressure(sound: Truth) -> None:
+    run = open_run(sound.folder)
+    points = {e["order"]: e for e in run.events if e["kind"] == "point"}
+    for row in reduce_run(run).table.to_dict("records"):
+        known = [name for name in ("rise_s", "settle_s") if np.isfinite(row[name])]
+        for off_s, found in ((0.0, 0), (0.01, len(known)), (-0.01, len(known))):
+            verdict = Verdict()
+            times = {name: row[name] + off_s for name in known}
+            check_step(sound, {**row, **times}, points[row["order"]], verdict)
+            assert len(verdict.wrong) == found
+
+
+def test_nobody_is_asked_to_tell_what_comes_after_the_record(sound: Truth) -> None:
+    truth = copy.copy(sound)
+    for begun, found in ((truth.closed_us - 500_000, 1), (truth.closed_us, 0)):
+        truth.faults = [
+            Fault("wire", "unplugged", "valve", hits=1, must_tell=1, begun_us=begun, first_us=begun)
+        ]
+        assert len(judge(truth).untold) == found
+
+
+def test_a_flipped_digit_must_be_told_only_where_the_line_can_show_it() -> None:
+    for form, shows in (("air-velocity", True), ("load-cell-stream", False)):
+        device = VirtualText(load_form(form), lambda: 0.0, lambda data: None, "1")
+        assert has_checksum(device) == shows
+    assert has_checksum(VirtualModbus(ModbusForm("p", "kPa", 1, 0), float, lambda data: None))
+
+
 # ---- what the campaign found; each was red ---------------------------------------------
 
 
@@ -329,6 +376,101 @@ def test_a_restart_in_the_closing_vent_is_told(tmp_path: Path) -> None:
     _, run, _ = run_short("switching-time", tmp_path, begin=restart)
     assert [e for e in run.events if e["kind"] == "fault" and "reboot" in e["text"]]
     assert any("restarted" in line for line in told)
+
+
+def in_the_closing_vent(act: Callable[[Any], None]) -> Callable[[Any], None]:
+    """A hook that does something to the bench when the last step is done."""
+
+    def begin(runner: Any) -> None:
+        safe = runner._safe
+
+        def closing() -> None:
+            act(runner.rig.bench)
+            safe()
+
+        runner._safe = closing
+
+    return begin
+
+
+def on_the_way(bench: Any, device: str, change: Callable[[bytes], bytes]) -> None:
+    """From now on what a device sends comes changed; nothing comes where nothing is left."""
+    send = bench._send
+
+    def changed(name: str, data: bytes, bench_ns: int | None = None) -> None:
+        data = change(data) if name == device else data
+        if data:
+            send(name, data, bench_ns)
+
+    bench._send = changed
+
+
+def test_half_a_line_at_the_very_end_is_counted(tmp_path: Path) -> None:
+    """The record was closed while the line had no end yet: no counter showed it."""
+    halves = in_the_closing_vent(lambda b: on_the_way(b, "balance", lambda d: d[: len(d) // 2]))
+    result, run, _ = run_short("switching-time", tmp_path, begin=halves)
+    assert result.outcome == "clean"
+    assert run.final["counters"]["balance"]["half"] == 1
+    assert "half" not in run.final["counters"]["flow"]
+
+
+def test_a_line_that_is_on_its_way_at_the_very_end_is_not_half(tmp_path: Path) -> None:
+    """Of a real instrument's line some bytes may have come when a test is done."""
+
+    def in_two(runner: Any) -> None:
+        bench, rest = runner.rig.bench, list[tuple[int, bytes]]()
+        send, clock = bench._send, bench.clock
+
+        def begin(name: str, data: bytes, bench_ns: int | None = None) -> None:
+            if name == "balance":
+                rest.append((clock.now_ns() + 80_000_000, data[9:]))
+                data = data[:9]
+            send(name, data, bench_ns)
+
+        def go_on() -> None:
+            while rest and rest[0][0] <= clock.now_ns():
+                send("balance", rest.pop(0)[1])
+
+        bench._send = begin
+        runner.rig.pump.add(go_on)
+
+    _, run, _ = run_short("step", tmp_path, begin=in_two)
+    when = {e["kind"]: e["t_ns"] for e in run.events}
+    assert when["clockfit"] > when["vented"]  # something was on its way
+    counters = run.final["counters"]["balance"]
+    assert counters["lines"] > 40
+    assert "half" not in counters
+
+
+def test_an_answer_to_a_heartbeat_that_is_lost_is_counted(tmp_path: Path) -> None:
+    """It did no harm, and left no trace: each answer was a ping of the clock fit and no more."""
+
+    def lose(runner: Any) -> None:
+        left = [3]
+
+        def one_less(data: bytes) -> bytes:
+            if b" ok hb=" in data and left[0]:
+                left[0] -= 1
+                return b""
+            return data
+
+        on_the_way(runner.rig.bench, "valve", one_less)
+
+    result, run, _ = run_short("step", tmp_path / "lossy", begin=lose)
+    assert result.outcome == "clean"
+    assert run.final["counters"]["valve"]["unanswered"] == 3
+    _, run, _ = run_short("step", tmp_path / "whole")
+    assert run.final["counters"]["valve"]["unanswered"] == 0
+
+
+def test_a_supply_that_cannot_be_set_back_is_told(tmp_path: Path) -> None:
+    """In the closing vent nobody said that the solenoids' voltage did not read back."""
+    cut = in_the_closing_vent(lambda b: on_the_way(b, "supply", lambda d: d.replace(b"E+01", b"")))
+    result, run, _ = run_short("switching-time", tmp_path, begin=cut)
+    assert result.outcome == "clean"
+    told = [e for e in run.events if e["kind"] == "instrument" and e["device"] == "supply"]
+    assert [e["fault"] for e in told] == ["unset"]
+    assert run.final["counters"]["supply"]["unset"] == 1
 
 
 def test_a_hang_after_disarming_need_not_be_told_but_one_before_must(sound: Truth) -> None:

@@ -96,6 +96,9 @@ def test_a_setting_that_did_not_take_is_noticed_by_reading_it_back() -> None:
     desk.device._set = lambda word, argument: None
     with pytest.raises(DeviceError, match=r"was told 5.000 V, is set to"):
         supply.set_voltage(5.0)
+    with pytest.raises(DeviceError, match="is 0"):
+        supply.output(True)
+    assert supply.faults.counts["unset"] == 2
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.errors import ConfigError, DeviceError, DeviceTimeout, LinkLost
@@ -74,6 +74,7 @@ def test_what_is_no_reading_is_a_fault_by_name(name: str, line: str, fault: str)
     assert load_form(name).parse(line).fault == fault
 
 
+@settings(deadline=None)
 @given(st.data())
 def test_a_line_with_one_character_lost_changed_or_doubled_is_never_another_value(
     data: st.DataObject,

@@ -14,6 +14,7 @@ KINDS = {
     "underload": "underload flag",
     "range": "reading beyond what the instrument can read",
     "refused": "the instrument answered with an error",
+    "unset": "a setting that reads back otherwise",
     "no_answer": "no answer in time",
     "late": "answer after its time was up",
     "stale": "answer to no question, or two to one",

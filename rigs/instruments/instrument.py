@@ -99,6 +99,10 @@ class Instrument(Readings):
         """What a chunk completes; None stands for the sentinel's answer."""
         raise NotImplementedError
 
+    def _partial(self) -> bool:
+        """Whether a message has begun to come whose end has not."""
+        raise NotImplementedError
+
     def _drop_partial(self) -> int:
         """Forget the beginning of an unfinished message; how many bytes it had."""
         raise NotImplementedError
@@ -312,6 +316,17 @@ class Instrument(Readings):
         self.identity["serial"] = serial
 
     # ---- for the rig ------------------------------------------------------------------
+
+    @property
+    def midway(self) -> bool:
+        """Whether a message has begun to come, or is held back, that is not yet counted."""
+        return self._held is not None or self._partial()
+
+    def finish(self) -> None:
+        """Nothing more is waited for: what has begun to come is half a message, and counted."""
+        half = self._drop_partial()
+        if half:
+            self.faults.add("half", f"{half} bytes")
 
     def connect(self, serial: str) -> dict[str, str]:
         """Check who it is, where it can say so, and that readings come.

@@ -168,6 +168,9 @@ class ModbusInstrument(Instrument):
     def _sentinel(self) -> bytes:
         return self._codec.loopback(self.form.device_id) if self.form.loopback else b""
 
+    def _partial(self) -> bool:
+        return bool(self._buffer)
+
     def _drop_partial(self) -> int:
         lost = len(self._buffer)
         self._buffer = b""

@@ -116,6 +116,7 @@ class Supply(LineDevice):
         self._command(f"VOLT {voltage_v:.3f}")
         got = self._number("VOLT?")
         if abs(got - voltage_v) > CONFIRM_V:
+            self.faults.add("unset", f"told {voltage_v:.3f} V, says {got:.3f} V")
             raise DeviceError(
                 self.name, f"was told {voltage_v:.3f} V, is set to {got:.3f} V", "see its limits"
             )
@@ -131,6 +132,7 @@ class Supply(LineDevice):
         self._command(f"OUTP {'ON' if on else 'OFF'}")
         said = self._query("OUTP?", re.compile(r"0|1|ON|OFF"))
         if (said in ("1", "ON")) != on:
+            self.faults.add("unset", f"told to go {'on' if on else 'off'}, says {said}")
             raise DeviceError(
                 self.name,
                 f"its output was told to go {'on' if on else 'off'} and is {said}",

@@ -64,6 +64,9 @@ class TextInstrument(Instrument):
         text = self.form.start
         return text.encode("ascii") + self.form.end if text else b""
 
+    def _partial(self) -> bool:
+        return bool(self._framer.partial)
+
     def _drop_partial(self) -> int:
         return self._framer.discard()
 

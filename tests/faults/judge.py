@@ -172,6 +172,8 @@ def told(fault: Fault, truth: Truth, record: Bytes) -> bool:
         return True
     if ended and len(truth.faults) > 1 and truth.done_us - fault.first_us < JUST_BEFORE_US:
         return True
+    if fault.layer == "wire" and _vent_unsure(record):
+        return True
     if fault.layer in ("wire", "instrument", "camera"):
         counters = (final.get("counters") or {}).get(fault.device or "camera") or {}
         fine = ("frames", "samples", "lines", "rows")
@@ -184,13 +186,23 @@ def told(fault: Fault, truth: Truth, record: Bytes) -> bool:
     return bool(faults) or any(not e["settled"] for e in record.kind("point") if "settled" in e)
 
 
+def _vent_unsure(record: Bytes) -> bool:
+    """Whether the record says that nobody knows of the closing vent."""
+    unsure = [e for e in record.kind("vented") if not e["confirmed"]]
+    return bool(unsure or record.kind("vent_unconfirmed"))
+
+
 def _too_late_to_matter(fault: Fault, truth: Truth, record: Bytes) -> bool:
     """Whether it began when there was nothing left that it could do or that could show it."""
     if fault.begun_us < 0:
         return False
+    if fault.begun_us >= truth.closed_us > 0:
+        return True
+    if fault.layer == "wire" and fault.first_us > truth.closed_us - 2 * LOOK_US > 0:
+        return True  # no later message came that would have shown that one is missing
     if (fault.layer, fault.kind) in (("process", "hung"), ("disk", "slow")):
-        last = max((us for us, armed in truth.beats if armed), default=0)
-        return fault.begun_us > last + COMMANDED_US  # the controller is disarmed and vents
+        was = [armed for us, armed in truth.armed if us <= fault.begun_us]
+        return bool(was) and not was[-1]  # the controller is disarmed and vents
     sure = [e for e in record.kind("vented") if e["confirmed"]]
     if fault.layer == "controller" and sure:  # the muscle is empty, and the run over
         return fault.begun_us > truth.bench_us(sure[-1]["t_ns"]) - 2 * LOOK_US
@@ -222,10 +234,10 @@ def _vents(truth: Truth, record: Bytes, verdict: Verdict) -> None:
     air = truth.end_kpa >= EMPTY_KPA
     if air and not truth.sealed_in and not _still_emptying(truth):
         verdict.late.append(f"{truth.end_kpa:.0f} kPa in the muscle 3 s after the end")
-    if air and truth.sealed_in and not truth.killed and truth.outcome in ("clean", "stopped"):
-        unsure = [e for e in record.kind("vented") if not e["confirmed"]]
-        if not unsure and not record.kind("vent_unconfirmed") and not record.kind("fault"):
-            verdict.untold.append(f"{truth.end_kpa:.0f} kPa left in the muscle")
+    went_well = not truth.killed and truth.outcome in ("clean", "stopped")
+    unsaid = not _vent_unsure(record) and not record.kind("fault")
+    if air and truth.sealed_in and went_well and unsaid:
+        verdict.untold.append(f"{truth.end_kpa:.0f} kPa left in the muscle")
 
 
 def _supply_left_low(truth: Truth) -> bool:
@@ -391,7 +403,8 @@ def _counts(truth: Truth, verdict: Verdict) -> None:
     seen = (valve["boot"] == valve["boot"][0]) & (us >= truth.us[0])
     for fault in truth.faults:
         if fault.layer == "sensor" and fault.begun_us >= 0:
-            seen &= (us < fault.begun_us - 1000) | (us > fault.end_s * 1e6 + 2 * LOOK_US)
+            after = (us > fault.ended_us + TICK_US) & (fault.ended_us >= 0)
+            seen &= (us < fault.begun_us - TICK_US) | after
     at = np.minimum(np.searchsorted(truth.us, us), len(truth.us) - 1)
     strange = seen & (truth.us[at] != us)
     if strange.any():

@@ -49,7 +49,7 @@ class Fault:
         size: how bad, 0 to 1.
         hits: how often it did something; 0: it never came to it.
         must_tell: hits that a record or message has to show.
-        begun_us: bench time at which it began; -1: not yet.
+        begun_us, ended_us: bench time at which it began and was over; -1: not yet.
         first_us: bench time at which it first did something; -1: never.
         scripted: its place is given, as a share of the test's length; it stays.
     """
@@ -63,6 +63,7 @@ class Fault:
     hits: int = 0
     must_tell: int = 0
     begun_us: int = -1
+    ended_us: int = -1
     first_us: int = -1
     scripted: bool = False
 
@@ -238,13 +239,14 @@ def _instrument_count(trial: Trial, fault: Fault) -> None:
     fault.hits = done
     # One message that never came, or came a little late, harms nothing; a stream that pauses does.
     fault.must_tell = done if fault.kind in ("half", "checksum", "stale", "garbage") else 0
-    if fault.kind == "checksum" and not _has_checksum(device):
+    if fault.kind == "checksum" and not has_checksum(device):
         fault.must_tell = 0
 
 
-def _has_checksum(device: Any) -> bool:
+def has_checksum(device: Any) -> bool:
+    """Whether what a virtual instrument sends shows by itself that a digit was flipped."""
     form = getattr(device, "_form", None)
-    return bool(getattr(form, "checksum", "")) or hasattr(form, "register")
+    return getattr(form, "checksum", "none") != "none" or hasattr(form, "register")
 
 
 # ---- sensor and controller ----------------------------------------------------------

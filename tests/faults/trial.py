@@ -62,7 +62,9 @@ class Truth:
         start_ns, origin_ns, rate: zero of the record's times, of bench time, and how much
             faster the host's clock is, to turn an event's time into bench time.
         noise_kpa: standard deviation of a pressure reading.
-        end_kpa: true pressure 3 s after the host was done.
+        armed: (bench us, armed), at changes; as it was when the clock was next looked at.
+        closed_us, done_us: when the record was closed, and when the host was done.
+        end_kpa: true pressure 3 s after that.
     """
 
     protocol: str
@@ -73,6 +75,7 @@ class Truth:
     us: Any = None
     kpa: Any = None
     vents: list[tuple[int, bool]] = field(default_factory=list)
+    armed: list[tuple[int, bool]] = field(default_factory=list)
     prox: list[tuple[int, int]] = field(default_factory=list)
     beats: list[tuple[int, bool]] = field(default_factory=list)
     track: list[tuple[int, float, float, float, float]] = field(default_factory=list)
@@ -91,6 +94,7 @@ class Truth:
     """and when that was last so."""
     latched: list[str] = field(default_factory=list)
     done_us: int = 0
+    closed_us: int = 0
     outcome: str = ""
     error: str = ""
     crashed: str = ""
@@ -242,6 +246,7 @@ class Trial:
         """Keep what the record took, as it was handed over."""
         taken, truth = self._taken, self.truth
         append, frame, event = record.append, record.frame, record.event
+        finalize = record.finalize
 
         def watched(stream: str, columns: Any) -> int:
             open_yet = not record._closed  # a device still talks while the bench is being closed
@@ -263,7 +268,12 @@ class Trial:
                 truth.events.append((number, kind))
             return number
 
+        def closed(outcome: str, **summary: Any) -> Any:
+            self._closed()
+            return finalize(outcome, **summary)
+
         record.append, record.frame, record.event = watched, pictured, noted
+        record.finalize = closed
 
     def _watch_camera(self, rig: Any) -> None:
         camera = rig.camera._camera
@@ -296,6 +306,9 @@ class Trial:
         self.truth.track.append(
             (now_us, plant.length_mm, bench._lift_n(), hung_kg, self._blown_m())
         )
+        armed = bool(bench.board.controller.safety.armed)
+        if armed != (bool(self.truth.armed) and self.truth.armed[-1][1]):
+            self.truth.armed.append((now_us, armed))
         self.wires.advance()
         now_s = now_us * 1e-6
         self._look(now_us)
@@ -313,9 +326,9 @@ class Trial:
             self.truth.sealed_us = now_us
         for fault in [f for f in self._begun if now_us * 1e-6 >= f.end_s]:
             self._begun.remove(fault)
-            if not self.truth.done_us:
-                kinds.count(self, fault)
+            self._count(fault)
             kinds.undo(self, fault)
+            fault.ended_us = now_us  # later than it was to be, where the program hung
 
     @property
     def _sealed(self) -> bool:
@@ -326,6 +339,16 @@ class Trial:
             or "outlet" in self.shut
             or (self.truth.killed and supply is not None and not supply.is_on)
         )
+
+    def _count(self, fault: Fault) -> None:
+        """What it did up to now; of what comes after the record's end nobody could tell."""
+        if not self.truth.closed_us:
+            kinds.count(self, fault)
+
+    def _closed(self) -> None:
+        for fault in self._begun:
+            self._count(fault)
+        self.truth.closed_us = self.truth.closed_us or self.bench.board.bench_us
 
     def _blown_m(self) -> float:
         """How far the air in the outlet line has come; its velocity is the change of that."""
@@ -365,10 +388,9 @@ class Trial:
             return
         board = self.bench.board
         truth.done_us = board.bench_us
+        self._closed()
         truth.latched = [str(cause) for cause in board.controller.safety.faults]
         self._waiting.clear()
-        for fault in self._begun:  # what it does from now on nobody is there to see
-            kinds.count(self, fault)
         self.hang_s = 0.0
         now_ns = self._clock.now_ns()
         for look in range(1, round(AFTER_S / LOOK_S) + 1):  # faults may end in it

@@ -24,6 +24,11 @@ UNTOUCHED = ("wire", "instrument", "camera", "disk", "process", "clock", "sensor
 """Faults that do not change what the bench does, only what is seen of it."""
 WORDS = ("order", "trial", "repeat", "n_samples", "settled", "set_", "from_", "u_", "switchings")
 ALLOWED: dict[str, float] = {}
+STEP_TIMES = ("rise_s", "settle_s")
+BAND_KPA = 0.03 * 550.0
+"""A step has settled within 3 % of the supply that step-short names."""
+SMOOTH_MS = 5
+"""Over so many samples a step's table averages before it takes times."""
 FLOW_US = 1_000_000
 MASS_KG = 0.002
 """What a dead weight may differ from the one that is read at the load cell's resolution."""
@@ -53,6 +58,8 @@ def check_values(truth: Truth, verdict: Verdict, work: Path) -> None:
         elif truth.protocol == "ram":
             _ram(truth, row, point, verdict)
         else:
+            if truth.protocol == "step":
+                check_step(truth, row, point, verdict)
             _like_without_fault(truth, row, work, verdict)
 
 
@@ -164,6 +171,31 @@ def _ram(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: Verd
         _compare(row, "pressure_kpa", kpa.mean(), np.ptp(kpa), 0.3, verdict)
 
 
+def check_step(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: Verdict) -> None:
+    """When the true pressure rose and settled; where it grazes a bound, either side of that.
+
+    A scheme's periods go on by the controller's clock: from one run to the next a set-point falls
+    elsewhere into them, and the response is some milliseconds earlier or later.
+    """
+    asked_us, until_us = truth.bench_us(point["asked_t_ns"]), truth.bench_us(point["t_ns"])
+    kpa = truth.kpa[(truth.us >= asked_us) & (truth.us < until_us)]
+    goal, before = point["set_pressure_kpa"], point["from_kpa"]
+    graze = SIGMAS * math.hypot(row["u_error_kpa"], truth.noise_kpa / math.sqrt(SMOOTH_MS))
+    way, off = (kpa - before) * math.copysign(1.0, goal - before), np.abs(kpa - goal)
+    rise = [_first(way >= 0.9 * abs(goal - before) + g) for g in (-graze, graze)]
+    settle = [len(kpa) - _first(off[::-1] > BAND_KPA + g) for g in (graze, -graze)]
+    for name, (least, most) in (("rise_s", rise), ("settle_s", settle)):
+        ms = 1e3 * row[name]
+        if ms < least - SMOOTH_MS or ms > most + SMOOTH_MS:
+            verdict.wrong.append(
+                f"point {row['order']}: {name} {row[name]:.4g}, truly {least} to {most} ms"
+            )
+
+
+def _first(reached: Any) -> int:
+    return int(np.argmax(reached)) if reached.any() else len(reached)
+
+
 def _bench_as_ever(truth: Truth, point: dict[str, Any]) -> bool:
     """Whether up to this point the bench itself did what it does without a fault."""
     until_us = truth.bench_us(point["t_ns"])
@@ -190,7 +222,7 @@ def _like_without_fault(truth: Truth, row: dict[str, Any], work: Path, verdict: 
         return
     known = reference(truth.protocol, truth.seed % BENCH_SEEDS, work)[row["order"]]
     for name, value in row.items():
-        if not isinstance(value, float) or name.startswith(WORDS):
+        if not isinstance(value, float) or name.startswith(WORDS) or name in STEP_TIMES:
             continue
         other = known[name]
         if not math.isfinite(value) or not math.isfinite(other):

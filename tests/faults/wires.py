@@ -12,6 +12,7 @@ from typing import Any
 BEAT = b"hb "
 DEADLINE_US = 350_000
 _PLAIN = re.compile(rb"[0-9 ]")
+_SCPI = re.compile(rb'[-+]?[0-9]+(\.[0-9]+)?(E[-+]?[0-9]+)?|[0-9]+,".*"')
 
 
 @dataclass
@@ -28,7 +29,7 @@ class Rule:
     """Messages that were changed, lost, doubled or held up."""
     plain: int = 0
     """Of these, how many differ from the true one in digits alone: a line without a checksum
-    cannot tell."""
+    cannot tell. A supply's answers are not even of one length; what is told to it is read back."""
 
 
 @dataclass
@@ -92,12 +93,18 @@ class Wires:
             return data  # a space or carriage return at the end of a line says nothing
         if out != data:
             rule.altered += 1
-            same = len(out) == len(data)
-            rule.plain += same and all(
-                a == b or (_PLAIN.match(bytes([a])) and _PLAIN.match(bytes([b])))
-                for a, b in zip(data, out, strict=True)
-            )
+            rule.plain += _plain(data, out)
         return out
+
+
+def _plain(data: bytes, out: bytes) -> bool:
+    """Whether digits became other digits, or a supply's number another number."""
+    if _SCPI.fullmatch(data.strip()) and _SCPI.fullmatch(out.strip()) and out.endswith(b"\n"):
+        return True
+    return len(out) == len(data) and all(
+        a == b or bool(_PLAIN.match(bytes([a])) and _PLAIN.match(bytes([b])))
+        for a, b in zip(data, out, strict=True)
+    )
 
 
 def spoil(data: bytes, how: str, rng: random.Random) -> bytes:

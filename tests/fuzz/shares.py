@@ -20,11 +20,11 @@ SHARES = {
     "TOML": 0.0040,
     "rig file": 0.0030,
     "model file": 0.0035,
-    "run folder": 0.0020,
-    "killed run": 0.0015,
-    "EXCHANGE folder": 0.0020,
-    "picture": 0.0030,
-    "picture file": 0.0010,
+    "run folder": 0.0015,
+    "killed run": 0.0010,
+    "EXCHANGE folder": 0.0015,
+    "picture": 0.0040,
+    "picture file": 0.0015,
 }
 """Of all inputs, by target; adds up to 1."""
 

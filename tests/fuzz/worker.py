@@ -58,7 +58,7 @@ def main() -> None:
     faulthandler.enable()
     job = json.loads(sys.argv[1])
     folder = Path(job["folder"])
-    tempfile.tempdir = str(folder / "tmp")
+    tempfile.tempdir = job["tmp"]
     now = Now(folder / "now")
     marks = Marks(job["marked"])
     marks.install()
