@@ -164,8 +164,9 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
             "Cycles up and down",
             figure=lambda: _figure(table, cycles, isotonic),
             caption=f"The form of the thesis's Figure {'4-40' if isotonic else '4-39'}. Above:"
-            " rising filled, falling open; below: rising less falling. Bars: expanded"
-            " uncertainty, k = 2, where larger than the marker.",
+            " rising filled, falling open; below: rising less falling"
+            + (", dotted for the smaller cycles" if len({c.top_kpa for c in cycles}) > 1 else "")
+            + ". Bars: expanded uncertainty, k = 2, where larger than the marker.",
         ),
         Section(
             "What each cycle loses",
@@ -195,7 +196,8 @@ def _headline(rows: list[dict[str, Any]], unit: str) -> str:
         return "No cycle was measured both ways, so there is no result."
     means = [row["mean"] for row in rows if math.isfinite(row["mean"])]
     if not means:
-        return f"{len(rows)} cycles were measured, none over the pressures of the thesis's mean."
+        cycles = "One cycle was" if len(rows) == 1 else f"{len(rows)} cycles were"
+        return f"{cycles} measured, none over the pressures of the thesis's mean."
     return (
         f"On the way up the {'length' if unit == 'mm' else 'force'} is {min(means):.2f} to"
         f" {max(means):.2f} {unit} above that on the way down, cycle by cycle (means)."
@@ -361,7 +363,7 @@ def _figure(table: pd.DataFrame, cycles: list[Cycle], isotonic: bool) -> Figure:
         bottom.axhline(0.0, color=QUIET, linewidth=0.8)
         top.set_ylabel(label)
         bottom.set_ylabel(f"rising − falling ({'mm' if isotonic else 'N'})")
-        bottom.set_xlabel("pressure (kPa gauge); dotted below: the smaller cycle")
+        bottom.set_xlabel("pressure (kPa gauge)")
         top.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
         figure.align_ylabels([top, bottom])
     return figure

@@ -179,7 +179,8 @@ def find_config(name: str, folder: str) -> tuple[str, str]:
         try:
             return tomlfile.read_text(path), str(path)
         except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(str(path), f"cannot be read: {error}", "check the path") from None
+            why = getattr(error, "strerror", None) or error
+            raise ConfigError(str(path), f"cannot be read: {why}", "check the path") from None
     shipped = importlib.resources.files("configs") / folder
     names = sorted(e.name[:-5] for e in shipped.iterdir() if e.name.endswith(".toml"))
     if name in names:
