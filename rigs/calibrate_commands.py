@@ -20,6 +20,8 @@ from rigs.linefit import Reference
 from rigs.rig import open_rig
 from rigs.runner import Watch
 
+LONGEST_S = 86400.0
+
 
 def numbers(text: str, key: str) -> list[float]:
     """Numbers out of "0,100,200".
@@ -106,6 +108,8 @@ def force_command(
 
 def read_command(rig: str, seconds: float, as_json: bool) -> None:
     """Listen to every instrument of a rig for a while and say what each reads."""
+    if not 0.1 <= seconds <= LONGEST_S:
+        raise ConfigError("--seconds", f"{seconds:g} s is outside 0.1 to {LONGEST_S:g} s")
     config = load_rig(rig)
     with open_rig(config) as opened:
         opened.valve.progress(seconds + 1.0)
