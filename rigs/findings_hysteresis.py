@@ -149,7 +149,7 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
             {
                 "held": cycle.held, "top": cycle.top_kpa, "repeat": cycle.repeat,
                 "mean": mean, "u_mean": u_mean, "largest": round(largest, 3),
-                "share": round(100 * mean / span, 2) if span else None,
+                "share": round(100 * mean / span, 2) + 0.0 if span else None,  # no "−0"
                 "area": cycle.area, "u_area": cycle.u_area,
             }
         )  # fmt: skip
@@ -161,7 +161,7 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
     source = (run.manifest.get("source") or {}).get("table")
     sections = [
         Section(
-            "Cycles up and down",
+            f"Cycles up and down {'under hung loads' if isotonic else 'at held lengths'}",
             figure=lambda: _figure(table, cycles, isotonic),
             caption=f"The form of the thesis's Figure {'4-40' if isotonic else '4-39'}. Above:"
             " rising filled, falling open; below: rising less falling"
@@ -194,13 +194,21 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
 def _headline(rows: list[dict[str, Any]], unit: str) -> str:
     if not rows:
         return "No cycle was measured both ways, so there is no result."
-    means = [row["mean"] for row in rows if math.isfinite(row["mean"])]
-    if not means:
+    known = [row for row in rows if math.isfinite(row["mean"])]
+    if not known:
         cycles = "One cycle was" if len(rows) == 1 else f"{len(rows)} cycles were"
         return f"{cycles} measured, none over the pressures of the thesis's mean."
+    what = "length" if unit == "mm" else "force"
+    if all(abs(row["mean"]) <= 2 * row["u_mean"] for row in known):
+        most = max(abs(row["mean"]) + 2 * row["u_mean"] for row in known)
+        return (
+            f"On the way up and on the way down the {what} is the same within its uncertainty: the"
+            f" means of each cycle differ by less than {most:.2g} {unit}."
+        )
+    low, high = (pick(row["mean"] for row in known) for pick in (min, max))
     return (
-        f"On the way up the {'length' if unit == 'mm' else 'force'} is {min(means):.2f} to"
-        f" {max(means):.2f} {unit} above that on the way down, cycle by cycle (means)."
+        f"On the way up the {what} is {low:.2f} to {high:.2f} {unit} above that on the way down,"
+        " cycle by cycle (means)."
     ).replace(" -", " −")
 
 

@@ -17,12 +17,14 @@ from analysis_bench import CALIBRATIONS, write_run
 from daq.clock import VirtualClock
 from daq.run import open_run
 from rigs.drawing import spread
+from rigs.findings_hysteresis import hysteresis_findings
 from rigs.findings_isobaric import isobaric_findings
 from rigs.findings_isotonic import isotonic_findings
 from rigs.importer import import_points, import_thesis
 from rigs.pointstable import points_frame
 from rigs.reduction import Reduction, reduce_isometric
 from rigs.report import report_json, write_report
+from rigs.report_sections import section_parts
 from rigs.timeline import min_max
 from rigs.wording import with_u
 
@@ -213,6 +215,32 @@ def test_a_contraction_holds_what_the_camera_leaves_open(recorded: Path) -> None
     (load,) = isotonic_findings(open_run(recorded), reduction).data["loads"]
     assert load["contraction"] == pytest.approx(1 / 6)
     assert load["u_contraction"] == pytest.approx(0.6 / 60 / 6, rel=0.03)
+
+
+def test_a_loop_within_its_uncertainty_is_told_as_none(recorded: Path) -> None:
+    points = [
+        {
+            "direction": way, "repeat": 1, "trial": 1, "slot": "L60", "mounting": "m1",
+            "settled": True, "n_samples": 10, "set_length_mm": 60.0, "cycle_max_kpa": 600.0,
+            "pressure_kpa": kpa, "set_pressure_kpa": kpa, "order": order,
+            "force_n": kpa / 10 + (way == "down") * 1e-4, "u_force_n_noise": 0.005,
+        }
+        for order, (kpa, way) in enumerate(
+            [(kpa, "up") for kpa in (0.0, 200.0, 400.0, 600.0)]
+            + [(kpa, "down") for kpa in (600.0, 400.0, 200.0, 0.0)]
+        )
+    ]  # fmt: skip
+    table = points_frame(points, {"cycle_max_kpa": "float64"})
+    found = hysteresis_findings(open_run(recorded), Reduction(table, (), {}))
+    assert found.headline == (
+        "On the way up and on the way down the force is the same within its uncertainty: the means"
+        " of each cycle differ by less than 0.01 N."
+    )
+    assert "−0 " not in " ".join(
+        f"{cell['text']} "
+        for row in section_parts(found.sections[1])["rows"]
+        for cell in row["cells"]
+    )
 
 
 def test_texts_of_the_operator_are_shown_and_never_run(tmp_path: Path) -> None:
