@@ -131,7 +131,8 @@ def _headline(table: pd.DataFrame, inside: list[tuple[float, Line]], gradient: L
         pulls += f" to {slopes[-1]:.2f}"
     text = f"Held {held} kPa the muscle pulls {pulls} N harder for each mm that it is longer"
     if gradient is not None:
-        text += f"; the gradient grows as {gradient.slope:.5f} P {_signed(gradient.intercept, 3)}"
+        law = f"{gradient.slope:.5f} P {_signed(gradient.intercept, 3)}"
+        text += f"; the gradient grows with pressure as {law} N/mm, P in kPa"
     return text + "."
 
 

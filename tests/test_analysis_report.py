@@ -182,6 +182,10 @@ def test_one_held_pressure_is_told_as_one(tmp_path: Path) -> None:
     )
     headline = report_json(open_run(truth.folder))["headline"]
     assert re.fullmatch(r"Held at 200 kPa the muscle pulls \d\.\d+ N harder .*", headline)
+    several = write_run(tmp_path, np.random.default_rng(1), protocol="isobaric").folder
+    headline = report_json(open_run(several))["headline"]
+    assert headline.startswith("Held between 200 and 600 kPa the muscle pulls")
+    assert headline.endswith(" N/mm, P in kPa.")
 
 
 def test_lines_in_length_hold_what_the_calibrations_leave_open(tmp_path: Path) -> None:
