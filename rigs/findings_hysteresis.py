@@ -109,7 +109,7 @@ def cycles_of(table: pd.DataFrame) -> list[Cycle]:
             if row["direction"] in ways and math.isfinite(row[value]):
                 reading = (float(row[value]), float(row[f"u_{value}_noise"]))
                 ways[str(row["direction"])][float(row["nominal"])] = reading
-        if not ways["down"]:
+        if not (ways["up"] and ways["down"]):
             continue
         highest = max(ways["up"])
         ways["down"].setdefault(highest, ways["up"][highest])
@@ -162,7 +162,7 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
     sections = [
         Section(
             f"Cycles up and down {'under hung loads' if isotonic else 'at held lengths'}",
-            figure=lambda: _figure(table, cycles, isotonic),
+            figure=(lambda: _figure(table, cycles, isotonic)) if len(table) else None,
             caption=f"The form of the thesis's Figure {'4-40' if isotonic else '4-39'}. Above:"
             " rising filled, falling open; below: rising less falling"
             + (", dotted for the smaller cycles" if len({c.top_kpa for c in cycles}) > 1 else "")
@@ -335,11 +335,11 @@ def _figure(table: pd.DataFrame, cycles: list[Cycle], isotonic: bool) -> Figure:
 
     value, label = ("length_mm", "length (mm)") if isotonic else ("force_n", "force (N)")
     held = table["mass_kg"] if isotonic else table["set_length_mm"].fillna(table["length_mm"])
-    names = sorted({cycle.held for cycle in cycles}, key=lambda n: float(n.split()[0]))
+    keys = held.astype(float).round(4)
+    names = [f"{k:g} {'kg' if isotonic else 'mm'}" for k in sorted(keys.dropna().unique())]
     colours = dict(zip(names, sequence(len(names)), strict=True))
     with style():
         figure, (top, bottom) = new_figure(7.2, 6.4, rows=2, sharex=True)
-        keys = held.astype(float).round(4)
         for k, name in enumerate(names):
             rows = table[(keys - float(name.split()[0])).abs() < 5e-5]
             for direction, part in rows.groupby("direction"):
