@@ -20,7 +20,7 @@ from daq.sealed import read_lines, seal_line, sync_folder, write_all
 from daq.within import path_inside, read_inside
 
 ANNOTATIONS = "annotations.jsonl"
-ACTIONS = ("note", "exclude", "include")
+ACTIONS = {"note": "a remark", "exclude": "an exclusion", "include": "an inclusion"}
 
 
 @dataclass(frozen=True)
@@ -66,10 +66,14 @@ def annotate(
         RecordError: no reason, nothing to exclude, a damaged file, or it cannot be written.
     """
     if not reason.strip():
-        raise RecordError(str(folder), f"to {action} needs a reason", 'give --reason "..."')
+        raise RecordError(str(folder), f"{ACTIONS[action]} needs a reason", 'give --reason "..."')
     if action != "note" and not points:
-        raise RecordError(str(folder), f"to {action} needs points", "give their numbers (order)")
+        raise RecordError(
+            str(folder), f"{ACTIONS[action]} needs points", "give their numbers (order)"
+        )
     before = read_annotations(folder)
+    if action == "include" and (never := set(points) - set(excluded_points(folder))):
+        raise RecordError(str(folder), f"point {min(never)} is not excluded", "nothing to undo")
     utc = (now or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
     made = Annotation(
         len(before), utc, who, action, tuple(sorted({int(p) for p in points})), reason.strip()

@@ -170,12 +170,7 @@ class RecordWriter:
                     raise ValueError(f"stream {name} is declared already with other columns")
                 return
             stream = _Stream(declared)
-            head = {
-                "n": 0,
-                "stream": name,
-                "columns": declared.columns,
-                "units": declared.units,
-            }
+            head = {"n": 0, "stream": name, "columns": declared.columns, "units": declared.units}
             self._disk.put(stream.index, seal_line(head))
             stream.n = 1
             self._streams[name] = stream

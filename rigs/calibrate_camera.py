@@ -66,11 +66,10 @@ def read_gauge_table(path: Path) -> list[GaugePosition]:
     out: list[GaugePosition] = []
     for k, row in enumerate(rows):
         try:
-            out.append(
-                GaugePosition(
-                    str(row["file"]), float(row["length_mm"]), float(row.get("u_mm") or 0.0)
-                )
-            )
+            length_mm, u_mm = float(row["length_mm"]), float(row.get("u_mm") or 0.0)
+            if not (0.0 < length_mm < math.inf and 0.0 <= u_mm < math.inf):
+                raise ValueError("a length above 0 and an uncertainty from 0 up are expected")
+            out.append(GaugePosition(str(row["file"]), length_mm, u_mm))
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigError(
                 f"{path}, row {k + 1}",
@@ -108,7 +107,8 @@ def calibrate_from_gauges(
 
     for position in positions:
         item = next(iter(open_frames(table.parent / position.file)))
-        assert item.image is not None
+        if item.image is None:
+            raise ConfigError(f"{table}, {position.file}", item.problem, "take it again")
         shape = item.image.shape[:2]
         gap = measure_gap(item.image)
         if not gap.trusted:
@@ -235,8 +235,10 @@ def calibrate_from_board(
         nearer, nearer_mm: the board again, that much nearer to the camera.
 
     Raises:
-        ConfigError: the board is not found.
+        ConfigError: the board is not found, or its squares have no size.
     """
+    if not 0.0 < square_mm < math.inf:
+        raise ConfigError("--square-mm", f"{square_mm:g} mm is no side of a square")
     scale, u_scale, lens, rms, corners = _board(picture, squares, square_mm)
     per_mm = u_per_mm = 0.0
     if nearer is not None and nearer_mm:

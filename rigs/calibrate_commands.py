@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from rigs.linefit import Reference
 from rigs.rig import open_rig
 from rigs.runner import Watch
 
+LONGEST_S = 86400.0
+
 
 def numbers(text: str, key: str) -> list[float]:
     """Numbers out of "0,100,200".
@@ -30,6 +33,21 @@ def numbers(text: str, key: str) -> list[float]:
         return [float(word) for word in text.split(",") if word.strip()]
     except ValueError:
         raise ConfigError(key, f"{text!r} is no list of numbers", "write it as 0,100,200") from None
+
+
+def uncertainty(value: float, key: str, relative: bool = False) -> float:
+    """A standard uncertainty as given on the command line.
+
+    Raises:
+        ConfigError: names the option.
+    """
+    if not 0.0 <= value < (1.0 if relative else math.inf):
+        raise ConfigError(
+            key,
+            f"{value:g} is no {'relative ' if relative else ''}standard uncertainty",
+            "0.001 is 0.1 %" if relative else "give a number from 0 up",
+        )
+    return value
 
 
 def pressure_command(
@@ -46,12 +64,17 @@ def pressure_command(
     as_json: bool,
 ) -> None:
     """Calibrate the pressure sensor and write the file."""
-    reference = Reference(gauge, u_each, u_zero, u_gain) if gauge else None
+    known = Reference(
+        gauge,
+        uncertainty(u_each, "--u-each"),
+        uncertainty(u_zero, "--u-zero"),
+        uncertainty(u_gain, "--u-gain", relative=True),
+    )
     _check(out, replace)
     with stop_on_signals() as stop:
         done = calibrate_pressure(
             load_rig(rig), numbers(pressures, "--pressures"), records,
-            reference=reference, who=operator, stop=stop, watch=_watch(as_json),
+            reference=known if gauge else None, who=operator, stop=stop, watch=_watch(as_json),
         )  # fmt: skip
     _write(done, out, replace, as_json)
 
@@ -69,11 +92,15 @@ def force_command(
     as_json: bool,
 ) -> None:
     """Calibrate the source of force and write the file."""
+    known = Reference(
+        weights,
+        u_each=uncertainty(u_each, "--u-each"),
+        u_gain=uncertainty(u_gain, "--u-gain", relative=True),
+    )
     _check(out, replace)
     with stop_on_signals() as stop:
         done = calibrate_force(
-            load_rig(rig), numbers(masses, "--masses"), records,
-            weights=Reference(weights, u_each=u_each, u_gain=u_gain),
+            load_rig(rig), numbers(masses, "--masses"), records, weights=known,
             who=operator, stop=stop, watch=_watch(as_json),
         )  # fmt: skip
     _write(done, out, replace, as_json)
@@ -81,6 +108,8 @@ def force_command(
 
 def read_command(rig: str, seconds: float, as_json: bool) -> None:
     """Listen to every instrument of a rig for a while and say what each reads."""
+    if not 0.1 <= seconds <= LONGEST_S:
+        raise ConfigError("--seconds", f"{seconds:g} s is outside 0.1 to {LONGEST_S:g} s")
     config = load_rig(rig)
     with open_rig(config) as opened:
         opened.valve.progress(seconds + 1.0)

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from daq.clock import Clock
+from daq.deadline import Deadline
 from daq.errors import DeviceError, DeviceTimeout, LinkLost
 from rigs.config import CameraDevice
+from rigs.pump import Pump
 
 if TYPE_CHECKING:
     from rigs.uvc import UvcCamera
@@ -129,18 +130,20 @@ class TriggeredUvc:
     """A free-running UVC camera used on trigger: the first frame stamped after the call.
 
     A frame that the driver hands out twice has a new stamp and is an old picture: it is passed
-    over, unless it is all black, which no old picture need be the reason for.
+    over, unless it is all black, which no old picture need be the reason for. The bench goes on
+    while it is waited for: a camera that hangs ends a test in good order.
     """
 
-    def __init__(self, camera: UvcCamera, source: str, clock: Clock) -> None:
+    def __init__(self, camera: UvcCamera, source: str, pump: Pump) -> None:
         self._camera = camera
-        self._clock = clock
+        self._pump = pump
         self.identity = {"source": source}
 
     def trigger(self) -> Frame:
         """Wait for the next whole frame."""
-        asked_ns = self._clock.now_ns()
-        for _ in range(round(TRIGGER_S / 0.002)):
+        asked_ns = self._pump.clock.now_ns()
+        deadline = Deadline(self._pump.clock, TRIGGER_S)
+        while True:
             frame = self._camera.latest()
             if (
                 frame is not None
@@ -148,20 +151,21 @@ class TriggeredUvc:
                 and not (frame.repeated and is_lit(frame.gray))
             ):
                 return Frame(frame.seq, frame.host_ns, frame.gray)
-            self._clock.sleep(0.002)
-        raise DeviceTimeout(
-            f"camera {self.identity['source']}",
-            f"no new frame within {TRIGGER_S:g} s",
-            "check its cable and that no other program uses it",
-        )
+            if deadline.expired:
+                raise DeviceTimeout(
+                    f"camera {self.identity['source']}",
+                    f"no new frame within {TRIGGER_S:g} s",
+                    "check its cable and that no other program uses it",
+                )
+            self._pump.step()
 
     def close(self) -> None:
         """Stop the grab thread and let go of the device."""
         self._camera.close()
 
 
-def open_camera(config: CameraDevice, clock: Clock) -> Camera:
-    """Open a camera that is not part of an in-process bench.
+def open_camera(config: CameraDevice, pump: Pump) -> Camera:
+    """Open a camera that is not part of an in-process bench; ``pump`` turns the bench over.
 
     Raises:
         DeviceError: it cannot be opened, or is another one than the rig file names.
@@ -173,8 +177,8 @@ def open_camera(config: CameraDevice, clock: Clock) -> Camera:
         from rigs.uvc import UvcCamera
 
         index = config.source.removeprefix("uvc:")
-        uvc = UvcCamera(int(index) if index.isdigit() else index, clock)
-        camera = TriggeredUvc(uvc, config.source, clock)
+        uvc = UvcCamera(int(index) if index.isdigit() else index, pump.clock)
+        camera = TriggeredUvc(uvc, config.source, pump)
     got = camera.identity.get("serial", "")
     if config.serial and got and got != config.serial:
         camera.close()

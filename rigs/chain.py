@@ -23,7 +23,7 @@ from daq.run import Run, open_run
 from daq.sealed import read_lines, seal_line, write_all
 from rigs.config import RigConfig, load_rig
 from rigs.interrupt import StopFlag
-from rigs.protocols.names import PROTOCOLS, default_rig
+from rigs.protocols.names import PROTOCOLS, default_rig, default_specimen
 from rigs.protocols.procedure import Plan
 from rigs.protocols.registry import procedure
 from rigs.runner import Watch
@@ -85,7 +85,7 @@ def load_plan(path: Path) -> Chain:
     here = path.resolve().parent
     rig = t.text("rig", "")
     seed = t.integer("seed", 0, 2**63 - 1, -1) if "seed" in t else None
-    specimen, operator = t.text("specimen", "muscle"), t.text("operator", "")
+    specimen, operator = t.text("specimen", ""), t.text("operator", "")
     rows = t.raw("test", [])
     if not isinstance(rows, list) or not rows:
         raise t.fail("test", "a plan needs at least one [[test]]", "protocol = ... in each")
@@ -95,11 +95,15 @@ def load_plan(path: Path) -> Chain:
         protocol = one.text("protocol", choices=tuple(PROTOCOLS))
         file = one.text("file", protocol)
         name = one.text("rig", rig) or default_rig(protocol)
-        config = load_rig(_beside(here, name), seed)
-        plan = procedure(protocol).read(_beside(here, file), config)
+        try:
+            config = load_rig(_beside(here, name), seed)
+            plan = procedure(protocol).read(_beside(here, file), config)
+        except PamrigError as error:
+            where = f"{t.source}: {one.path}: {error.where}"
+            raise ConfigError(where, error.what, error.remedy) from None
         repeats = one.integer("repeats", 1, 1000, 1)
         values = {
-            "specimen": one.text("specimen", specimen),
+            "specimen": one.text("specimen", specimen) or default_specimen(protocol),
             "operator": one.text("operator", operator),
             "note": one.text("note", ""),
             "rest_s": one.number("rest_s", 0, 7 * 86400, 0.0, unit="s"),

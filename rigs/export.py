@@ -85,7 +85,7 @@ def export_run(run: Run, kind: str, out: Path | None = None, what: str = "all") 
         RecordError: the run is damaged, or the folder cannot be written.
     """
     if kind not in FORMATS:
-        raise ConfigError(kind, "is no format to export to", f"one of: {', '.join(FORMATS)}")
+        raise ConfigError("--to", f"{kind!r} is not one of {', '.join(FORMATS)}")
     tables = tables_of(run)
     if what != "all":
         keep = {"table"} if what == "table" else set(tables) - {"table"}

@@ -243,8 +243,8 @@ def _fanning_section(run: Run, line: Line) -> Section:
     import pandas as pd
 
     got = [
-        ("Constant", line.intercept, line.u_intercept, line.t_intercept, line.p_intercept),
-        ("V²", line.slope, line.u_slope, line.t_slope, line.p_slope),
+        ("constant, kPa", line.intercept, line.u_intercept, line.t_intercept, line.p_intercept),
+        ("V², kPa/(m/s)²", line.slope, line.u_slope, line.t_slope, line.p_slope),
     ]
     digits = {"coef": 6, "stdev": 6, "t": 2, "p": 3}
     rows = [dict(zip(("predictor", "coef", "stdev", "t", "p"), r, strict=True)) for r in got]

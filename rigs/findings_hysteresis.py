@@ -109,7 +109,7 @@ def cycles_of(table: pd.DataFrame) -> list[Cycle]:
             if row["direction"] in ways and math.isfinite(row[value]):
                 reading = (float(row[value]), float(row[f"u_{value}_noise"]))
                 ways[str(row["direction"])][float(row["nominal"])] = reading
-        if not ways["down"]:
+        if not (ways["up"] and ways["down"]):
             continue
         highest = max(ways["up"])
         ways["down"].setdefault(highest, ways["up"][highest])
@@ -149,7 +149,7 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
             {
                 "held": cycle.held, "top": cycle.top_kpa, "repeat": cycle.repeat,
                 "mean": mean, "u_mean": u_mean, "largest": round(largest, 3),
-                "share": round(100 * mean / span, 2) if span else None,
+                "share": round(100 * mean / span, 2) + 0.0 if span else None,  # no "−0"
                 "area": cycle.area, "u_area": cycle.u_area,
             }
         )  # fmt: skip
@@ -161,11 +161,12 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
     source = (run.manifest.get("source") or {}).get("table")
     sections = [
         Section(
-            "Cycles up and down",
-            figure=lambda: _figure(table, cycles, isotonic),
+            f"Cycles up and down {'under hung loads' if isotonic else 'at held lengths'}",
+            figure=(lambda: _figure(table, cycles, isotonic)) if len(table) else None,
             caption=f"The form of the thesis's Figure {'4-40' if isotonic else '4-39'}. Above:"
-            " rising filled, falling open; below: rising less falling. Bars: expanded"
-            " uncertainty, k = 2, where larger than the marker.",
+            " rising filled, falling open; below: rising less falling"
+            + (", dotted for the smaller cycles" if len({c.top_kpa for c in cycles}) > 1 else "")
+            + ". Bars: expanded uncertainty, k = 2, where larger than the marker.",
         ),
         Section(
             "What each cycle loses",
@@ -193,12 +194,21 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
 def _headline(rows: list[dict[str, Any]], unit: str) -> str:
     if not rows:
         return "No cycle was measured both ways, so there is no result."
-    means = [row["mean"] for row in rows if math.isfinite(row["mean"])]
-    if not means:
-        return f"{len(rows)} cycles were measured, none over the pressures of the thesis's mean."
+    known = [row for row in rows if math.isfinite(row["mean"])]
+    if not known:
+        cycles = "One cycle was" if len(rows) == 1 else f"{len(rows)} cycles were"
+        return f"{cycles} measured, none over the pressures of the thesis's mean."
+    what = "length" if unit == "mm" else "force"
+    if all(abs(row["mean"]) <= 2 * row["u_mean"] for row in known):
+        most = max(abs(row["mean"]) + 2 * row["u_mean"] for row in known)
+        return (
+            f"On the way up and on the way down the {what} is the same within its uncertainty: the"
+            f" means of each cycle differ by less than {most:.2g} {unit}."
+        )
+    low, high = (pick(row["mean"] for row in known) for pick in (min, max))
     return (
-        f"On the way up the {'length' if unit == 'mm' else 'force'} is {min(means):.2f} to"
-        f" {max(means):.2f} {unit} above that on the way down, cycle by cycle (means)."
+        f"On the way up the {what} is {low:.2f} to {high:.2f} {unit} above that on the way down,"
+        " cycle by cycle (means)."
     ).replace(" -", " −")
 
 
@@ -325,11 +335,11 @@ def _figure(table: pd.DataFrame, cycles: list[Cycle], isotonic: bool) -> Figure:
 
     value, label = ("length_mm", "length (mm)") if isotonic else ("force_n", "force (N)")
     held = table["mass_kg"] if isotonic else table["set_length_mm"].fillna(table["length_mm"])
-    names = sorted({cycle.held for cycle in cycles}, key=lambda n: float(n.split()[0]))
+    keys = held.astype(float).round(4)
+    names = [f"{k:g} {'kg' if isotonic else 'mm'}" for k in sorted(keys.dropna().unique())]
     colours = dict(zip(names, sequence(len(names)), strict=True))
     with style():
         figure, (top, bottom) = new_figure(7.2, 6.4, rows=2, sharex=True)
-        keys = held.astype(float).round(4)
         for k, name in enumerate(names):
             rows = table[(keys - float(name.split()[0])).abs() < 5e-5]
             for direction, part in rows.groupby("direction"):
@@ -361,7 +371,7 @@ def _figure(table: pd.DataFrame, cycles: list[Cycle], isotonic: bool) -> Figure:
         bottom.axhline(0.0, color=QUIET, linewidth=0.8)
         top.set_ylabel(label)
         bottom.set_ylabel(f"rising − falling ({'mm' if isotonic else 'N'})")
-        bottom.set_xlabel("pressure (kPa gauge); dotted below: the smaller cycle")
+        bottom.set_xlabel("pressure (kPa gauge)")
         top.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
         figure.align_ylabels([top, bottom])
     return figure

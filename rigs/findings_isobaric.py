@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rigs.leastsquares import Line, straight_line
 from rigs.protocols.procedure import Findings, Section
+from rigs.regression import line_uncertainty
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,15 +30,22 @@ def isobaric_findings(run: Run, reduction: Reduction) -> Findings:
 
     table = reduction.table
     lines = lines_in_length(table)
+    groups = dict(_by_pressure(table))
+    u = {
+        p: line_uncertainty(
+            line, groups[p]["length_mm"], groups[p]["force_n"], reduction.calibrations,
+            ("length_mm", "force_n"),
+        )
+        for p, line in lines
+    }  # fmt: skip
     inside = [(p, line) for p, line in lines if REGION_KPA[0] <= p <= REGION_KPA[1]]
     pressures = np.array([p for p, _ in inside])
     gradient = straight_line(pressures, np.array([line.slope for _, line in inside]))
     intercept = straight_line(pressures, np.array([line.intercept for _, line in inside]))
-    u_cal = _common(table)
     rows = [
         {
-            "pressure_kpa": p, "n": line.n, "gradient": line.slope, "u_gradient": line.u_slope,
-            "intercept": line.intercept, "u_intercept": math.hypot(line.u_intercept, u_cal),
+            "pressure_kpa": p, "n": line.n, "gradient": line.slope,
+            "u_gradient": u[p][0], "intercept": line.intercept, "u_intercept": u[p][1],
             "scatter": round(line.s, 3), "r2": round(line.r2, 4),
         }
         for p, line in lines
@@ -58,7 +65,12 @@ def isobaric_findings(run: Run, reduction: Reduction) -> Findings:
                 ("pressure_kpa", "pressure, kPa"), ("n", "points"), ("gradient", "gradient, N/mm"),
                 ("intercept", "intercept, N"), ("scatter", "scatter, N"), ("r2", "R²"),
             ),
-            caption="± expanded uncertainty, k = 2, from the scatter about the line.",
+            caption="± expanded uncertainty, k = 2, from the scatter about the line"
+            + (
+                " together with zero and gain of the calibrations."
+                if reduction.calibrations
+                else "."
+            ),
         ),
     ]  # fmt: skip
     data: dict[str, Any] = {}
@@ -87,22 +99,21 @@ def isobaric_findings(run: Run, reduction: Reduction) -> Findings:
 
 def lines_in_length(table: pd.DataFrame) -> list[tuple[float, Line]]:
     """At each set pressure the line of force against length, lowest temperature only."""
+    fitted = [
+        (pressure, straight_line(rows["length_mm"], rows["force_n"]))
+        for pressure, rows in _by_pressure(table)
+    ]
+    return [(pressure, line) for pressure, line in fitted if line is not None]
+
+
+def _by_pressure(table: pd.DataFrame) -> list[tuple[float, pd.DataFrame]]:
+    """Rows of each set pressure, rising, lowest temperature only."""
     cold = table
     temperature = table["temperature_c"].astype(float)
     if temperature.max() - temperature.min() > 2.0:
         cold = table[temperature < temperature.min() + 2.0]
     nominal = cold["set_pressure_kpa"].fillna(cold["pressure_kpa"].round(0))
-    out = []
-    for pressure, rows in cold.groupby(nominal, sort=True):
-        line = straight_line(rows["length_mm"], rows["force_n"])
-        if line is not None:
-            out.append((float(str(pressure)), line))
-    return out
-
-
-def _common(table: pd.DataFrame) -> float:
-    cal = table["u_force_n_cal"].astype(float)
-    return float(cal.mean()) if cal.notna().any() else 0.0
+    return [(float(str(p)), rows) for p, rows in cold.groupby(nominal, sort=True)]
 
 
 def _headline(table: pd.DataFrame, inside: list[tuple[float, Line]], gradient: Line | None) -> str:
@@ -113,13 +124,15 @@ def _headline(table: pd.DataFrame, inside: list[tuple[float, Line]], gradient: L
             f"{len(table)} settled points were measured, too few between {REGION_KPA[0]:g} and"
             f" {REGION_KPA[1]:g} kPa for a straight line in length."
         )
-    slopes = [line.slope for _, line in inside]
-    text = (
-        f"Held between {inside[0][0]:g} and {inside[-1][0]:g} kPa the muscle pulls"
-        f" {min(slopes):.2f} to {max(slopes):.2f} N harder for each mm that it is longer"
-    )
+    slopes = sorted(line.slope for _, line in inside)
+    held, pulls = f"at {inside[0][0]:g}", f"{slopes[0]:.2f}"
+    if len(inside) > 1:
+        held = f"between {inside[0][0]:g} and {inside[-1][0]:g}"
+        pulls += f" to {slopes[-1]:.2f}"
+    text = f"Held {held} kPa the muscle pulls {pulls} N harder for each mm that it is longer"
     if gradient is not None:
-        text += f"; the gradient grows as {gradient.slope:.5f} P {_signed(gradient.intercept, 3)}"
+        law = f"{gradient.slope:.5f} P {_signed(gradient.intercept, 3)}"
+        text += f"; the gradient grows with pressure as {law} N/mm, P in kPa"
     return text + "."
 
 
@@ -192,12 +205,7 @@ def _against_c37(lines: list[tuple[float, Line]]) -> Section:
 def _figure(table: pd.DataFrame) -> Figure:
     from rigs.drawing import COVERAGE, MARKERS, labels_at_right, new_figure, sequence, style
 
-    cold = table
-    temperature = table["temperature_c"].astype(float)
-    if temperature.max() - temperature.min() > 2.0:
-        cold = table[temperature < temperature.min() + 2.0]
-    nominal = cold["set_pressure_kpa"].fillna(cold["pressure_kpa"].round(0))
-    groups = list(cold.groupby(nominal, sort=True))
+    groups = _by_pressure(table)
     colours = sequence(len(groups))
     with style():
         figure, axes = new_figure(7.2, 4.9)
@@ -213,7 +221,7 @@ def _figure(table: pd.DataFrame) -> Figure:
             mean = rows[["length_mm", "force_n"]].astype(float).groupby(named).mean().sort_index()
             axes.plot(mean["length_mm"], mean["force_n"], color=colours[k], linewidth=1.0)
             end = (float(mean["length_mm"].iloc[-1]), float(mean["force_n"].iloc[-1]))
-            ends.append((*end, f"{float(str(pressure)):g}", colours[k]))
+            ends.append((*end, f"{pressure:g}", colours[k]))
         axes.axhline(0.0, color="#8a8a8a", linewidth=0.8)
         axes.set_xlabel("length (mm)")
         axes.set_ylabel("force (N)")

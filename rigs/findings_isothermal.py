@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daq.calibration import Calibration
 from rigs.leastsquares import straight_line
 from rigs.protocols.procedure import Findings, Section
+from rigs.regression import line_uncertainty
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,7 +28,7 @@ def isothermal_findings(run: Run, reduction: Reduction) -> Findings:
     del run
     held = reduction.table[reduction.table["slot"].str.startswith("L")]
     barred = reduction.table[reduction.table["slot"].str.startswith("P")]
-    lines = temperature_lines(held)
+    lines = temperature_lines(held, reduction.calibrations)
     growth = temperature_growth(lines)
     sections = []
     if len(held):
@@ -52,7 +55,8 @@ def isothermal_findings(run: Run, reduction: Reduction) -> Findings:
                     ("n", "points"), ("gradient", "gradient, N/kPa"),
                     ("intercept", "intercept, N"),
                 ),
-                caption="± expanded uncertainty, k = 2, from the scatter about the line.",
+                caption="± expanded uncertainty, k = 2, from the scatter about the line together"
+                " with zero and gain of the calibrations.",
             )
         )  # fmt: skip
     if len(growth):
@@ -89,11 +93,15 @@ def isothermal_findings(run: Run, reduction: Reduction) -> Findings:
     )
 
 
-def temperature_lines(table: pd.DataFrame) -> pd.DataFrame:
+def temperature_lines(
+    table: pd.DataFrame, calibrations: Mapping[str, Calibration] = {}
+) -> pd.DataFrame:
     """One row a set length and temperature: the line of force against pressure.
 
     Args:
         table: settled points of held lengths, with ``set_temperature_c``.
+        calibrations: by quantity; their zero and gain are in ``u_gradient`` and ``u_intercept``,
+            not in ``u_gradient_fit``, as all temperatures share them.
     """
     import pandas as pd
 
@@ -104,16 +112,19 @@ def temperature_lines(table: pd.DataFrame) -> pd.DataFrame:
         line = straight_line(part["pressure_kpa"], part["force_n"])
         if line is None:
             continue
+        u_gradient, u_intercept = line_uncertainty(
+            line, part["pressure_kpa"], part["force_n"], calibrations
+        )
         rows.append(
             {
                 "length_mm": float(str(length)), "set_temperature_c": float(str(set_c)),
                 "temperature_c": round(float(part["temperature_c"].mean()), 3), "n": line.n,
-                "gradient": line.slope, "u_gradient": line.u_slope,
-                "intercept": line.intercept, "u_intercept": line.u_intercept,
+                "gradient": line.slope, "u_gradient": u_gradient, "u_gradient_fit": line.u_slope,
+                "intercept": line.intercept, "u_intercept": u_intercept,
             }
         )  # fmt: skip
-    columns = ["length_mm", "set_temperature_c", "temperature_c", "n",
-               "gradient", "u_gradient", "intercept", "u_intercept"]  # fmt: skip
+    columns = ["length_mm", "set_temperature_c", "temperature_c", "n", "gradient", "u_gradient",
+               "u_gradient_fit", "intercept", "u_intercept"]  # fmt: skip
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -132,7 +143,7 @@ def temperature_growth(lines: pd.DataFrame) -> pd.DataFrame:
         if line is None:
             continue
         spread = t - t.mean()
-        own = part["u_gradient"].to_numpy(dtype=np.float64)
+        own = part["u_gradient_fit"].to_numpy(dtype=np.float64)
         u = float(np.sqrt(((spread * own) ** 2).sum()) / (spread**2).sum())
         if np.isfinite(line.u_slope):
             u = max(u, line.u_slope)
@@ -221,6 +232,6 @@ def _figure(table: pd.DataFrame) -> Figure:
                    ls=dashes[k % len(dashes)], label=f"{t:g} °C")
             for k, t in enumerate(warm)
         ]  # fmt: skip
-        axes.legend(handles=handles, loc="upper left")
+        axes.legend(handles=handles, ncols=len(warm), loc="lower left", bbox_to_anchor=(0.0, 1.0))
         labels_at_right(axes, ends, "length (mm)")
     return figure

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from daq.calibration import Calibration
     from daq.run import Run
     from rigs.reduction import Reduction
 
@@ -23,7 +24,8 @@ def isotonic_findings(run: Run, reduction: Reduction) -> Findings:
 
     table = reduction.table
     curves = curves_of(table)
-    rows = [_curve_row(load, rows) for load, rows in curves]
+    camera = reduction.calibrations.get("length_mm")
+    rows = [_curve_row(load, rows, camera) for load, rows in curves]
     sections = [
         Section(
             "Length against pressure",
@@ -35,8 +37,8 @@ def isotonic_findings(run: Run, reduction: Reduction) -> Findings:
             "What each load does",
             (
                 "Longest and shortest settled length and the contraction between them, a share of"
-                " the longest; what all lengths share (zero and gain of the camera) is in the ±"
-                " of the lengths.",
+                " the longest. Zero and gain of the camera, which all lengths share, are in every"
+                " ±.",
             ),
             pd.DataFrame(rows),
             (
@@ -74,13 +76,17 @@ def curves_of(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     return out
 
 
-def _curve_row(load: str, rows: pd.DataFrame) -> dict[str, Any]:
+def _curve_row(load: str, rows: pd.DataFrame, camera: Calibration | None) -> dict[str, Any]:
     good = rows.dropna(subset=["length_mm"])
     by_length = good.sort_values("length_mm", kind="stable").to_dict("records")
     short, long = by_length[0], by_length[-1]
     ratio = 1.0 - float(short["length_mm"]) / float(long["length_mm"])
     noise = [float(r["u_length_mm_noise"]) / float(r["length_mm"]) for r in (long, short)]
     u = (1.0 - ratio) * math.hypot(*noise)
+    if camera is not None:
+        ends = np.array([short["length_mm"], long["length_mm"]], dtype=np.float64)
+        for moved in (ends + camera.u_offset, ends + camera.u_gain * (ends - camera.offset)):
+            u = math.hypot(u, 1.0 - moved[0] / moved[1] - ratio)
     return {
         "load": load,
         "n": len(good),

@@ -22,6 +22,7 @@ NUMBERS = (
     "set_pressure_kpa", "reach_s", "hold_s", "held_share", "pressure_kpa", "drift_kpa",
     "switchings",
 )  # fmt: skip
+UNCERTAIN = ("u_reach_s", "u_pressure_kpa", "u_drift_kpa")
 LABELS = ("direction", "switch", "repeat", "trial", "slot", "mounting", "order", "settled")
 
 
@@ -54,6 +55,10 @@ def reduce_ram(run: Run) -> Reduction:
             row["held_share"] = float(on[at:][sent[at:]].mean())
             row["pressure_kpa"] = float(kpa[-edge:].mean())
             row["drift_kpa"] = float(kpa[-edge:].mean() - kpa[:edge].mean())
+            # Zero and gain cancel; what moves slowly is the drift itself, what is left is noise.
+            noise = float(np.diff(kpa).std()) / math.sqrt(2.0) if len(kpa) > 1 else 0.0
+            noise = max(noise, abs(record.pressure.scale) / math.sqrt(12.0))
+            row["u_drift_kpa"] = noise * math.sqrt(2.0 / edge)
             row["switchings"] = float((np.diff(driven.astype(np.int8), axis=0) > 0).sum())
             seen = np.flatnonzero(sent[:at])
             unseen = at - 1 - int(seen[-1]) if len(seen) else at  # it came while none was sent
@@ -80,7 +85,7 @@ def reduce_ram(run: Run) -> Reduction:
 def _frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
     import pandas as pd
 
-    frame = pd.DataFrame(rows, columns=[*NUMBERS, *LABELS, "u_reach_s", "u_pressure_kpa"])
+    frame = pd.DataFrame(rows, columns=[*NUMBERS, *LABELS, *UNCERTAIN])
     for column in frame:
         if column in ("direction", "switch", "slot", "mounting"):
             frame[column] = frame[column].astype(str)
@@ -143,7 +148,7 @@ def ram_findings(run: Run, reduction: Reduction) -> Findings:
                 ("order", "order"), ("slot", "move"), ("reach_s", "reached after, s"),
                 ("hold_s", "watched for, s"), ("held_share", "held, share"),
                 ("pressure_kpa", "pressure at the end, kPa"), ("drift_kpa", "drift, kPa"),
-                ("switchings", "switchings"), ("settled", "reached"),
+                ("switchings", "switchings while held"), ("settled", "reached"),
             ),
             caption="± expanded uncertainty, k = 2.",
         ),

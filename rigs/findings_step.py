@@ -69,7 +69,8 @@ def step_findings(run: Run, reduction: Reduction) -> Findings:
         ("ripple_kpa", "ripple, kPa"), ("overshoot_kpa", "overshoot, kPa"),
         ("rise_s", "rise, s"), ("settle_s", "settled after, s"),
     )  # fmt: skip
-    sections.append(Section("All steps", (), table, columns))
+    caption = "± expanded uncertainty, k = 2. Shaded: did not come to stay within the band."
+    sections.append(Section("All steps", (), table, columns, caption=caption))
     return Findings(_headline(rows), tuple(sections), {"schemes": rows, "supply_kpa": supply})
 
 

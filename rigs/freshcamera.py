@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.clock import Clock
 from daq.deadline import Deadline
-from daq.errors import DeviceError
+from daq.errors import DeviceError, DeviceTimeout, PamrigError
 from rigs.camera import Camera, Frame, is_lit
 from rigs.instruments.faults import Faults
 
@@ -17,11 +17,12 @@ PAUSE_S = 0.005
 
 
 class FreshCamera:
-    """Stands before a camera and hands no picture out twice.
+    """Stands before a camera and hands no picture out twice, and none of another size.
 
     A frozen camera, grabber or driver gives an old picture with its old number and stamp, or
     with new ones. Two pictures of a sensor that has noise are never alike to the last bit, so the
-    grey levels tell in either case. An old picture is counted and asked for anew.
+    grey levels tell in either case. An old picture is counted and asked for anew. A camera that was
+    put to another mode shows the same length in other pixels: that ends the test.
 
     Args:
         camera: the device.
@@ -30,7 +31,8 @@ class FreshCamera:
             and stamp tell.
 
     Attributes:
-        faults: pictures that were refused, as kind ``repeated``.
+        faults: pictures that were refused (``repeated``, ``size``) or did not come
+            (``no_answer``, ``unplugged``).
     """
 
     def __init__(self, camera: Camera, clock: Clock, noisy: bool = True) -> None:
@@ -46,11 +48,11 @@ class FreshCamera:
         """A frame exposed after this call.
 
         Raises:
-            DeviceError: none comes, or the same one again and again.
+            DeviceError: none comes, one of another size, or the same one again and again.
         """
         deadline = Deadline(self._clock, AGAIN_S)
         while True:
-            frame = self._camera.trigger()
+            frame = self._take()
             why = self._old(frame)
             if not why:
                 self._last = frame
@@ -64,6 +66,25 @@ class FreshCamera:
                     "it is frozen: unplug it, plug it in again, then `pamrig doctor`",
                 )
             self._clock.sleep(PAUSE_S)
+
+    def _take(self) -> Frame:
+        """The camera's next picture; one that does not come is counted."""
+        try:
+            frame = self._camera.trigger()
+        except DeviceTimeout as error:
+            self.faults.add("no_answer", error.what)
+            raise
+        except PamrigError as error:
+            self.faults.add("unplugged", error.what)
+            raise
+        size, before = frame.gray.shape, self._last and self._last.gray.shape
+        if before and size != before:
+            what = f"{size[1]} x {size[0]} pixels, {before[1]} x {before[0]} before"
+            self.faults.add("size", what)
+            raise DeviceError(
+                "camera", f"changed its mode: {what}", "set it back; a length in pixels hangs on it"
+            )
+        return frame
 
     def _old(self, frame: Frame) -> str:
         """Why this is the last picture once more, or nothing."""

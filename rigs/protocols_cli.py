@@ -8,7 +8,7 @@ from typing import Annotated, Optional
 
 import typer
 
-from rigs.protocols.names import PROTOCOLS, default_rig
+from rigs.protocols.names import PROTOCOLS, default_rig, default_specimen
 from rigs.records_cli import add_records
 
 OutOption = Annotated[Path, typer.Option("--out", help="Folder of runs.")]
@@ -27,7 +27,7 @@ def _command(name: str, summary: str) -> Callable[..., None]:
             str, typer.Option("--protocol", help="Protocol file, or the name of a shipped one.")
         ] = name,
         out: OutOption = RUNS,
-        specimen: Annotated[str, typer.Option(help="What is tested.")] = "muscle",
+        specimen: Annotated[str, typer.Option(help="What is tested.")] = default_specimen(name),
         operator: Annotated[str, typer.Option(help="Who tests.")] = "",
         note: Annotated[str, typer.Option(help="Anything worth remembering.")] = "",
         seed: Annotated[Optional[int], typer.Option(help="Seed of a virtual bench.")] = None,  # noqa: UP045

@@ -12,8 +12,11 @@ import typer
 
 from daq.annotations import annotate
 from daq.errors import ConfigError, PamrigError
+from daq.record import OUTCOMES
+from daq.run import DAMAGED, INTERRUPTED
 from daq.runindex import rebuild_index
 from daq.store import RunInfo, find_run, list_runs
+from rigs.protocols.names import PROTOCOLS
 
 
 def emit(value: Any) -> None:
@@ -38,7 +41,13 @@ def find_command(runs: Path, as_json: bool, **wanted: str) -> None:
                 date.fromisoformat(wanted[key])
             except ValueError:
                 raise ConfigError(f"--{key}", f"{wanted[key]!r} is no day", "2026-01-31") from None
-    found = [info for info in list_runs(runs) if _fits(info, wanted)]
+    there = list_runs(runs)
+    words = {"protocol": tuple(PROTOCOLS), "outcome": (*OUTCOMES, INTERRUPTED, DAMAGED)}
+    for key, usual in words.items():
+        known = sorted({*usual, *(str(getattr(info, key)) for info in there)} - {""})
+        if wanted[key] and wanted[key] not in known:
+            raise ConfigError(f"--{key}", f"{wanted[key]!r} is not one of {', '.join(known)}")
+    found = [info for info in there if _fits(info, wanted)]
     if as_json:
         emit([info.as_dict() for info in found])
         return

@@ -153,9 +153,9 @@ class _Bench:
                 f"the run is {self.run.outcome}: the table holds the {len(rows)} points it reached"
             )
         for quantity, count in self._outside.items():
-            low, high = self.calibrations[quantity].domain
+            (low, high), unit = self.calibrations[quantity].domain, self.calibrations[quantity].unit
             self.notes.append(
-                f"{quantity}: {count} points outside the calibrated {low:g} to {high:g}"
+                f"{quantity}: {count} points outside the calibrated {low:g} to {high:g} {unit}"
             )
         unsettled = sum(not row["settled"] for row in rows)
         if unsettled:

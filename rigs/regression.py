@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.calibration import Calibration
+from rigs.leastsquares import Line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -154,7 +155,7 @@ def per_length(
         fit = fit_line(pressure, force)
         if fit is None:
             continue
-        u_gradient_cal, u_intercept_cal = _calibration_share(pressure, force, calibrations or {})
+        u_gradient_cal, u_intercept_cal = calibration_share(pressure, force, calibrations or {})
         set_lengths = inside["set_length_mm"]
         measured_mm = _mean(inside["length_mm"])
         lines.append(
@@ -175,6 +176,13 @@ def per_length(
             )
         )
     return lines
+
+
+def covered_kpa(table: pd.DataFrame, region_kpa: tuple[float, float]) -> tuple[float, float]:
+    """Lowest and highest set pressure of a region's points; the region itself without any."""
+    nominal = table["set_pressure_kpa"].fillna(table["pressure_kpa"].round(0)).astype(float)
+    inside = nominal[nominal.between(*region_kpa)]
+    return (float(inside.min()), float(inside.max())) if len(inside) else region_kpa
 
 
 def against_length(lines: list[LengthLine], digits: int | None = None) -> LengthLaw | None:
@@ -213,29 +221,59 @@ def lines_table(lines: list[LengthLine]) -> pd.DataFrame:
     return pd.DataFrame([asdict(line) for line in lines], columns=columns)
 
 
-def _calibration_share(
-    pressure: Floats, force: Floats, calibrations: Mapping[str, Calibration]
+def calibration_share(
+    x: Floats,
+    y: Floats,
+    calibrations: Mapping[str, Calibration],
+    names: tuple[str, str] = ("pressure_kpa", "force_n"),
 ) -> tuple[float, float]:
-    """How far one standard uncertainty of each zero and gain moves gradient and intercept."""
-    if "pressure_kpa" not in calibrations or "force_n" not in calibrations:
+    """How far one standard uncertainty of each zero and gain moves slope and intercept.
+
+    Args:
+        x, y: the points of the line, shapes (n,).
+        calibrations: by quantity.
+        names: quantities of x and y.
+
+    Returns:
+        Standard uncertainties of slope and intercept; NaN where a calibration is not known.
+    """
+    base = fit_line(x, y)
+    if base is None or not set(names) <= set(calibrations):
         return math.nan, math.nan
-    base = fit_line(pressure, force)
-    if base is None:
-        return math.nan, math.nan
-    p_cal, f_cal = calibrations["pressure_kpa"], calibrations["force_n"]
+    x_cal, y_cal = (calibrations[name] for name in names)
     shifted = [
-        (pressure + p_cal.u_offset, force),
-        (pressure + p_cal.u_gain * (pressure - p_cal.offset), force),
-        (pressure, force + f_cal.u_offset),
-        (pressure, force + f_cal.u_gain * (force - f_cal.offset)),
+        (x + x_cal.u_offset, y),
+        (x + x_cal.u_gain * (x - x_cal.offset), y),
+        (x, y + y_cal.u_offset),
+        (x, y + y_cal.u_gain * (y - y_cal.offset)),
     ]
-    gradient = intercept = 0.0
-    for x, y in shifted:
-        moved = fit_line(x, y)
+    slope = intercept = 0.0
+    for x_1, y_1 in shifted:
+        moved = fit_line(x_1, y_1)
         if moved is not None:
-            gradient = math.hypot(gradient, moved.slope - base.slope)
+            slope = math.hypot(slope, moved.slope - base.slope)
             intercept = math.hypot(intercept, moved.intercept - base.intercept)
-    return gradient, intercept
+    return slope, intercept
+
+
+def line_uncertainty(
+    line: Line,
+    x: npt.ArrayLike,
+    y: npt.ArrayLike,
+    calibrations: Mapping[str, Calibration],
+    names: tuple[str, str] = ("pressure_kpa", "force_n"),
+) -> tuple[float, float]:
+    """Standard uncertainties of slope and intercept: scatter and, where known, calibrations.
+
+    Args:
+        line: least squares through x and y, shapes (n,); pairs with a NaN were left out.
+        x, y, calibrations, names: as for :func:`calibration_share`.
+    """
+    points = np.column_stack([np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)])
+    points = points[np.isfinite(points).all(axis=1)]
+    shares = calibration_share(points[:, 0], points[:, 1], calibrations, names)
+    slope, intercept = (0.0 if math.isnan(share) else share for share in shares)
+    return math.hypot(line.u_slope, slope), math.hypot(line.u_intercept, intercept)
 
 
 def _down_minus_up(rows: pd.DataFrame) -> float:

@@ -118,10 +118,12 @@ def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
             if event.get("kind") not in QUIET_EVENTS
             and not event.get("confirmed")
             and not (event.get("kind") == "soaked" and event.get("settled"))
+            and not (event.get("kind") == "camera_sync" and event.get("found"))
         ],
         "counters": final.get("counters"),
         "problems": [f"{p.file} at byte {p.offset}: {p.what}" for p in run.problems],
         "clock_fit": final.get("clock_fit") or _last(run, "clockfit"),
+        "camera_sync": _last(run, "camera_sync"),
         "rig": {k: v for k, v in (manifest.get("rig") or {}).items() if k != "text"} or None,
         "devices": manifest.get("devices"),
         "conditions": manifest.get("conditions"),

@@ -13,6 +13,7 @@ from rigs.regression import (
     LengthLaw,
     LengthLine,
     against_length,
+    covered_kpa,
     per_length,
 )
 from rigs.wording import headline
@@ -30,9 +31,11 @@ def isometric_json(
     """Headline, lines and laws; Table C-9 beside them for an import of Table C-1."""
     lines = per_length(reduction.table, region_kpa, reduction.calibrations)
     laws = [(group, against_length(group)) for group in by_temperature(lines)]
+    covered = covered_kpa(reduction.table, region_kpa)
     return {
-        "headline": headline(lines, laws[0][1] if laws else None, len(reduction.table), region_kpa),
+        "headline": headline(lines, laws[0][1] if laws else None, len(reduction.table), covered),
         "region_kpa": list(region_kpa),
+        "covered_kpa": list(covered),
         "lengths": [asdict(line) for line in lines],
         "laws": [_law(group, law) for group, law in laws if law is not None],
         "thesis": _thesis(run.manifest, reduction, lines, region_kpa),

@@ -199,7 +199,7 @@ def open_rig(
             eye = CallCamera(bench.expose, config.camera.serial)
             camera = FreshCamera(eye, clock, bench.camera_model.noise > 0.0)
         else:
-            camera = FreshCamera(open_camera(config.camera, clock), clock)
+            camera = FreshCamera(open_camera(config.camera, pump), clock)
             stack.callback(camera.close)
         person = operator or default_operator(ports, bench)
         instruments = open_readers(ports, pump)

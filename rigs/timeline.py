@@ -22,7 +22,7 @@ def timeline_figure(run: Run) -> Figure | None:
     """Set-point and measured pressure, force, and when the points were taken; None if no samples.
 
     Decimated to the lowest and highest value of each bin, so that nothing short is lost. Force is
-    drawn where the test tared it: what else a balance reads beside a valve or a hung load is none.
+    drawn from its first tare on: what else a balance reads is none.
     """
     try:
         valve, balance = run.samples("valve"), run.samples("balance")
@@ -35,9 +35,8 @@ def timeline_figure(run: Run) -> Figure | None:
     time_s = (valve["host_ns"].astype(np.int64) - start_ns) / 1e9
     pressure = np.asarray(pressure_cal.apply(valve["counts"].astype(np.float64)))
     setpoint = np.asarray(pressure_cal.apply(valve["setpoint_x16"] / 16.0))
-    forces = run.manifest.get("protocol") == "simulate" or any(
-        event.get("kind") == "tare" for event in run.events
-    )
+    tares = [event["t_ns"] for event in run.events if event.get("kind") == "tare"]
+    forces = run.manifest.get("protocol") == "simulate" or bool(tares)
     with style():
         if forces:
             figure, (top, bottom) = new_figure(7.2, 4.2, rows=2, sharex=True)
@@ -49,8 +48,13 @@ def timeline_figure(run: Run) -> Figure | None:
         top.set_ylabel("pressure (kPa)")
         if forces and len(balance.get("grams", ())):
             force = np.asarray(force_cal.apply(balance["grams"].astype(np.float64)))
-            force_s = (balance["host_ns"].astype(np.int64) - start_ns) / 1e9
-            bottom.plot(*min_max(force_s, force), color=MEASURED, linewidth=0.8, label="force")
+            force_ns = balance["host_ns"].astype(np.int64)
+            zero_ns = int(run.manifest["started"]["monotonic_ns"])
+            tared = force_ns >= (zero_ns + tares[0] if tares else 0)
+            force_s = (force_ns[tared] - start_ns) / 1e9
+            bottom.plot(
+                *min_max(force_s, force[tared]), color=MEASURED, linewidth=0.8, label="force"
+            )
         if forces:
             bottom.set_ylabel("force (N)")
             figure.align_ylabels([top, bottom])

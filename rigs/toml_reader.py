@@ -43,14 +43,15 @@ class Table:
     def __contains__(self, key: str) -> bool:
         return key in self._values
 
-    def _take(self, key: str, default: Any) -> Any:
+    def _take(self, key: str, default: Any, wanted: str = "") -> Any:
         self._seen.add(key)
         if key in self._values:
             return self._values[key]
         if default is ...:
             others = [name for name in self._values if name not in self._seen]
             near = difflib.get_close_matches(key, others, n=1, cutoff=0.7)
-            remedy = f"is {near[0]!r} meant for it?" if near else f"add {key} = ... to the file"
+            add = f"add {wanted or f'{key} = ...'} to the file"
+            remedy = f"is {near[0]!r} meant for it?" if near else add
             raise self.fail(key, "this key is required and missing", remedy)
         return default
 
@@ -130,10 +131,11 @@ class Table:
 
     def table(self, key: str, optional: bool = False) -> Table:
         """A sub-table; an empty one where it is optional and absent."""
-        value = self._take(key, {} if optional else ...)
+        path = f"{self.path}.{key}" if self.path else key
+        value = self._take(key, {} if optional else ..., f"a table [{path}]")
         if not isinstance(value, dict):
-            raise self.fail(key, f"expected a table [{key}], got {value!r}")
-        return Table(value, self.source, f"{self.path}.{key}" if self.path else key)
+            raise self.fail(key, f"expected a table [{path}], got {value!r}")
+        return Table(value, self.source, path)
 
     def row(self, key: str, index: int) -> Table:
         """One table of a list of tables (``[[key]]``)."""
@@ -179,7 +181,8 @@ def find_config(name: str, folder: str) -> tuple[str, str]:
         try:
             return tomlfile.read_text(path), str(path)
         except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(str(path), f"cannot be read: {error}", "check the path") from None
+            why = getattr(error, "strerror", None) or error
+            raise ConfigError(str(path), f"cannot be read: {why}", "check the path") from None
     shipped = importlib.resources.files("configs") / folder
     names = sorted(e.name[:-5] for e in shipped.iterdir() if e.name.endswith(".toml"))
     if name in names:

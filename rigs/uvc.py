@@ -7,7 +7,6 @@ the sync LED tells by how much (``vision.syncled``).
 
 from __future__ import annotations
 
-import contextlib
 import threading
 from collections import deque
 from dataclasses import dataclass
@@ -60,8 +59,8 @@ class UvcCamera:
             import cv2
 
             # its own complaint on standard error says less than the DeviceError does
-            with contextlib.suppress(AttributeError):
-                cv2.setLogLevel(0)  # type: ignore[attr-defined, unused-ignore]
+            logs = cv2.utils.logging
+            logs.setLogLevel(logs.LOG_LEVEL_SILENT)
             capture = cv2.VideoCapture(index_or_url)
         self._capture = capture
         if not capture.isOpened():

@@ -131,7 +131,7 @@ def test_readings_beyond_the_calibrated_range_are_named(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     truth = write_run(tmp_path, rng, (60.0,), (200.0, 400.0), ("up",), calibrations=narrow)
     notes = reduce_isometric(open_run(truth.folder)).notes
-    assert "pressure_kpa: 1 points outside the calibrated 0 to 300" in notes
+    assert "pressure_kpa: 1 points outside the calibrated 0 to 300 kPa" in notes
 
 
 def test_the_same_record_gives_the_same_files_to_the_byte(tmp_path: Path) -> None:

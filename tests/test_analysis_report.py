@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis_bench import write_run
+from analysis_bench import CALIBRATIONS, write_run
 from daq.clock import VirtualClock
 from daq.run import open_run
 from rigs.drawing import spread
+from rigs.findings_hysteresis import hysteresis_findings
+from rigs.findings_isobaric import isobaric_findings
+from rigs.findings_isotonic import isotonic_findings
 from rigs.importer import import_points, import_thesis
-from rigs.reduction import reduce_isometric
+from rigs.pointstable import points_frame
+from rigs.reduction import Reduction, reduce_isometric
 from rigs.report import report_json, write_report
+from rigs.report_sections import section_parts
 from rigs.timeline import min_max
 from rigs.wording import with_u
 
@@ -154,6 +160,104 @@ def test_a_run_with_fewer_than_three_lengths_has_lines_but_no_law(tmp_path: Path
     assert len(data["lengths"]) == 1
     assert data["laws"] == []
     assert "Held at 60.0" in data["headline"]
+
+
+def test_no_more_is_claimed_than_the_pressures_that_were_measured(tmp_path: Path) -> None:
+    """The region goes to 600 kPa, the test did not."""
+    truth = write_run(tmp_path, np.random.default_rng(1), (60.0,), (100.0, 200.0, 300.0), ("up",))
+    page, _ = page_of(truth.folder)
+    assert "harder for each kPa between 200 and 300 kPa" in page.text
+    assert "Straight lines at each length, 200 to 300 kPa" in page.text
+
+
+def test_a_calibrations_domain_has_its_unit(recorded: Path) -> None:
+    text = page_of(recorded)[0].text
+    assert "−5 to 1000 kPa" in text
+    assert "50 to 73 mm" in text
+
+
+def test_one_held_pressure_is_told_as_one(tmp_path: Path) -> None:
+    truth = write_run(
+        tmp_path, np.random.default_rng(1), pressures_kpa=(200.0,), protocol="isobaric"
+    )
+    headline = report_json(open_run(truth.folder))["headline"]
+    assert re.fullmatch(r"Held at 200 kPa the muscle pulls \d\.\d+ N harder .*", headline)
+    several = write_run(tmp_path, np.random.default_rng(1), protocol="isobaric").folder
+    headline = report_json(open_run(several))["headline"]
+    assert headline.startswith("Held between 200 and 600 kPa the muscle pulls")
+    assert headline.endswith(" N/mm, P in kPa.")
+
+
+def test_lines_in_length_hold_what_the_calibrations_leave_open(tmp_path: Path) -> None:
+    """Zero and gain are common to all points: no scatter about the line tells of them."""
+    truth = write_run(tmp_path, np.random.default_rng(1), pressures_kpa=(200.0,))
+    run = open_run(truth.folder)
+    reduction = reduce_isometric(run)
+    camera = replace(CALIBRATIONS["length_mm"], u_gain=0.03, u_offset=0.5)
+    doubtful = replace(reduction, calibrations={**reduction.calibrations, "length_mm": camera})
+    section = isobaric_findings(run, doubtful).sections[1]
+    assert section.table is not None
+    (line,) = section.table.to_dict("records")
+    assert line["u_gradient"] > 0.03 * line["gradient"]
+    assert line["u_intercept"] > 0.5 * line["gradient"]
+
+
+def test_a_contraction_holds_what_the_camera_leaves_open(recorded: Path) -> None:
+    """1 - 50/60 with a zero known to 0.6 mm: both lengths move together, and so does the share."""
+    point = {
+        "direction": "up", "repeat": 1, "trial": 1, "slot": "W1", "mounting": "m1",
+        "settled": True, "n_samples": 10, "mass_kg": 1.0, "force_n": 9.80665,
+        "u_length_mm_noise": 0.001,
+    }  # fmt: skip
+    points = [
+        {**point, "order": k, "pressure_kpa": kpa, "set_pressure_kpa": kpa, "length_mm": mm}
+        for k, (kpa, mm) in enumerate([(100.0, 60.0), (400.0, 50.0)], start=1)
+    ]
+    camera = replace(CALIBRATIONS["length_mm"], u_offset=0.6, u_gain=0.0)
+    table = points_frame(points, {"mass_kg": "float64"})
+    reduction = Reduction(table, (), {"length_mm": camera})
+    (load,) = isotonic_findings(open_run(recorded), reduction).data["loads"]
+    assert load["contraction"] == pytest.approx(1 / 6)
+    assert load["u_contraction"] == pytest.approx(0.6 / 60 / 6, rel=0.03)
+
+
+def loop(way_up: tuple[float, ...], way_down: tuple[float, ...]) -> Reduction:
+    """A cycle at 60 mm without friction, read to 0.005 N."""
+    points = [
+        {
+            "direction": way, "repeat": 1, "trial": 1, "slot": "L60", "mounting": "m1",
+            "settled": True, "n_samples": 10, "set_length_mm": 60.0, "cycle_max_kpa": 600.0,
+            "pressure_kpa": kpa, "set_pressure_kpa": kpa, "order": order,
+            "force_n": kpa / 10 + (way == "down") * 1e-4, "u_force_n_noise": 0.005,
+        }
+        for order, (kpa, way) in enumerate(
+            [(kpa, "up") for kpa in way_up] + [(kpa, "down") for kpa in way_down]
+        )
+    ]  # fmt: skip
+    return Reduction(points_frame(points, {"cycle_max_kpa": "float64"}), (), {})
+
+
+def test_a_loop_within_its_uncertainty_is_told_as_none(recorded: Path) -> None:
+    up = (0.0, 200.0, 400.0, 600.0)
+    found = hysteresis_findings(open_run(recorded), loop(up, up[::-1]))
+    assert found.headline == (
+        "On the way up and on the way down the force is the same within its uncertainty: the means"
+        " of each cycle differ by less than 0.01 N."
+    )
+    cells = [c["text"] for row in section_parts(found.sections[1])["rows"] for c in row["cells"]]
+    assert "−0" not in cells
+
+
+@pytest.mark.parametrize(
+    "ways", [((), ()), ((0.0,), ()), ((0.0, 200.0, 400.0), ()), ((), (400.0, 200.0))]
+)
+def test_a_cycle_of_which_one_way_is_missing_has_a_report(
+    recorded: Path, ways: tuple[tuple[float, ...], tuple[float, ...]]
+) -> None:
+    """Stopped on its way up, or every point of the way up excluded."""
+    found = hysteresis_findings(open_run(recorded), loop(*ways))
+    assert "so there is no result" in found.headline
+    assert bool(section_parts(found.sections[0])["image"]) == any(ways)
 
 
 def test_texts_of_the_operator_are_shown_and_never_run(tmp_path: Path) -> None:

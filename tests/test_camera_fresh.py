@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from daq.clock import VirtualClock
+from daq.clock import RealClock, VirtualClock
 from daq.errors import DeviceError, DeviceTimeout
 from protocol_runs import run_short
 from rigs.camera import CallCamera, TriggeredUvc
 from rigs.freshcamera import AGAIN_S, FreshCamera
-from rigs.uvc import UvcFrame
+from rigs.pictures import measure_stored
+from rigs.pump import Pump
+from rigs.uvc import UvcCamera, UvcFrame
+from rigs.virtual.camera import render
 
 SHAPE = (8, 8)
 
@@ -101,10 +106,115 @@ def test_a_driver_that_hands_its_buffer_out_twice_is_waited_for(sensor: Sensor) 
             gray = self.old if old else self.old + 1
             return UvcFrame(self.asked, sensor.clock.now_ns() + 1, gray, repeated=old)
 
-    frame = TriggeredUvc(Repeating(5), "uvc:0", sensor.clock).trigger()  # type: ignore[arg-type]
+    pump = Pump(sensor.clock, 0.02)
+    frame = TriggeredUvc(Repeating(5), "uvc:0", pump).trigger()  # type: ignore[arg-type]
     assert frame.gray[0, 0] == 1
+    camera = FreshCamera(TriggeredUvc(Repeating(10**6), "uvc:0", pump), sensor.clock)  # type: ignore[arg-type]
+    beats: list[int] = []
+    pump.add(lambda: beats.append(sensor.clock.now_ns()))
     with pytest.raises(DeviceTimeout, match="no new frame"):
-        TriggeredUvc(Repeating(10**6), "uvc:0", sensor.clock).trigger()  # type: ignore[arg-type]
+        camera.trigger()
+    assert camera.counters() == {"frames": 0, "no_answer": 1}
+    assert max(np.diff(beats)) < 0.1e9  # the bench, and with it the heartbeat, went on
+
+
+class Grabber:
+    """What cv2.VideoCapture offers: 500 noisy pictures a second of two marks."""
+
+    def __init__(self) -> None:
+        self.rng = np.random.default_rng(0)
+        self.plugged = True
+        self.change: Callable[[Any], Any] = lambda gray: gray
+
+    def isOpened(self) -> bool:
+        return True
+
+    def read(self) -> tuple[bool, Any]:
+        time.sleep(0.002)
+        return self.plugged, self.change(render(55.0, self.rng)) if self.plugged else None
+
+    def release(self) -> None:
+        self.plugged = False
+
+
+@pytest.fixture
+def grabber() -> Grabber:
+    return Grabber()
+
+
+def usb_camera(grabber: Grabber) -> FreshCamera:
+    clock = RealClock()
+    uvc = UvcCamera(0, clock, grabber)
+    return FreshCamera(TriggeredUvc(uvc, "uvc:0", Pump(clock, 0.005)), clock)
+
+
+def pictures(camera: FreshCamera) -> None:
+    """Some pictures; one may be on its way already when something happens."""
+    for _ in range(3):
+        camera.trigger()
+
+
+def half(gray: Any, row: int) -> Any:
+    """The transfer broke off: the rest of the buffer is grey."""
+    out = gray.copy()
+    out[row:] = 128
+    return out
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda gray: np.clip(gray.astype(int) * 3, 0, 255).astype(np.uint8), "over-exposed"),
+        (lambda gray: (gray // 32).astype(np.uint8), "no edge stands out"),
+        (lambda gray: half(gray, 60), "no edge stands out"),
+    ],
+    ids=["overload", "underload", "half"],
+)
+def test_a_usb_picture_that_shows_no_length_gives_none(
+    grabber: Grabber, change: Callable[[Any], Any], said: str
+) -> None:
+    camera = usb_camera(grabber)
+    assert measure_stored(camera.trigger().gray, {}).trusted
+    grabber.change = change
+    pictures(camera)
+    gap = measure_stored(camera.trigger().gray, {})
+    assert not gap.trusted
+    assert said in gap.reason
+    camera.close()
+
+
+@pytest.mark.parametrize("row", range(20, 480, 40))
+def test_a_picture_that_breaks_off_gives_the_right_length_or_none(row: int) -> None:
+    gray = render(55.0, np.random.default_rng(0))
+    whole, gap = measure_stored(gray, {}), measure_stored(half(gray, row), {})
+    assert not gap.trusted or abs(gap.pixels - whole.pixels) < 0.1
+
+
+def test_a_usb_camera_put_to_another_mode_ends_the_test(grabber: Grabber) -> None:
+    """Half the pixels, half the length: a wrong value, were it taken."""
+    camera = usb_camera(grabber)
+    camera.trigger()
+    grabber.change = lambda gray: gray[::2, ::2]
+    with pytest.raises(DeviceError, match=r"320 x 240 pixels, 640 x 480 before"):
+        pictures(camera)
+    assert camera.counters()["size"] == 1
+    camera.close()
+
+
+def test_a_usb_camera_pulled_out_is_told_and_found_again_when_it_is_back(
+    grabber: Grabber,
+) -> None:
+    camera = usb_camera(grabber)
+    camera.trigger()
+    grabber.plugged = False
+    with pytest.raises(DeviceError, match="check its cable"):
+        pictures(camera)
+    assert camera.counters()["unplugged"] == 1
+    camera.close()
+    grabber.plugged = True
+    again = usb_camera(grabber)
+    assert measure_stored(again.trigger().gray, {}).trusted
+    again.close()
 
 
 def test_an_isotonic_test_does_not_take_an_old_picture_for_a_length(tmp_path: Path) -> None:
@@ -136,3 +246,31 @@ def test_an_isotonic_test_does_not_take_an_old_picture_for_a_length(tmp_path: Pa
     assert any(e["kind"] == "instrument" and e["device"] == "camera" for e in run.events)
     lowered = [e for e in run.events if e["kind"] == "lowered"]
     assert [e["done"] for e in lowered] == [True]  # the load came down in good order
+
+
+def test_a_usb_camera_that_hangs_drops_no_load(tmp_path: Path) -> None:
+    """No picture for two seconds: without a heartbeat the controller vents after a third of one."""
+
+    class Hung:
+        def latest(self) -> None:
+            return None
+
+        def close(self) -> None:
+            pass
+
+    def hang(runner: Any) -> None:
+        event = runner.record.event
+        hung = TriggeredUvc(Hung(), "uvc:0", runner.rig.pump)  # type: ignore[arg-type]
+
+        def noted(kind: str, **fields: Any) -> Any:
+            if kind == "point":
+                runner.rig.camera._camera = hung
+            return event(kind, **fields)
+
+        runner.record.event = noted
+
+    result, run, _ = run_short("isotonic", tmp_path, begin=hang)
+    assert result.outcome == "faulted"
+    assert "no new frame within 2 s" in str(result.error)
+    assert run.final["counters"]["camera"]["no_answer"] == 1
+    assert [e["done"] for e in run.events if e["kind"] == "lowered"] == [True]

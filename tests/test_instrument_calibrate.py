@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from daq.errors import ConfigError
 from daq.run import open_run
@@ -14,6 +15,7 @@ from rigs.calibrate_force import calibrate_force
 from rigs.calibrate_pressure import calibrate_pressure
 from rigs.calibration_file import load_calibration, write_calibration
 from rigs.calibration_run import middle, up_and_down
+from rigs.cli import app
 from rigs.config import load_rig
 from rigs.interrupt import StopFlag, Stopped
 from rigs.linefit import Reference, fit_line
@@ -166,6 +168,29 @@ def test_pressures_that_cannot_be_made_are_refused(
 def test_without_a_reference_there_is_no_calibration(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="pressure_transmitter"):
         calibrate_pressure(load_rig("virtual"), [0, 200, 400], tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "value"),
+    [
+        ("pressure", "--u-each", "-1"),
+        ("pressure", "--u-zero", "nan"),
+        ("pressure", "--u-gain", "inf"),
+        ("force", "--u-each", "-0.1"),
+        ("force", "--u-gain", "10"),
+    ],
+)
+def test_an_uncertainty_that_is_none_is_refused_before_anything_is_loaded(
+    tmp_path: Path, command: str, option: str, value: str
+) -> None:
+    """It told itself, if at all, after the last weight: an hour of work for a typing slip."""
+    words = ["calibrate", command, "--out", str(tmp_path / "new.toml"), option, value]
+    words += ["--gauge", "G-12"] if command == "pressure" else []
+    words += ["--records", str(tmp_path / "records")]
+    done = CliRunner().invoke(app, words)
+    assert isinstance(done.exception, ConfigError), done.output
+    assert str(done.exception).startswith(f"{option}: ")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_weights_beyond_the_limit_are_refused(tmp_path: Path) -> None:

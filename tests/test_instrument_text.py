@@ -192,7 +192,7 @@ def test_a_bus_held_up_for_a_while_does_not_bring_old_readings_under_new_times()
     no_wrong_value(desk, "air-velocity")
 
 
-@pytest.mark.parametrize("name", ["load-cell-stream", "load-cell-polled", "thermometer"])
+@pytest.mark.parametrize("name", FORMS)
 def test_unplugged_and_plugged_in_again_it_goes_on_and_says_both(name: str) -> None:
     desk, driver, _ = desk_of(name)
     driver.connect("")

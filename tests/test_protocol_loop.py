@@ -111,6 +111,7 @@ def test_a_ram_stops_at_each_switch_and_stays(tmp_path: Path) -> None:
     assert table["settled"].all()
     assert (table["held_share"] == 1.0).all()
     assert (table["switchings"] == 0).all()
+    assert table["u_drift_kpa"].between(0.01, 1.0).all()
     assert table["reach_s"].is_monotonic_increasing
     assert all(row["same"] for row in report_json(run)["sections"][-1]["rows"])
 

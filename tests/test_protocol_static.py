@@ -32,6 +32,7 @@ from rigs.protocols.registry import procedure
 from rigs.runner import Runner
 from rigs.session import run_protocol
 from rigs.setpoint import at_set_pressure
+from rigs.toml_reader import find_config
 from rigs.virtual.bench import VirtualBench
 
 STATIC = ("isobaric", "isotonic", "isothermal", "hysteresis")
@@ -239,7 +240,11 @@ def test_isothermal_says_what_is_missing(tmp_path: Path) -> None:
 
     with pytest.raises(ConfigError, match="thermometer"):
         procedure("isothermal").read("isothermal", load_rig("virtual"))
-    del tmp_path
+    text, _ = find_config("isothermal", "protocols")
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace("pressures_kpa = [0,", "presures_kpa = [0,"))
+    with pytest.raises(ConfigError, match="presures_kpa: unknown key"):
+        procedure("isothermal").read(str(path), load_rig("virtual-instruments"))
 
 
 @pytest.mark.parametrize("name", STATIC)

@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.io import loadmat
+from typer.testing import CliRunner
 
 from daq.annotations import ANNOTATIONS, annotate, read_annotations
 from daq.errors import ConfigError, PamrigError, PortError, RecordError
@@ -26,6 +27,7 @@ from daq.runname import run_name
 from daq.store import find_run, list_runs
 from daq.verify import verify
 from rigs.chain import load_plan, run_chain, standing
+from rigs.cli import app
 from rigs.config import load_rig
 from rigs.continuing import continue_run
 from rigs.control import RunControl, control_file
@@ -173,6 +175,28 @@ def test_units_end_the_names() -> None:
     assert with_unit("pressure_kpa", "kPa") == "pressure_kpa"
     assert with_unit("inlet_cmd", "share of 1 ms") == "inlet_cmd_share"
     assert with_unit("grams", "g") == "grams_g"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("export", "last", "--to", "xlsx"), "--to: 'xlsx' is not one of csv, parquet, mat"),
+        (("find", "--protocol", "isomtric"), "--protocol: 'isomtric' is not one of flow"),
+        (("find", "--outcome", "good"), "--outcome: 'good' is not one of aborted, clean"),
+        (("annotate", "last"), "a remark needs a reason"),
+        (("exclude", "last", "--points", "1"), "an exclusion needs a reason"),
+        (("include", "last", "--points", "2", "--reason", "x"), "point 2 is not excluded"),
+    ],
+)
+def test_a_word_that_is_none_is_refused_and_nothing_changes(
+    measured: Run, tmp_path: Path, words: tuple[str, ...], said: str
+) -> None:
+    run = copy_of(measured, tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    done = CliRunner().invoke(app, ["runs", *words, "--runs", str(run.folder.parent)])
+    assert isinstance(done.exception, PamrigError), done.output
+    assert said in str(done.exception)
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_an_unknown_format_is_refused(measured: Run, tmp_path: Path) -> None:
@@ -516,6 +540,9 @@ def test_a_plan_changed_after_it_was_begun_is_not_gone_on_with(tmp_path: Path) -
         standing(load_plan(plan.path))
 
 
+GOOD = '[[test]]\nprotocol = "isometric"\n'
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -524,6 +551,8 @@ def test_a_plan_changed_after_it_was_begun_is_not_gone_on_with(tmp_path: Path) -
         ('[[test]]\nprotocol = "isometric"\nfiel = "x"\n', "did you mean 'file'"),
         ('[[test]]\nprotocol = "isometric"\nfile = "gone.toml"\n', "gone.toml"),
         ('[[test]]\nprotocol = "flow"\nrig = "virtual"\n', "has no [flow]"),
+        (f'{GOOD}[[test]]\nprotocol = "flow"\nrig = "virtual"\n', "weekend.toml: test[1]: "),
+        (f'{GOOD}[[test]]\nprotocol = "flow"\nrig = "moon"\n', "weekend.toml: test[1]: moon"),
         ('on_fault = "cry"\n[[test]]\nprotocol = "isometric"\n', "on_fault"),
     ],
 )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from daq.clock import VirtualClock
-from daq.errors import ConfigError, DeviceError
+from daq.errors import ConfigError, DeviceError, PamrigError
 from rigs.calibrate_camera import (
     CameraCalibration,
     calibrate_from_board,
@@ -218,6 +218,30 @@ def test_gauge_blocks_give_scale_offset_and_their_uncertainty(tmp_path):
             errors.append((got - value) / u)
     assert np.sqrt(np.mean(np.square(errors))) < 1.6
     assert np.abs(errors).max() < 4
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("g1.png,nan,0.001", "row 2: .*'length_mm': 'nan'"),
+        ("g1.png,54,-1", "row 2: .*'u_mm': '-1'"),
+        ("g1.png,-54,0.001", "row 2: .*'length_mm': '-54'"),
+        ("torn.png,54,0.001", r"torn\.png: "),
+    ],
+)
+def test_a_gauge_that_makes_no_sense_is_refused_by_its_row(tmp_path, row, said):
+    table = gauge_table(tmp_path, [46, 54, 62], CameraModel(), np.random.default_rng(3))
+    (tmp_path / "torn.png").write_bytes((tmp_path / "g1.png").read_bytes()[:300])
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([*lines[:2], row, *lines[3:]]))
+    with pytest.raises(PamrigError, match=said):
+        calibrate_from_gauges(table)
+
+
+@pytest.mark.parametrize("square_mm", [0.0, -5.0, math.nan])
+def test_a_board_without_a_size_is_refused(tmp_path, square_mm):
+    with pytest.raises(ConfigError, match="side of a square"):
+        calibrate_from_board(tmp_path / "none.png", (8, 6), square_mm)
 
 
 def test_calibration_file_round_trip_and_domain(tmp_path, frames):

@@ -25,6 +25,7 @@ KINDS = {
     "restarted": "the instrument restarted by itself",
     "outside": "reading outside the calibrated range (kept, and said)",
     "repeated": "the last picture once more",
+    "size": "a picture of another size",
 }
 """Every kind of fault and its meaning; none of them ever becomes a value."""
 

@@ -103,6 +103,8 @@ def read(name: str, config: RigConfig) -> Isothermal:
         method=read_method(t, config, drift_n=0.05),
         source=t.source,
     )
+    for table in (soak, bars, t):
+        table.finish()
     for key, one, other in (
         ("lengths_mm", out.lengths_mm, out.pressures_kpa),
         ("isobaric", out.isobaric_lengths_mm, out.isobaric_pressures_kpa),
@@ -111,8 +113,6 @@ def read(name: str, config: RigConfig) -> Isothermal:
             raise t.fail(key, "lengths without pressures, or pressures without lengths", "add them")
     if not out.lengths_mm and not out.isobaric_lengths_mm:
         raise t.fail("lengths_mm", "neither an isometric nor an isobaric trial", "name lengths")
-    for table in (soak, bars, t):
-        table.finish()
     return out
 
 

@@ -27,7 +27,20 @@ DEFAULT_RIG: dict[str, str] = {
 }
 """The shipped rig that has all a protocol needs, where that is not "virtual"."""
 
+SPECIMEN: dict[str, str] = {
+    "switching-time": "valve",
+    "switching-voltage": "valve",
+    "flow": "valve",
+    "ram": "ram",
+}
+"""What a protocol tests, where that is no muscle."""
+
 
 def default_rig(name: str) -> str:
     """The rig that a protocol runs on when none is named."""
     return DEFAULT_RIG.get(name, "virtual")
+
+
+def default_specimen(name: str) -> str:
+    """What a protocol tests, where nobody says which one: its kind."""
+    return SPECIMEN.get(name, "muscle")

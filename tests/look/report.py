@@ -14,7 +14,7 @@ from typing import Any
 from tests.look.browser import Browser
 from tests.look.live import shrink
 
-WIDTH, HEIGHT = 740, 1000
+WIDTH, HEIGHT = 740, 1250
 PAPER = 680  # pixels of 96 to the inch between the margins of A4
 BEYOND = """JSON.stringify([...document.querySelectorAll('table, img')]
   .map(e => [e.tagName, Math.round(e.getBoundingClientRect().right - innerWidth)])
