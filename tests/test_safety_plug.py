@@ -24,6 +24,8 @@ from rigs.valve import ValveController
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.tuning import burst_parameters, safety_parameters
 from test_valvefw_safety import Bench, thesis, virtual
+from valvefw.config import PARAMETERS
+from valvefw.sensorwatch import SensorWatch
 from valvefw.wire import encode_frame
 
 COMMANDED_US = 350_000
@@ -173,6 +175,19 @@ def test_sensor_broken_low_from_the_start(name: str) -> None:
     bench.run(0.35)
     bench.prove(event_us)
     assert bench.latched()[0] == "sensor_no_rise"
+
+
+def test_an_inlet_that_had_no_time_to_fall_shut_is_open_at_once() -> None:
+    """A wire breaks, and the inlet opens again 2 ms after it was let go."""
+    values = {name: value for name, value, *_ in PARAMETERS}
+    values |= {"valve_on_in_us": 10_872, "valve_off_in_us": 8_500, "rise_ms": 8, "slew": 92}
+    watch = SensorWatch()
+    watch.start(values, 100)
+    course = [(100, 1000)] * 12 + [(160, 0)] * 2 + [(0, 1000)] * 20
+    told = [watch.check(counts, 1000, inlet_us, 0, False) for counts, inlet_us in course]
+    first = next(k for k, cause in enumerate(told) if cause)
+    assert told[first] == "sensor_no_rise"
+    assert first - 14 < 8
 
 
 @pytest.mark.parametrize("share", [0.04, 0.08, 0.15])

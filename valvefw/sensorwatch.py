@@ -30,12 +30,14 @@ class SensorWatch:
         self._leak = 0
         self._rest_us = 0
         self._on_in_us = 0
+        self._off_in_us = 0
         self._last = -1
         self._same_us = 0
         self._track = 0
         self._away = 0
         self._filling_us = 0
         self._filled_us = 0
+        self._idle_us = 0
         self._shut_us = 0
         self._reference = 0
         self._leaks = 0
@@ -50,12 +52,14 @@ class SensorWatch:
         self._leak = values["leak_counts"]
         self._rest_us = values["inlet_rest_ms"] * 1000
         self._on_in_us = values["valve_on_in_us"]
+        self._off_in_us = values["valve_off_in_us"]
         self._last = -1
         self._same_us = 0
         self._track = counts
         self._away = 0
         self._filling_us = 0
         self._filled_us = 0
+        self._idle_us = 0
         self._shut_us = 0
         self._leaks = 0
 
@@ -89,17 +93,22 @@ class SensorWatch:
             if self._away >= JUMP_N:
                 return "sensor_jump"
         if inlet_us:
+            self._idle_us = 0
+            if self._filling_us <= self._on_in_us:
+                self._filling_us += inlet_us if inlet_us < dt_us else dt_us
             if counts >= self._rise_counts or renews:
                 self._filled_us = 0
             elif self._rise_us and not vent_us:
-                self._filling_us += inlet_us if inlet_us < dt_us else dt_us
                 if self._filling_us > self._on_in_us:
                     self._filled_us += dt_us
                     if self._filled_us >= self._rise_us:
                         return "sensor_no_rise"
             self._shut_us = 0
             return ""
-        self._filling_us = 0
+        if self._filling_us:
+            self._idle_us += dt_us
+            if self._idle_us > self._off_in_us:  # until then it has not fallen shut
+                self._filling_us = 0
         if vent_us or not self._leak:
             self._shut_us = 0
             return ""
