@@ -96,9 +96,9 @@ def directions_legend(axes: Axes, what: str, place: str) -> None:
 
 def labels_at_right(axes: Axes, ends: list[tuple[float, float, str, Any]], heading: str) -> None:
     """Name each curve where it ends, moved apart so that no two names overlap."""
+    ends = sorted((end for end in ends if np.isfinite(end[:2]).all()), key=lambda end: end[1])
     if not ends:
         return
-    ends = sorted(ends, key=lambda end: end[1])
     low, high = axes.get_ylim()
     height_points = axes.figure.bbox.height / axes.figure.dpi * 72.0 * 0.8
     gap = (high - low) * 9.5 / height_points

@@ -342,6 +342,7 @@ def _figure(table: pd.DataFrame, cycles: list[Cycle], isotonic: bool) -> Figure:
         figure, (top, bottom) = new_figure(7.2, 6.4, rows=2, sharex=True)
         for k, name in enumerate(names):
             rows = table[(keys - float(name.split()[0])).abs() < 5e-5]
+            named = "up" if (rows["direction"] == "up").any() else "down"
             for direction, part in rows.groupby("direction"):
                 down = direction == "down"
                 top.errorbar(
@@ -350,7 +351,7 @@ def _figure(table: pd.DataFrame, cycles: list[Cycle], isotonic: bool) -> Figure:
                     fmt=MARKERS[k % len(MARKERS)], color=colours[name], elinewidth=0.7,
                     markersize=5 if down else 3.4, zorder=3 if down else 4,
                     markerfacecolor="white" if down else colours[name],
-                    label=None if down else name,
+                    label=name if direction == named else None,
                 )  # fmt: skip
                 turns = part.get("cycle_max_kpa", part["pressure_kpa"] * 0.0)
                 for _, one in part.groupby(turns.astype(float).fillna(0.0)):

@@ -23,13 +23,15 @@ def isotonic_findings(run: Run, reduction: Reduction) -> Findings:
     import pandas as pd
 
     table = reduction.table
-    curves = curves_of(table)
+    every = curves_of(table)
+    curves = [(name, rows) for name, rows in every if rows["length_mm"].notna().any()]
+    blind = [name for name, rows in every if rows["length_mm"].isna().all()]
     camera = reduction.calibrations.get("length_mm")
     rows = [_curve_row(load, rows, camera) for load, rows in curves]
     sections = [
         Section(
             "Length against pressure",
-            figure=lambda: _figure(table),
+            figure=lambda: _figure(curves),
             caption="One curve a load (the form of the thesis's Figure 4-13). Bars: expanded"
             " uncertainty, k = 2, where larger than the marker.",
         ),
@@ -39,6 +41,7 @@ def isotonic_findings(run: Run, reduction: Reduction) -> Findings:
                 "Longest and shortest settled length and the contraction between them, a share of"
                 " the longest. Zero and gain of the camera, which all lengths share, are in every"
                 " ±.",
+                *([f"No length was seen under {', '.join(blind)}."] if blind else []),
             ),
             pd.DataFrame(rows),
             (
@@ -53,7 +56,7 @@ def isotonic_findings(run: Run, reduction: Reduction) -> Findings:
     if (run.manifest.get("source") or {}).get("table") == "C-3":
         sections.append(_thesis(curves, rows))
     data = {"loads": rows}
-    return Findings(_headline(rows), tuple(sections), data)
+    return Findings(_headline(rows, bool(blind)), tuple(sections), data)
 
 
 def load_names(table: pd.DataFrame) -> pd.Series:
@@ -130,7 +133,9 @@ def _wide(curves: list[tuple[str, pd.DataFrame]]) -> Section:
     )
 
 
-def _headline(rows: list[dict[str, Any]]) -> str:
+def _headline(rows: list[dict[str, Any]], blind: bool) -> str:
+    if not rows and blind:
+        return "No length was seen, so there is no result."
     if not rows:
         return "No settled point was reached, so there is no result."
     shares = [100 * row["contraction"] for row in rows]
@@ -187,7 +192,7 @@ def _thesis(curves: list[tuple[str, pd.DataFrame]], rows: list[dict[str, Any]]) 
     )
 
 
-def _figure(table: pd.DataFrame) -> Figure:
+def _figure(curves: list[tuple[str, pd.DataFrame]]) -> Figure:
     from rigs.drawing import (
         COVERAGE,
         MARKERS,
@@ -198,7 +203,6 @@ def _figure(table: pd.DataFrame) -> Figure:
         style,
     )
 
-    curves = curves_of(table)
     colours = sequence(len(curves))
     with style():
         figure, axes = new_figure(7.2, 4.9)
@@ -225,6 +229,6 @@ def _figure(table: pd.DataFrame) -> Figure:
         axes.set_xlabel("pressure (kPa gauge)")
         axes.set_ylabel("length (mm)")
         labels_at_right(axes, ends, "load")
-        if (table["direction"] == "down").any():
+        if any((rows["direction"] == "down").any() for _, rows in curves):
             directions_legend(axes, "pressure", "upper right")
     return figure

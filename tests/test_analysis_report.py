@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -202,23 +203,58 @@ def test_lines_in_length_hold_what_the_calibrations_leave_open(tmp_path: Path) -
     assert line["u_intercept"] > 0.5 * line["gradient"]
 
 
+def hung(lengths_mm: dict[float, tuple[float, float]], **camera: float) -> Reduction:
+    """Loads by mass in kg, each with its lengths at 100 and 400 kPa."""
+    points = [
+        {
+            "direction": "up", "repeat": 1, "trial": 1, "slot": f"W{kg:g}", "mounting": "m1",
+            "settled": True, "n_samples": 10, "mass_kg": kg, "force_n": 9.80665 * kg, "order": k,
+            "pressure_kpa": kpa, "set_pressure_kpa": kpa, "length_mm": mm,
+            "u_length_mm_noise": 0.001,
+        }
+        for k, (kg, kpa, mm) in enumerate(
+            (kg, kpa, mm)
+            for kg, pair in lengths_mm.items()
+            for kpa, mm in zip((100.0, 400.0), pair, strict=True)
+        )
+    ]  # fmt: skip
+    calibration = replace(CALIBRATIONS["length_mm"], **camera)
+    return Reduction(points_frame(points, {"mass_kg": "float64"}), (), {"length_mm": calibration})
+
+
 def test_a_contraction_holds_what_the_camera_leaves_open(recorded: Path) -> None:
     """1 - 50/60 with a zero known to 0.6 mm: both lengths move together, and so does the share."""
-    point = {
-        "direction": "up", "repeat": 1, "trial": 1, "slot": "W1", "mounting": "m1",
-        "settled": True, "n_samples": 10, "mass_kg": 1.0, "force_n": 9.80665,
-        "u_length_mm_noise": 0.001,
-    }  # fmt: skip
-    points = [
-        {**point, "order": k, "pressure_kpa": kpa, "set_pressure_kpa": kpa, "length_mm": mm}
-        for k, (kpa, mm) in enumerate([(100.0, 60.0), (400.0, 50.0)], start=1)
-    ]
-    camera = replace(CALIBRATIONS["length_mm"], u_offset=0.6, u_gain=0.0)
-    table = points_frame(points, {"mass_kg": "float64"})
-    reduction = Reduction(table, (), {"length_mm": camera})
+    reduction = hung({1.0: (60.0, 50.0)}, u_offset=0.6, u_gain=0.0)
     (load,) = isotonic_findings(open_run(recorded), reduction).data["loads"]
     assert load["contraction"] == pytest.approx(1 / 6)
     assert load["u_contraction"] == pytest.approx(0.6 / 60 / 6, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("lengths_mm", "headline", "blind"),
+    [
+        ({1.0: (60.0, 50.0), 2.0: (math.nan, math.nan)}, "Under 1 kg the muscle", "2 kg"),
+        ({1.0: (math.nan, math.nan)}, "No length was seen", "1 kg"),
+    ],
+)
+def test_a_load_under_which_the_camera_saw_nothing_is_named(
+    recorded: Path, lengths_mm: dict[float, tuple[float, float]], headline: str, blind: str
+) -> None:
+    found = isotonic_findings(open_run(recorded), hung(lengths_mm))
+    assert found.headline.startswith(headline)
+    assert f"No length was seen under {blind}." in found.sections[1].words
+    for section in found.sections:
+        section_parts(section)
+
+
+def test_a_curve_without_a_force_has_no_name_at_its_end(recorded: Path) -> None:
+    """The balance was beyond its range at the highest pressure of an isobaric test."""
+    run = open_run(recorded)
+    reduction = reduce_isometric(run)
+    table = reduction.table.copy()
+    table.loc[table["set_pressure_kpa"] == 600.0, "force_n"] = np.nan
+    for section in isobaric_findings(run, replace(reduction, table=table)).sections:
+        section_parts(section)
 
 
 def loop(way_up: tuple[float, ...], way_down: tuple[float, ...]) -> Reduction:
