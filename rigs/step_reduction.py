@@ -20,6 +20,8 @@ Floats = npt.NDArray[np.float64]
 SMOOTH = 5
 """Samples (ms) over which pressure is averaged before its extremes are taken: noise has extremes,
 too, and no valve here acts faster."""
+WHOLE = 0.9
+"""Share of a step's time from which on the samples that had come are those of the whole step."""
 FIGURES = ("error_kpa", "overshoot_kpa", "ripple_kpa", "rise_s", "settle_s", "switchings_per_s")
 LABELS = (
     "scheme", "from_kpa", "set_pressure_kpa", "direction", "repeat", "trial", "slot", "mounting",
@@ -101,10 +103,14 @@ def reduce_step(run: Run) -> Reduction:
     record = ValveRecord(run, "switching-time")
     p = record.parameters
     last = round(1e3 * float(p.get("last_s", 0.5)))
+    planned = round(1e3 * float(p.get("step_s", 0.0)))
     band = float(p.get("band_percent", 3.0)) / 100.0 * float(p.get("supply_kpa", 550.0))
     rows = []
     for event in record.events:
-        part, came = record.on_time(record.asked(event))
+        first, end = record.asked(event)
+        if end - first < WHOLE * planned:  # the program stood still; the rest came in later
+            end = first + planned
+        part, came = record.on_time([first, end])
         row: dict[str, Any] = {k: event.get(k) for k in LABELS}
         row["repeat"] = event["replicate"]
         if int(came.sum()) > last:

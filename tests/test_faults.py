@@ -307,6 +307,30 @@ def test_times_of_a_response_do_not_slip_where_samples_are_lost(
     assert any("samples are missing" in note for note in reduce_run(lossy).notes)
 
 
+def test_a_step_in_which_the_program_stood_still_is_judged_to_its_end(tmp_path: Path) -> None:
+    """The controller vents meanwhile; the samples that had come by then would call it settled."""
+
+    def hang(runner: Any) -> None:
+        pump, steps = runner.rig.pump, []
+        wait = pump.for_seconds
+
+        def for_seconds(seconds: float) -> None:
+            steps.append(seconds >= 1.0)
+            if sum(steps) < 3:
+                return wait(seconds)
+            wait(0.6 * seconds)
+            return runner.rig.clock.sleep(1.2)
+
+        pump.for_seconds = for_seconds
+
+    result, run, _ = run_short("step", tmp_path, begin=hang)
+    assert result.outcome == "faulted"
+    last = reduce_run(run).table.iloc[-1]
+    assert last["scheme"] == "burst"  # which is quiet in 60 ms, where the other never is
+    assert not last["settled"]
+    assert np.isnan(last["settle_s"])
+
+
 def test_a_try_with_lost_samples_is_made_again(tmp_path: Path) -> None:
     """Whether a valve opened was told from whatever samples had come, older ones among them."""
     result, run, _ = run_short("switching-voltage", tmp_path, begin=losing(0.01))
