@@ -18,7 +18,7 @@ from gap.belief import learnt
 from gap.cleared import Cleared, cleared
 from gap.inquiry import Inquiry, State
 from gap.mimic import Mimic, Mimicry
-from gap.naming import ALARM, Choice, Naming
+from gap.naming import ALARM, Choice, Naming, why_not
 from gap.parameters import headline_estimates, limits_of
 from gap.shrink import Held, gap_of, held_out
 from gap.suspects import DEFECTS
@@ -302,7 +302,7 @@ def _verdict(
         contrasts=contrasts_of(q),
         limits=limits_of(q, ALARM),
         next_experiment=advise(q, _leader(entries), _others(q, naming, entries, mimics)),
-        why_not=_why_not(q, naming, {i for e in effects for i in e.ids}),
+        why_not=why_not(q, naming, {i for e in effects for i in e.ids}),
         notes=q.data.notes,
         evidence={
             "found": list(naming.chosen.state.ids),
@@ -384,26 +384,3 @@ def _stage_of_block(q: Inquiry, naming: Naming, block: str) -> str | None:
         return None
     stage = CATALOGUE[known[max(gains, key=lambda k: gains[k])].id].stage
     return None if stage == "any" else stage
-
-
-def _why_not(q: Inquiry, naming: Naming, named: set[str]) -> dict[str, str]:
-    """For each entry not in the set: what share of the gap it closes alone."""
-    made: dict[str, str] = {}
-    rivals = {c.state.ids[-1]: c for c in reversed(naming.rivals)}
-    for suspect in q.suspects:
-        name = suspect.id
-        if suspect.defect or name in named or name in made:
-            continue
-        gain = max(
-            (g for k, g in naming.first_gain.items() if k.split(":")[0] == name), default=0.0
-        )
-        if not any(block in q.grid.points for block in suspect.blocks):
-            made[name] = "no channel in these data would show it"
-        elif name in rivals and naming.chosen.keys:
-            worse = rivals[name].cost - naming.chosen.cost
-            made[name] = f"fits worse than the set by {worse:.0f} in chi-square"
-        elif naming.excess > 1.0:
-            made[name] = f"closes {100 * min(gain / naming.excess, 1.0):.0f} % of the gap"
-        else:
-            made[name] = f"chi-square falls by {gain:.0f} only"
-    return made

@@ -332,3 +332,26 @@ def _flexed(q: Inquiry, choice: Choice, gains: Array, amounts: Array, gap: float
         choice.state,
     )
     return Choice(choice.keys, fitted) if fitted.cost < choice.cost - 15.0 else None
+
+
+def why_not(q: Inquiry, naming: Naming, named: set[str]) -> dict[str, str]:
+    """For each entry not in the set: what share of the gap it closes alone."""
+    made: dict[str, str] = {}
+    rivals = {c.state.ids[-1]: c for c in reversed(naming.rivals)}
+    for suspect in q.suspects:
+        name = suspect.id
+        if suspect.defect or name in named or name in made:
+            continue
+        gain = max(
+            (g for k, g in naming.first_gain.items() if k.split(":")[0] == name), default=0.0
+        )
+        if not any(block in q.grid.points for block in suspect.blocks):
+            made[name] = "no channel in these data would show it"
+        elif name in rivals and naming.chosen.keys:
+            worse = rivals[name].cost - naming.chosen.cost
+            made[name] = f"fits worse than the set by {worse:.0f} in chi-square"
+        elif naming.excess > 1.0:
+            made[name] = f"closes {100 * min(gain / naming.excess, 1.0):.0f} % of the gap"
+        else:
+            made[name] = f"chi-square falls by {gain:.0f} only"
+    return made
