@@ -4,6 +4,7 @@ calibration.toml, what the sensors may be off by in all trials alike.
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -63,8 +64,14 @@ def export_runs(
         raise GapError("export", "no run given")
     bench = _bench(runs, plant)
     calibration = _calibration(runs)
-    trials = [trial for run in runs for trial in _trials(run, form, commands_of)]
-    trials.sort(key=lambda trial: float(trial.row["start_s"]))
+    trials: list[RunTrial] = []
+    known: dict[str, list[str]] = {}
+    # Whole runs follow each other: on a simulated bench the clock of a run does not go as ours.
+    for run in sorted(runs, key=lambda run: int(run.manifest["started"].get("wall_ns", 0))):
+        own = list(_trials(run, form, commands_of))
+        for trial in own:
+            trial.row["slot"] += _told_apart(run, known)
+        trials += sorted(own, key=lambda trial: float(trial.row["start_s"]))
     return _write(folder, trials, bench, calibration, tuple(run.run_id for run in runs))
 
 
@@ -73,6 +80,32 @@ def _trials(run: Run, form: str, commands_of: Collection[str] | None) -> Iterabl
     if form == "points" or run.manifest.get("imported"):
         return table_trials(run)
     return run_trials(run, commands_of is None or run.manifest.get("protocol") in commands_of)
+
+
+NO_SETTING = (
+    "name", "source", "repeats", "mountings", "mounting", "order", "seed", "leak", "frames",
+)  # fmt: skip
+
+
+def _told_apart(run: Run, known: dict[str, list[str]]) -> str:
+    """What tells a run's slots from those of a run of its protocol with other settings: a number.
+
+    Trials of one slot are replicates, and those of other settings are none.
+    """
+    seen = known.setdefault(str(run.manifest.get("protocol")), [])
+    text = json.dumps(_settings(run.manifest.get("parameters") or {}), sort_keys=True)
+    if text not in seen:
+        seen.append(text)
+    number = seen.index(text) + 1
+    return f" ({number})" if number > 1 else ""
+
+
+def _settings(parameters: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: _settings(value) if isinstance(value, dict) else value
+        for key, value in parameters.items()
+        if key not in NO_SETTING
+    }
 
 
 def _refuse_mechanism(run: Run) -> None:

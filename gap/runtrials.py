@@ -2,9 +2,10 @@
 
 A trial is what lies between the two vented readings around its points: before the first of them the
 force is still being tared and the length set. Where there are none it is what lies between its
-`trial` events, from the last tare on. Times count from the start of the trial, on the
-controller's clock where the run has fitted it; pictures are put back by the camera's delay, where
-the run has measured it.
+`trial` events, from the last tare on. Where the length moved and was looked at at the settled
+points alone, a trial is a table of these: between two pictures nobody knows it. Times count from
+the start of the trial, on the controller's clock where the run has fitted it; pictures are put back
+by the camera's delay, where the run has measured it.
 """
 
 from __future__ import annotations
@@ -60,6 +61,7 @@ def run_trials(run: Run, commands: bool = True) -> Iterator[RunTrial]:
             str(run.folder), "holds no whole trial", "a run that was stopped early may have none"
         )
     channels = _Channels(run, commands)
+    settled = _settled_points(run)
     protocol = str(run.manifest.get("protocol", "unnamed"))
     conditions = run.manifest.get("conditions", {})
     wall_s = int(run.manifest["started"]["wall_ns"]) * 1e-9
@@ -78,7 +80,30 @@ def run_trials(run: Run, commands: bool = True) -> Iterator[RunTrial]:
         }
         if row["temperature_c"] is None:
             row["temperature_c"] = conditions.get("temperature_c")
-        yield RunTrial(row, channels.between(span.begin_s, span.end_s))
+        samples = channels.between(span.begin_s, span.end_s)
+        points = settled.get(facts["trial"], [])
+        if _moved_unseen(row, points, samples):
+            samples = channels.at(points)
+        if row["load_kg"]:  # what a load hangs on is not joined to the balance
+            samples = samples.drop(columns="force_n", errors="ignore")
+        yield RunTrial(row, samples)
+
+
+def _settled_points(run: Run) -> dict[Any, list[dict[str, Any]]]:
+    """The points of each trial, the last take of each."""
+    found: dict[Any, dict[Any, dict[str, Any]]] = {}
+    for event in run.events:
+        if event["kind"] == "point" and "valve_seq" in event:
+            found.setdefault(event["trial"], {})[event.get("order")] = event
+    return {trial: list(points.values()) for trial, points in found.items()}
+
+
+def _moved_unseen(row: dict[str, Any], points: list[dict[str, Any]], samples: pd.DataFrame) -> bool:
+    """Whether the length was free to move and all its pictures are those of the points."""
+    if row["held_length_mm"] is not None or "length_mm" not in samples:
+        return False
+    pictures = sum(len(point.get("frames", ())) for point in points)
+    return 0 < int(samples["length_mm"].notna().sum()) <= pictures
 
 
 def _spans(run: Run) -> list[_Span]:
@@ -146,7 +171,9 @@ class _Channels:
         self._parts: list[tuple[str, Array, Array]] = []
         valve, _ = engineering(run, VALVE_STREAM)
         time_s = np.asarray(valve["time_s"], dtype=np.float64)
-        self._parts.append(("pressure_kpa", time_s, np.asarray(valve["pressure_kpa"])))
+        self._seq, self._pressure = valve["seq"], np.asarray(valve["pressure_kpa"])
+        self._row, self._force = np.empty(0), np.empty(0)
+        self._parts.append(("pressure_kpa", time_s, self._pressure))
         if commands and not _regulated(run):
             for name, column in (("inlet_cmd", "inlet_cmd"), ("outlet_cmd", "vent_cmd")):
                 self._parts.append((name, *_edges(time_s, np.asarray(valve[column]))))
@@ -154,11 +181,34 @@ class _Channels:
         for stream in forces:
             columns, _ = engineering(run, stream)
             if "force_n" in columns and len(columns["force_n"]):
+                self._row, self._force = columns["row"], np.asarray(columns["force_n"])
                 self._parts.append(("force_n", columns["time_s"], columns["force_n"]))
         self._parts += _instruments(run)
-        lengths = _lengths(run) or _placed(run)
+        self._seen = _lengths(run)
+        lengths = _course(self._seen) or _placed(run)
         if lengths is not None:
             self._parts.append(("length_mm", *lengths))
+
+    def at(self, points: list[dict[str, Any]]) -> pd.DataFrame:
+        """One row a settled point, its means, without time."""
+        rows = []
+        for point in points:
+            first, last = np.searchsorted(self._seq, point["valve_seq"])
+            low, high = np.searchsorted(self._row, point.get("balance_rows", (0, 0)))
+            seen = [
+                self._seen[frame][1] for frame in point.get("frames", ()) if frame in self._seen
+            ]
+            force = self._force[low:high]
+            rows.append(
+                {
+                    "pressure_kpa": self._pressure[first:last].mean() if last > first else np.nan,
+                    "force_n": force.mean() if len(force) else np.nan,
+                    "length_mm": np.mean(seen) if seen else np.nan,
+                    "temperature_c": point.get("temperature_c", np.nan),
+                    "direction": point.get("direction", ""),
+                }
+            )
+        return pd.DataFrame(rows).dropna(axis="columns", how="all")
 
     def between(self, begin_s: float, end_s: float) -> pd.DataFrame:
         """Rows of one trial: one for each instant at which some channel has a sample."""
@@ -232,21 +282,30 @@ def _placed(run: Run) -> tuple[Array, Array] | None:
     return np.asarray(columns["time_s"]), np.asarray(columns["length_mm"])
 
 
-def _lengths(run: Run) -> tuple[Array, Array] | None:
-    """Lengths that were measured in the run's pictures, trusted ones only."""
+def _lengths(run: Run) -> dict[int, tuple[float, float]]:
+    """Time and length by picture, as measured in the run's pictures; trusted ones only."""
     calibration = run.calibrations.get("length_mm")
     pixels = {
         e["frame"]: e["pixels"] for e in run.events if e["kind"] == "length" and e.get("trusted")
     }
     if calibration is None or not pixels:
-        return None
+        return {}
     start_ns = int(run.manifest["started"]["monotonic_ns"])
     synced = [e for e in run.events if e["kind"] == "camera_sync" and e.get("found")]
     late_s = float(synced[-1]["delay_ms"]) * 1e-3 if synced else 0.0
-    rows = [
-        ((f["host_ns"] - start_ns) * 1e-9 - late_s, pixels[f["frame"]])
+    return {
+        f["frame"]: (
+            (f["host_ns"] - start_ns) * 1e-9 - late_s,
+            float(calibration.apply(pixels[f["frame"]])),
+        )
         for f in run.frames
         if f["frame"] in pixels
-    ]
-    table = np.array(sorted(rows), dtype=np.float64)
-    return table[:, 0], np.asarray(calibration.apply(table[:, 1]))
+    }
+
+
+def _course(seen: dict[int, tuple[float, float]]) -> tuple[Array, Array] | None:
+    """What pictures showed, in order of time."""
+    if not seen:
+        return None
+    table = np.array(sorted(seen.values()), dtype=np.float64)
+    return table[:, 0], table[:, 1]

@@ -19,6 +19,7 @@ from gap.from_runs import export_runs
 from gap.runtrials import run_trials
 from plant.bench import BenchSim
 from plant.constants import nominal
+from protocol_runs import run_short
 from rigs.cli import app
 
 COLUMNS = ["trial", "slot", "replicate", "protocol", "mounting", "order", "held_length_mm",
@@ -130,6 +131,26 @@ def test_runs_of_one_bench_are_joined_and_a_taken_folder_is_refused(
     assert trials["note"].iloc[0] == run.run_id  # the earlier one
     with pytest.raises(GapError, match="is there already"):
         export_runs([run], tmp_path / "both")
+
+
+def test_runs_follow_each_other_and_other_settings_are_no_replicates(tmp_path: Path) -> None:
+    """A simulated hour passes in seconds: by the clock such runs would overlap."""
+    changes = ({}, {}, {"pressures_kpa": (120.0, 240.0)})
+    runs = [open_run(run_bench(tmp_path / "runs", repeats=1, **c)[0].folder) for c in changes]
+    trials = pd.read_csv(export_runs(runs, tmp_path / "set").folder / "trials.csv")
+    assert list(trials["note"]) == [run.run_id for run in runs for _ in range(2)]
+    slots = ["isometric:L57", "isometric:L65"]
+    assert list(trials["slot"]) == [*slots, *slots, *(f"{slot} (2)" for slot in slots)]
+
+
+def test_a_hung_load_has_settled_points_and_no_force_of_the_balance(tmp_path: Path) -> None:
+    """It hangs on the muscle alone, and its pictures are those of the points."""
+    _, run, _ = run_short("isotonic", tmp_path)
+    (trial,) = run_trials(run)
+    assert not {"time_s", "force_n"} & set(trial.samples.columns)
+    assert list(trial.samples["direction"]) == ["up", "up", "down", "down"]
+    assert trial.samples["pressure_kpa"].tolist() == pytest.approx([150, 300, 300, 150], abs=3.0)
+    assert trial.samples["length_mm"].diff().iloc[1] < -1.0
 
 
 def test_a_run_without_a_whole_trial_is_refused_by_name(tmp_path: Path) -> None:

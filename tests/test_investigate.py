@@ -6,6 +6,7 @@ import dataclasses
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import rigs.investigate as loop
@@ -23,7 +24,7 @@ from rigs.rig import open_rig
 from rigs.session import run_protocol
 from rigs.survey import BEFORE_NAMING, REPEATS, Test, battery, protocol_text
 from rigs.virtual.bench import VirtualBench
-from withheld_campaign import MIMICKED, entropy_of, judged, read_journal, seeds_of, totals
+from withheld_campaign import MIMICKED, RIG, entropy_of, judged, read_journal, seeds_of, totals
 
 
 def rig_with(folder: Path, effects: str) -> RigConfig:
@@ -162,11 +163,37 @@ def test_a_sweep_is_a_trial_of_its_own_seen_by_the_camera_all_the_way(
     assert result.outcome == "clean"
     stepped, swept = run_trials(open_run(result.folder))
     assert swept.row["slot"] == f"{stepped.row['slot']} swept"
+    assert "time_s" not in stepped.samples  # nobody saw the lengths between the points
+    assert list(stepped.samples["length_mm"].round()) == [58.0, 62.0, 62.0, 58.0]
+    assert stepped.samples["force_n"].diff().iloc[1] > 1.0
     seen = swept.samples[["time_s", "length_mm"]].dropna()
     assert len(seen) > 25
     middle = seen[(seen.length_mm > 58.3) & (seen.length_mm < 61.7)]
     rate = abs(middle.length_mm.diff() / middle.time_s.diff())
     assert rate.median() == pytest.approx(4.0, rel=0.05)
+
+
+def test_a_bench_that_hides_nothing_has_no_camera_out_of_time(tmp_path: Path) -> None:
+    """A camera's own delay would pass for an effect of its own beside the one that is hidden."""
+    path = tmp_path / "swept.toml"
+    path.write_text(SWEPT.format(speeds="8.0"))
+    config = load_rig(RIG)
+    kind = procedure("isobaric")
+    result = run_protocol(
+        kind, config, kind.read(str(path), config), tmp_path / "runs", derive=False
+    )
+    (swept,) = (t for t in run_trials(open_run(result.folder)) if "swept" in t.row["slot"])
+    seen = swept.samples[["time_s", "length_mm"]].dropna()
+    pull = swept.samples[["time_s", "force_n"]].dropna()
+    pull = pull[(pull.time_s > seen.time_s.iloc[0]) & (pull.time_s < seen.time_s.iloc[-1])]
+    lags_s = np.linspace(-0.04, 0.04, 41)
+    left = [
+        np.polyfit(
+            np.interp(pull.time_s + lag, seen.time_s, seen.length_mm), pull.force_n, 2, full=True
+        )[1][0]
+        for lag in lags_s
+    ]
+    assert abs(lags_s[int(np.argmin(left))]) < 0.006
 
 
 def test_sweeps_beyond_the_stage_are_refused(tmp_path: Path) -> None:
