@@ -493,8 +493,8 @@ def test_a_supply_that_cannot_be_set_back_is_told(tmp_path: Path) -> None:
     result, run, _ = run_short("switching-time", tmp_path, begin=cut)
     assert result.outcome == "clean"
     told = [e for e in run.events if e["kind"] == "instrument" and e["device"] == "supply"]
-    assert [e["fault"] for e in told] == ["unset"]
-    assert run.final["counters"]["supply"]["unset"] == 1
+    assert {e["fault"] for e in told} == {"unset"}
+    assert run.final["counters"]["supply"]["unset"] == len(told)  # asked again while air remains
 
 
 def test_a_hang_after_disarming_need_not_be_told_but_one_before_must(sound: Truth) -> None:
