@@ -65,11 +65,9 @@ def check_values(truth: Truth, verdict: Verdict, work: Path) -> None:
 
 def _static(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: Verdict) -> None:
     """Mean truth over the window of the point, in the unit of each column."""
-    valve = truth.taken.get("valve")
-    if not valve:
+    if not truth.taken.get("valve"):
         return
-    seq0, us0 = int(valve["seq"][0]), int(valve["device_us"][0]) - truth.start0_us
-    window = [us0 + (s - seq0) * 1000 for s in point["valve_seq"]]
+    window = _window_us(truth, point)
     restarts = [f.begun_us for f in truth.faults if f.layer == "controller" and f.begun_us >= 0]
     if restarts and min(restarts) < window[1]:
         # A test that was armed ends there; before that device time begins anew.
@@ -97,6 +95,13 @@ def _static(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: V
     seen = [exposed[number] for number in point["frames"] if number in exposed]
     if seen:
         _compare(row, "length_mm", np.mean(seen), np.ptp(seen), 0.01, verdict)
+
+
+def _window_us(truth: Truth, point: dict[str, Any]) -> list[int]:
+    """Bench time of a point's range of samples, before any restart."""
+    valve = truth.taken["valve"]
+    seq0, us0 = int(valve["seq"][0]), int(valve["device_us"][0]) - truth.start0_us
+    return [us0 + (s - seq0) * 1000 for s in point["valve_seq"]]
 
 
 def _reads_nothing(truth: Truth, window: list[int]) -> bool:
@@ -177,7 +182,7 @@ def check_step(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict
     A scheme's periods go on by the controller's clock: from one run to the next a set-point falls
     elsewhere into them, and the response is some milliseconds earlier or later.
     """
-    asked_us, until_us = truth.bench_us(point["asked_t_ns"]), truth.bench_us(point["t_ns"])
+    asked_us, (_, until_us) = truth.bench_us(point["asked_t_ns"]), _window_us(truth, point)
     kpa = truth.kpa[(truth.us >= asked_us) & (truth.us < until_us)]
     goal, before = point["set_pressure_kpa"], point["from_kpa"]
     graze = SIGMAS * math.hypot(row["u_error_kpa"], truth.noise_kpa / math.sqrt(SMOOTH_MS))
