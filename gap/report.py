@@ -18,6 +18,7 @@ from gap.reporttext import (
     limits,
     parameter_text,
     rivals,
+    sentence,
     told_apart,
 )
 from gap.verdict import Verdict
@@ -60,7 +61,7 @@ def context(examined: Examination) -> dict[str, Any]:
         "near": near[:NEAREST],
         "far": near[NEAREST:],
         "next": experiment_sentence(verdict.next_experiment) if verdict.next_experiment else "",
-        "next_why": verdict.next_experiment.why if verdict.next_experiment else "",
+        "next_why": sentence(verdict.next_experiment.why) if verdict.next_experiment else "",
         "told_apart": told_apart(verdict.effects),
         "limits": limits(verdict),
         "mimics": _mimics(verdict),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+from gap.advise import ENOUGH
 from gap.verdict import Estimate, Experiment, Explanation, Verdict
 from plant.catalogue import CATALOGUE
 
@@ -35,23 +37,23 @@ class Rival:
 def headline(verdict: Verdict) -> str:
     """The verdict in one sentence."""
     if not verdict.effects:
-        return _sentence(verdict.reason)
+        return sentence(verdict.reason)
     best = verdict.effects[0]
     what = " and ".join(f"{name} ({CATALOGUE[name].summary})" for name in best.ids)
     values = ", ".join(parameter_text(name, e) for name, e in best.parameters.items())
     closed = _closed(verdict)
     match verdict.status:
         case "named":
-            return _sentence(f"It is {what}{_in_brackets(values)}{closed}")
+            return sentence(f"It is {what}{_in_brackets(values)}{closed}")
         case "named_form_inadequate":
-            return _sentence(
+            return sentence(
                 f"It is {what}{_in_brackets(values)}{closed}; "
                 "the form in the catalogue leaves a pattern"
             )
     others = ", ".join(" + ".join(effect.ids) for effect in verdict.effects[1:4])
     if not others:
-        return _sentence(verdict.reason)
-    return _sentence(f"It is {what}, or {others}: these data fit all of them")
+        return sentence(verdict.reason)
+    return sentence(f"It is {what}, or {others}: these data fit all of them")
 
 
 def _closed(verdict: Verdict) -> str:
@@ -60,7 +62,8 @@ def _closed(verdict: Verdict) -> str:
         return ""
     interval = ""
     if gap.closed_low is not None and gap.closed_high is not None:
-        interval = f" ({100 * gap.closed_low:.0f} to {100 * min(gap.closed_high, 1.0):.0f} %)"
+        low, high = (f"{100 * min(x, 1.0):.0f}" for x in (gap.closed_low, gap.closed_high))
+        interval = f" ({low} to {high} %)" if low != high else ""
     return (
         f" and closes {100 * min(gap.closed, 1.0):.0f} %{interval} of the gap above the floor, "
         f"on data held out by {gap.held_out}"
@@ -71,7 +74,8 @@ def _in_brackets(values: str) -> str:
     return f", {values}," if values else ""
 
 
-def _sentence(text: str) -> str:
+def sentence(text: str) -> str:
+    """Text with a capital and a full stop."""
     text = text.strip().rstrip(".")
     return text[:1].upper() + text[1:] + "."
 
@@ -127,15 +131,38 @@ def told_apart(effects: tuple[Explanation, ...]) -> list[tuple[str, str]]:
 def experiment_sentence(experiment: Experiment) -> str:
     """The next experiment, with the separation it promises."""
     if not experiment.trials:
-        return _sentence(experiment.protocol)
-    settings = ", ".join(f"{k.replace('_', ' ')} {v}" for k, v in experiment.settings.items())
+        return sentence(experiment.protocol)
+    settings = ", ".join(_setting(k, v) for k, v in experiment.settings.items())
     between = f" between {' and '.join(experiment.between)}" if experiment.between else ""
     what = experiment.protocol + (f" ({settings})" if settings else "")
     count = f"{experiment.trials} trial{'s' if experiment.trials != 1 else ''} of {what}"
-    return _sentence(
-        f"{count}: the separation{between} would rise from {experiment.separation_now:.1f} to "
-        f"{experiment.separation_after:.1f} standard deviations (3.3 are right 95 times in 100)"
+    already = (
+        "These data tell them apart already, as far as the forms of the catalogue go. To be surer: "
+        if experiment.separation_now >= ENOUGH
+        else ""
     )
+    return already + sentence(
+        f"{count}: the separation{between} would rise from {experiment.separation_now:.1f} to "
+        f"{experiment.separation_after:.1f} standard deviations ({ENOUGH:g} are right 95 times in "
+        "100)"
+    )
+
+
+UNITS = ("kpa", "mm_s", "mm", "kg", "s", "c")
+SAID = {"kpa": "kPa", "mm_s": "mm/s", "c": "degC"}
+
+
+def _setting(key: str, value: object) -> str:
+    """A setting of a protocol as a person says it: pressures 80, 150 kPa."""
+    unit = next((u for u in UNITS if key.endswith(f"_{u}")), "")
+    name = key.removesuffix(f"_{unit}") if unit else key
+    if isinstance(value, Mapping):
+        return f"{name} ({', '.join(_setting(k, v) for k, v in value.items())})"
+    if value is None:
+        return f"without {name.replace('_', ' ')}"
+    many = value if isinstance(value, (list, tuple)) else [value]
+    said = ", ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in many)
+    return f"{name.replace('_', ' ')} {said} {SAID.get(unit, unit)}".strip()
 
 
 def rivals(verdict: Verdict) -> list[Rival]:

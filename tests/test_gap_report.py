@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from gap.examination import Examination, examine
 from gap.opening import open_data
 from gap.report import render_report
-from gap.reporttext import headline, parameter_text, rivals
+from gap.reporttext import experiment_sentence, headline, parameter_text, rivals
 from gap.verdict import Contrast, Estimate, Experiment, Explanation, Gap, Share, Verdict
 from gap_sets import settled_set
 from rigs.cli import app
@@ -122,6 +122,29 @@ def test_the_sentence_has_value_unit_interval_and_what_it_closes() -> None:
     assert parameter_text("edge", Estimate("inlet_on")) == "edge inlet_on"
     assert parameter_text("percent", Estimate(2.0, 1.0, 3.0)) == "2 % (1 to 3)"
     assert parameter_text("stiffness_n_mm", Estimate(0.5)) == "stiffness 0.5 N/mm"
+
+
+def test_settings_are_said_with_their_units_and_what_is_told_apart_already_is_said_so() -> None:
+    settings = {"schemes": ["burst"], "length_mm": 60.4, "pressures_kpa": [80.0, 150.0],
+                "measure": {"seconds": 60.0}, "isobaric": None}  # fmt: skip
+    told = experiment_sentence(Experiment("step", settings, 1.1, 4.9, 2, ("creep", "wear")))
+    assert told.startswith(
+        "2 trials of step (schemes burst, length 60.4 mm, pressures 80, 150 kPa, "
+        "measure (seconds 60), without isobaric): the separation"
+    )
+    already = experiment_sentence(Experiment("step", {}, 9.0, 12.0, 2, ("creep", "wear")))
+    assert already.startswith("These data tell them apart already")
+
+
+def test_comparisons_of_which_none_stands_out_are_not_said_to_show_it(liner: Examination) -> None:
+    quiet = with_verdict(liner, contrasts=(Contrast("up-down", 0.4),))
+    assert "Comparisons that show it" not in render_report(quiet)
+    assert "Comparisons that show it" in render_report(with_verdict(liner))
+
+
+def test_a_share_that_is_certain_has_no_interval_of_no_width() -> None:
+    whole = dataclasses.replace(PLAIN.gap, closed=1.0, closed_low=1.0)
+    assert "closes 100 % of the gap" in headline(dataclasses.replace(PLAIN, gap=whole))
 
 
 def test_rivals_come_nearest_first() -> None:
