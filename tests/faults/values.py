@@ -27,6 +27,8 @@ ALLOWED: dict[str, float] = {}
 STEP_TIMES = ("rise_s", "settle_s")
 BAND_KPA = 0.03 * 550.0
 """A step has settled within 3 % of the supply that step-short names."""
+STEP_US = 1_000_000
+"""Each step of step-short has so long, also where the program hung and looked at less of it."""
 SMOOTH_MS = 5
 """Over so many samples a step's table averages before it takes times."""
 FLOW_US = 1_000_000
@@ -182,7 +184,8 @@ def check_step(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict
     A scheme's periods go on by the controller's clock: from one run to the next a set-point falls
     elsewhere into them, and the response is some milliseconds earlier or later.
     """
-    asked_us, (_, until_us) = truth.bench_us(point["asked_t_ns"]), _window_us(truth, point)
+    asked_us = truth.bench_us(point["asked_t_ns"])
+    until_us = max(_window_us(truth, point)[1], asked_us + STEP_US)
     kpa = truth.kpa[(truth.us >= asked_us) & (truth.us < until_us)]
     goal, before = point["set_pressure_kpa"], point["from_kpa"]
     graze = SIGMAS * math.hypot(row["u_error_kpa"], truth.noise_kpa / math.sqrt(SMOOTH_MS))
