@@ -84,7 +84,7 @@ def advise(q: Inquiry, best: State | None, rivals: Sequence[State]) -> Experimen
     if best is None or not best.suspects or not rivals:
         return None
     found = [by_trial(q, best, rival) for rival in rivals]
-    apart = [separation(sum_of(f), r) for f, r in zip(found, rivals, strict=True)]
+    apart = [separation(sum_of(f), best, r) for f, r in zip(found, rivals, strict=True)]
     nearest = int(np.argmin(apart))
     rival, now = rivals[nearest], apart[nearest]
     present = sum_of(found[nearest])
@@ -109,7 +109,7 @@ def advise(q: Inquiry, best: State | None, rivals: Sequence[State]) -> Experimen
             f"{plan.candidate.what}: tells {between[0]} from {between[1]} in about "
             f"{max(plan.minutes, 1.0):.0f} min",
         )  # fmt: skip
-    again = _same_again(q, rival, found[nearest], present, enough, now, between)
+    again = _same_again(q, best, rival, found[nearest], present, enough, now, between)
     return again if again is not None else _standard(best, between, now)
 
 
@@ -127,30 +127,30 @@ def _plan(
     """Repeats that an experiment needs; None where it would take too many."""
     one = products(foreseen(q, candidate), best, rival)
     for repeats in range(LEAST_REPEATS, MOST_TRIALS // len(candidate.trials) + 1):
-        after = separation(present + one.times(repeats), rival)
+        after = separation(present + one.times(repeats), best, rival)
         if after >= enough:
             return _Plan(candidate, repeats, after)
     return None
 
 
 def _same_again(
-    q: Inquiry, rival: State, parts: Sequence[Products], present: Products, enough: float,
-    now: float, between: tuple[str, str],
+    q: Inquiry, best: State, rival: State, parts: Sequence[Products], present: Products,
+    enough: float, now: float, between: tuple[str, str],
 ) -> Experiment | None:  # fmt: skip
     """More trials of the slot that separates best, where that does; else None."""
-    best: tuple[int, float, int] | None = None
+    found: tuple[int, float, int] | None = None
     for slot, members in enumerate(q.data.slots.values()):
         one = sum_of([parts[t] for t in members]).times(1)
         for rounds in range(1, MOST_TRIALS // len(members) + 1):
-            after = separation(present + one.times(rounds), rival)
+            after = separation(present + one.times(rounds), best, rival)
             if after >= enough:
                 count = rounds * len(members)
-                if best is None or count < best[0]:
-                    best = (count, after, slot)
+                if found is None or count < found[0]:
+                    found = (count, after, slot)
                 break
-    if best is None:
+    if found is None:
         return None
-    count, after, slot = best
+    count, after, slot = found
     name = list(q.data.slots)[slot]
     trial = q.data.trials[q.data.slots[name][0]]
     settings: dict[str, Any] = {"like_slot": name, "repeats": count}
@@ -173,7 +173,7 @@ def _reference(
         if name not in REFERENCES:
             continue
         standard, error = REFERENCES[name]
-        after = separation(present + _measured(best, rival, name, error), rival)
+        after = separation(present + _measured(best, rival, name, error), best, rival)
         if after >= enough:
             found.append((standard.minutes, after, standard, name))
     if not found:

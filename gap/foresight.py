@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.columns import TRIAL_EFFECTS, trial_columns
+from gap.evidence import tolerance
 from gap.grid import make_grid
 from gap.inquiry import Inquiry, State
 from gap.library import Candidate, as_data
@@ -24,6 +25,7 @@ from gap.noise import WHITE, Noise, usual
 from gap.rows import BLOCKS
 
 Array = npt.NDArray[np.float64]
+_BENDS = 12
 
 
 @dataclass(frozen=True)
@@ -78,14 +80,25 @@ def by_trial(q: Inquiry, best: State, rival: State) -> list[Products]:
     return made
 
 
-def separation(found: Products, rival: State) -> float:
-    """Separation d' once the rival has bent as far as its priors let it."""
+def separation(found: Products, best: State, rival: State) -> float:
+    """Separation d' once the rival has bent as far as its priors let it.
+
+    What its constants cost by then, walls of their tolerances included, counts against it, and
+    what those of `best` cost for it. Newton's method: the priors are parabolas, piece by piece.
+    """
     n = len(rival.shift)
     low, high = np.array([s.bounds for s in rival.suspects]).reshape(-1, 2).T
-    prior = np.r_[np.ones(n), 4.0 / np.maximum(high - low, 1e-30) ** 2]
-    matrix = found.gram + np.diag(prior)
-    taken = found.across @ np.linalg.pinv(matrix, hermitian=True, rcond=1e-13) @ found.across
-    return float(np.sqrt(max(found.difference - float(taken), 0.0)))
+    range_prior = 4.0 / np.maximum(high - low, 1e-30) ** 2
+    bend = np.zeros(len(found.across))
+    for _ in range(_BENDS):
+        _, slope, stiffness = tolerance(rival.shift + bend[:n])
+        matrix = found.gram + np.diag(np.r_[stiffness, range_prior])
+        steep = found.gram @ bend - found.across + np.r_[slope, range_prior * bend[n:]]
+        bend -= np.linalg.pinv(matrix, hermitian=True, rcond=1e-13) @ steep
+    left = found.difference - 2.0 * found.across @ bend + bend @ found.gram @ bend
+    left += float(range_prior @ bend[n:] ** 2)
+    left += tolerance(rival.shift + bend[:n])[0] - tolerance(best.shift)[0]
+    return float(np.sqrt(max(float(left), 0.0)))
 
 
 def foreseen(q: Inquiry, candidate: Candidate) -> Inquiry:

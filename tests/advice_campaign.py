@@ -91,11 +91,20 @@ def with_advised(one: BlindSet, candidate: Candidate, repeats: int) -> BlindSet:
     return replace(one, design=design)
 
 
-def refitted(q: Inquiry, state: State) -> State:
-    """The best fit of an explanation's suspects, shape by shape, to other data."""
+def refitted(q: Inquiry, state: State, names: Sequence[str]) -> State:
+    """The best fit of an explanation to other data, shape by shape.
+
+    It starts where the fit of constants `names` to less data ended, too: from the stated constants
+    a descent may end far off, and its cost would pass for a separation.
+    """
     own = {s.key for s in state.suspects}
-    fits = [q.polish(q.fit_afresh([s], [s.step])) for s in q.suspects if s.key in own]
-    return min(fits, key=lambda f: f.cost)
+    known = dict(zip(names, state.shift.tolist(), strict=True))
+    shift = np.array([known.get(name, 0.0) for name in q.names])
+    ends = [q.fit_from(shift, state.suspects, state.amounts.tolist())]
+    for suspect in (s for s in q.suspects if s.key in own):
+        ends += [q.fit_afresh([suspect], [suspect.step])]
+        ends += [q.fit_from(shift, [suspect], [suspect.step])]
+    return min((q.polish(end) for end in ends), key=lambda f: f.cost)
 
 
 def achieved(wrong: State, right: State) -> float:
@@ -119,12 +128,12 @@ def one(number: int, folder: Path) -> Row | None:
     if len(pair) < 2 or not at or len(pair[1 - at[0]].state.suspects) != 1:
         return None
     right, wrong = pair[at[0]].state, pair[1 - at[0]].state
-    now = separation(products(q, right, wrong), wrong)
+    now = separation(products(q, right, wrong), right, wrong)
     if now > 2.0 * ENOUGH:
         return None
     row: Row = {
         "number": number, "truth": truth, "rival": wrong.ids[0], "now": now,
-        "now_achieved": achieved(refitted(q, wrong), refitted(q, right)),
+        "now_achieved": achieved(refitted(q, wrong, q.names), refitted(q, right, q.names)),
     }  # fmt: skip
     advised = advise(q, right, [wrong])
     row["protocol"] = advised.protocol if advised is not None else None
@@ -140,7 +149,7 @@ def one(number: int, folder: Path) -> Row | None:
     more = Inquiry(read_dataset(folder / "more"))
     return row | {
         "what": chosen.what, "repeats": repeats, "predicted": advised.separation_after,
-        "achieved": achieved(refitted(more, wrong), refitted(more, right)),
+        "achieved": achieved(refitted(more, wrong, q.names), refitted(more, right, q.names)),
         "cpu_s": round(time.process_time() - begun, 1),
     }  # fmt: skip
 

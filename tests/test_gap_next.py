@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.optimize import minimize
 from typer.testing import CliRunner
 
 import advice_campaign
 from daq.run import open_run
 from gap.advise import ENOUGH, REFERENCES, advise, protocol_text
-from gap.foresight import foreseen, products, separation
+from gap.evidence import tolerance
+from gap.foresight import Products, foreseen, products, separation
 from gap.inquiry import Inquiry, State
 from gap.library import Candidate, candidates
 from gap.opening import open_data
 from gap.runtrials import run_trials
+from gap.suspects import SUSPECTS
 from gap.verdict import Experiment
 from gap_sets import settled_set
 from plant.catalogue import CATALOGUE
@@ -55,7 +59,32 @@ def as_experiment(candidate: Candidate, repeats: int) -> Experiment:
 
 def test_an_explanation_is_not_told_from_itself(alike: tuple[Inquiry, State, State]) -> None:
     q, liner, _ = alike
-    assert separation(products(q, liner, liner), liner) == pytest.approx(0.0, abs=1e-6)
+    assert separation(products(q, liner, liner), liner, liner) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_rival_bends_as_far_as_the_tolerances_of_its_constants_let_it() -> None:
+    """Where a constant is at its wall already, it cannot take what a normal prior would let it."""
+    rng = np.random.default_rng(3)
+    columns, gap = rng.normal(size=(40, 3)), rng.normal(size=40)
+    gap += 4.0 * columns[:, 0]
+    one = next(s for s in SUSPECTS if s.id == "payload")
+
+    def state(shift: list[float]) -> State:
+        nothing = np.zeros(0)
+        return State(np.array(shift), (one,), np.zeros(1), nothing, 0.0, nothing)
+
+    rival, best = state([2.9, -0.5]), state([0.4, 0.0])
+    prior = 4.0 / (one.bounds[1] - one.bounds[0]) ** 2
+
+    def cost(bend: np.ndarray) -> float:
+        left = gap - columns @ bend
+        return float(left @ left + tolerance(rival.shift + bend[:2])[0] + prior * bend[2] ** 2)
+
+    least = minimize(cost, np.zeros(3), method="Nelder-Mead", options={"xatol": 1e-9}).fun
+    found = Products(float(gap @ gap), columns.T @ gap, columns.T @ columns)
+    expected = np.sqrt(least - tolerance(best.shift)[0])
+    assert separation(found, best, rival) == pytest.approx(expected, rel=1e-3)
+    assert expected > 8.0
 
 
 def test_more_of_an_experiment_separates_more(
@@ -65,7 +94,7 @@ def test_more_of_an_experiment_separates_more(
     present = products(q, liner, zero)
     for candidate in library:
         one = products(foreseen(q, candidate), liner, zero)
-        apart = [separation(present + one.times(n), zero) for n in (0, 1, 4)]
+        apart = [separation(present + one.times(n), liner, zero) for n in (0, 1, 4)]
         assert apart[0] <= apart[1] + 1e-9 <= apart[2] + 2e-9, candidate.what
 
 
