@@ -205,7 +205,7 @@ class ValveController:
         self._alive_until_ns = 0
 
     def _beat(self, now_ns: int) -> None:
-        self._beat_count += 1
+        self._beat_count = (self._beat_count + 1) % 65536  # after 1.8 h it begins anew
         if len(self._pings) > 50:  # replies that never came
             self.finish()
         # Stamped before the write, because the write is part of the round trip.

@@ -468,6 +468,17 @@ def test_a_line_that_is_on_its_way_at_the_very_end_is_not_half(tmp_path: Path) -
     assert "half" not in counters
 
 
+def test_heartbeats_go_on_after_two_hours(tmp_path: Path) -> None:
+    """The wire counts them modulo 65536; a host that went on was silent to the controller."""
+
+    def late(runner: Any) -> None:
+        runner.rig.valve._beat_count = 65530
+
+    result, run, _ = run_short("isometric", tmp_path, begin=late)
+    assert result.outcome == "clean", result.error
+    assert run.final["counters"]["valve"]["unanswered"] == 0
+
+
 def test_an_answer_to_a_heartbeat_that_is_lost_is_counted(tmp_path: Path) -> None:
     """It did no harm, and left no trace: each answer was a ping of the clock fit and no more."""
 
