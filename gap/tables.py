@@ -164,16 +164,27 @@ def numbers(table: Table, name: str, constants: PlantConstants) -> Array:
     if pd.api.types.is_bool_dtype(column):
         column = column.astype(float)
     if not pd.api.types.is_numeric_dtype(column):
-        read = pd.to_numeric(column, errors="coerce")
+        try:
+            read = pd.to_numeric(column, errors="coerce")
+        except OverflowError:  # of hundreds of digits: no cell is one that can be read
+            read = column.map(_finite)
         blank = column.isna() | column.astype(str).str.strip().isin(["", "nan", "NaN", "None"])
         wrong = np.flatnonzero((read.isna() & ~blank).to_numpy())
         if len(wrong) or pd.api.types.is_datetime64_any_dtype(column):
             row = int(wrong[0]) if len(wrong) else 0
-            raise table.error(row, name, f"{column.iloc[row]!r} is not a number")
+            raise table.error(row, name, f"{str(column.iloc[row])[:40]!r} is not a number")
         column = read
     value = np.asarray(column.to_numpy(dtype=np.float64, na_value=np.nan), dtype=np.float64)
     _range(table, name, value, constants)
     return value
+
+
+def _finite(cell: object) -> float:
+    try:
+        value = float(str(cell))
+    except ValueError:
+        return float("nan")
+    return value if np.isfinite(value) else float("nan")
 
 
 def _range(table: Table, name: str, value: Array, constants: PlantConstants) -> None:

@@ -37,6 +37,19 @@ def test_a_table_that_ends_in_the_middle_of_a_row_is_refused(ending: str, tmp_pa
         read_dataset(path.parent)
 
 
+def test_a_number_of_hundreds_of_digits_is_none(tmp_path: Path) -> None:
+    """In a column of whole numbers it is read as one of those, and no float holds it."""
+    path = settled_set(tmp_path / "data", {}) / "samples.csv"
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    at = rows[0].index("pressure_kpa")
+    for row in rows[1:]:
+        row[at] = "60"
+    rows[1][at] = "9" * 400
+    path.write_text("\n".join(map(",".join, rows)) + "\n")
+    with pytest.raises(GapError, match=r"samples.csv, row 2, .*'9{40}' is not a number"):
+        read_dataset(path.parent)
+
+
 def test_a_last_row_without_an_end_of_line_is_a_row_if_it_has_all_values(tmp_path: Path) -> None:
     path = settled_set(tmp_path / "data", {}) / "samples.csv"
     path.write_text(path.read_text().rstrip("\n"))
