@@ -104,8 +104,8 @@ def _ahead_problems(run: Run, index: ChunkIndex) -> str:
 def _against_final(run: Run, final: dict[str, Any], reported: set[str]) -> Iterator[Problem]:
     """Damage that only the sums in final.json show: files cut short, swapped or gone."""
     started = run.sealed("run.json")
-    if started is not None and started["run_id"] != final["run_id"]:
-        what = f"belongs to run {final['run_id']}, run.json to {started['run_id']}"
+    if started is not None and (named := started.get("run_id")) != final["run_id"]:
+        what = f"belongs to run {final['run_id']}, run.json to {named}"
         yield Problem("final.json", 0, what)
     yield from _sums(run.folder, final["files"], reported)
     if "write_failure" in final:

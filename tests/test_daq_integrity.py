@@ -12,6 +12,7 @@ import pytest
 from daq.derive import derive
 from daq.errors import RecordError
 from daq.run import Run, open_run
+from daq.sealed import open_file, seal_file
 from daq.segments import BatchEncoder
 from daq.store import list_runs, show, verify
 from daq_records import begin, content, fill, valve_batch
@@ -162,3 +163,14 @@ def test_what_was_reserved_must_be_zero(tmp_path: Path) -> None:
     reserve.write_bytes(data)
     assert [p.file for p in verify(open_run(writer.folder))] == ["reserve.zero"]
     writer.abandon()
+
+
+def test_a_sealed_manifest_that_names_no_run_is_told(tmp_path: Path) -> None:
+    writer, clock = begin(tmp_path)
+    fill(writer, clock, 1)
+    writer.finalize("clean")
+    path = writer.folder / "run.json"
+    fields = open_file(path.read_bytes())
+    fields.pop("run_id")
+    path.write_bytes(seal_file(fields))
+    assert any("run.json to None" in str(p) for p in verify(open_run(writer.folder)))
