@@ -90,7 +90,7 @@ def _is_defect(q: Inquiry, naming: Naming) -> bool:
 
 def _disagreement(q: Inquiry, state: State) -> float:
     """Spread over trials, beyond chance, of the amount of the first suspect each asks for."""
-    slope = q._slopes(state.shift, state.suspects, state.amounts)[:, 0]
+    slope = q.slopes(state.shift, state.suspects, state.amounts)[:, 0]
     asked, weight = [], []
     for trial, rows in enumerate(q.noise.trial_rows):
         if len(rows):

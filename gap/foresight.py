@@ -66,8 +66,8 @@ def by_trial(q: Inquiry, best: State, rival: State) -> list[Products]:
     )
     columns = np.hstack(
         [
-            q._columns_at(rival.shift, rival.suspects, rival.amounts),
-            q._slopes(rival.shift, rival.suspects, rival.amounts),
+            q.columns_at(rival.shift, rival.suspects, rival.amounts),
+            q.slopes(rival.shift, rival.suspects, rival.amounts),
         ]
     )
     both = np.hstack([columns, gap[:, None]])

@@ -156,7 +156,7 @@ class Inquiry:
         """
         amounts = np.array(start or [0.0] * len(suspects), dtype=np.float64)
         at = self.base if near is None else near
-        columns = self.columns if at is self.base else self._columns_near(at)
+        columns = self.columns if at is self.base else self.columns_near(at)
         # An amount on top of constants that have already given way may lead far astray; the
         # descent moves both, and gets there from a smaller one.
         for _ in range(_SMALLER):
@@ -174,10 +174,10 @@ class Inquiry:
             )
         return found
 
-    def _columns_near(self, state: State) -> Array:
+    def columns_near(self, state: State) -> Array:
         """Signatures of the constants at a state; those of the last one asked for are kept."""
         if self._near is None or self._near[0] is not state:
-            self._near = (state, self._columns_at(state.shift, state.suspects, state.amounts))
+            self._near = (state, self.columns_at(state.shift, state.suspects, state.amounts))
         return self._near[1]
 
     def fit_afresh(self, suspects: Sequence[Suspect], start: Sequence[float] = ()) -> State:
@@ -188,12 +188,12 @@ class Inquiry:
     def fit_from(self, shift: Array, suspects: Sequence[Suspect], start: Sequence[float]) -> State:
         """Return what `fit` gives when it starts from given constants, in sd."""
         amounts = _bounded(suspects, np.array(start, dtype=np.float64))
-        return self._descend(shift, suspects, amounts, self._columns_at(shift, suspects, amounts))
+        return self._descend(shift, suspects, amounts, self.columns_at(shift, suspects, amounts))
 
     def polish(self, state: State, rounds: int = 3) -> State:
         """Fit again from a state, with signatures of the constants taken there."""
         for _ in range(rounds):
-            columns = self._columns_at(state.shift, state.suspects, state.amounts)
+            columns = self.columns_at(state.shift, state.suspects, state.amounts)
             better = self._descend(state.shift, state.suspects, state.amounts, columns)
             gained = state.cost - better.cost
             if gained > -1e-9:
@@ -205,10 +205,11 @@ class Inquiry:
     def _recalibrate(self) -> State:
         state = self._descend(np.zeros(len(self.names)), (), np.empty(0), self.stated_columns)
         state = self.polish(state, 6)
-        self.columns = self._columns_at(state.shift, (), np.empty(0))
+        self.columns = self.columns_at(state.shift, (), np.empty(0))
         return state
 
-    def _columns_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
+    def columns_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
+        """Signatures of the constants, shape (rows, constants), with suspects in force."""
         active = self.found(shift, suspects, amounts)
         c = self.constants(shift)
         names, columns = constant_columns(self.model, c, active, self.data.constants)
@@ -232,9 +233,9 @@ class Inquiry:
         stale = True
         for _ in range(_ROUNDS):
             if stale:
-                columns = np.hstack([constants, self._slopes(shift, suspects, amounts)])
-                matrix, right = self._normal(columns, residual, shift)
-            beta = _solved(matrix, right, damping)
+                columns = np.hstack([constants, self.slopes(shift, suspects, amounts)])
+                matrix, right = self.normal(columns, residual, shift)
+            beta = solved(matrix, right, damping)
             new_shift = shift + beta[:n]
             new_amounts = _bounded(suspects, amounts + beta[n:])
             trial, trial_cost = self._at(new_shift, suspects, new_amounts)
@@ -248,6 +249,14 @@ class Inquiry:
             if gain < max(0.2, 1e-4 * cost):
                 break
         return State(shift, tuple(suspects), amounts, residual, cost, _covariance(matrix))
+
+    def state(
+        self, shift: Array, suspects: Sequence[Suspect], amounts: Array, like: State
+    ) -> State:
+        """Return the state at given constants and amounts, with the covariance of another."""
+        amounts = _bounded(suspects, amounts)
+        residual, cost = self._at(shift, suspects, amounts)
+        return State(shift, tuple(suspects), amounts, residual, cost, like.cover)
 
     def _at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> tuple[Array, float]:
         residual = self.residual_at(shift, suspects, amounts)
@@ -269,7 +278,7 @@ class Inquiry:
                 total += float(self.noise.solve(trial, residual[rows][:, None])[0][0, 0])
         return total
 
-    def _slopes(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
+    def slopes(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
         """Signatures of the suspects in force, at their present amounts."""
         made = np.zeros((len(self.rows), len(suspects)))
         c = self.constants(shift)
@@ -291,7 +300,7 @@ class Inquiry:
             made[:, j] = self.model.stacked({k: (a[k] - b[k]) / span for k in there})
         return np.nan_to_num(made)
 
-    def _normal(self, columns: Array, residual: Array, shift: Array) -> tuple[Array, Array]:
+    def normal(self, columns: Array, residual: Array, shift: Array) -> tuple[Array, Array]:
         """Matrix and right side of the normal equations, the constants' prior included."""
         n = len(self.names)
         width = columns.shape[1]
@@ -355,7 +364,7 @@ def _scale(matrix: Array) -> Array:
     return np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
 
 
-def _solved(matrix: Array, right: Array, damping: float) -> Array:
+def solved(matrix: Array, right: Array, damping: float) -> Array:
     """Step of the damped normal equations (Marquardt)."""
     unit = _scale(matrix)
     stiff = matrix / unit / unit[:, None] + (damping + 1e-12) * np.eye(len(unit))

@@ -45,14 +45,42 @@ def true_length(points: Points, active: Active, c: PlantConstants) -> Array:
         elif name == "mounting":
             here = points.held & (points.mounting == int(shape["number"]))
             length = length + np.where(here, amount * 1e-3, 0.0)
-        elif name in _CAMERA:
-            length = length + np.where(
-                points.held, 0.0, _true_minus_read(name, amount, shape, points, c)
-            )
-    return length
+        elif name == "camera_delay":
+            late = moved(points, points.length, amount * 1e-3) - points.length
+            length = length + np.where(points.held, 0.0, late)
+    maps = [one for one in active if one[0] in CAMERA_MAPS]
+    return np.where(points.held, length, _behind(length, maps, c)) if maps else length
 
 
-_CAMERA = ("camera_scale", "camera_distortion", "camera_delay", "camera_zero")
+CAMERA_MAPS = ("camera_scale", "camera_distortion", "camera_zero")
+"""Effects by which a camera shows another length than there is, the same at all times."""
+_INVERTED = 5
+_LEAST_SLOPE = 0.25
+
+
+def _behind(read: Array, maps: Active, c: PlantConstants) -> Array:
+    """True length in m that a camera shows as `read`: Newton's method, the slope kept positive.
+
+    A lens bends what is there, not what it shows; far out the two differ.
+    """
+
+    def error(length: Array) -> Array:
+        made = np.zeros(len(length))
+        for name, _, amount, shape in maps:
+            made += read_minus_true(name, amount, shape, length, c)
+        return made
+
+    true = read - error(read)
+    for _ in range(_INVERTED if any(one[0] == "camera_distortion" for one in maps) else 1):
+        at = error(true)
+        slope = 1.0 + (error(true + 1e-6) - at) / 1e-6
+        true = true - (true + at - read) / np.maximum(slope, _LEAST_SLOPE)
+    return np.asarray(true)
+
+
+def _reference(c: PlantConstants) -> float:
+    """Length in m that headline parameters are stated at: 60 mm of the usual braid."""
+    return 0.06 * c.braid_length_m / _REFERENCE_BRAID_M
 
 
 def _middle(c: PlantConstants) -> float:
@@ -73,16 +101,8 @@ def read_minus_true(
         share = (length - c.length_min_m) / (2.0 * half)
     else:
         share = (length - _middle(c)) / half
-    return np.asarray(amount * 1e-3 * np.sign(share) * np.abs(share) ** shape.get("power", 3.0)
-                      if shape.get("power", 3.0) != 2.0 else amount * 1e-3 * share**2)  # fmt: skip
-
-
-def _true_minus_read(
-    name: str, amount: float, shape: Shape, points: Points, c: PlantConstants
-) -> Array:
-    if name == "camera_delay":
-        return moved(points, points.length, amount * 1e-3) - points.length
-    return -read_minus_true(name, amount, shape, points.length, c)
+    bend = np.abs(share) ** shape.get("power", 3.0)
+    return np.asarray(amount * 1e-3 * (bend if "even" in shape else np.sign(share) * bend))
 
 
 def true_pressure(points: Points, active: Active) -> Array:
@@ -151,7 +171,7 @@ def _end_cap(length: Array, shape: Shape, c: PlantConstants) -> Array:
     grow = shape["grow"]
     if grow == 0.0:
         return np.ones(len(length))
-    at = 0.06 * c.braid_length_m / _REFERENCE_BRAID_M
+    at = _reference(c)
     if grow < 0.0:
         return length / at
     rest = 1.02 * c.length_max_m
@@ -172,7 +192,7 @@ def _bladder(
     rest = shape["rest"] * context.constants.braid_length_m
     stretch = (length - rest) * 1e3
     if "cubic" in shape:
-        at = (0.06 * context.constants.braid_length_m / _REFERENCE_BRAID_M - rest) * 1e3
+        at = (_reference(context.constants) - rest) * 1e3
         scale = 8.0
         return (stretch + (stretch / scale) ** 3 * scale) / (1.0 + 3.0 * (at / scale) ** 2)
     return stretch
@@ -300,7 +320,10 @@ def load_pull(points: Points, active: Active, context: Context) -> Array:
     friction = np.zeros(len(mass))
     for name, _, amount, shape in active:
         if name == "payload":
-            mass = mass + amount
+            # What hangs along (a hose, a guide) may weigh more the higher it is lifted.
+            lifted = (_reference(context.constants) - points.length) * 1e3
+            share = lifted / shape["lifted_mm"] if "lifted_mm" in shape else 0.0
+            mass = mass + amount * (1.0 + share)
         elif name == "link_friction":
             friction = friction + amount * _slide(points, shape)
     damping = context.constants.load_damping_n_s_m * points.rate
@@ -314,5 +337,8 @@ def _slide(points: Points, shape: Shape) -> Array:
         travel = points.length / (shape["travel_mm"] * 1e-3)
         history.slip(points.first, np.ascontiguousarray(travel), slip)
     else:
-        slip = np.tanh(points.rate * 1e3 / shape["knee_mm_s"])
+        speed = points.rate * 1e3
+        slip = np.tanh(speed / shape["knee_mm_s"])
+        if "fall_mm_s" in shape:  # Stribeck's part, gone at speed
+            slip = slip * np.exp(-((speed / shape["fall_mm_s"]) ** 2))
     return np.where(points.direction != 0.0, -points.direction, slip)

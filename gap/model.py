@@ -87,7 +87,7 @@ class Model:
         true = laws.true_length(points, active, c)
         shown = true
         for name, _, amount, shape in active:
-            if name in ("camera_scale", "camera_distortion", "camera_zero"):
+            if name in laws.CAMERA_MAPS:
                 shown = shown + laws.read_minus_true(name, amount, shape, true, c)
         return points.reading - shown
 

@@ -18,6 +18,7 @@ from gap.evidence import SLACK, projected
 from gap.further import apart, counts, excess, plea
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
+from gap.shaping import shaped
 from gap.suspects import Suspect
 from plant.catalogue import CATALOGUE
 from plant.constants import KEYS
@@ -38,6 +39,9 @@ BENT = 2.2
 """Shift of a constant, in sd, from which an effect may have bent the recalibration."""
 EDGES = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
 _REFINED = 7
+_SHAPED = 3
+NEAR = 4.0
+"""Shapes are fitted for the best few that leave less than so many times more than the best."""
 _ELSEWHERE = 4
 _CLOCKS_MS = (8.0, 20.0, 45.0, 80.0, 120.0, 170.0, 230.0, 300.0, 380.0, 480.0)
 _SHAPES = 2
@@ -122,7 +126,7 @@ def name_effects(q: Inquiry) -> Naming:
             refine(q, state, keys, key, gains, amounts, fresh if step == 0 else None)
             for key in dict.fromkeys([*_candidates(q, state, top, best), *bent])
         ]
-        tried.sort(key=lambda choice: choice.cost)
+        tried = _with_free_shapes(q, tried)
         fit = [choice for choice in tried if _counts(q, naming, state, choice)]
         if step:
             best_of = (fit or tried)[0]
@@ -136,18 +140,30 @@ def name_effects(q: Inquiry) -> Naming:
         naming.steps.append((tried[0].keys[-1], state.cost - tried[0].cost))
         naming.chosen = tried[0]
         naming.rivals = [choice for choice in tried[1:] if not step or choice in fit]
-        state = q.polish(tried[0].state)
+        state = q.polish(shaped(q, q.polish(tried[0].state)))
         naming.chosen = Choice(tried[0].keys, state)
         keys = tried[0].keys
         gains, amounts = linear_gains(q, state)
         flexed = _flexed(q, naming.chosen, gains, amounts, naming.excess)
         if flexed is not None:
-            naming.chosen = flexed
-            state = flexed.state
+            state = shaped(q, flexed.state)
+            naming.chosen = Choice(keys, state)
             gains, amounts = linear_gains(q, state)
     naming.left = excess(q, state)
     naming.last_gain = _by_key(q, gains)
     return naming
+
+
+def _with_free_shapes(q: Inquiry, tried: list[Choice]) -> list[Choice]:
+    """Best first, the leading ones with shapes fitted: none shall lead by its number's luck."""
+    tried = sorted(tried, key=lambda choice: choice.cost)
+    near = tried[0].cost + NEAR * max(tried[0].cost - len(q.rows), 0.0)
+    made = [
+        Choice(choice.keys, shaped(q, choice.state)) if at < _SHAPED and choice.cost <= near
+        else choice
+        for at, choice in enumerate(tried)
+    ]  # fmt: skip
+    return sorted(made, key=lambda choice: choice.cost)
 
 
 def _candidates(q: Inquiry, state: State, top: list[str], best: dict[str, float]) -> list[str]:
@@ -316,15 +332,21 @@ def _start(suspect: Suspect, amount: float) -> float:
     return max(amount, 0.0) if suspect.sign else amount
 
 
+_ONE_SHAPE = ("polytropic", "supply_droop")
+"""Effects whose shapes are states of the gas: two at once mean nothing."""
+
+
 def _flexed(q: Inquiry, choice: Choice, gains: Array, amounts: Array, gap: float) -> Choice | None:
     """Let the last effect use a second shape where that takes a visible share of the gap."""
     key = choice.keys[-1]
+    if key in _ONE_SHAPE:
+        return None
     used = {id(suspect) for suspect in choice.state.suspects}
     at = [j for j, s in enumerate(q.suspects) if s.key == key and id(s) not in used]
     if not at:
         return None
     j = max(at, key=lambda k: gains[k])
-    if gains[j] < max(20.0, 0.01 * gap):
+    if gains[j] < max(20.0, min(0.01 * gap, 0.03 * excess(q, choice.state))):
         return None
     fitted = q.fit(
         [*choice.state.suspects, q.suspects[j]],

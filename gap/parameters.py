@@ -26,20 +26,18 @@ def settled(q: Inquiry, state: State) -> State:
     n = len(q.names)
     columns = np.hstack(
         [
-            q._columns_at(state.shift, state.suspects, state.amounts),
-            q._slopes(state.shift, state.suspects, state.amounts),
+            q.columns_at(state.shift, state.suspects, state.amounts),
+            q.slopes(state.shift, state.suspects, state.amounts),
         ]
     )
-    matrix, right = q._normal(columns, state.residual, state.shift)
+    matrix, right = q.normal(columns, state.residual, state.shift)
     beta = np.linalg.pinv(matrix, hermitian=True, rcond=1e-13) @ right
-    bounds = np.array([s.bounds for s in state.suspects])
     best = state
     for share in (1.0, 0.5):
         shift = state.shift + share * beta[:n]
-        amounts = np.clip(state.amounts + share * beta[n:], bounds[:, 0], bounds[:, 1])
-        residual, cost = q._at(shift, state.suspects, amounts)
-        if cost < best.cost:
-            best = State(shift, state.suspects, amounts, residual, cost, state.cover)
+        moved = q.state(shift, state.suspects, state.amounts + share * beta[n:], state)
+        if moved.cost < best.cost:
+            best = moved
             break
     cover = np.asarray(np.linalg.pinv(matrix, hermitian=True, rcond=1e-13))
     return State(best.shift, best.suspects, best.amounts, best.residual, best.cost, cover)

@@ -37,6 +37,12 @@ class Suspect:
     option: str = ""
 
     @property
+    def free(self) -> Mapping[str, tuple[float, float]]:
+        """Numbers of its shape that a fit may move, with the range of each."""
+        table = _FREE.get(self.id, {})
+        return {key: table[key] for key in self.shape if key in table and "even" not in self.shape}
+
+    @property
     def defect(self) -> bool:
         """Whether it is a defect of the recording, not an effect of the catalogue."""
         return self.id not in CATALOGUE
@@ -65,6 +71,24 @@ class Suspect:
         return f"{self.id}:{self.option}" if self.option else self.id
 
 
+_FREE: dict[str, dict[str, tuple[float, float]]] = {
+    "liner_threshold": {"width_kpa": (3.0, 150.0)},
+    "bladder_elasticity": {"rest": (0.45, 0.95)},
+    "contraction_limit": {"decay_mm": (0.3, 8.0)},
+    "fibre_stretch": {"power": (0.3, 2.0)},
+    "braid_friction": {"kpa": (3.0, 300.0), "mm": (0.03, 5.0)},
+    "viscosity": {"knee_mm_s": (3.0, 150.0), "power": (0.3, 1.0)},
+    "creep": {"tau_s": (0.5, 400.0)},
+    "dead_volume": {"line_s": (0.001, 0.3)},
+    "polytropic": {"heat_s": (0.05, 30.0)},
+    "supply_droop": {"tau_s": (0.005, 6.0)},
+    "link_friction": {
+        "knee_mm_s": (0.05, 30.0), "travel_mm": (0.02, 3.0), "fall_mm_s": (1.0, 30.0),
+    },
+    "camera_distortion": {"power": (1.5, 6.0)},
+    "wear": {"power": (0.3, 3.0)},
+}
+"""Numbers of shapes that are fitted, with what a bench could have."""
 _MUSCLE = ("force", "load")
 _GAS = ("pressure",)
 _ALL = ("pressure", "force", "load", "camera")
@@ -143,9 +167,9 @@ def _make() -> tuple[Suspect, ...]:
     made += _shapes(
         "link_friction", 0.5, 1, ("load",),
         {"knee_mm_s": 0.3}, {"knee_mm_s": 2.0}, {"knee_mm_s": 10.0}, {"travel_mm": 0.1},
-        {"travel_mm": 0.5},
+        {"travel_mm": 0.5}, {"knee_mm_s": 0.3, "fall_mm_s": 4.0},
     )  # fmt: skip
-    made += _shapes("payload", 0.02, 0, ("load",))
+    made += _shapes("payload", 0.02, 0, ("load",), {}, {"lifted_mm": 20.0})
     made += _shapes("pressure_zero", 1.0, 0, ("pressure", *_MUSCLE))
     made += _shapes("pressure_gain", 0.5, 0, ("pressure", *_MUSCLE))
     made += _shapes("pressure_lag", 2.0, 1, ("pressure", *_MUSCLE))
@@ -159,7 +183,7 @@ def _make() -> tuple[Suspect, ...]:
         0,
         _ALL,
         {"power": 3.0},
-        {"power": 2.0},
+        {"power": 2.0, "even": 1.0},
         {"power": 3.0, "edge": 1.0},
     )
     made += _shapes("camera_delay", 4.0, 0, ("pressure", *_MUSCLE))
