@@ -60,6 +60,26 @@ def best_rivals(
     return found
 
 
+LEAST_ALIKE = 0.03
+
+
+def fitted_rivals(
+    one: Hidden, rivals: list[Hidden], along: Floats, recalibration: Recalibration
+) -> list[tuple[float, tuple[str, ...]]]:
+    """The nearest rival and those of its own family, each fitted at the size it needs."""
+    asked: dict[str, Hidden] = {}
+    nearest: str | None = None
+    for i in np.argsort(-(along**2)).tolist():
+        rival = rivals[i]
+        if rival.id == one.id or rival.entry.parameter is None or along[i] ** 2 < LEAST_ALIKE:
+            continue
+        nearest = nearest or label(rival)
+        kin = rival.entry.family == one.entry.family and rival.variant in (None, one.variant)
+        if kin or label(rival) == nearest:
+            asked.setdefault(label(rival), rival)
+    return [(recalibration.stand_in([one], rival), (name,)) for name, rival in asked.items()]
+
+
 def family_reach(target: Floats, rivals: list[Hidden], unit: Floats, ids: set[str]) -> float:
     """Share that the plainest forms of the entries themselves take together, at best."""
     keep = [i for i, r in enumerate(rivals) if r.id in ids and r.form == 0]
@@ -70,7 +90,8 @@ def measure(recalibration: Recalibration, hidden: list[Hidden]) -> dict[str, obj
     """Gap over floor, mimics and reach of the hidden effects together, as plain numbers.
 
     `mimic_index` is the largest share of any one hidden effect (clear of the others) that one or
-    two other entries take; `reach` what the plainest forms of the hidden effects close. For an
+    two other entries take, by signatures of a usual size, or fitted where one effect is hidden
+    alone; `reach` what the plainest forms of the hidden effects close. For an
     effect outside the catalogue `mimic_index` is what the catalogue closes.
     """
     rivals, unit = recalibration.rival_signatures()
@@ -87,6 +108,8 @@ def measure(recalibration: Recalibration, hidden: list[Hidden]) -> dict[str, obj
             basis = np.linalg.qr(unit[:, others])[0]
             target = bare - basis @ (basis.T @ bare)
         found = best_rivals(target, rivals, unit, ids)
+        if len(hidden) == 1:
+            found += fitted_rivals(one, rivals, unit.T @ target, recalibration)
         ratio = recalibration.ratio(alone)
         members.append(
             {

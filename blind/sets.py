@@ -18,7 +18,7 @@ from blind.design import Design, draw_design
 from blind.entries import CATALOGUE, ENTRIES, OUTSIDE, Hidden, draw
 from blind.mimic import measure
 from blind.noise import Noise, draw_noise
-from blind.recalibrate import Recalibration
+from blind.recalibrate import Recalibration, scaled
 from blind.stepping import OUT_FALL
 
 Rng = np.random.Generator
@@ -104,16 +104,10 @@ def sized(hidden: Hidden, aim: float, recalibration: Recalibration, design: Desi
     if hidden.entry.parameter is None:
         return hidden
 
-    def scaled(factor: float) -> Hidden:
-        shape = hidden.shape
-        if hidden.id == "supply_droop":  # its flow gain carries it
-            shape = (shape[0] * factor, *shape[1:])
-        return replace(hidden, strength=hidden.strength * factor, shape=shape)
-
     low, high = 1e-3, hidden.entry.limit / abs(hidden.strength)
     factor, best, miss = min(1.0, high), hidden, np.inf
     for _ in range(12):
-        one = scaled(factor)
+        one = scaled(hidden, factor)
         left = recalibration.left_of([one])
         ratio = max(recalibration.ratio(left)["gap_over_floor"], 1e-9)
         off = float(np.log(ratio / aim)) - ABOVE

@@ -44,7 +44,9 @@ def shaped(q: Inquiry, state: State) -> State:
     damping = 1e-4
     for _ in range(_ROUNDS):
         at = _numbers(state.suspects, free)
-        slopes = np.hstack([q.slopes(state.shift, state.suspects, state.amounts), _slopes(q, state, free)])
+        slopes = np.hstack(
+            [q.slopes(state.shift, state.suspects, state.amounts), _slopes(q, state, free)]
+        )
         matrix, right = q.normal(np.hstack([constants, slopes]), state.residual, state.shift)
         last = range(len(matrix) - len(free), len(matrix))
         matrix[last, last] += 1.0 / _LOOSE**2

@@ -83,7 +83,9 @@ _FREE: dict[str, dict[str, tuple[float, float]]] = {
     "polytropic": {"heat_s": (0.05, 30.0)},
     "supply_droop": {"tau_s": (0.005, 6.0)},
     "link_friction": {
-        "knee_mm_s": (0.05, 30.0), "travel_mm": (0.02, 3.0), "fall_mm_s": (1.0, 30.0),
+        "knee_mm_s": (0.05, 30.0),
+        "travel_mm": (0.02, 3.0),
+        "fall_mm_s": (1.0, 30.0),
     },
     "camera_distortion": {"power": (1.5, 6.0)},
     "wear": {"power": (0.3, 3.0)},
