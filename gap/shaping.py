@@ -70,7 +70,7 @@ def shaped(q: Inquiry, state: State) -> State:
 
 
 def _numbers(suspects: Sequence[Suspect], free: list[tuple[int, str]]) -> Array:
-    return np.log(np.array([suspects[j].shape[key] for j, key in free]))
+    return np.asarray(np.log([suspects[j].shape[key] for j, key in free]))
 
 
 def _prior(state: State, free: list[tuple[int, str]], start: Array) -> float:
