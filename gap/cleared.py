@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
-from gap.further import PLAINLY_SEEN, apart, excess, seen
+from gap.further import PLAINLY_SEEN, apart, excess, plain, seen
 from gap.inquiry import Inquiry, State
 from gap.naming import PLAIN, Choice, Naming, name_effects
 from gap.shrink import Held, held_out
@@ -118,6 +118,8 @@ def _needed(q: Inquiry, naming: Naming) -> Naming:
             if suspect.key != keys[-1]
         ]
         less = q.polish(q.fit([s for s, _ in pairs], [a for _, a in pairs], state))
+        if plain(q, naming.excess, less, gain):
+            break  # it may show in few slots only, where no mean over slots is certain
         part = gain < FORM * max(q.base.cost - state.cost, 1.0)
         exact = excess(q, less) < 2.0 * np.sqrt(2.0 * len(q.rows))
         mends = part and not (elsewhere or exact) and seen(q, less, state) < PLAINLY_SEEN

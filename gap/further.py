@@ -25,6 +25,9 @@ PLAIN_SHARE = 0.1
 PLAIN_OF_LEFT = 0.6
 """Gain, share of the gap and share of what is left from which less over the floor will do:"""
 PLAIN_SEEN = 0.4
+AT_THE_END = 2.9
+BACK = 2.4
+"""Shift of a constant, in sd, that an effect left out may have bent, and that none has to have."""
 _LEAST_NEXT = 40.0
 
 
@@ -62,17 +65,17 @@ def counts(q: Inquiry, gap: float, alarm: float, before: State, key: str, after:
     if gain < max(_LEAST_NEXT, alarm):
         return False
     visible = seen(q, before, after)
-    if visible > PLAIN_SEEN and _plain(q, gap, before, gain):
+    if visible > PLAIN_SEEN and plain(q, gap, before, gain):
         return True
     if visible <= SEEN_NEXT:
         return False
     return apart(q, before, key) or _worth(q, gap, alarm, before, after)
 
 
-def _plain(q: Inquiry, gap: float, before: State, gain: float) -> bool:
+def plain(q: Inquiry, gap: float, before: State, gain: float) -> bool:
     """Whether it takes most of what is left, and much of the gap.
 
-    Such an effect may show in few moments only, as a valve's does, and stand less high over a
+    `gap` is the whitened gap beyond noise at the base. Such an effect may show in few moments only, as a valve's does, and stand less high over a
     floor that is a mean over all of them.
     """
     return gain > max(PLAIN_GAIN, PLAIN_SHARE * gap, PLAIN_OF_LEFT * excess(q, before))
@@ -93,10 +96,24 @@ def _worth(q: Inquiry, gap: float, alarm: float, before: State, after: State) ->
         return True  # nothing is left of the first effect that a second could mend
     if visible > FAR_ABOVE and gain > 0.15 * left:
         return True
+    if visible > PLAINLY_SEEN and gain > 0.2 * left:
+        return True
+    if gain > max(PLAIN_GAIN, PLAIN_OF_LEFT * left) and _unbends(before, after):
+        return True
     if gain < 0.35 * left:
         return False
     large = left > 0.02 / 0.35 * gap
     return visible > PLAINLY_SEEN or large
+
+
+def _unbends(before: State, after: State) -> bool:
+    """Whether constants that stood at the end of their tolerance come back from it."""
+    return most_bent(before) > AT_THE_END > BACK > most_bent(after)
+
+
+def most_bent(state: State) -> float:
+    """Largest shift of a constant, in sd."""
+    return float(np.abs(state.shift).max(initial=0.0))
 
 
 def plea(

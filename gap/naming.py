@@ -18,7 +18,7 @@ from gap.evidence import SLACK, projected
 from gap.further import apart, counts, excess, plea
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
-from gap.shaping import shaped
+from gap.shaping import fits, shaped
 from gap.suspects import Suspect
 from plant.catalogue import CATALOGUE
 from plant.constants import KEYS
@@ -126,7 +126,7 @@ def name_effects(q: Inquiry) -> Naming:
             refine(q, state, keys, key, gains, amounts, fresh if step == 0 else None)
             for key in dict.fromkeys([*_candidates(q, state, top, best), *bent])
         ]
-        tried = _with_free_shapes(q, tried)
+        tried = _with_free_shapes(q, state, tried, gains, amounts)
         fit = [choice for choice in tried if _counts(q, naming, state, choice)]
         if step:
             best_of = (fit or tried)[0]
@@ -149,21 +149,48 @@ def name_effects(q: Inquiry) -> Naming:
             state = shaped(q, flexed.state)
             naming.chosen = Choice(keys, state)
             gains, amounts = linear_gains(q, state)
+        one = _one_for_two(q, naming)
+        if one is not None:
+            naming.steps[-2:] = [(one.keys[-1], naming.steps[-2][1] + naming.steps[-1][1])]
+            naming.chosen, naming.rivals = one, [c for c in naming.rivals if c.keys != one.keys]
+            keys, state = one.keys, one.state
+            gains, amounts = linear_gains(q, state)
     naming.left = excess(q, state)
     naming.last_gain = _by_key(q, gains)
     return naming
 
 
-def _with_free_shapes(q: Inquiry, tried: list[Choice]) -> list[Choice]:
+def _with_free_shapes(
+    q: Inquiry, before: State, tried: list[Choice], gains: Array, amounts: Array
+) -> list[Choice]:
     """Best first, the leading ones with shapes fitted: none shall lead by its number's luck."""
     tried = sorted(tried, key=lambda choice: choice.cost)
     near = tried[0].cost + NEAR * max(tried[0].cost - len(q.rows), 0.0)
     made = [
-        Choice(choice.keys, shaped(q, choice.state)) if at < _SHAPED and choice.cost <= near
+        _in_best_form(q, before, choice, gains, amounts) if at < _SHAPED and choice.cost <= near
         else choice
         for at, choice in enumerate(tried)
     ]  # fmt: skip
     return sorted(made, key=lambda choice: choice.cost)
+
+
+def _in_best_form(
+    q: Inquiry, before: State, choice: Choice, gains: Array, amounts: Array
+) -> Choice:
+    """The last effect in the form that leaves least once its numbers are fitted."""
+    best = shaped(q, choice.state)
+    last = choice.state.suspects[-1]
+    asked = {frozenset(last.shape)}
+    for j in np.argsort(-gains).tolist():
+        suspect = q.suspects[j]
+        form = frozenset(suspect.shape)
+        if suspect.key != choice.keys[-1] or form in asked or fits(q, best):
+            continue
+        asked.add(form)
+        start = [*before.amounts, _start(suspect, amounts[j])]
+        other = shaped(q, q.fit([*before.suspects, suspect], start, before))
+        best = min(best, other, key=lambda state: state.cost)
+    return Choice(choice.keys, best)
 
 
 def _candidates(q: Inquiry, state: State, top: list[str], best: dict[str, float]) -> list[str]:
@@ -354,6 +381,34 @@ def _flexed(q: Inquiry, choice: Choice, gains: Array, amounts: Array, gap: float
         choice.state,
     )
     return Choice(choice.keys, fitted) if fitted.cost < choice.cost - 15.0 else None
+
+
+def _one_for_two(q: Inquiry, naming: Naming) -> Choice | None:
+    """The last effect alone where it does without the one before it, of its own family.
+
+    An effect in a form of its own may be begun by a relative, and only then be seen itself.
+    """
+    keys = naming.chosen.keys
+    if len(keys) < 2 or _family(keys[-1]) != _family(keys[-2]) or keys[-1] == keys[-2]:
+        return None
+    state = naming.chosen.state
+    others = [(s, a) for s, a in zip(state.suspects, state.amounts, strict=True)
+              if s.key not in keys[-2:]]  # fmt: skip
+    below = q.base if not others else q.fit([s for s, _ in others], [float(a) for _, a in others])
+    gains, amounts = linear_gains(q, below)
+    alone = refine(q, below, keys[:-2], keys[-1], gains, amounts)
+    alone = _in_best_form(q, below, alone, gains, amounts)
+    gains, amounts = linear_gains(q, alone.state)
+    flexed = _flexed(q, alone, gains, amounts, naming.excess)
+    if flexed is not None:
+        alone = Choice(alone.keys, q.polish(shaped(q, flexed.state)))
+    needed = counts(q, naming.excess, naming.alarm, alone.state, keys[-2], state)
+    return None if needed else alone
+
+
+def _family(key: str) -> str:
+    name = key.partition(":")[0]
+    return CATALOGUE[name].family if name in CATALOGUE else name
 
 
 def why_not(q: Inquiry, naming: Naming, named: set[str]) -> dict[str, str]:

@@ -29,6 +29,12 @@ _FITS = 1.0
 """What may be left, in sd of chance, of an explanation that needs no better shape."""
 
 
+def fits(q: Inquiry, state: State) -> bool:
+    """Whether a state leaves no more than chance does."""
+    rows = len(q.rows)
+    return state.cost < rows + _FITS * np.sqrt(2.0 * rows)
+
+
 def shaped(q: Inquiry, state: State) -> State:
     """The state with the free numbers of its suspects' shapes fitted too.
 
@@ -36,8 +42,7 @@ def shaped(q: Inquiry, state: State) -> State:
     range. Returns `state` itself where nothing is free, or where it leaves no more than chance.
     """
     free = [(j, key) for j, s in enumerate(state.suspects) for key in s.free]
-    rows = len(q.rows)
-    if not free or state.cost < rows + _FITS * np.sqrt(2.0 * rows):
+    if not free or fits(q, state):
         return state
     start = _numbers(state.suspects, free)
     constants = q.columns_near(state)
