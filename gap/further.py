@@ -75,8 +75,8 @@ def counts(q: Inquiry, gap: float, alarm: float, before: State, key: str, after:
 def plain(q: Inquiry, gap: float, before: State, gain: float) -> bool:
     """Whether it takes most of what is left, and much of the gap.
 
-    `gap` is the whitened gap beyond noise at the base. Such an effect may show in few moments only, as a valve's does, and stand less high over a
-    floor that is a mean over all of them.
+    `gap` is the whitened gap beyond noise at the base. Such an effect may show in few moments
+    only, as a valve's does, and stand less high over a floor that is a mean over all of them.
     """
     return gain > max(PLAIN_GAIN, PLAIN_SHARE * gap, PLAIN_OF_LEFT * excess(q, before))
 

@@ -32,7 +32,7 @@ _FITS = 1.0
 def fits(q: Inquiry, state: State) -> bool:
     """Whether a state leaves no more than chance does."""
     rows = len(q.rows)
-    return state.cost < rows + _FITS * np.sqrt(2.0 * rows)
+    return bool(state.cost < rows + _FITS * np.sqrt(2.0 * rows))
 
 
 def shaped(q: Inquiry, state: State) -> State:
