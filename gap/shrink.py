@@ -259,7 +259,31 @@ def improved_plant(q: Inquiry, state: State) -> str:
             elif key in known:
                 value = min(max(value, known[key].low), known[key].high)
                 lines.append(f"{key} = {value:.6g}")
+        for key, value in _shape(q, state, name).items():
+            value = min(max(value, known[key].low), known[key].high)
+            lines.append(f"{key} = {value:.4g}")
     return "\n".join(lines) + "\n"
+
+
+_SAME_NUMBER = {
+    "liner_threshold": {"width_kpa": "width_kpa"},
+    "contraction_limit": {"decay_mm": "scale_mm"},
+    "braid_friction": {"kpa": "travel_kpa", "mm": "travel_mm"},
+    "viscosity": {"power": "exponent", "pressure": "pressure_share"},
+    "link_friction": {"travel_mm": "travel_mm"},
+}
+"""Numbers of a fitted shape that the plant's own form of the effect has too."""
+
+
+def _shape(q: Inquiry, state: State, name: str) -> dict[str, float]:
+    """Shape parameters of the plant's form of an effect, where its fitted shape says them."""
+    own = [(abs(a), s) for s, a in zip(state.suspects, state.amounts, strict=True) if s.id == name]
+    shape = max(own, key=lambda one: one[0])[1].shape
+    known = _SAME_NUMBER.get(name, {})
+    made = {known[key]: value for key, value in shape.items() if key in known}
+    if name == "bladder_elasticity":
+        made["rest_mm"] = shape["rest"] * q.constants(state.shift).braid_length_m * 1e3
+    return made
 
 
 def _toml(value: object) -> str:
