@@ -105,7 +105,11 @@ class Inquiry:
         self.units = self._units()
         self._near: tuple[State, Array] | None = None
         self._signed: tuple[State, tuple[Suspect, ...], Array] | None = None
-        self.base = self._recalibrate()
+        self.base = self._recalibrate(np.zeros(len(self.names)))
+        # Replicates that a controller made are not alike in time: what the plant as stated misses
+        # differs between them, and would be taken for noise.
+        self.noise = learn_noise(self.model, self.constants(self.base.shift), self.base.residual)
+        self.base = self._recalibrate(self.base.shift)
         self.floor_variance = self.noise.variance()
 
     def _residual(self, c: PlantConstants, active: Active) -> Array:
@@ -202,9 +206,8 @@ class Inquiry:
                 break
         return state
 
-    def _recalibrate(self) -> State:
-        state = self._descend(np.zeros(len(self.names)), (), np.empty(0), self.stated_columns)
-        state = self.polish(state, 6)
+    def _recalibrate(self, shift: Array) -> State:
+        state = self.polish(self._descend(shift, (), np.empty(0), self.stated_columns), 6)
         self.columns = self.columns_at(state.shift, (), np.empty(0))
         return state
 

@@ -67,8 +67,12 @@ def write_set(
     seed: int = 0,
     replicates: int = 3,
     overrides: Mapping[str, Any] | None = None,
+    late_s: float = 0.0,
 ) -> Path:
-    """Write a data set in the EXCHANGE form with `effects` of the plant switched on."""
+    """Write a data set in the EXCHANGE form with `effects` of the plant switched on.
+
+    Each replicate's commands come `late_s` later than those of the one before it.
+    """
     rng = np.random.default_rng(seed)
     constants = _drawn(rng)
     on = Effects.from_config(effects)
@@ -79,7 +83,7 @@ def write_set(
     for order, (slot, replicate) in enumerate(runs):
         protocol, length, mass, source, events, duration = PLAN[slot]
         name = f"t{order:02d}"
-        inputs = commands(events)
+        inputs = commands([(at + late_s * replicate, *to) for at, *to in events])
         truth = run_commands(
             constants, inputs, duration, 1000.0, on, source=source, load="isotonic" if mass else
             "isometric", length_m=length * 1e-3, mass_kg=mass or 1.0,

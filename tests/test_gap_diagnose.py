@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from gap.diagnose import diagnose
+from gap.inquiry import Inquiry
 from gap.reader import read_dataset
 from gap.verdict import STATUSES
 from gap_bench import write_set
@@ -26,6 +27,16 @@ def test_the_nominal_plant_has_no_gap(nominal_set: Path) -> None:
     assert verdict.status == "no_gap_above_floor"
     assert not verdict.effects
     assert verdict.limits["liner_threshold"] > 0.0
+
+
+def test_replicates_that_are_not_alike_in_time_raise_no_noise(tmp_path: Path) -> None:
+    # As a controller makes them: what constants within their tolerances miss is then not shared.
+    noise = Inquiry(read_dataset(write_set(tmp_path, seed=11, late_s=0.04))).noise
+    scales = (noise.scales[k] for k in ("force gain", "inlet timing", "slow pressure <"))
+    gain_percent, late_ms, slow_kpa = scales
+    assert gain_percent < 1.0  # 0.3 is put in
+    assert late_ms < 0.1
+    assert slow_kpa < 0.06
 
 
 def test_a_liner_is_named_with_its_threshold(tmp_path: Path) -> None:
