@@ -60,7 +60,9 @@ def best_rivals(
     return found
 
 
-LEAST_ALIKE = 0.03
+LEAST_ALIKE = 0.2
+LEAST_ALIKE_IN_TIME = 0.04
+"""Of two effects on the same edge of a valve: their signatures turn with their size."""
 
 
 def fitted_rivals(
@@ -71,10 +73,11 @@ def fitted_rivals(
     nearest: str | None = None
     for i in np.argsort(-(along**2)).tolist():
         rival = rivals[i]
-        if rival.id == one.id or rival.entry.parameter is None or along[i] ** 2 < LEAST_ALIKE:
+        kin = rival.entry.family == one.entry.family and rival.variant in (None, one.variant)
+        least = LEAST_ALIKE_IN_TIME if kin and rival.variant else LEAST_ALIKE
+        if rival.id == one.id or rival.entry.parameter is None or along[i] ** 2 < least:
             continue
         nearest = nearest or label(rival)
-        kin = rival.entry.family == one.entry.family and rival.variant in (None, one.variant)
         if kin or label(rival) == nearest:
             asked.setdefault(label(rival), rival)
     return [(recalibration.stand_in([one], rival), (name,)) for name, rival in asked.items()]

@@ -300,8 +300,9 @@ class Recalibration:
         x, slopes = self._warm[tuple((h.id, h.variant) for h in hidden)]
         whole = float(np.sum((left * w) ** 2) + x @ x)
         column = self.signature(rival)
-        low, high = (-1.0, 1.0) if rival.entry.either_sign else (0.0, 1.0)
         reach = rival.entry.limit / abs(rival.strength)
+        # None at all of some effects is a time constant of zero.
+        low, high = (-1.0, 1.0) if rival.entry.either_sign else (0.05 / reach, 1.0)
 
         def tried(at: Floats) -> tuple[Floats, float]:
             e = no_effect()
@@ -312,22 +313,25 @@ class Recalibration:
                 return signal, np.inf
             return made, float(np.sum((made * w) ** 2) + at[:-1] @ at[:-1])
 
-        # From what is left with the constants moved, and from the whole with the bench's own:
-        # what comes late or early is no multiple of what comes later or earlier still.
+        # From what is left with the constants moved, and from the whole with the bench's own.
         target, bare = self.bare(left), self.bare(column)
-        amount = float(bare @ target) / max(float(bare @ bare), 1e-12)
-        starts = [np.append(x, amount * share) for share in (0.5, 1.0, 2.0)]
-        starts += [
-            np.append(self.shift, sign * share)
-            for share in (0.1, 0.2, 0.4, 0.75, 1.3, 2.2) for sign in (low, high) if sign
-        ]  # fmt: skip
+        starts = [
+            np.append(constants, float(like @ of) / max(float(like @ like), 1e-12))
+            for constants, of, like in ((x, target, bare), (self.shift, signal * w, column * w))
+        ]
+        if rival.entry.stage == "valve":
+            # What comes late or early is no multiple of what comes later or earlier still.
+            starts += [
+                np.append(self.shift, sign * share)
+                for share in (0.1, 0.2, 0.4, 0.75, 1.3, 2.2) for sign in (-1.0, 1.0) if sign >= low
+            ]  # fmt: skip
         for start in starts:
             start[-1] = np.clip(start[-1], low * reach, high * reach)
         at = min(starts, key=lambda start: tried(start)[1])
         left, cost = tried(at)
         slopes = np.column_stack([slopes, column * w])
         damping = 1e-3
-        for _ in range(MOST_STEPS):
+        for _ in range(MOST_STEPS // 2):
             h = slopes.T @ slopes + np.diag(np.append(np.ones(len(x)), 0.0))
             right = slopes.T @ (left * w) - np.append(at[:-1], 0.0)
             step = np.linalg.solve(h + damping * np.diag(np.diag(h)), right)

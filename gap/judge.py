@@ -16,6 +16,7 @@ from gap.advise import advise
 from gap.agreement import repeated
 from gap.belief import learnt
 from gap.cleared import Cleared, cleared
+from gap.further import AT_THE_END
 from gap.inquiry import Inquiry, State
 from gap.mimic import Mimic, Mimicry
 from gap.naming import ALARM, Choice, Naming, why_not
@@ -47,6 +48,10 @@ HALF = 0.5
 FORM_FULL = 0.9
 UNSEEN = 0.2
 COVER = 0.9
+STANDS_OUT = 3.0
+"""Sd of chance by which the gap stands out where a constant is led to the end of its tolerance."""
+SHARED = 4.0
+"""Sd of chance of what is left, and of what replicates share of it, that are no chance."""
 _LEAST = 0.03
 NEEDED_REPLICATES = 3
 
@@ -110,6 +115,14 @@ def _without_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             f"a gap that no entry of the catalogue explains, in the {block} residual",
             none=0.02, unknown=0.98, stage=stage,
         )  # fmt: skip
+    far = _out_of_reach(q, naming)
+    if far is not None:
+        block = _block(held, q.base)
+        return _verdict(
+            q, naming, held, "unknown",
+            f"a gap that no entry of the catalogue explains: {far}", none=0.02, unknown=0.98,
+            stage=_stage_of_block(q, naming, block),
+        )  # fmt: skip
     apart = next((c for c in contrasts_of(q) if c.alarm), None)
     if apart is not None:
         # Replicates far apart in time take a drift for noise; their order tells it.
@@ -127,6 +140,20 @@ def _without_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
         "the plant, recalibrated within its tolerances, agrees with the data to within the floor",
         none=none, unknown=1.0 - none,
     )  # fmt: skip
+
+
+def _out_of_reach(q: Inquiry, naming: Naming) -> str | None:
+    """What shows a gap although no entry does: a constant at its wall, or what replicates share."""
+    chance = float(np.sqrt(2.0 * len(q.rows)))
+    named = len(q.names) - q.unnamed
+    shift = np.abs(q.base.shift[:named])
+    if shift.max(initial=0.0) > AT_THE_END and naming.excess > STANDS_OUT * chance:
+        constant = q.names[int(np.argmax(shift))]
+        return f"{constant} is led beyond its tolerance, and more than chance is left"
+    shared = repeated(q, q.base.residual)
+    if min(shared, naming.excess) > SHARED * chance:
+        return f"replicates share {shared / chance:.1f} sd more than chance"
+    return None
 
 
 def _defect(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
