@@ -18,7 +18,7 @@ from gap.evidence import SLACK, projected
 from gap.further import apart, counts, excess, plea
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
-from gap.shaping import fits, shaped
+from gap.shaping import shaped
 from gap.suspects import Suspect
 from plant.catalogue import CATALOGUE
 from plant.constants import KEYS
@@ -41,7 +41,8 @@ EDGES = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
 _REFINED = 7
 _SHAPED = 3
 NEAR = 4.0
-"""Shapes are fitted for the best few that leave less than so many times more than the best."""
+"""Shapes are fitted for the best few that leave less than so many times more than the best, or
+than chance."""
 _ELSEWHERE = 4
 _CLOCKS_MS = (8.0, 20.0, 45.0, 80.0, 120.0, 170.0, 230.0, 300.0, 380.0, 480.0)
 _SHAPES = 2
@@ -165,7 +166,8 @@ def _with_free_shapes(
 ) -> list[Choice]:
     """Best first, the leading ones with shapes fitted: none shall lead by its number's luck."""
     tried = sorted(tried, key=lambda choice: choice.cost)
-    near = tried[0].cost + NEAR * max(tried[0].cost - len(q.rows), 0.0)
+    chance = float(np.sqrt(2.0 * len(q.rows)))
+    near = tried[0].cost + NEAR * max(tried[0].cost - len(q.rows), chance)
     made = [
         _in_best_form(q, before, choice, gains, amounts) if at < _SHAPED and choice.cost <= near
         else choice
@@ -184,7 +186,7 @@ def _in_best_form(
     for j in np.argsort(-gains).tolist():
         suspect = q.suspects[j]
         form = frozenset(suspect.shape)
-        if suspect.key != choice.keys[-1] or form in asked or fits(q, best):
+        if suspect.key != choice.keys[-1] or form in asked:
             continue
         asked.add(form)
         start = [*before.amounts, _start(suspect, amounts[j])]

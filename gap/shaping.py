@@ -25,24 +25,16 @@ _STRIDE = 0.8
 """Largest change of a logarithm in one round."""
 _LOOSE = 1.0
 """Sd of a number's logarithm about that of the suspect it came from."""
-_FITS = 1.0
-"""What may be left, in sd of chance, of an explanation that needs no better shape."""
-
-
-def fits(q: Inquiry, state: State) -> bool:
-    """Whether a state leaves no more than chance does."""
-    rows = len(q.rows)
-    return bool(state.cost < rows + _FITS * np.sqrt(2.0 * rows))
 
 
 def shaped(q: Inquiry, state: State) -> State:
     """The state with the free numbers of its suspects' shapes fitted too.
 
     Gauss and Newton over constants, amounts and the logarithms of those numbers, each within its
-    range. Returns `state` itself where nothing is free, or where it leaves no more than chance.
+    range. Returns `state` itself where nothing is free or better.
     """
     free = [(j, key) for j, s in enumerate(state.suspects) for key in s.free]
-    if not free or fits(q, state):
+    if not free:
         return state
     start = _numbers(state.suspects, free)
     constants = q.columns_near(state)

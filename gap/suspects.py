@@ -74,7 +74,7 @@ class Suspect:
 _FREE: dict[str, dict[str, tuple[float, float]]] = {
     "liner_threshold": {"width_kpa": (3.0, 150.0)},
     "bladder_elasticity": {"rest": (0.45, 0.95)},
-    "contraction_limit": {"decay_mm": (0.3, 8.0)},
+    "contraction_limit": {"decay_mm": (0.3, 4.0)},
     "fibre_stretch": {"power": (0.3, 2.0)},
     "braid_friction": {"kpa": (3.0, 300.0), "mm": (0.03, 5.0)},
     "viscosity": {"knee_mm_s": (3.0, 150.0), "power": (0.3, 1.0)},

@@ -1,0 +1,113 @@
+"""An effect's shape is fitted with it, and its own error is undone where it arises."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gap import laws
+from gap.diagnose import searched
+from gap.inquiry import Inquiry
+from gap.laws import Context
+from gap.reader import read_dataset
+from gap.rows import Points
+from gap.shaping import shaped
+from gap.suspects import SUSPECTS
+from gap_bench import write_set
+from plant.constants import nominal
+
+C = nominal()
+
+
+def still(length_mm: np.ndarray, **fields: np.ndarray) -> Points:
+    """Points of one trial under a camera, at rest but for what `fields` say."""
+    n = len(length_mm)
+    zero = np.zeros(n)
+    given = {
+        "first": np.array([0, n]), "trial": np.zeros(n, dtype=np.int64),
+        "mounting": np.zeros(n, dtype=np.int64), "time_s": np.arange(n) * 0.01,
+        "row": np.arange(n), "weight": np.ones(n), "pressure": np.full(n, 3e5),
+        "pressure_slope": zero, "path": zero, "length": length_mm * 1e-3, "rate": zero,
+        "acceleration": zero, "held": np.zeros(n, dtype=bool), "temperature": np.full(n, 21.0),
+        "mass": np.ones(n), "reading": zero, "direction": zero,
+    }  # fmt: skip
+    return Points(**{**given, **fields})
+
+
+@given(st.floats(-1.5, 1.5), st.floats(1.5, 5.0), st.floats(-3.0, 3.0))
+def test_the_length_behind_a_bent_reading_is_the_one_the_lens_showed_so(
+    bend_mm: float, power: float, scale_percent: float
+) -> None:
+    true = np.linspace(C.length_min_m + 1e-3, C.length_max_m - 1e-3, 21)
+    effects = [
+        ("camera_distortion", "", bend_mm, {"power": power}),
+        ("camera_scale", "", scale_percent, {}),
+    ]
+    shown = true + sum(laws.read_minus_true(n, a, shape, true, C) for n, _, a, shape in effects)
+    behind = laws.true_length(still(shown * 1e3), effects, C)
+    assert behind == pytest.approx(true, abs=2e-5)
+
+
+def test_a_length_that_was_written_down_is_not_touched_by_the_camera() -> None:
+    points = still(np.linspace(55.0, 65.0, 5), held=np.ones(5, dtype=bool))
+    bent = [("camera_distortion", "", 1.0, {"power": 3.0})]
+    assert laws.true_length(points, bent, C) == pytest.approx(points.length)
+
+
+def test_a_load_with_a_hose_weighs_more_the_higher_it_hangs() -> None:
+    points = still(np.array([50.0, 60.0, 70.0]))
+    context = Context(C, np.zeros(1))
+    plain = laws.load_pull(points, [], context)
+    pull = laws.load_pull(points, [("payload", "", 0.1, {"lifted_mm": 20.0})], context) - plain
+    assert pull == pytest.approx(0.1 * 9.80665 * np.array([1.5, 1.0, 0.5]))
+
+
+def test_stribeck_s_part_of_friction_is_gone_at_speed() -> None:
+    points = still(np.full(3, 60.0), rate=np.array([0.0005, 0.004, 0.02]))
+    shape = {"knee_mm_s": 0.1, "fall_mm_s": 4.0}
+    context = Context(C, np.zeros(1))
+    lost = laws.load_pull(points, [], context)
+    lost = lost - laws.load_pull(points, [("link_friction", "", 2.0, shape)], context)
+    assert lost == pytest.approx([2.0 * np.exp(-(0.5**2) / 16.0), 2.0 / np.e, 0.0], abs=1e-3)
+
+
+@pytest.fixture(scope="module")
+def tube(tmp_path_factory: pytest.TempPathFactory) -> Inquiry:
+    """A bench whose rubber tube rests at a length that no suspect has."""
+    folder = tmp_path_factory.mktemp("tube")
+    effect = {"bladder_elasticity": {"stiffness_n_mm": 0.6, "rest_mm": 66.0}}
+    return Inquiry(read_dataset(write_set(folder, effect, seed=4)))
+
+
+def test_a_shape_between_two_suspects_is_found_from_either_side(tube: Inquiry) -> None:
+    rests = []
+    for share in (0.57, 0.82):
+        suspect = next(s for s in SUSPECTS if dict(s.shape) == {"rest": share})
+        picked = tube.fit([suspect], [0.3])
+        fitted = tube.polish(shaped(tube, picked))
+        assert fitted.cost < picked.cost
+        rests.append(fitted.suspects[0].shape["rest"] * tube.constants(fitted.shift).braid_length_m)
+    assert rests == pytest.approx([0.066, 0.066], abs=0.0015)
+
+
+def test_a_hardening_tube_is_one_effect_not_two_of_its_family(tmp_path: Path) -> None:
+    """The straight tube fits a hardening one badly; a relative would take what it leaves."""
+    hard = {"stiffness_n_mm": 0.1, "rest_mm": 68.0, "hardening_per_mm2": 0.01}
+    data = read_dataset(write_set(tmp_path, {"bladder_elasticity": hard}, seed=6))
+    verdict, _, naming = searched(data)
+    assert naming is not None
+    assert naming.chosen.state.ids == ("bladder_elasticity",)
+    assert verdict.stage == "muscle"
+
+
+def test_the_improved_plant_has_the_fitted_shape(tube: Inquiry) -> None:
+    from gap.shrink import improved_plant
+
+    suspect = next(s for s in SUSPECTS if dict(s.shape) == {"rest": 0.68})
+    written = improved_plant(tube, tube.polish(shaped(tube, tube.fit([suspect], [0.3]))))
+    rest = float(next(x for x in written.splitlines() if x.startswith("rest_mm")).split("=")[1])
+    assert rest == pytest.approx(66.0, abs=1.5)
