@@ -2,7 +2,9 @@
 
 Top floor: here a rig and a diagnosis meet. Each round records an ordinary run; all runs so far are
 diagnosed together. What to run next is what the diagnosis advises, where this rig can run it, and
-otherwise the next test that shows something no test so far has shown.
+otherwise the next test that shows something no test so far has shown. Each test is a trial of what
+the tests before it were explained by: an explanation that foretells it, as no other does, may be
+named though the diagnosis alone, which sees no order in its data, would not go so far.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +20,16 @@ from daq.errors import PamrigError
 from daq.run import Run, open_run
 from gap.advise import reference_for
 from gap.dataset import DataSet
-from gap.diagnose import diagnose
+from gap.diagnose import searched
 from gap.errors import GapError
 from gap.from_runs import export_runs, stated_plant
+from gap.inquiry import Inquiry
+from gap.naming import Naming
+from gap.prediction import Foretelling, foretell, gains
 from gap.reader import read_dataset
-from gap.reporttext import headline
+from gap.reporttext import headline, sentence
 from gap.verdict import Verdict
+from plant.catalogue import CATALOGUE
 from rigs.config import RigConfig
 from rigs.interrupt import StopFlag
 from rigs.protocols.registry import procedure
@@ -36,6 +42,8 @@ if TYPE_CHECKING:
 SETTLED = ("named", "named_form_inadequate", "data_unfit")
 VALVE_TESTS = ("step",)
 """Tests whose valve commands are diagnosed: elsewhere a loop only holds a pressure."""
+MOST_RIVALS = 4
+"""Other explanations that a new test is held against."""
 Told = Callable[[str], None]
 
 
@@ -51,16 +59,19 @@ class Round:
     status: str
     effects: tuple[str, ...]
     headline: str
+    foretold: Mapping[str, Any] | None = None
+    """How what was found before fared on this test, where the test shows it."""
 
 
 @dataclass(frozen=True)
 class Investigation:
     """What came of it: the last verdict, how it was reached, and what is still needed.
 
-    `conclusion` is "named", "needs reference", "no gap" or "open".
+    `conclusion` is "named", "needs reference", "no gap" or "open", and `why` says it in a sentence.
     """
 
     conclusion: str
+    why: str
     verdict: Verdict
     rounds: tuple[Round, ...]
     references: Mapping[str, str]
@@ -71,6 +82,7 @@ class Investigation:
         return {
             "schema": 1,
             "conclusion": self.conclusion,
+            "why": self.why,
             "references": dict(self.references),
             "rounds": [{**vars(r), "effects": list(r.effects)} for r in self.rounds],
             "minutes": sum(r.minutes for r in self.rounds),
@@ -118,17 +130,17 @@ def investigate(
         from rigs.virtual.bench import VirtualBench
 
         bench = VirtualBench(config, VirtualClock())
-    left = battery(config)
-    runs: list[Run] = []
-    rounds: list[Round] = []
-    verdict: Verdict | None = None
+    begun = _Begun(config, folder, plant)
+    left, again = battery(config), battery(config, again=True)
     used_min = 0.0
-    while left and used_min < budget_min and not stop.reason:
-        test, why = _next(verdict, left)
-        left.remove(test)
+    while used_min < budget_min and not stop.reason:
+        chosen = begun.next(left, again)
+        if chosen is None:
+            break
+        test, why = chosen
         name = test.protocol
-        tell(f"round {len(rounds) + 1}: {name}, {test.what} ({why})")
-        path = folder / f"{len(rounds) + 1:02d}-{name}.toml"
+        tell(f"round {len(begun.rounds) + 1}: {name}, {test.what} ({why})")
+        path = folder / f"{len(begun.rounds) + 1:02d}-{name}.toml"
         path.write_text(protocol_text(test, config), encoding="utf-8")
         kind = procedure(name)
         plan = kind.read(str(path), config)
@@ -142,35 +154,191 @@ def investigate(
                 str(result.folder), f"the test ended {result.outcome}: {result.error}",
                 "find the cause and begin again; what was recorded is safe",
             )  # fmt: skip
-        minutes = float((run.final or {}).get("duration_s") or 0.0) / 60.0
-        used_min += minutes
-        runs.append(run)
-        known: tuple[str, tuple[str, ...], str] = ("", (), "the survey is not whole yet")
-        if len(runs) >= BEFORE_NAMING:
-            verdict = diagnose(joined(runs, folder / f"data-{len(runs):02d}", plant))
-            ids = tuple(" + ".join(effect.ids) for effect in verdict.effects)
-            known = (verdict.status, ids, headline(verdict))
-        rounds.append(Round(name, why, run.run_id, result.outcome, minutes, *known))
-        tell(f"  {rounds[-1].headline}")
-        if verdict is not None and verdict.status in SETTLED:
+        begun.take(test, why, run, result.outcome)
+        used_min += begun.rounds[-1].minutes
+        tell(f"  {begun.rounds[-1].headline}")
+        if begun.settled:
             break
-    return _concluded(config, runs, rounds, verdict, folder, plant)
+    return begun.concluded()
 
 
-def _concluded(
-    config: RigConfig, runs: list[Run], rounds: list[Round], verdict: Verdict | None,
-    folder: Path, plant: Path | None,
-) -> Investigation:  # fmt: skip
-    if not runs:
-        raise PamrigError(config.source, "no test was run to its end", "begin again")
-    if verdict is None:
-        verdict = diagnose(joined(runs, folder / f"data-{len(runs):02d}", plant))
-    found = Investigation(
-        _conclusion(verdict), verdict, tuple(rounds), _references(verdict), folder
-    )
-    text = json.dumps(found.as_dict(), indent=2, allow_nan=False)
-    (folder / "investigation.json").write_text(text + "\n", encoding="utf-8")
-    return found
+@dataclass
+class _Begun:
+    """An investigation under way: the tests so far, and what is known after them."""
+
+    config: RigConfig
+    folder: Path
+    plant: Path | None
+    runs: list[Run] = field(default_factory=list)
+    tests: list[Test] = field(default_factory=list)
+    rounds: list[Round] = field(default_factory=list)
+    verdict: Verdict | None = None
+    inquiry: Inquiry | None = None
+    naming: Naming | None = None
+    found: tuple[str, ...] = ()
+    foretold: dict[str, list[tuple[str, Foretelling]]] = field(default_factory=dict)
+    """By family, tests that show what was found before them, and how it fared on each."""
+
+    def next(self, left: list[Test], again: list[Test]) -> tuple[Test, str] | None:
+        """The next test, taken from those left or to be made again, and why; None at the end."""
+        verdict = self.verdict
+        if verdict is not None and verdict.next_experiment is not None:
+            advised = verdict.next_experiment
+            for tests in (left, again):
+                for test in tests:
+                    if test.answers(advised.protocol, advised.why):
+                        tests.remove(test)
+                        between = " and ".join(advised.between)
+                        return test, "advised" + (f", to tell {between} apart" if between else "")
+        telling = self._telling(again) if not left or self._of_valves_alone(left) else None
+        if telling is not None:
+            again.remove(telling)
+            return telling, f"at other settings, to see whether {' and '.join(self.found)} holds"
+        if not left:
+            return None
+        why = "to begin with" if verdict is None else "nothing so far has shown what it shows"
+        return left.pop(0), why
+
+    def _of_valves_alone(self, left: list[Test]) -> bool:
+        """Whether what was found shows where valves act, and no test left looks there."""
+        if self.naming is None or any(test.protocol in VALVE_TESTS for test in left):
+            return False
+        blocks = {b for suspect in self.naming.chosen.state.suspects for b in suspect.blocks}
+        return blocks == {"pressure"}
+
+    def _telling(self, again: list[Test]) -> Test | None:
+        """The test that shows most of what is all but named, to be made again."""
+        if self.naming is None or self.inquiry is None or self.family is None:
+            return None
+        taken = gains(self.inquiry, self.naming.chosen.state)
+        best: tuple[float, Test | None] = (0.0, None)
+        for run, made in zip(self.runs, self.tests, strict=True):
+            here = sum(float(taken[trial]) for trial in _trials_of(self.inquiry, run))
+            for test in again:
+                if test.what == made.what and here > best[0]:
+                    best = (here, test)
+        return best[1]
+
+    def take(self, test: Test, why: str, run: Run, outcome: str) -> None:
+        """Join a run to those before it and diagnose all of them."""
+        self.runs.append(run)
+        self.tests.append(test)
+        minutes = float((run.final or {}).get("duration_s") or 0.0) / 60.0
+        known: tuple[str, tuple[str, ...], str] = ("", (), "the survey is not whole yet")
+        told: dict[str, Any] | None = None
+        if len(self.runs) >= BEFORE_NAMING:
+            told = self._diagnose()
+            assert self.verdict is not None
+            ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)
+            known = (self.verdict.status, ids, self.why)
+        self.rounds.append(
+            Round(test.protocol, why, run.run_id, outcome, minutes, *known, foretold=told)
+        )
+
+    def _diagnose(self) -> dict[str, Any] | None:
+        """Diagnose all runs; how what was found before fared on the last of them."""
+        before = self.naming
+        data = joined(self.runs, self.folder / f"data-{len(self.runs):02d}", self.plant)
+        self.verdict, self.inquiry, self.naming = searched(data)
+        self.found = self.naming.chosen.state.ids if self.naming is not None else ()
+        if before is None or not before.chosen.keys or self.inquiry is None:
+            return None
+        state = before.chosen.state
+        family = _family(state.ids)
+        rivals = [c.state for c in before.rivals if _family(c.state.ids) != family]
+        found = foretell(
+            self.inquiry, _trials_of(self.inquiry, self.runs[-1]), state, rivals[:MOST_RIVALS]
+        )
+        if not found.shown:
+            return None
+        protocol = self.tests[-1].protocol
+        self.foretold.setdefault(family, []).append((protocol, found))
+        return {
+            "by": list(state.ids), "share": found.share, "confirmed": found.confirmed,
+            "rows": found.rows, "without": found.without, "left": found.left,
+            "rivals": {" + ".join(ids): left for ids, left in found.rivals.items()},
+        }  # fmt: skip
+
+    @property
+    def family(self) -> str | None:
+        """The one family that all entries left are of, where the diagnosis stops short of a name.
+
+        None where there are several, or another entry or pair could stand in.
+        """
+        if self.verdict is None or self.verdict.status != "indistinguishable":
+            return None
+        families = {effect.family for effect in self.verdict.effects}
+        return families.pop() if len(families) == 1 else None
+
+    @property
+    def confirmed(self) -> tuple[str, Foretelling] | None:
+        """The test that came out as the explanation foretold, if no later one spoke against it."""
+        tested = self.foretold.get(self.family or "", [])
+        return tested[-1] if tested and tested[-1][1].confirmed else None
+
+    @property
+    def settled(self) -> bool:
+        """Whether there is nothing more to find out."""
+        if self.verdict is None:
+            return False
+        return self.verdict.status in SETTLED or self.confirmed is not None
+
+    @property
+    def conclusion(self) -> str:
+        """What a lab is told, in a word or two."""
+        assert self.verdict is not None
+        status = self.verdict.status
+        if status in ("named", "named_form_inadequate") or self.confirmed is not None:
+            return "named"
+        if status in ("indistinguishable", "mimicable") and self.family is None:
+            return "needs reference"
+        return "no gap" if status == "no_gap_above_floor" else "open"
+
+    @property
+    def why(self) -> str:
+        """The same in a sentence."""
+        assert self.verdict is not None
+        if self.confirmed is None:
+            return headline(self.verdict)
+        protocol, found = self.confirmed
+        ids = [" + ".join(effect.ids) for effect in self.verdict.effects]
+        return sentence(
+            f"It is {' or '.join(ids)}, found on the tests before and confirmed by the {protocol} "
+            f"test, of whose gap it foretold {100 * found.share:.0f} % and no other explanation "
+            "as much"
+        )
+
+    def concluded(self) -> Investigation:
+        """The outcome, also written to the investigation's folder."""
+        if not self.runs:
+            raise PamrigError(self.config.source, "no test was run to its end", "begin again")
+        if self.verdict is None:
+            self._diagnose()
+        assert self.verdict is not None
+        found = Investigation(
+            self.conclusion, self.why, self.verdict, tuple(self.rounds), self.references,
+            self.folder,
+        )  # fmt: skip
+        text = json.dumps(found.as_dict(), indent=2, allow_nan=False)
+        (self.folder / "investigation.json").write_text(text + "\n", encoding="utf-8")
+        return found
+
+    @property
+    def references(self) -> dict[str, str]:
+        """What would tell the entries left apart, or prove the only one, where no test did."""
+        assert self.verdict is not None
+        if self.verdict.status not in ("indistinguishable", "mimicable") or self.confirmed:
+            return {}
+        names = dict.fromkeys(name for effect in self.verdict.effects for name in effect.ids)
+        return {name: reference_for(name) for name in names}
+
+
+def _trials_of(q: Inquiry, run: Run) -> list[int]:
+    return [k for k, trial in enumerate(q.data.trials) if trial.name.startswith(f"{run.run_id}:")]
+
+
+def _family(ids: tuple[str, ...]) -> str:
+    return "+".join(dict.fromkeys(CATALOGUE[name].family for name in ids))
 
 
 def _own_folder(out: Path) -> Path:
@@ -192,31 +360,3 @@ def joined(runs: list[Run], folder: Path, plant: Path | None) -> DataSet:
     """All runs so far as one data set, written to `folder`."""
     export_runs(runs, folder, plant=plant, commands_of=VALVE_TESTS)
     return dataclasses.replace(read_dataset(folder), origin=str(folder))
-
-
-def _next(verdict: Verdict | None, left: list[Test]) -> tuple[Test, str]:
-    """The next test and why it is run."""
-    if verdict is not None and verdict.next_experiment is not None:
-        advised = verdict.next_experiment
-        for test in left:
-            if test.answers(advised.protocol, advised.why):
-                between = " and ".join(advised.between)
-                return test, "advised" + (f", to tell {between} apart" if between else "")
-    first = left[0]
-    return first, "to begin with" if verdict is None else "nothing so far has shown what it shows"
-
-
-def _conclusion(verdict: Verdict) -> str:
-    if verdict.status in ("named", "named_form_inadequate"):
-        return "named"
-    if verdict.status in ("indistinguishable", "mimicable"):
-        return "needs reference"
-    return "no gap" if verdict.status == "no_gap_above_floor" else "open"
-
-
-def _references(verdict: Verdict) -> dict[str, str]:
-    """What would tell the entries of the ambiguity set apart, where a test did not."""
-    if _conclusion(verdict) != "needs reference":
-        return {}
-    names = dict.fromkeys(name for effect in verdict.effects for name in effect.ids)
-    return {name: reference_for(name) for name in names}

@@ -39,7 +39,7 @@ def gap_investigate(
     if as_json:
         typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
         return
-    typer.echo(f"{found.conclusion}: {found.rounds[-1].headline}")
+    typer.echo(f"{found.conclusion}: {found.why}")
     for name, how in found.references.items():
         typer.echo(f"  {name}: {how}")
     typer.echo(f"rounds   {found.folder / 'investigation.json'}")

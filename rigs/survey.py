@@ -14,7 +14,6 @@ BEFORE_NAMING = 2
 """Tests before the first diagnosis: muscle and sensors at rest, and the valves. A name given on
 either alone would be one among what that test can show."""
 HOLD_S = 60.0
-WARMER_K = 15.0
 
 
 @dataclass(frozen=True)
@@ -39,23 +38,47 @@ class Test:
         return protocol in self.also and not held
 
 
-def battery(config: RigConfig) -> list[Test]:
+@dataclass(frozen=True)
+class _Settings:
+    """Where a battery measures: shares of the range of pressures, lengths, loads and speeds."""
+
+    pressures: tuple[float, ...]
+    lengths: tuple[float, ...]
+    moved: tuple[float, ...]
+    masses: tuple[float, ...]
+    speeds: tuple[float, ...]
+    warmer_k: float
+
+
+_FIRST = _Settings(
+    (0.1, 0.3, 0.5, 0.75, 1.0), (0.12, 0.45, 0.75), (0.15, 0.35, 0.55, 0.75), (0.4, 1.0),
+    (0.2, 1.0), 15.0,
+)  # fmt: skip
+_AGAIN = _Settings(
+    (0.15, 0.4, 0.6, 0.85, 0.95), (0.2, 0.6, 0.8), (0.2, 0.4, 0.6, 0.8), (0.6, 0.8), (0.1, 0.5),
+    10.0,
+)  # fmt: skip
+
+
+def battery(config: RigConfig, again: bool = False) -> list[Test]:
     """All tests that this rig can run, in the order in which they are run unless advised.
 
     Muscle and sensors at rest; valves and gas; a length that moves; loads; a hold; warmth.
+    `again` gives the same tests at other pressures, lengths, loads and speeds.
     """
+    at = _AGAIN if again else _FIRST
     low, high = config.limits.length_min_mm, config.limits.length_max_mm
     top = 0.9 * config.limits.pressure_kpa
-    pressures = [round(share * top, -1) for share in (0.1, 0.3, 0.5, 0.75, 1.0)]
-    lengths = [round(low + share * (high - low), 1) for share in (0.12, 0.45, 0.75)]
-    more = [round(low + share * (high - low), 1) for share in (0.15, 0.35, 0.55, 0.75)]
+    pressures = [round(share * top, -1) for share in at.pressures]
+    lengths = [round(low + share * (high - low), 1) for share in at.lengths]
+    more = [round(low + share * (high - low), 1) for share in at.moved]
     heaviest = 0.15 * config.limits.force_n / config.conditions.gravity_m_s2
-    masses = [round(share * heaviest, 2) for share in (0.4, 1.0)]
+    masses = [round(share * heaviest, 2) for share in at.masses]
     manual = config.stage.kind == "manual"
     regulated = config.virtual is not None and config.virtual.source == "regulator"
     moved = [pressures[1], pressures[3]]
     sweeps = {"from_mm": more[0], "to_mm": more[2],
-              "speeds_mm_s": [0.2 * config.stage.speed_mm_s, config.stage.speed_mm_s]}  # fmt: skip
+              "speeds_mm_s": [share * config.stage.speed_mm_s for share in at.speeds]}  # fmt: skip
     made = [
         Test(
             "isometric", "pressures at three lengths",
@@ -91,7 +114,7 @@ def battery(config: RigConfig) -> list[Test]:
         room = round(config.conditions.temperature_c, 0)
         made.append(Test(
             "isothermal", "the same pressures cold and warm",
-            {"temperatures_c": [room, room + WARMER_K], "lengths_mm": lengths[1:2],
+            {"temperatures_c": [room, room + at.warmer_k], "lengths_mm": lengths[1:2],
              "pressures_kpa": pressures[1:], "repeats": REPEATS,
              "soak": {"soak_s": 30.0, "timeout_s": 3600.0}},
         ))  # fmt: skip

@@ -13,8 +13,10 @@ import rigs.investigate as loop
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
 from daq.run import open_run
+from gap.prediction import Foretelling
 from gap.runtrials import run_trials
-from gap.verdict import Experiment, Verdict
+from gap.verdict import Experiment, Explanation, Verdict
+from plant.catalogue import CATALOGUE
 from rigs.config import RigConfig, load_rig
 from rigs.interrupt import StopFlag
 from rigs.investigate import investigate
@@ -36,10 +38,13 @@ def rig_with(folder: Path, effects: str) -> RigConfig:
 # ---------------------------------------------------------------------------- what is run
 
 
+@pytest.mark.parametrize("again", [False, True])
 @pytest.mark.parametrize("rig", ["virtual", "virtual-instruments", "virtual-thesis-loop"])
-def test_every_test_of_a_survey_is_one_that_the_rig_can_run(rig: str, tmp_path: Path) -> None:
+def test_every_test_of_a_survey_is_one_that_the_rig_can_run(
+    rig: str, again: bool, tmp_path: Path
+) -> None:
     config = load_rig(rig)
-    for test in battery(config):
+    for test in battery(config, again):
         path = tmp_path / "test.toml"
         path.write_text(protocol_text(test, config))
         plan = procedure(test.protocol).read(str(path), config)
@@ -58,10 +63,26 @@ def test_a_rig_with_a_thermometer_is_also_warmed_and_one_with_a_regulator_tries_
     assert "step" not in names("virtual-thesis")
 
 
-def verdict_with(experiment: Experiment | None) -> Verdict:
+def test_made_again_every_test_of_a_survey_is_at_settings_of_its_own() -> None:
+    config = load_rig("virtual-instruments")
+    pairs = list(zip(battery(config), battery(config, again=True), strict=True))
+    assert all(first.what == second.what for first, second in pairs)
+    assert all(first.settings != second.settings for first, second in pairs)
+
+
+def verdict_with(
+    experiment: Experiment | None = None, status: str = "unknown", effects: tuple[str, ...] = ()
+) -> Verdict:
+    found = tuple(Explanation((e,), CATALOGUE[e].family, 0.4, {}) for e in effects)
     return Verdict(
-        "unknown", "", None, (), 0.0, 1.0, None, (), (), {}, experiment, {},
+        status, "", None, found, 0.0, 1.0, None, (), (), {}, experiment, {},
     )  # fmt: skip
+
+
+def begun_with(folder: Path, verdict: Verdict) -> loop._Begun:
+    begun = loop._Begun(load_rig("virtual"), folder, None)
+    begun.verdict = verdict
+    return begun
 
 
 @pytest.mark.parametrize(
@@ -74,20 +95,53 @@ def verdict_with(experiment: Experiment | None) -> Verdict:
     ],
 )
 def test_what_is_advised_is_run_next_and_otherwise_the_next_of_the_list(
-    protocol: str, why: str, expected: str
+    protocol: str, why: str, expected: str, tmp_path: Path
 ) -> None:
-    left = battery(load_rig("virtual"))
+    left, again = battery(load_rig("virtual")), battery(load_rig("virtual"), again=True)
     experiment = Experiment(protocol, {}, 1.0, 4.0, 2, ("a", "b"), why)
-    test, told = loop._next(verdict_with(experiment), left)
-    assert test.what.startswith(expected)
-    assert told.startswith("advised") == (protocol != "reference")
+    begun = begun_with(tmp_path, verdict_with(experiment))
+    for tests in (left, again) if protocol != "reference" else (left,):
+        count = len(tests)
+        chosen = begun.next(left, again)
+        assert chosen is not None
+        assert chosen[0].what.startswith(expected)
+        assert chosen[1].startswith("advised") == (protocol != "reference")
+        assert len(tests) == count - 1
+
+
+def foretold(without: float, left: float, rival: float) -> Foretelling:
+    return Foretelling(400, without, left, {("creep",): rival})
+
+
+@pytest.mark.parametrize(
+    ("effects", "tests", "conclusion"),
+    [
+        (("viscosity",), [], "open"),
+        (("viscosity",), [foretold(9e3, 420.0, 6e3)], "named"),
+        (("viscosity", "creep"), [foretold(9e3, 420.0, 6e3)], "named"),  # of one family
+        (("viscosity",), [foretold(9e3, 2e3, 6e3)], "open"),  # a fifth of it is not foretold
+        (("viscosity",), [foretold(9e3, 420.0, 480.0)], "open"),  # another foretold it as well
+        (("viscosity",), [foretold(450.0, 390.0, 440.0)], "open"),  # nothing there to foretell
+        (("viscosity",), [foretold(9e3, 420.0, 6e3), foretold(9e3, 5e3, 6e3)], "open"),
+        (("viscosity", "camera_delay"), [foretold(9e3, 420.0, 6e3)], "needs reference"),
+    ],
+)
+def test_one_family_is_named_once_a_later_test_came_out_as_it_foretold(
+    effects: tuple[str, ...], tests: list[Foretelling], conclusion: str, tmp_path: Path
+) -> None:
+    begun = begun_with(tmp_path, verdict_with(None, "indistinguishable", effects))
+    begun.foretold[CATALOGUE["viscosity"].family] = [("isobaric", test) for test in tests]
+    assert begun.conclusion == conclusion
+    assert begun.settled == (conclusion == "named")
+    assert ("confirmed by the isobaric test" in begun.why) == (conclusion == "named")
+    assert bool(begun.references) == (conclusion != "named")
 
 
 # ---------------------------------------------------------------------------- the loop
 
 
-def few(config: RigConfig) -> list[Test]:
-    del config
+def few(config: RigConfig, again: bool = False) -> list[Test]:
+    del config, again
     held = {"lengths_mm": [54.0, 60.0, 66.0], "pressures_kpa": [60, 150, 350, 550], "repeats": 3}
     steps = {"schemes": ["two"], "pressures_kpa": [300, 100], "step_s": 0.6, "supply_kpa": 600,
              "length_mm": 60.0, "repeats": 3}  # fmt: skip
