@@ -56,6 +56,8 @@ CAMERA_MAPS = ("camera_scale", "camera_distortion", "camera_zero")
 """Effects by which a camera shows another length than there is, the same at all times."""
 _INVERTED = 5
 _LEAST_SLOPE = 0.25
+_FARTHEST_M = 0.02
+"""No camera that is called one shows a length this far from the true one."""
 
 
 def _behind(read: Array, maps: Active, c: PlantConstants) -> Array:
@@ -70,11 +72,12 @@ def _behind(read: Array, maps: Active, c: PlantConstants) -> Array:
             made += read_minus_true(name, amount, shape, length, c)
         return made
 
-    true = read - error(read)
+    true = np.clip(read - error(read), read - _FARTHEST_M, read + _FARTHEST_M)
     for _ in range(_INVERTED if any(one[0] == "camera_distortion" for one in maps) else 1):
         at = error(true)
         slope = 1.0 + (error(true + 1e-6) - at) / 1e-6
         true = true - (true + at - read) / np.maximum(slope, _LEAST_SLOPE)
+        true = np.clip(true, read - _FARTHEST_M, read + _FARTHEST_M)
     return np.asarray(true)
 
 
