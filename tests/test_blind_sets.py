@@ -10,8 +10,11 @@ import pandas as pd
 import pytest
 
 from blind.__main__ import main
-from blind.entries import CATALOGUE
+from blind.design import draw_design
+from blind.entries import CATALOGUE, Hidden
 from blind.exchange import write
+from blind.noise import draw_noise
+from blind.recalibrate import Recalibration
 from blind.recording import record
 from blind.seal import opened, seal
 from blind.sets import BLOCK, MAGNITUDES, answer, blind_set, choose, kind_and_count
@@ -121,3 +124,16 @@ def test_practice_sets_are_made_on_the_command_line(tmp_path: Path, capsys) -> N
     envelope = json.loads((tmp_path / "d.answer.json").read_text())
     assert opened(envelope, said["seal"])["stream"] == "practice"
     assert (tmp_path / "d" / "samples.parquet").exists()
+
+
+def test_a_delay_and_its_slope_stand_in_for_each_other_where_the_supply_never_varies() -> None:
+    """Their signatures at a usual size do not: what comes late turns with how late it comes."""
+    rng = np.random.default_rng(5)
+    recalibration = Recalibration(
+        draw_design(rng, ["valve"], False, False, True), draw_noise(rng, False)
+    )
+    late = Hidden("valve_delay", 0, 2.0, (0.0, 0.0, 0.0), "inlet_off")
+    slope = Hidden("valve_delay_pressure", 0, 0.01, (0.0, 0.0, 0.0), "inlet_off")
+    leak = Hidden("leak", 0, 2e-12)
+    assert recalibration.stand_in([late], slope) > 0.95
+    assert recalibration.stand_in([late], leak) < 0.5
