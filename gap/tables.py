@@ -60,7 +60,8 @@ def read_table(path: Path, required: tuple[str, ...], labels: tuple[str, ...]) -
     if path.stat().st_size == 0:
         raise GapError(str(path), "is empty")
     try:
-        frame = _read_csv(path, labels) if path.suffix == ".csv" else read_parquet(path)
+        csv = path.suffix == ".csv"
+        frame, notes = _read_csv(path, labels) if csv else (read_parquet(path), [])
     except GapError:
         raise
     except PamrigError as exc:
@@ -68,7 +69,7 @@ def read_table(path: Path, required: tuple[str, ...], labels: tuple[str, ...]) -
     except Exception as exc:
         raise GapError(str(path), f"cannot be read ({_first_line(exc)})") from exc
     frame.columns = [str(name).strip() for name in frame.columns]
-    table = Table(path, frame.reset_index(drop=True))
+    table = Table(path, frame.reset_index(drop=True), notes)
     doubled = frame.columns[frame.columns.duplicated()]
     if len(doubled):
         raise GapError(f"{path}, column {doubled[0]}", "appears twice")
@@ -85,7 +86,7 @@ def read_table(path: Path, required: tuple[str, ...], labels: tuple[str, ...]) -
     return table
 
 
-def _read_csv(path: Path, labels: tuple[str, ...]) -> pd.DataFrame:
+def _read_csv(path: Path, labels: tuple[str, ...]) -> tuple[pd.DataFrame, list[str]]:
     check_csv(path)
     with path.open("rb") as file:
         head = file.readline().decode("utf-8-sig", errors="replace")
@@ -98,12 +99,15 @@ def _read_csv(path: Path, labels: tuple[str, ...]) -> pd.DataFrame:
         path, dtype=text, skipinitialspace=True, encoding="utf-8-sig", low_memory=False,
         index_col=False,
     )  # fmt: skip
-    _check_end(path, len(names), len(frame))
-    return frame
+    return frame, _check_end(path, len(names), len(frame))
 
 
-def _check_end(path: Path, columns: int, rows: int) -> None:
-    """Refuse a file that ends in the middle of a row: its last number may be cut short as well."""
+def _check_end(path: Path, columns: int, rows: int) -> list[str]:
+    """Refuse a file that ends in the middle of a row: its last number may be cut short as well.
+
+    Where the row is whole and only its end of line is missing, that is worth a note: many a program
+    writes none.
+    """
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - LARGEST_HEAD, 0))
         tail = file.read()
@@ -114,6 +118,9 @@ def _check_end(path: Path, columns: int, rows: int) -> None:
             f"is cut short: {last.count(b',') + 1} of {columns} values, and no end of line",
             "copy the file again, or drop the row",
         )
+    if not last.strip():
+        return []
+    return [f"{path.name}: row {rows + 1} has no end of line; was its last value cut short?"]
 
 
 def _labels(column: pd.Series[Any]) -> pd.Series[Any]:

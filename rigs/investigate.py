@@ -42,6 +42,10 @@ if TYPE_CHECKING:
 SETTLED = ("named", "named_form_inadequate", "data_unfit")
 VALVE_TESTS = ("step",)
 """Tests whose valve commands are diagnosed: elsewhere a loop only holds a pressure."""
+LIKELY = 0.7
+"""Belief in one family from which it is put to the proof before anything else is looked at."""
+FAILED = 2
+"""Tests that did not come out as foretold after which no more are made for that."""
 MOST_RIVALS = 4
 """Other explanations that a new test is held against."""
 Told = Callable[[str], None]
@@ -175,13 +179,16 @@ class _Begun:
     verdict: Verdict | None = None
     inquiry: Inquiry | None = None
     naming: Naming | None = None
-    found: tuple[str, ...] = ()
     foretold: dict[str, list[tuple[str, Foretelling]]] = field(default_factory=dict)
     """By family, tests that show what was found before them, and how it fared on each."""
 
     def next(self, left: list[Test], again: list[Test]) -> tuple[Test, str] | None:
         """The next test, taken from those left or to be made again, and why; None at the end."""
         verdict = self.verdict
+        if self._likely or self._of_valves_alone(left):
+            telling = self._telling(again)
+            if telling is not None:
+                return telling
         if verdict is not None and verdict.next_experiment is not None:
             advised = verdict.next_experiment
             for tests in (left, again):
@@ -190,14 +197,18 @@ class _Begun:
                         tests.remove(test)
                         between = " and ".join(advised.between)
                         return test, "advised" + (f", to tell {between} apart" if between else "")
-        telling = self._telling(again) if not left or self._of_valves_alone(left) else None
-        if telling is not None:
-            again.remove(telling)
-            return telling, f"at other settings, to see whether {' and '.join(self.found)} holds"
-        if not left:
-            return None
-        why = "to begin with" if verdict is None else "nothing so far has shown what it shows"
-        return left.pop(0), why
+        if left:
+            why = "to begin with" if verdict is None else "nothing so far has shown what it shows"
+            return left.pop(0), why
+        return self._telling(again)
+
+    @property
+    def _likely(self) -> bool:
+        """Whether one family is left, all but named, and no test has put it to the proof yet."""
+        if self.family is None or self.family in self.foretold or self.verdict is None:
+            return False
+        belief = self.verdict.evidence.get("belief", {})
+        return float(belief.get("right", 0.0) + belief.get("part", 0.0)) >= LIKELY
 
     def _of_valves_alone(self, left: list[Test]) -> bool:
         """Whether what was found shows where valves act, and no test left looks there."""
@@ -206,9 +217,11 @@ class _Begun:
         blocks = {b for suspect in self.naming.chosen.state.suspects for b in suspect.blocks}
         return blocks == {"pressure"}
 
-    def _telling(self, again: list[Test]) -> Test | None:
-        """The test that shows most of what is all but named, to be made again."""
+    def _telling(self, again: list[Test]) -> tuple[Test, str] | None:
+        """The test that shows most of what is all but named, to be made again, and why."""
         if self.naming is None or self.inquiry is None or self.family is None:
+            return None
+        if sum(not found.confirmed for _, found in self.foretold.get(self.family, [])) >= FAILED:
             return None
         taken = gains(self.inquiry, self.naming.chosen.state)
         best: tuple[float, Test | None] = (0.0, None)
@@ -217,7 +230,12 @@ class _Begun:
             for test in again:
                 if test.what == made.what and here > best[0]:
                     best = (here, test)
-        return best[1]
+        telling = best[1]
+        if telling is None:
+            return None
+        again.remove(telling)
+        names = " and ".join(self.naming.chosen.state.ids)
+        return telling, f"at other settings, to see whether {names} foretells it"
 
     def take(self, test: Test, why: str, run: Run, outcome: str) -> None:
         """Join a run to those before it and diagnose all of them."""
@@ -240,7 +258,6 @@ class _Begun:
         before = self.naming
         data = joined(self.runs, self.folder / f"data-{len(self.runs):02d}", self.plant)
         self.verdict, self.inquiry, self.naming = searched(data)
-        self.found = self.naming.chosen.state.ids if self.naming is not None else ()
         if before is None or not before.chosen.keys or self.inquiry is None:
             return None
         state = before.chosen.state

@@ -50,6 +50,13 @@ def test_missing_columns_are_no_error(tmp_path: Path) -> None:
     assert np.isnan(data.trials[0].held_length_mm)
 
 
+def test_a_last_number_that_may_be_cut_short_is_noted(tmp_path: Path) -> None:
+    samples = "trial,time_s,pressure_kpa\na,0,120.5\na,1,12"
+    (note,) = read_dataset(folder(tmp_path, "trial\na\n", samples)).notes
+    assert note == "samples.csv: row 3 has no end of line; was its last value cut short?"
+    assert not read_dataset(folder(tmp_path, "trial\na\n", samples + "1.25\r\n")).notes
+
+
 def test_numbered_trials_in_parquet_meet_their_rows(tmp_path: Path) -> None:
     (tmp_path / "trials.csv").write_text("trial\n1\n2\n")
     table = pd.DataFrame(
