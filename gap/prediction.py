@@ -23,6 +23,8 @@ SHOWN = 120.0
 left with it: below that they say nothing for or against it."""
 FORETOLD = 0.9
 """Least share of the new trials' gap that it must take away."""
+REFUTED = 0.5
+"""Share below which the new trials speak against it."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,11 @@ class Foretelling:
         nearest = min(self.rivals.values(), default=np.inf)
         gained = min(self.without, nearest) - self.left
         return gained > SHOWN and self.share >= FORETOLD
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the new trials speak against the explanation."""
+        return self.shown and self.share < REFUTED
 
 
 def foretell(

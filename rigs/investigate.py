@@ -290,8 +290,12 @@ class _Begun:
     @property
     def confirmed(self) -> tuple[str, Foretelling] | None:
         """The test that came out as the explanation foretold, if no later one spoke against it."""
-        tested = self.foretold.get(self.family or "", [])
-        return tested[-1] if tested and tested[-1][1].confirmed else None
+        for protocol, found in reversed(self.foretold.get(self.family or "", [])):
+            if found.confirmed:
+                return protocol, found
+            if found.refuted:
+                break
+        return None
 
     @property
     def settled(self) -> bool:
@@ -344,9 +348,10 @@ class _Begun:
     def references(self) -> dict[str, str]:
         """What would tell the entries left apart, or prove the only one, where no test did."""
         assert self.verdict is not None
-        if self.verdict.status not in ("indistinguishable", "mimicable") or self.confirmed:
-            return {}
         names = dict.fromkeys(name for effect in self.verdict.effects for name in effect.ids)
+        proven = self.confirmed is not None and len(names) == 1
+        if self.verdict.status not in ("indistinguishable", "mimicable") or proven:
+            return {}
         return {name: reference_for(name) for name in names}
 
 

@@ -38,11 +38,13 @@ other true constants within their tolerances), so large that its recalibrated ga
 on a mixed design of the generator's own, and hides it in the virtual bench of the rig `{RIG}`. The
 answer's salted SHA-256 is fixed before the first test. `pamrig gap investigate` knows the
 rig file and the stated constants, runs its tests over the bench's ports on a virtual clock, and
-stops when it can name the gap or has no test left. *Right*: one family is named, the hidden
-one. *Not told apart, confirmed*: the verdict offers a set that holds the hidden family and names
-references that would settle it, and by the generator's own measure one or two other entries take
-more than {100 * MIMICKED:.0f} % of what the effect leaves. Everything else is a miss. Intervals are
-Wilson's at 95 %.
+stops when it can name the gap or has no test left. A name is the diagnosis' own (its status is
+given) or that of the one family left, once a later test came out as it foretold (*foretold*; see
+[investigate](investigate.md)). *Right*: one family is named, the hidden one. *Not told apart,
+confirmed*: the verdict offers a set that holds the hidden family and names references that would
+settle it, and by the generator's own measure one or two other entries take more than
+{100 * MIMICKED:.0f} % of what the effect leaves. Everything else is a miss. Intervals are Wilson's
+at 95 %.
 """.strip()
 
 
@@ -76,6 +78,7 @@ def told(found: Investigation) -> Row:
     return {
         "conclusion": found.conclusion,
         "status": verdict.status,
+        "why": found.why,
         "reason": verdict.reason,
         "set": [
             {"ids": list(e.ids), "family": e.family, "probability": round(e.probability, 4)}
@@ -85,7 +88,7 @@ def told(found: Investigation) -> Row:
         "rounds": [
             {
                 "protocol": r.protocol, "why": r.why, "minutes": round(r.minutes, 1),
-                "status": r.status, "effects": list(r.effects),
+                "status": r.status, "effects": list(r.effects), "foretold": r.foretold,
             }
             for r in found.rounds
         ],
@@ -117,6 +120,9 @@ def totals(rows: list[Row]) -> dict[str, Share]:
     """The figures that the page begins with."""
     return {
         "right family named": share([r["right"] for r in rows]),
+        "of these, by a test that came out as foretold": share(
+            [by_proof(r) for r in rows if r["right"]]
+        ),
         "not told apart, confirmed by the generator": share([r["confirmed"] for r in rows]),
         "not told apart, set holds the family, not confirmed": share(
             [r["offered"] and not r["confirmed"] for r in rows]
@@ -126,6 +132,11 @@ def totals(rows: list[Row]) -> dict[str, Share]:
             [[e["family"] for e in r["set"]][:1] == [r["family"]] for r in rows]
         ),
     }
+
+
+def by_proof(row: Row) -> bool:
+    """Whether it is a later test that made the conclusion a name, not the diagnosis."""
+    return row["conclusion"] == "named" and row.get("status") == "indistinguishable"
 
 
 def seeds_of(text: str) -> list[int]:
@@ -204,14 +215,19 @@ def _table_row(row: Row) -> str:
         f"{' + '.join(e['ids'])} {100 * e['probability']:.0f} %" for e in row["set"][:3]
     )
     tests = ", ".join(r["protocol"] for r in row["rounds"])
-    reference = row["references"].get(hidden["id"], "") if row.get("references") else ""
+    asked = row["conclusion"] == "needs reference"
+    reference = row["references"].get(hidden["id"], "") if asked else ""
     cells = (
         row["seed"], hidden["id"], amount, f"{measured.get('gap_over_floor', 0.0):.1f}",
         f"{measured.get('mimic_index', 0.0):.2f}", tests,
-        f"{row['conclusion']} ({row.get('status', row.get('error', ''))})", best, word_for(row),
+        f"{row['conclusion']} ({_how(row)})", best, word_for(row),
         reference,
     )  # fmt: skip
     return "| " + " | ".join(str(cell).replace("|", "/") for cell in cells) + " |"
+
+
+def _how(row: Row) -> str:
+    return "foretold" if by_proof(row) else str(row.get("status", row.get("error", "")))
 
 
 def word_for(row: Row) -> str:
