@@ -36,13 +36,13 @@ MIMIC = 0.9
 SURE = 0.985
 TOLD_APART = 120.0
 """Whitened sum of squares that a mimic may leave more than the named effect does."""
-NAMED = 0.88
+NAMED = 0.82
 """Least belief that a name is not wrong (all of it hidden, or part) for it to be given."""
-NAMED_SEVERAL = 0.55
+NAMED_SEVERAL = 0.7
 """The same for several effects: where one of them is wrong, the other seldom is."""
-NAMED_ALL = 0.3
+NAMED_ALL = 0.35
 """For several effects: least belief in all of them."""
-UNKNOWN = 0.5
+UNKNOWN = 0.45
 """Belief in something outside the catalogue from which the verdict says so."""
 HALF = 0.5
 FORM_FULL = 0.9
