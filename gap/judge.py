@@ -25,7 +25,7 @@ from gap.shrink import Held, gap_of, held_out
 from gap.suspects import DEFECTS
 from gap.traits import traits_of
 from gap.verdict import Explanation, Gap, Verdict
-from gap.where import contrasts_of, stage_shares
+from gap.where import DRIFT, contrasts_of, stage_shares
 from plant.catalogue import CATALOGUE
 
 BLUNT = 4.0
@@ -52,6 +52,8 @@ STANDS_OUT = 3.0
 """Sd of chance by which the gap stands out where a constant is led to the end of its tolerance."""
 SHARED = 4.0
 """Sd of chance of what is left, and of what replicates share of it, that are no chance."""
+DRIFTS = 0.5
+"""Least probability of something unknown where a drift over the trials is left."""
 _LEAST = 0.03
 NEEDED_REPLICATES = 3
 
@@ -199,6 +201,18 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             "points to something the catalogue does not hold",
             none=none, unknown=weighed.unknown, gap=gap, stage=_stage_of_block(q, naming, block),
             entries=weighed.entries, mimics=extra, evidence=evidence,
+        )  # fmt: skip
+    drift = next(
+        (c for c in contrasts_of(q, chosen.state) if c.alarm and c.name.startswith(DRIFT)), None
+    )
+    if drift is not None:
+        return _verdict(
+            q, naming, held, "unknown",
+            f"a gap of which {names} explains a part and no drift over the trials: the contrast "
+            f"{drift.name} still stands at {drift.z:.1f} sd",
+            none=none, unknown=max(weighed.unknown, DRIFTS), gap=gap,
+            stage=_stage_of_block(q, naming, block), entries=weighed.entries, mimics=extra,
+            evidence=evidence,
         )  # fmt: skip
     entries = _ambiguity_set(weighed)
     ids = {frozenset(choice.state.ids) for choice, _ in entries}

@@ -67,28 +67,33 @@ def whereabouts(q: Inquiry, state: State) -> dict[str, list[dict[str, object]]]:
     }  # fmt: skip
 
 
-def contrasts_of(q: Inquiry) -> tuple[Contrast, ...]:
+DRIFT = "early-late trials"
+"""Name of the contrast that a slow change over the trials shows in."""
+
+
+def contrasts_of(q: Inquiry, state: State | None = None) -> tuple[Contrast, ...]:
     """Designed comparisons of the recalibrated residual, each with its own z over slots.
 
     A contrast is the difference of two means within a trial (or between trials), averaged over
     the replicates of a slot; slots are the independent units. `alarm` controls the family-wise
-    rate at 1 % over the whole table.
+    rate at 1 % over the whole table. With `state` the residual is what that state leaves.
     """
+    residual = (q.base if state is None else state).residual
     made: list[tuple[str, float]] = []
     for block in ("force", "load", "pressure"):
         here = q.rows.block == BLOCKS.index(block)
         if here.sum() < 8:
             continue
         for name, first, second in _designs(q, block):
-            z = _within(q, here & first, here & second)
+            z = _within(q, residual, here & first, here & second)
             if z is not None:
                 made.append((f"{name} ({block})", z))
-        z = _warmth(q, here)
+        z = _warmth(q, residual, here)
         if z is not None:
             made.append((f"hot-cold ({block})", z))
-        z = _order(q, here)
+        z = _order(q, residual, here)
         if z is not None:
-            made.append((f"early-late trials ({block})", z))
+            made.append((f"{DRIFT} ({block})", z))
     least = float(norm.isf(_FAMILY_WISE / 2.0 / max(len(made), 1)))
     made.sort(key=lambda item: -abs(item[1]))
     return tuple(Contrast(name, z, abs(z) > least) for name, z in made)
@@ -142,7 +147,7 @@ def pressure_rise(q: Inquiry) -> Array:
     return made
 
 
-def _within(q: Inquiry, first: Mask, second: Mask) -> float | None:
+def _within(q: Inquiry, residual: Array, first: Mask, second: Mask) -> float | None:
     """Z of the difference of two means, over slots."""
     values: list[float] = []
     for members in q.data.slots.values():
@@ -151,13 +156,13 @@ def _within(q: Inquiry, first: Mask, second: Mask) -> float | None:
             rows = q.noise.trial_rows[trial]
             a, b = rows[first[rows]], rows[second[rows]]
             if len(a) and len(b):
-                here.append(float(q.base.residual[a].mean() - q.base.residual[b].mean()))
+                here.append(float(residual[a].mean() - residual[b].mean()))
         if here:
             values.append(float(np.mean(here)))
     return _z(np.array(values))
 
 
-def _order(q: Inquiry, here: Mask) -> float | None:
+def _order(q: Inquiry, residual: Array, here: Mask) -> float | None:
     """Z of the trend of trial means over the order of trials, slots' own means taken out."""
     x: list[float] = []
     y: list[float] = []
@@ -167,7 +172,7 @@ def _order(q: Inquiry, here: Mask) -> float | None:
             rows = q.noise.trial_rows[trial]
             rows = rows[here[rows]]
             if len(rows):
-                means.append((q.data.trials[trial].order, float(q.base.residual[rows].mean())))
+                means.append((q.data.trials[trial].order, float(residual[rows].mean())))
         if len(means) > 1:
             table = np.array(means)
             table -= table.mean(axis=0)
@@ -186,7 +191,7 @@ def _order(q: Inquiry, here: Mask) -> float | None:
 _WARMER_K = 3.0
 
 
-def _warmth(q: Inquiry, here: Mask) -> float | None:
+def _warmth(q: Inquiry, residual: Array, here: Mask) -> float | None:
     """Z of hot against cold trials that are otherwise set alike, over such settings."""
     groups: dict[object, list[tuple[float, float]]] = {}
     for members in q.data.slots.values():
@@ -197,7 +202,7 @@ def _warmth(q: Inquiry, here: Mask) -> float | None:
             rows = rows[here[rows]]
             warm = _temperature(q.data.trials[trial])
             if len(rows) and np.isfinite(warm):
-                own = (warm, float(q.base.residual[rows].mean()))
+                own = (warm, float(residual[rows].mean()))
                 groups.setdefault(alike, []).append(own)
     values = []
     for pairs in groups.values():
