@@ -233,7 +233,8 @@ class Recalibration:
                 off -= true[n.ATMOSPHERE] - stated[n.ATMOSPHERE]
             touches = touched_by_constant(place)
             columns.append(self.difference(c, no_effect(), touches) / 0.5)
-            shift.append(off / sd[place])
+            # A slope of delays that is stated as none is known to be none.
+            shift.append(off / sd[place] if sd[place] > 0.0 else 0.0)
         return np.column_stack(columns), np.array(shift)
 
     def _constants(self, x: Floats) -> Floats:

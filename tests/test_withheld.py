@@ -140,6 +140,15 @@ def test_the_seal_is_the_salted_hash_of_the_answer_and_the_answer_names_a_known_
     assert {e for e in ENTRIES if e in CATALOGUE} == set(CATALOGUE)
 
 
+def test_on_a_rig_whose_delays_have_no_slope_mimics_are_measured_and_the_answer_sealed() -> None:
+    secret = draw(load_rig("virtual-instruments"), ["valve_delay_pressure"], entropy=1002)
+    members: Any = secret.measured["members"]
+    shares = [mimic["share"] for mimic in members[0]["mimics"]]
+    assert shares
+    assert np.isfinite(shares).all()
+    assert "valve_delay:inlet_on" in text_of(secret.answer())
+
+
 def test_two_draws_from_the_system_s_entropy_differ() -> None:
     answers = [json.dumps(draw(quiet(), effects=["pressure_gain"]).answer()) for _ in range(2)]
     assert answers[0] != answers[1]
