@@ -16,11 +16,11 @@ from daq.clock import Clock
 from daq.errors import PamrigError
 from plant import tomlfile
 
-PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp", ".jp2", ".tif", ".tiff"}
+PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp", ".tif", ".tiff"}
 STACKS = {".tif", ".tiff"}
-LARGEST_PICTURE = 512 << 20
-"""Bytes of a picture's file; how many pixels OpenCV lays out for one is bounded in ``vision``."""
-MOST_PAGES = 10_000
+LARGEST_PICTURE = 80 << 20
+"""Bytes of a picture's file; what its decoding may lay out is bounded in ``vision.decode``."""
+MOST_LOST = 10_000
 VIDEOS = {".avi", ".mp4", ".mkv", ".mov", ".mjpg", ".mjpeg", ".m4v", ".webm", ".mpg"}
 
 
@@ -112,76 +112,49 @@ def _folder(path: Path) -> Iterator[SourceFrame]:
             yield from _file(file)
 
 
-def decode(data: bytes) -> npt.NDArray[Any] | None:
-    """Grey frame of an encoded picture, None when it is none.
+def _picture(name: str, frame: int, data: bytes | memoryview) -> SourceFrame:
+    from vision.decode import PictureError, decode_gray
 
-    Eight-bit colour is decoded straight to grey (a JPEG's own luminance); 16 bits stay 16.
-    """
-    import cv2
-
-    if not data:
-        return None
-    raw = np.frombuffer(data, dtype=np.uint8)
     try:
-        image = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED)
-        if image is not None and image.ndim == 3 and image.dtype == np.uint8:
-            image = cv2.imdecode(raw, cv2.IMREAD_GRAYSCALE)
-    except cv2.error:
-        return None
-    return None if image is None else _gray(np.asarray(image))
-
-
-def _gray(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Grey from what OpenCV hands out (BGR order)."""
-    import cv2
-
-    if image.ndim == 3 and image.shape[2] >= 3:
-        image = np.asarray(cv2.cvtColor(np.ascontiguousarray(image[:, :, :3]), cv2.COLOR_BGR2GRAY))
-    elif image.ndim == 3:
-        image = image[:, :, 0]
-    return image
+        return SourceFrame(name, frame, decode_gray(data))
+    except PictureError as error:
+        return SourceFrame(name, frame, None, str(error))
 
 
 def _file(path: Path) -> Iterator[SourceFrame]:
-    import cv2
-
-    if path.suffix.lower() in STACKS:
-        try:
-            count = cv2.imcount(str(path), cv2.IMREAD_UNCHANGED)
-        except cv2.error:
-            count = 0
-        if count > 1:  # page by page: a small file may hold thousands of large ones
-            for k in range(min(count, MOST_PAGES)):
-                yield _page(path, k)
-            return
     try:
-        image = decode(tomlfile.read_bytes(path, LARGEST_PICTURE))
+        stack = _pages(path) if path.suffix.lower() in STACKS else []
+        if len(stack) > 1:  # page by page: a small file may hold thousands of large ones
+            for k, at in enumerate(stack):
+                yield _page(path, k, at)
+        else:
+            yield _picture(path.name, 0, tomlfile.read_bytes(path, LARGEST_PICTURE))
     except OSError as error:
         yield SourceFrame(path.name, 0, None, f"cannot be read: {error.strerror}")
-        return
-    if image is None:
-        yield SourceFrame(
-            path.name, 0, None, "not a picture that can be read (damaged, or another format)"
-        )
-    else:
-        yield SourceFrame(path.name, 0, image)
 
 
-def _page(path: Path, k: int) -> SourceFrame:
-    """One page of a stack."""
-    import cv2
+def _pages(path: Path) -> list[int]:
+    from vision import tiff
 
-    try:
-        ok, pages = cv2.imreadmulti(str(path), k, 1, flags=cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        ok, pages = False, ()
-    if not ok or not pages:
-        return SourceFrame(path.name, k, None, "page that cannot be read")
-    return SourceFrame(path.name, k, _gray(np.asarray(pages[0])))
+    if path.stat().st_size == 0:  # nothing that could be mapped
+        return []
+    return [page.at for page in tiff.pages(np.memmap(path, np.uint8, "r").data)]
+
+
+def _page(path: Path, k: int, at: int) -> SourceFrame:
+    """One page of a stack, of which no more is read; mapped anew, so that none is kept."""
+    from vision import tiff
+
+    data = np.memmap(path, np.uint8, "c").data
+    tiff.put_first(data, at)
+    return _picture(path.name, k, data)
 
 
 def _video(path: Path) -> Iterator[SourceFrame]:
     import cv2
+
+    from vision import MOST_PIXELS
+    from vision.decode import TOO_LARGE
 
     video = cv2.VideoCapture(str(path))
     try:
@@ -189,17 +162,20 @@ def _video(path: Path) -> Iterator[SourceFrame]:
             raise FramesError(
                 str(path), "not a video that can be read (damaged, or cut short)", _remedy()
             )
+        size = video.get(cv2.CAP_PROP_FRAME_WIDTH) * video.get(cv2.CAP_PROP_FRAME_HEIGHT)
+        if size > MOST_PIXELS:
+            raise FramesError(str(path), TOO_LARGE, _remedy())
         promised = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
         k = 0
         while True:
             ok, image = video.read()
             if not ok or image is None:
                 break
-            yield SourceFrame(path.name, k, _gray(np.asarray(image)))
+            yield SourceFrame(path.name, k, np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)))
             k += 1
         if k == 0:
             raise FramesError(str(path), "the video holds no frame that can be read", _remedy())
-        for lost in range(k, min(promised, k + MOST_PAGES)):
+        for lost in range(k, min(promised, k + MOST_LOST)):
             yield SourceFrame(path.name, lost, None, "the video ends before this frame")
     finally:
         video.release()
@@ -215,12 +191,11 @@ def _run(path: Path) -> Iterator[SourceFrame]:
         number = int(fields["frame"])
         name = f"frames/{number}"
         try:
-            image = decode(run.frame_bytes(number))
+            data = run.frame_bytes(number)
         except PamrigError as error:
             yield SourceFrame(name, number, None, error.what)
             continue
-        problem = "" if image is not None else "the frame's JPEG cannot be decoded"
-        yield SourceFrame(name, number, image, problem)
+        yield _picture(name, number, data)
 
 
 def _virtual(text: str) -> Iterator[SourceFrame]:

@@ -89,7 +89,7 @@ class LiveFeed:
             length_mm = float(length.apply(gap.pixels)) if gap.trusted else None
             lines = edge_lines(gap, length_mm)
             gray = decode(jpeg)
-            if gray is not None and gap.region[2] > 0:
+            if gray is not None:
                 lines += profile_lines(gray, gap.region)
             self.view.image(paths.CAMERA, time_s, jpeg, lines=lines)
             if length_mm is not None:

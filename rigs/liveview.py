@@ -190,9 +190,11 @@ def profile_lines(gray: npt.NDArray[np.uint8], region: Box) -> list[Line]:
     """Region, column profile and the columns the macro's threshold marks, as nameless lines.
 
     The profile stands on the region's lower border, a quarter of its height for the whole
-    grey scale; a bar below it runs under marked columns.
+    grey scale; a bar below it runs under marked columns. Nothing where nothing was looked at.
     """
     left, top, width, height = region
+    if width == 0:
+        return []
     right, bottom = left + width, top + height
     box = [(left, top), (right, top), (right, bottom), (left, bottom)]
     lines: list[Line] = [(_point(box[k]), _point(box[(k + 1) % 4]), "") for k in range(4)]
@@ -215,10 +217,14 @@ def _point(corner: tuple[int, int]) -> tuple[float, float]:
 
 
 def measured_edges(run: Run) -> Callable[[bytes], list[Line]]:
-    """Measures stored frames of a run again, for its view file."""
-    from rigs.pictures import decode, measure_stored
+    """Measures stored frames of a run again, for its view file.
 
-    camera = run.manifest.get("camera") or {}
+    Raises:
+        RecordError: run.json does not say how.
+    """
+    from rigs.pictures import camera_of, decode, measure_stored
+
+    camera = camera_of(run)
 
     def lines(jpeg: bytes) -> list[Line]:
         gray = decode(jpeg)

@@ -277,7 +277,7 @@ class _Bench:
 
     def _gap(self, number: int) -> Any:
         """The measured gap, or the reason why there is none."""
-        from rigs.pictures import decode, measure_stored
+        from rigs.pictures import camera_of, decode, measure_stored
 
         try:
             gray = decode(self.run.frame_bytes(number))
@@ -288,7 +288,7 @@ class _Bench:
         if self.measure is not None:
             gap = self.measure(gray)
         else:
-            gap = measure_stored(gray, self.run.manifest.get("camera") or {})
+            gap = measure_stored(gray, camera_of(self.run))
         return gap if gap.trusted else str(gap.reason)
 
     def _zeros(self) -> list[dict[str, Any]]:

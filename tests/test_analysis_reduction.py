@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,8 @@ import pytest
 
 from analysis_bench import CALIBRATIONS, force_n, write_run
 from daq.run import open_run
+from rigs.liveview import edge_lines, profile_lines
+from rigs.pictures import measure_stored
 from rigs.reduction import COLUMNS, reduce_isometric, write_table
 from rigs.regression import against_length, per_length
 
@@ -107,6 +110,28 @@ def test_a_lost_frame_costs_a_length_and_is_named(tmp_path: Path) -> None:
     reduction = reduce_isometric(open_run(truth.folder))
     assert list(reduction.table["length_mm"].isna()) == [True, False, False, False]
     assert any("point 1, frame 0" in note and "CRC" in note for note in reduction.notes)
+
+
+def test_a_region_the_pictures_do_not_have_costs_the_lengths_and_is_named(tmp_path: Path) -> None:
+    """The whole run was refused as one that pamrig did not write."""
+    truth = write_run(
+        tmp_path, np.random.default_rng(1), (60.0,), (400.0,), ("up",),
+        camera={"region": [5000, 0, 90, 90]},
+    )  # fmt: skip
+    reduction = reduce_isometric(open_run(truth.folder))
+    assert reduction.table["length_mm"].isna().all()
+    assert reduction.table["force_n"].notna().all()
+    assert any("no length" in n and "outside the frame of 640 x 480" in n for n in reduction.notes)
+
+
+@pytest.mark.parametrize("camera", [{}, {"region": [0, 0, 5, 40]}])
+def test_a_picture_too_small_to_measure_is_an_untrusted_measurement(camera: dict[str, Any]) -> None:
+    gray = np.zeros((40, 10), np.uint8)
+    gap = measure_stored(gray, camera)
+    assert not gap.trusted
+    assert "at least 24 x 8" in gap.reason
+    assert np.isnan(gap.pixels)
+    assert edge_lines(gap) == profile_lines(gray, gap.region) == []
 
 
 def test_the_live_length_and_the_remeasured_one_are_compared(tmp_path: Path) -> None:

@@ -146,6 +146,11 @@ def test_ports_as_they_go_wrong(tmp_path: Path) -> None:
         wrong = client("camera", "tcp://127.0.0.1:", "tcp://127.0.0.1:1")
         refused("isometric", "--rig", wrong, "--out", out, expect=("camera", "camera.source"))
         assert not list(out.glob("*")), "nothing was recorded of runs that never began"
+        wrong = client("region", "[camera]\n", "[camera]\nregion = [5000, 0, 90, 90]\n")
+        done = run_pamrig("isometric", "--rig", wrong, "--out", tmp_path / "unseen")
+        assert done.returncode == 2, done.stderr
+        assert "no length can be measured" in done.stdout
+        assert "outside the frame of 640 x 480" in done.stdout
 
         busy = pamrig(
             "isometric", "--rig", bench.rig, "--protocol", "isometric-short", "--out", out

@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 import psutil
@@ -53,11 +54,14 @@ from rigs.camera_calibration import load_camera_calibration
 from rigs.config import load_rig
 from rigs.frames import open_frames
 from rigs.importer import import_points
+from rigs.liveview import measured_edges
+from rigs.pictures import measure_stored
 from rigs.products import derive_all
 from rigs.segments import reduce_run
 from rigs.toml_reader import load_toml
 from rigs.virtual.server import open_server
 from rigs.virtual.withheld import ENVELOPE, ask
+from vision.preview import draw
 
 HOUSE = Path(__file__).parent.parent
 SECONDS = 20.0
@@ -437,14 +441,48 @@ def test_a_parquet_file_of_a_bench_is_read_as_it_is(tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(back.drop(columns="trial"), frame.drop(columns="trial"))
 
 
-def png(width: int, height: int) -> bytes:
+def png(width: int, height: int, depth: int = 8, kind: int = 0, frames: int = 1) -> bytes:
     def part(kind: bytes, data: bytes) -> bytes:
         return (
             struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
         )
 
-    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + part(b"IHDR", head) + part(b"IDAT", zlib.compress(b"\0" * 999))
+    head = struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0)
+    out = b"\x89PNG\r\n\x1a\n" + part(b"IHDR", head)
+    if frames > 1:
+        out += part(b"acTL", struct.pack(">II", frames, 0))
+        out += part(b"fcTL", struct.pack(">IIIIIHHBB", 0, width, height, 0, 0, 1, 10, 0, 0))
+        rows = nothing(height * (1 + width * depth // 8 * (4 if kind else 1)))
+        return out + part(b"IDAT", rows) + part(b"IEND", b"")
+    return out + part(b"IDAT", nothing(999)) + part(b"IEND", b"")
+
+
+def nothing(size: int) -> bytes:
+    """So many zero bytes, packed, without them ever being there."""
+    packer = zlib.compressobj(1)
+    packed = [packer.compress(bytes(1 << 20)) for _ in range(size >> 20)]
+    return b"".join([*packed, packer.compress(bytes(size % (1 << 20))), packer.flush()])
+
+
+def tiff(pages: list[tuple[tuple[int, int], bytes]], order: str = "<", big: bool = False) -> bytes:
+    """Pages of grey tiles, 8 bits: size of the tile, and its bytes packed with zlib."""
+    out = (b"II" if order == "<" else b"MM") + struct.pack(order + "H", 43 if big else 42)
+    out += struct.pack(order + "HHQ", 8, 0, 16) if big else struct.pack(order + "I", 8)
+    for k, ((width, height), data) in enumerate(pages):
+        tags = [(256, 48), (257, 32), (258, 8), (259, 8), (262, 1), (277, 1), (322, width),
+                (323, height), (324, 0), (325, len(data))]  # fmt: skip
+        head = struct.pack(order + ("Q" if big else "H"), len(tags))
+        size = len(head) + len(tags) * (20 if big else 12) + (8 if big else 4)
+        for tag, value in tags:
+            value = len(out) + size if tag == 324 else value
+            form = "HHQIxxxx" if big else "HHII"  # a LONG, at the front of what holds it
+            head += struct.pack(order + form, tag, 4, 1, value)
+        last = k == len(pages) - 1
+        head += struct.pack(
+            order + ("Q" if big else "I"), 0 if last else len(out) + size + len(data)
+        )
+        out += head + data
+    return out
 
 
 PICTURES = """
@@ -454,16 +492,25 @@ from rigs.frames import open_frames
 from rigs.pictures import decode
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for path in sorted(Path(sys.argv[1]).iterdir()):
-    if path.suffix != ".tif":
-        assert decode(path.read_bytes()) is None, path
+    assert decode(path.read_bytes()) is None, path
 for frame in open_frames(sys.argv[1]):
     assert frame.image is None and frame.problem, frame
 print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
 """
 
 
+def strangers_pictures(folder: Path) -> float:
+    """Megabytes laid out for pictures that are none. In a process: OpenCV is told before."""
+    done = subprocess.run(
+        [sys.executable, "-c", PICTURES, str(folder)],
+        capture_output=True, text=True, check=False, timeout=900,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return float(done.stdout)
+
+
 def test_a_picture_that_claims_billions_of_pixels_is_none(tmp_path: Path) -> None:
-    """A hundred bytes had gigabytes laid out. In a process of its own: OpenCV is told before."""
+    """A hundred bytes had gigabytes laid out."""
     side = 32_000  # OpenCV's own bound would let a gigapixel pass
     (tmp_path / "a.png").write_bytes(png(side, side))
     (tmp_path / "b.pgm").write_bytes(b"P5 %d %d 255\n" % (side, side) + b"\0" * 100)
@@ -471,12 +518,105 @@ def test_a_picture_that_claims_billions_of_pixels_is_none(tmp_path: Path) -> Non
     (tmp_path / "c.jpg").write_bytes(
         jpeg + b"\xff\xda\x00\x08\x01\x01\x00\x00\x3f\x00" + b"\0" * 99
     )
-    done = subprocess.run(
-        [sys.executable, "-c", PICTURES, str(tmp_path)],
-        capture_output=True, text=True, check=False, timeout=900,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert float(done.stdout) < MORE_MB
+    assert strangers_pictures(tmp_path) < MORE_MB
+
+
+@pytest.mark.parametrize("kind", ["animated", "chunk", "tile", "twenty bytes a pixel"])
+def test_a_picture_that_takes_more_than_its_pixels_is_none(tmp_path: Path, kind: str) -> None:
+    """Within what may be claimed, several times its pixels were laid out."""
+    if kind == "animated":
+        (tmp_path / "a.png").write_bytes(png(4_900, 5_000, 16, 6, frames=3))
+    elif kind == "chunk":
+        data = bytearray(cv2.imencode(".png", np.zeros((40, 60), np.uint8))[1].tobytes())
+        struct.pack_into(">I", data, data.index(b"IDAT") - 4, 2_000_000_000)
+        (tmp_path / "a.png").write_bytes(data)
+    elif kind == "tile":
+        (tmp_path / "a.tif").write_bytes(tiff([((16_384, 8_192), nothing(16_384 * 8_192))]))
+    else:
+        ok, data = cv2.imencode(".jp2", np.zeros((2_000, 2_000, 3), np.uint8))
+        assert ok
+        (tmp_path / "a.png").write_bytes(data.tobytes())  # OpenCV goes by what is in it
+    assert strangers_pictures(tmp_path) < 50.0
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("big", [False, True])
+def test_a_page_of_a_stack_is_read_alone(tmp_path: Path, order: str, big: bool) -> None:
+    """Each page was found by counting all of them: ten thousand took hours."""
+    pages = [((48, 32), zlib.compress(bytes([k]) * 48 * 32)) for k in range(5)]
+    pages[3] = ((16_384, 24_576), b"")
+    (tmp_path / "a.tif").write_bytes(tiff(pages, order, big))
+    frames = list(open_frames(tmp_path / "a.tif"))
+    assert [frame.frame for frame in frames] == [0, 1, 2, 3, 4]
+    assert "million pixels" in frames.pop(3).problem
+    for frame in frames:
+        assert frame.image is not None
+        assert frame.image.shape == (32, 48)
+        assert (frame.image == frame.frame).all()
+
+
+def test_a_stack_whose_pages_go_round_ends(tmp_path: Path) -> None:
+    stack = bytearray(tiff([((48, 32), nothing(48 * 32))] * 2))
+    second = struct.unpack_from("<I", stack, 8 + 2 + 10 * 12)[0]
+    struct.pack_into("<I", stack, second + 2 + 10 * 12, 8)
+    (tmp_path / "a.tif").write_bytes(stack)
+    assert len(list(open_frames(tmp_path / "a.tif"))) == 2
+
+
+def test_thousands_of_pages_take_seconds(tmp_path: Path) -> None:
+    (tmp_path / "a.tif").write_bytes(tiff([((48, 32), nothing(48 * 32))] * 2_000))
+    start = time.process_time()
+    assert sum(frame.image is not None for frame in open_frames(tmp_path / "a.tif")) == 2_000
+    assert time.process_time() - start < 10.0
+
+
+def test_a_picture_too_large_says_so_with_its_name_and_how_it_is_read(tmp_path: Path) -> None:
+    (tmp_path / "claim.png").write_bytes(png(8_000, 8_000))
+    video = cv2.VideoWriter(
+        str(tmp_path / "film.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 9, (5_200, 5_000), False
+    )
+    video.write(np.zeros((5_000, 5_200), np.uint8))
+    video.release()
+    for name in ("claim.png", "film.avi"):
+        done = subprocess.run(
+            [sys.executable, "-m", "rigs.cli", "length", str(tmp_path / name)],
+            capture_output=True, text=True, check=False, timeout=900,
+        )  # fmt: skip
+        assert done.returncode == 2
+        assert name in done.stderr
+        assert "OPENCV_IO_MAX_IMAGE_PIXELS" in done.stderr
+
+
+def test_drawing_a_large_picture_lays_out_what_is_seen(tmp_path: Path) -> None:
+    """Forty bytes a pixel were laid out."""
+    draw(tmp_path / "small.png", np.zeros((100, 100), np.uint8))
+    tracemalloc.start()
+    draw(tmp_path / "large.png", np.zeros((5_000, 5_000), np.uint8))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 150e6
+
+
+def test_a_picture_as_high_as_a_tower_is_not_searched() -> None:
+    """The search takes memory with the square of the height: gigabytes for a million rows."""
+    gap = measure_stored(np.zeros((100_000, 30), np.uint8), {})
+    assert not gap.trusted
+    assert "at most" in gap.reason
+
+
+CAMERAS = (
+    {"region": "abcd"}, {"region": [1, 2]}, {"region": [0.5, 1, 30, 30]}, {"sync": [1]},
+    {"region": [0, 0, 1 << 80, 1 << 80]}, {"sync": {"patch": [1]}}, {"lens": {"k1": 0.1}},
+    {"lens": {"centre_x": 1, "centre_y": 1, "radius": 1e-200}},
+    {"lens": {"centre_x": "1", "centre_y": 1, "radius": 100.0}},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_run_that_says_nonsense_of_its_camera(run: Run, camera: Any) -> None:
+    strange = tamper(run, "run.json", lambda f: f.update(camera=camera))
+    with pytest.raises(RecordError, match="camera"):
+        measured_edges(strange)
 
 
 def test_the_note_of_a_withheld_bench_unpacks_to_no_more_than_a_note(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 Box = tuple[int, int, int, int]
 LEAST_WIDTH, LEAST_HEIGHT = 24, 8
+MOST_SIDE = 1 << 14
+"""Pixels; the search for edges takes time and memory with the square of the height."""
 
 
 class FrameError(ValueError):
@@ -43,7 +45,7 @@ def to_gray(frame: npt.NDArray[Any]) -> npt.NDArray[np.uint8] | npt.NDArray[np.f
         raise FrameError(f"a frame holds 8-bit or 16-bit grey levels, got {array.dtype}")
     if array.dtype == np.uint8 and array.ndim == 2:
         return np.ascontiguousarray(array)
-    levels = array.astype(np.float32)
+    levels = array.astype(np.float32, copy=False)
     if array.dtype == np.uint16:
         levels /= np.float32(257.0)
     if levels.ndim == 3:
@@ -57,7 +59,8 @@ def clip_region(region: Box | None, width: int, height: int) -> Box:
     """The part of ``region`` (left, top, width, height) inside a frame of this size.
 
     Raises:
-        RegionError: nothing, or too little to find two edges in, is left.
+        RegionError: nothing, or too little to find two edges in, is left; or more than any
+            camera's side.
     """
     if region is None:
         box = (0, 0, width, height)
@@ -75,5 +78,9 @@ def clip_region(region: Box | None, width: int, height: int) -> Box:
         raise RegionError(
             f"the region holds {box[2]} x {box[3]} pixels of the frame of {width} x {height}; "
             f"at least {LEAST_WIDTH} x {LEAST_HEIGHT} are needed to find two edges"
+        )
+    if max(box[2:]) > MOST_SIDE:
+        raise RegionError(
+            f"the region holds {box[2]} x {box[3]} pixels; at most {MOST_SIDE} a side are looked at"
         )
     return box

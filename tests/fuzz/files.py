@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from daq.annotations import annotate
+from daq.calibration import Calibration
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
 from daq.record import RecordWriter
@@ -26,6 +27,7 @@ from plant.errors import PlantError
 from plant.models.catalogue import load as load_model
 from rigs.config import load_rig
 from rigs.frames import open_frames
+from rigs.liveview import measured_edges
 from rigs.pictures import decode, measure_stored
 from rigs.segments import reduce_run
 from rigs.toml_reader import load_toml
@@ -75,11 +77,21 @@ def _model() -> Target:
 # ---- records -----------------------------------------------------------------------------
 
 
+CAMERA = {
+    "region": [0, 0, 60, 40],
+    "sync": {"patch": [50, 0, 5, 5]},
+    "lens": {"centre_x": 30.0, "centre_y": 20.0, "radius": 36.0, "k1": 0.01},
+}
+CALIBRATIONS = {
+    name: Calibration(name, "u", "raw", 0.0, 1.0, 0.1, 0.001, (0.0, 1000.0), "C-1")
+    for name in ("pressure_kpa", "length_mm", "force_n")
+}
+
+
 def _record(folder: Path, ended: bool) -> Path:
-    record = RecordWriter(
-        folder, {"protocol": "isometric", "specimen": "m"}, VirtualClock(), durable=False,
-        threaded=False,
-    )  # fmt: skip
+    manifest = {"protocol": "isometric", "specimen": "m", "camera": CAMERA,
+                "calibrations": {k: c.to_dict() for k, c in CALIBRATIONS.items()}}  # fmt: skip
+    record = RecordWriter(folder, manifest, VirtualClock(), durable=False, threaded=False)
     record.stream("valve", {"seq": "int64", "counts": "uint16"})
 
     def rows(first: int) -> dict[str, np.ndarray]:
@@ -91,7 +103,7 @@ def _record(folder: Path, ended: bool) -> Path:
     record.event("state", state="first")
     record.event("point", order=1, trial=1, slot="a", mounting="m", replicate=1, direction="up",
                  settled=True, valve_seq=[0, 40], balance_rows=[0, 0], frames=[0])  # fmt: skip
-    record.frame(b"no picture", 1)
+    record.frame(_pictures()[0], 1)
     record.wire("valve", 1, b"bytes")
     if ended:
         record.finalize("clean")
@@ -114,7 +126,7 @@ def _folder(name: str, names: Sequence[str], ended: bool) -> Target:
     folder = _record(Path(tempfile.mkdtemp(prefix="fuzz")), ended)
     sound = {name: (folder / name).read_bytes() for name in names}
     looks: tuple[Callable[[Run], object], ...] = (
-        reduce_run, lambda r: r.samples("valve"), lambda r: r.frame_bytes(0)
+        reduce_run, lambda r: r.samples("valve"), lambda r: measured_edges(r)(r.frame_bytes(0))
     )  # fmt: skip
 
     def run(data: bytes) -> None:
@@ -213,7 +225,7 @@ def _pictures() -> list[bytes]:
 def _picture() -> Target:
     def run(data: bytes) -> None:
         gray = decode(data)
-        if gray is not None and gray.size:
+        if gray is not None:
             measure_stored(gray, {})
 
     words = (b"\xff\xd8", b"\xff\xc0", b"IHDR", b"P5")

@@ -1,0 +1,97 @@
+"""Where the pages of a TIFF are, and what reading one lays out, from its tags alone.
+
+TIFF 6.0 (Adobe, 1992) and BigTIFF. Strips and tiles are laid out whole by whoever decodes them, and
+a tile may be far larger than the picture it belongs to.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from typing import NamedTuple
+
+BEGINS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+MOST_PAGES = 10_000
+MOST_TAGS = 4096
+WIDTH, HEIGHT, BITS, SAMPLES, ROWS, TILE_WIDTH, TILE_HEIGHT = 256, 257, 258, 277, 278, 322, 323
+WHOLE = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 16: "Q", 17: "q"}
+"""Kinds of whole numbers, as `struct` has them."""
+
+
+class Page(NamedTuple):
+    """A page: where its tags begin, and how many bytes one strip or tile of it takes laid out."""
+
+    at: int
+    at_once: int
+
+
+class _Form(NamedTuple):
+    """Byte order; letters of an offset and of a number of tags; bytes of a tag and of its value."""
+
+    order: str
+    offset: str
+    number: str
+    tag: int
+    value: int
+
+    @property
+    def first(self) -> int:
+        """Where the offset of the first page stands."""
+        return self.value  # 4, and 8 with offsets of 64 bits
+
+
+def _form(data: memoryview) -> _Form:
+    order = "<" if data[0] == ord("I") else ">"
+    big = ord("+") in data[2:4]
+    return _Form(order, "Q", "Q", 20, 8) if big else _Form(order, "I", "H", 12, 4)
+
+
+def pages(data: memoryview) -> Iterator[Page]:
+    """The pages of a TIFF in their order, up to the first whose tags are damaged."""
+    if not data[:4].tobytes().startswith(BEGINS):
+        return
+    form = _form(data)
+    seen: set[int] = set()
+    try:
+        (at,) = struct.unpack_from(form.order + form.offset, data, form.first)
+        while at and at not in seen and len(seen) < MOST_PAGES:
+            seen.add(at)
+            (count,) = struct.unpack_from(form.order + form.number, data, at)
+            if count > MOST_TAGS:
+                return
+            begin = at + struct.calcsize(form.order + form.number)
+            end = begin + count * form.tag
+            tags: dict[int, int] = {}
+            for place in range(begin, end, form.tag):
+                tag, value = _tag(data, form, place)
+                tags[tag] = max(value, tags.get(tag, 0))  # one that stands twice: the worse
+            yield Page(at, _at_once(tags))
+            (at,) = struct.unpack_from(form.order + form.offset, data, end)
+    except struct.error:
+        return
+
+
+def put_first(data: memoryview, at: int) -> None:
+    """Write into ``data`` that the page whose tags begin at ``at`` is the first."""
+    form = _form(data)
+    struct.pack_into(form.order + form.offset, data, form.first, at)
+
+
+def _tag(data: memoryview, form: _Form, at: int) -> tuple[int, int]:
+    """Number and first value of a tag; 0 where it holds no whole number."""
+    tag, kind, count = struct.unpack_from(f"{form.order}HH{form.offset}", data, at)
+    if kind not in WHOLE:
+        return tag, 0
+    at += form.tag - form.value
+    if count * struct.calcsize(form.order + WHOLE[kind]) > form.value:
+        (at,) = struct.unpack_from(form.order + form.offset, data, at)
+    return tag, abs(struct.unpack_from(form.order + WHOLE[kind], data, at)[0])
+
+
+def _at_once(tags: dict[int, int]) -> int:
+    """Bytes of one strip or tile: its own, and the four a pixel of a conversion to colour."""
+    width, height = tags.get(WIDTH, 0), tags.get(HEIGHT, 0)
+    height = min(height, tags.get(ROWS) or height)
+    if TILE_WIDTH in tags or TILE_HEIGHT in tags:
+        width, height = tags.get(TILE_WIDTH) or width, tags.get(TILE_HEIGHT) or height
+    return width * height * max(4, tags.get(SAMPLES, 1) * tags.get(BITS, 1) // 8)
