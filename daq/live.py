@@ -30,7 +30,7 @@ BIN_S = 0.02  # lowest and highest of each: at most 100 points a second
 IDLE_FLUSH_S = 0.2  # an unfinished bin is shown after this long without news
 READOUT_S = 0.25
 HOLD_BEHIND_S = 0.25
-START_S = 20.0
+START_S = 60.0  # some second; a busy machine takes long over loading Rerun
 CLOSE_S = 4.0
 APPLICATION = "pamrig"
 

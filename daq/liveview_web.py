@@ -27,7 +27,7 @@ from typing import Any
 from daq.errors import PamrigError
 
 LOOPBACK = "127.0.0.1"
-START_S = 15.0
+START_S = 60.0
 STOP_S = 1.0
 NATIVE_FAILS_S = 1.5
 # Everything the page may do: run its own code, talk to loopback. No fonts or usage reports

@@ -95,7 +95,7 @@ class Browser:
             mobile=False,
         )
 
-    def call(self, method: str, timeout_s: float = 60.0, **params: Any) -> dict[str, Any]:
+    def call(self, method: str, timeout_s: float = 180.0, **params: Any) -> dict[str, Any]:
         """Send one command and wait for its answer."""
         self._next += 1
         message: dict[str, Any] = {"id": self._next, "method": method, "params": params}
@@ -137,7 +137,7 @@ class Browser:
     def open(self, url: str) -> None:
         """Go to a page; returns when its document is there."""
         self.call("Page.navigate", url=url)
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + 180.0
         while time.monotonic() < end:
             try:
                 if self.evaluate("document.readyState") in ("interactive", "complete"):

@@ -25,7 +25,7 @@ from rigs.liveview import isometric_layout, measured_edges
 from tests.look.browser import Browser
 from tests.look.synthetic import SyntheticTest
 
-LOAD_S = 120.0  # 43 MB of page, compiled and drawn without a graphics card
+LOAD_S = 300.0  # 43 MB of page, compiled and drawn without a graphics card
 DRAWN = 300  # pixels of a colour that must be there before the picture counts as drawn
 
 
