@@ -72,10 +72,12 @@ class Investigation:
     """What came of it: the last verdict, how it was reached, and what is still needed.
 
     `conclusion` is "named", "needs reference", "no gap" or "open", and `why` says it in a sentence.
+    `family` is what was named: a family of the catalogue, or several that act together.
     """
 
     conclusion: str
     why: str
+    family: str | None
     verdict: Verdict
     rounds: tuple[Round, ...]
     references: Mapping[str, str]
@@ -87,6 +89,7 @@ class Investigation:
             "schema": 1,
             "conclusion": self.conclusion,
             "why": self.why,
+            "family": self.family,
             "references": dict(self.references),
             "rounds": [{**vars(r), "effects": list(r.effects)} for r in self.rounds],
             "minutes": sum(r.minutes for r in self.rounds),
@@ -261,15 +264,15 @@ class _Begun:
         if before is None or not before.chosen.keys or self.inquiry is None:
             return None
         state = before.chosen.state
-        family = _family(state.ids)
-        rivals = [c.state for c in before.rivals if _family(c.state.ids) != family]
+        families = _families(state.ids)
+        rivals = [c.state for c in before.rivals if not families & _families(c.state.ids)]
         found = foretell(
             self.inquiry, _trials_of(self.inquiry, self.runs[-1]), state, rivals[:MOST_RIVALS]
         )
         if not found.shown:
             return None
         protocol = self.tests[-1].protocol
-        self.foretold.setdefault(family, []).append((protocol, found))
+        self.foretold.setdefault("+".join(families), []).append((protocol, found))
         return {
             "by": list(state.ids), "share": found.share, "confirmed": found.confirmed,
             "rows": found.rows, "without": found.without, "left": found.left,
@@ -278,14 +281,15 @@ class _Begun:
 
     @property
     def family(self) -> str | None:
-        """The one family that all entries left are of, where the diagnosis stops short of a name.
+        """The one family that is in all entries left, where the diagnosis stops short of a name.
 
-        None where there are several, or another entry or pair could stand in.
+        None where there are several.
         """
-        if self.verdict is None or self.verdict.status != "indistinguishable":
+        if self.verdict is None or self.verdict.status not in ("indistinguishable", "mimicable"):
             return None
-        families = {effect.family for effect in self.verdict.effects}
-        return families.pop() if len(families) == 1 else None
+        left = [_families(effect.ids) for effect in self.verdict.effects]
+        common = frozenset.intersection(*left) if left else frozenset()
+        return next(iter(common)) if len(common) == 1 else None
 
     @property
     def confirmed(self) -> tuple[str, Foretelling] | None:
@@ -311,9 +315,14 @@ class _Begun:
         status = self.verdict.status
         if status in ("named", "named_form_inadequate") or self.confirmed is not None:
             return "named"
-        if status in ("indistinguishable", "mimicable") and self.family is None:
+        if status in ("indistinguishable", "mimicable") and len(self._entries) > 1:
             return "needs reference"
         return "no gap" if status == "no_gap_above_floor" else "open"
+
+    @property
+    def _entries(self) -> set[str]:
+        """Families, or pairs of them, of the entries left."""
+        return {effect.family for effect in self.verdict.effects} if self.verdict else set()
 
     @property
     def why(self) -> str:
@@ -336,8 +345,11 @@ class _Begun:
         if self.verdict is None:
             self._diagnose()
         assert self.verdict is not None
+        named = None
+        if self.conclusion == "named":
+            named = self.family if self.confirmed else self.verdict.effects[0].family
         found = Investigation(
-            self.conclusion, self.why, self.verdict, tuple(self.rounds), self.references,
+            self.conclusion, self.why, named, self.verdict, tuple(self.rounds), self.references,
             self.folder,
         )  # fmt: skip
         text = json.dumps(found.as_dict(), indent=2, allow_nan=False)
@@ -359,8 +371,8 @@ def _trials_of(q: Inquiry, run: Run) -> list[int]:
     return [k for k, trial in enumerate(q.data.trials) if trial.name.startswith(f"{run.run_id}:")]
 
 
-def _family(ids: tuple[str, ...]) -> str:
-    return "+".join(dict.fromkeys(CATALOGUE[name].family for name in ids))
+def _families(ids: tuple[str, ...]) -> frozenset[str]:
+    return frozenset(CATALOGUE[name].family for name in ids)
 
 
 def _own_folder(out: Path) -> Path:

@@ -73,7 +73,8 @@ def test_made_again_every_test_of_a_survey_is_at_settings_of_its_own() -> None:
 def verdict_with(
     experiment: Experiment | None = None, status: str = "unknown", effects: tuple[str, ...] = ()
 ) -> Verdict:
-    found = tuple(Explanation((e,), CATALOGUE[e].family, 0.4, {}) for e in effects)
+    ids = [tuple(effect.split("+")) for effect in effects]
+    found = tuple(Explanation(i, "+".join(CATALOGUE[e].family for e in i), 0.4, {}) for i in ids)
     return Verdict(
         status, "", None, found, 0.0, 1.0, None, (), (), {}, experiment, {},
     )  # fmt: skip
@@ -125,6 +126,8 @@ def foretold(without: float, left: float, rival: float) -> Foretelling:
         (("viscosity",), [foretold(9e3, 420.0, 6e3), foretold(9e3, 5e3, 6e3)], "open"),  # refuted
         (("viscosity",), [foretold(9e3, 420.0, 6e3), foretold(9e3, 420.0, 480.0)], "named"),
         (("viscosity", "camera_delay"), [foretold(9e3, 420.0, 6e3)], "needs reference"),
+        (("viscosity", "end_cap+viscosity"), [foretold(9e3, 420.0, 6e3)], "named"),  # in both
+        (("viscosity", "end_cap+viscosity"), [], "needs reference"),
     ],
 )
 def test_one_family_is_named_once_a_later_test_came_out_as_it_foretold(
@@ -135,9 +138,8 @@ def test_one_family_is_named_once_a_later_test_came_out_as_it_foretold(
     assert begun.conclusion == conclusion
     assert begun.settled == (conclusion == "named")
     assert ("confirmed by the isobaric test" in begun.why) == (conclusion == "named")
-    assert set(begun.references) == (
-        set() if conclusion == "named" and len(effects) == 1 else set(effects)
-    )
+    names = {name for effect in effects for name in effect.split("+")}
+    assert set(begun.references) == (set() if conclusion == "named" and len(names) == 1 else names)
 
 
 # ---------------------------------------------------------------------------- the loop
@@ -167,6 +169,37 @@ def test_an_effect_of_the_plant_is_named_after_the_first_two_tests(
     written = json.loads((tmp_path / "runs" / "investigation" / "investigation.json").read_text())
     assert written["conclusion"] == "named"
     assert len(told) == 4
+
+
+def elsewhere(config: RigConfig, again: bool = False) -> list[Test]:
+    """Steps alone can be made again, at other pressures and another length."""
+    held, steps = few(config)
+    if not again:
+        return [held, steps]
+    other = {"pressures_kpa": [400, 200], "length_mm": 57.0}
+    return [dataclasses.replace(steps, settings={**steps.settings, **other})]
+
+
+def test_delays_that_look_alike_are_named_by_their_family_once_steps_elsewhere_are_foretold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At one supply a delay and its slope are one thing, so no diagnosis names either alone."""
+    monkeypatch.setattr(loop, "battery", elsewhere)
+    config = rig_with(tmp_path, '[effects.valve_delay]\ndelay_ms = 6\nedge = "inlet_on"\n')
+    found = investigate(config, tmp_path / "runs", derive=False)
+    assert [r.protocol for r in found.rounds] == ["isometric", "step", "step"]
+    first, again = found.rounds[1:]
+    assert first.status == again.status == "indistinguishable"
+    assert {"valve_delay", "valve_delay_pressure"} <= set(again.effects)
+    assert again.why == "at other settings, to see whether valve_delay foretells it"
+    assert first.foretold is None
+    assert again.foretold is not None
+    assert again.foretold["confirmed"]
+    assert again.foretold["share"] > 0.9
+    assert found.conclusion == "named"
+    assert "confirmed by the step test" in found.why
+    assert found.family == "valve_timing"
+    assert {"valve_delay", "valve_delay_pressure"} <= set(found.references)
 
 
 def test_a_second_investigation_has_a_folder_of_its_own(tmp_path: Path) -> None:
@@ -273,6 +306,7 @@ def row(hidden: str, conclusion: str, families: list[str], mimic: float = 0.0) -
     one = {
         "answer": {"effects": [{"id": hidden, "family": hidden}], "measured": measured},
         "set": [{"ids": [f], "family": f} for f in families], "conclusion": conclusion,
+        "named": families[0] if conclusion == "named" else None,
     }  # fmt: skip
     return one | judged(one)
 

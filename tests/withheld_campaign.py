@@ -79,6 +79,7 @@ def told(found: Investigation) -> Row:
         "conclusion": found.conclusion,
         "status": verdict.status,
         "why": found.why,
+        "named": found.family,
         "reason": verdict.reason,
         "set": [
             {"ids": list(e.ids), "family": e.family, "probability": round(e.probability, 4)}
@@ -103,7 +104,7 @@ def judged(row: Row) -> Row:
     (hidden,) = row["answer"]["effects"]
     families = [e["family"] for e in row["set"]]
     measured = row["answer"]["measured"]
-    right = row["conclusion"] == "named" and families[:1] == [hidden["family"]]
+    right = row["conclusion"] == "named" and row["named"] == hidden["family"]
     mimicked = float(measured.get("mimic_index", 0.0)) >= MIMICKED
     offered = row["conclusion"] == "needs reference" and hidden["family"] in families
     return {
@@ -136,7 +137,7 @@ def totals(rows: list[Row]) -> dict[str, Share]:
 
 def by_proof(row: Row) -> bool:
     """Whether it is a later test that made the conclusion a name, not the diagnosis."""
-    return row["conclusion"] == "named" and row.get("status") == "indistinguishable"
+    return row["conclusion"] == "named" and not str(row.get("status")).startswith("named")
 
 
 def seeds_of(text: str) -> list[int]:
