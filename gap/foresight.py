@@ -18,7 +18,7 @@ import numpy.typing as npt
 from gap.columns import TRIAL_EFFECTS, trial_columns
 from gap.evidence import tolerance
 from gap.grid import make_grid
-from gap.inquiry import Inquiry, State
+from gap.inquiry import Inquiry, State, solved
 from gap.library import Candidate, as_data
 from gap.model import Model
 from gap.noise import WHITE, Noise, usual
@@ -94,7 +94,7 @@ def separation(found: Products, best: State, rival: State) -> float:
         _, slope, stiffness = tolerance(rival.shift + bend[:n])
         matrix = found.gram + np.diag(np.r_[stiffness, range_prior])
         steep = found.gram @ bend - found.across + np.r_[slope, range_prior * bend[n:]]
-        bend -= np.linalg.pinv(matrix, hermitian=True, rcond=1e-13) @ steep
+        bend -= solved(matrix, steep, 0.0)
     left = found.difference - 2.0 * found.across @ bend + bend @ found.gram @ bend
     left += float(range_prior @ bend[n:] ** 2)
     left += tolerance(rival.shift + bend[:n])[0] - tolerance(best.shift)[0]

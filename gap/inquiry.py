@@ -251,7 +251,7 @@ class Inquiry:
             damping = damping / 10.0
             if gain < max(0.2, 1e-4 * cost):
                 break
-        return State(shift, tuple(suspects), amounts, residual, cost, _covariance(matrix))
+        return State(shift, tuple(suspects), amounts, residual, cost, covariance(matrix))
 
     def state(
         self, shift: Array, suspects: Sequence[Suspect], amounts: Array, like: State
@@ -377,7 +377,8 @@ def solved(matrix: Array, right: Array, damping: float) -> Array:
         return np.asarray(np.linalg.pinv(stiff, hermitian=True) @ (right / unit)) / unit
 
 
-def _covariance(matrix: Array) -> Array:
+def covariance(matrix: Array) -> Array:
+    """Inverse of a normal matrix, worked out in units in which its parameters are alike."""
     unit = _scale(matrix)
     even = np.linalg.pinv(matrix / unit / unit[:, None], hermitian=True, rcond=1e-13)
     return np.asarray(even / unit / unit[:, None])

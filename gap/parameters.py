@@ -6,7 +6,7 @@ import numpy as np
 
 from gap.belief import learnt
 from gap.evidence import projected
-from gap.inquiry import Inquiry, State
+from gap.inquiry import Inquiry, State, covariance, solved
 from gap.verdict import Estimate
 from plant.catalogue import CATALOGUE
 
@@ -31,7 +31,7 @@ def settled(q: Inquiry, state: State) -> State:
         ]
     )
     matrix, right = q.normal(columns, state.residual, state.shift)
-    beta = np.linalg.pinv(matrix, hermitian=True, rcond=1e-13) @ right
+    beta = solved(matrix, right, 0.0)
     best = state
     for share in (1.0, 0.5):
         shift = state.shift + share * beta[:n]
@@ -39,7 +39,7 @@ def settled(q: Inquiry, state: State) -> State:
         if moved.cost < best.cost:
             best = moved
             break
-    cover = np.asarray(np.linalg.pinv(matrix, hermitian=True, rcond=1e-13))
+    cover = covariance(matrix)
     return State(best.shift, best.suspects, best.amounts, best.residual, best.cost, cover)
 
 

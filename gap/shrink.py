@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.stats import t as student
 
 from gap.evidence import gather, tolerance
-from gap.inquiry import Inquiry, State
+from gap.inquiry import Inquiry, State, solved
 from gap.parameters import headline_estimates, settled
 from gap.rows import BLOCKS, UNITS
 from gap.verdict import Gap
@@ -151,7 +151,7 @@ def left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> Folds
         right[:n] -= slope
         matrix[range(n, width), range(n, width)] += loose
         right[n:] -= loose * state.amounts
-        beta = np.linalg.pinv(matrix, hermitian=True, rcond=1e-13) @ right
+        beta = solved(matrix, right, 0.0)
         beta[n:] = np.clip(state.amounts + beta[n:], low, high) - state.amounts
         change[unit] = beta
         vector = np.r_[-beta, 1.0]

@@ -15,7 +15,7 @@ from gap.inquiry import Inquiry, State
 from gap.learner import generic, splines
 from gap.opening import open_data
 from gap.parameters import settled
-from gap.shrink import held_out, improved_plant
+from gap.shrink import held_out, improved_plant, left_out
 from gap.shrinkage import as_lines, shrinkage
 from gap_bench import write_set
 from gap_sets import settled_set
@@ -39,6 +39,21 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[Inquiry, State]:
     bladders = [s for s in q.suspects if s.key == "bladder_elasticity"]
     fits = [q.fit_afresh([inlet, b], [-0.4, 0.8]) for b in bladders]
     return q, min(fits, key=lambda f: f.cost)
+
+
+def test_a_leak_leaves_the_constants_their_own_uncertainty(tmp_path: Path) -> None:
+    """Its conductance is thirty decades smaller than a length: in one matrix with it, in units
+    as they stand, nothing else would count."""
+    leak = {"leak": {"conductance_m3_s_pa": 2e-12}}
+    q = Inquiry(open_data(write_set(tmp_path, leak, seed=5, replicates=2)))
+    suspect = next(s for s in q.suspects if s.key == "leak")
+    state = settled(q, q.fit_afresh([suspect], [2e-12]))
+    constants = range(len(q.names) - q.unnamed)
+    spread = np.sqrt(np.diag(state.cover))[constants]
+    assert np.all(spread > 0.01)
+    assert np.all(spread < 1.2)
+    left = left_out(q, state, q.units)
+    assert np.any(left.change[:, constants] != 0.0)
 
 
 def test_run_free_the_gap_is_larger_and_closes_too(two: tuple[Inquiry, State]) -> None:
