@@ -156,9 +156,23 @@ def name_effects(q: Inquiry) -> Naming:
             naming.chosen, naming.rivals = one, [c for c in naming.rivals if c.keys != one.keys]
             keys, state = one.keys, one.state
             gains, amounts = linear_gains(q, state)
+    naming.rivals = _polished(q, naming)
     naming.left = excess(q, state)
     naming.last_gain = _by_key(q, gains)
     return naming
+
+
+def _polished(q: Inquiry, naming: Naming) -> list[Choice]:
+    """Rivals, those near the explanation fitted to the end as it was: a descent that stopped early
+    would look like a worse fit."""
+    least = naming.chosen.cost
+    near = least + NEAR * max(least - len(q.rows), float(np.sqrt(2.0 * len(q.rows))))
+    made = [
+        Choice(choice.keys, q.polish(choice.state)) if at < _SHAPED and choice.cost < near
+        else choice
+        for at, choice in enumerate(sorted(naming.rivals, key=lambda choice: choice.cost))
+    ]  # fmt: skip
+    return sorted(made, key=lambda choice: choice.cost)
 
 
 def _with_free_shapes(
