@@ -164,7 +164,8 @@ def name_effects(q: Inquiry) -> Naming:
 
 def _polished(q: Inquiry, naming: Naming) -> list[Choice]:
     """Rivals, those near the explanation fitted to the end as it was: a descent that stopped early
-    would look like a worse fit."""
+    would look like a worse fit.
+    """
     least = naming.chosen.cost
     near = least + NEAR * max(least - len(q.rows), float(np.sqrt(2.0 * len(q.rows))))
     made = [
