@@ -245,7 +245,7 @@ def lines(result: dict[str, Any]) -> list[str]:
     )  # fmt: skip
     out += [
         f"{result['versions']}; {result['frames']} frames of 640 x 480 a case of known gap, each "
-        "to all methods in turn, processor time; ImageJ by itself, once compiled, in wall time. "
+        "to all methods in turn, processor time; ImageJ's of its own thread, once compiled. "
         "Ratios of time: theirs over ours, median (range over frames).",
         "",
         f"Error: the closest other method is {short(closest)} times as far off. Behind in "

@@ -49,26 +49,27 @@ def judge(
     Returns:
         ``error_kpa`` (mean of the last stretch less the goal, as a size), ``overshoot_kpa`` (beyond
         the goal, 0 if never), ``ripple_kpa`` (range in the last stretch), ``rise_s`` (to nine
-        tenths of the step), ``settle_s`` (last time outside the band; NaN if
-        that is in the last stretch)
-        and ``switchings_per_s`` in the last stretch.
+        tenths of the step), ``settle_s`` (last time outside the band; NaN if that is in the last
+        stretch) and ``switchings_per_s`` in the last stretch. A mean counts at its middle; what
+        the first of them shows already was so from the change of set-point on.
     """
     y = smoothed(kpa)
+    middle = (len(kpa) - len(y)) // 2
+    at_s = 1e-3 * np.concatenate(([0.0], np.arange(1, len(y) + 1) + middle))
     sign = 1.0 if goal >= before else -1.0
     tail = y[-last:]
     way = sign * (y - before)
     risen = np.flatnonzero(way >= 0.9 * abs(goal - before))
     outside = np.flatnonzero(np.abs(y - goal) > band)
+    quiet_s = float(at_s[outside[-1] + 1]) if len(outside) else 0.0
     settled = not len(outside) or outside[-1] < len(y) - last
     edges = np.diff(driven[-last:].astype(np.int8), axis=0) > 0
     return {
         "error_kpa": abs(float(kpa[-last:].mean()) - goal),
         "overshoot_kpa": max(0.0, float((sign * (y - goal)).max())),
         "ripple_kpa": float(np.ptp(tail)),
-        "rise_s": float(risen[0]) * 1e-3 if len(risen) else math.nan,
-        "settle_s": (float(outside[-1] + 1) * 1e-3 if len(outside) else 0.0)
-        if settled
-        else math.nan,
+        "rise_s": float(at_s[risen[0]]) if len(risen) else math.nan,
+        "settle_s": quiet_s if settled else math.nan,
         "switchings_per_s": float(edges.sum()) / (last * 1e-3),
     }
 

@@ -49,6 +49,16 @@ def test_a_response_is_judged_as_by_hand() -> None:
     assert found["switchings_per_s"] == pytest.approx(10.0)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_mean_of_five_samples_counts_at_its_middle(sign: float) -> None:
+    """It counted at its first sample: 2 ms early."""
+    kpa = 300.0 + sign * np.minimum(np.arange(1000) * 0.5, 200.0)
+    goal = 300.0 + sign * 200.0
+    found = judge(kpa, np.zeros((1000, 2), bool), goal=goal, before=300.0, last=500, band=10.25)
+    assert found["rise_s"] == pytest.approx(0.360)
+    assert found["settle_s"] == pytest.approx(0.380)
+
+
 def test_a_response_that_swings_to_the_end_has_not_settled() -> None:
     t = np.arange(1000)
     kpa = 200.0 + 30.0 * np.sin(t / 30.0)
