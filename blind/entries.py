@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -219,6 +219,14 @@ class Hidden:
             e[row, 2] = self.entry.variants.index(self.variant)
 
 
+def scaled(hidden: Hidden, factor: float) -> Hidden:
+    """The same effect `factor` times as strong."""
+    shape = hidden.shape
+    if hidden.id == "supply_droop":  # its flow gain carries it
+        shape = (shape[0] * factor, *shape[1:])
+    return replace(hidden, strength=hidden.strength * factor, shape=shape)
+
+
 def draw(entry: Entry, rng: Rng, c: np.ndarray, form: int | None = None) -> Hidden:
     """An effect of usual strength with its form, shape, sign and edge or side drawn."""
     chosen = int(rng.integers(1, 3)) if form is None else form
@@ -232,4 +240,4 @@ def draw(entry: Entry, rng: Rng, c: np.ndarray, form: int | None = None) -> Hidd
     return Hidden(entry.id, chosen, sign * entry.usual, shape, variant)
 
 
-__all__ = ["CATALOGUE", "ENTRIES", "OUTSIDE", "Entry", "Hidden", "draw"]
+__all__ = ["CATALOGUE", "ENTRIES", "OUTSIDE", "Entry", "Hidden", "draw", "scaled"]

@@ -8,6 +8,7 @@ import numpy as np
 
 from blind.entries import Hidden
 from blind.recalibrate import Recalibration
+from blind.standin import stand_in
 
 Floats = np.ndarray
 
@@ -80,7 +81,7 @@ def fitted_rivals(
         nearest = nearest or label(rival)
         if kin or label(rival) == nearest:
             asked.setdefault(label(rival), rival)
-    return [(recalibration.stand_in([one], rival), (name,)) for name, rival in asked.items()]
+    return [(stand_in(recalibration, [one], rival), (name,)) for name, rival in asked.items()]
 
 
 def family_reach(target: Floats, rivals: list[Hidden], unit: Floats, ids: set[str]) -> float:

@@ -30,14 +30,6 @@ END_SD = 3.0
 MOST_STEPS = 10
 
 
-def scaled(hidden: Hidden, factor: float) -> Hidden:
-    """The same effect `factor` times as strong."""
-    shape = hidden.shape
-    if hidden.id == "supply_droop":  # its flow gain carries it
-        shape = (shape[0] * factor, *shape[1:])
-    return replace(hidden, strength=hidden.strength * factor, shape=shape)
-
-
 @dataclass(frozen=True)
 class Layout:
     """Where each trial's residuals stand in the long vector."""
@@ -118,7 +110,7 @@ class Recalibration:
         self.weight = self._weights()
         self.jacobian, self.shift = self._jacobian()
         self._nuisances: tuple[Floats, Floats] | None = None
-        self._warm: dict[tuple[Any, ...], tuple[Floats, Floats]] = {}
+        self.warm: dict[tuple[Any, ...], tuple[Floats, Floats]] = {}
 
     def _read(self, trial: Trial, c: Floats, e: Floats) -> tuple[Floats, ...]:
         """Shown pressure and pull at the force instants, pressure, length there and on its own."""
@@ -237,7 +229,7 @@ class Recalibration:
             shift.append(off / sd[place] if sd[place] > 0.0 else 0.0)
         return np.column_stack(columns), np.array(shift)
 
-    def _constants(self, x: Floats) -> Floats:
+    def constants(self, x: Floats) -> Floats:
         """Constants x sd from the stated ones; the supply is a gauge pressure."""
         c, sd = self.design.stated.copy(), tolerances(self.design.stated)
         kept = [(name, place) for name, place, _, tolerance, _ in CONSTANTS if tolerance > 0.0]
@@ -260,12 +252,12 @@ class Recalibration:
         cost = float(np.sum((left * w) ** 2) + x @ x)
 
         def tried(at: Floats) -> tuple[Floats, float]:
-            made = signal - self.difference(self._constants(at), no_effect())
+            made = signal - self.difference(self.constants(at), no_effect())
             return made, float(np.sum((made * w) ** 2) + at @ at)
 
         key = tuple((h.id, h.variant) for h in hidden)
-        if key in self._warm:  # the same effect at another strength: start where that ended
-            start, bent = self._warm[key]
+        if key in self.warm:  # the same effect at another strength: start where that ended
+            start, bent = self.warm[key]
             made, fresh_cost = tried(start)
             if fresh_cost < cost:
                 x, left, cost, slopes = start, made, fresh_cost, bent
@@ -287,75 +279,8 @@ class Recalibration:
             failed += cost > 0.97 * before
             if failed == 2:
                 break
-        self._warm[key] = x, slopes
+        self.warm[key] = x, slopes
         return left
-
-    def stand_in(self, hidden: list[Hidden], rival: Hidden) -> float:
-        """Share of what the hidden effects leave that a rival of the right amount leaves too.
-
-        Constants and the rival's amount are fitted together, at the size that they have: a linear
-        comparison of two effects of other sizes tells apart what no bench could.
-        """
-        signal, w = self.signature_of(hidden), self.weight
-        left = self.left_of(hidden)
-        x, slopes = self._warm[tuple((h.id, h.variant) for h in hidden)]
-        whole = float(np.sum((left * w) ** 2) + x @ x)
-        column = self.signature(rival)
-        reach = rival.entry.limit / abs(rival.strength)
-        # None at all of some effects is a time constant of zero.
-        low, high = (-1.0, 1.0) if rival.entry.either_sign else (0.05 / reach, 1.0)
-
-        def tried(at: Floats) -> tuple[Floats, float]:
-            e = no_effect()
-            scaled(rival, float(at[-1])).put(e)
-            try:
-                made = signal - self.difference(self._constants(at[:-1]), e)
-            except ZeroDivisionError:  # less load than none: no bench has that
-                return signal, np.inf
-            return made, float(np.sum((made * w) ** 2) + at[:-1] @ at[:-1])
-
-        # From what is left with the constants moved, and from the whole with the bench's own.
-        target, bare = self.bare(left), self.bare(column)
-        starts = [
-            np.append(constants, float(like @ of) / max(float(like @ like), 1e-12))
-            for constants, of, like in ((x, target, bare), (self.shift, signal * w, column * w))
-        ]
-        if rival.entry.stage == "valve":
-            # What comes late or early is no multiple of what comes later or earlier still.
-            starts += [
-                np.append(self.shift, sign * share)
-                for share in (0.1, 0.2, 0.4, 0.75, 1.3, 2.2) for sign in (-1.0, 1.0) if sign >= low
-            ]  # fmt: skip
-        for start in starts:
-            start[-1] = np.clip(start[-1], low * reach, high * reach)
-        at = min(starts, key=lambda start: tried(start)[1])
-        left, cost = tried(at)
-        slopes = np.column_stack([slopes, column * w])
-        damping = 1e-3
-        for _ in range(MOST_STEPS // 2):
-            h = slopes.T @ slopes + np.diag(np.append(np.ones(len(x)), 0.0))
-            right = slopes.T @ (left * w) - np.append(at[:-1], 0.0)
-            step = np.linalg.solve(h + damping * np.diag(np.diag(h)), right)
-            fresh = at + step
-            fresh[:-1] = np.clip(fresh[:-1], -END_SD, END_SD)
-            fresh[-1] = np.clip(fresh[-1], low * reach, high * reach)
-            moved = fresh - at
-            if float(np.abs(moved).max()) < 1e-3:
-                break
-            made, fresh_cost = tried(fresh)
-            if not np.isfinite(fresh_cost):
-                damping *= 10.0
-                continue
-            miss = (left - made) * w - slopes @ moved
-            slopes = slopes + np.outer(miss, moved) / max(float(moved @ moved), 1e-12)
-            if fresh_cost >= cost:
-                damping *= 10.0
-                continue
-            gained = cost - fresh_cost
-            at, left, cost, damping = fresh, made, fresh_cost, damping / 5.0
-            if gained < 1e-3 * whole:
-                break
-        return float(np.clip(1.0 - cost / max(whole, 1e-12), 0.0, 1.0))
 
     @staticmethod
     def _step(slopes: Floats, white: Floats, x: Floats) -> Floats:

@@ -15,10 +15,10 @@ import numpy as np
 from blind import numbers as n
 from blind.bench import no_effect, run_trial
 from blind.design import Design, draw_design
-from blind.entries import CATALOGUE, ENTRIES, OUTSIDE, Hidden, draw
+from blind.entries import CATALOGUE, ENTRIES, OUTSIDE, Hidden, draw, scaled
 from blind.mimic import measure
 from blind.noise import Noise, draw_noise
-from blind.recalibrate import Recalibration, scaled
+from blind.recalibrate import Recalibration
 from blind.stepping import OUT_FALL
 
 Rng = np.random.Generator

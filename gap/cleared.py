@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
+from gap.candidate import Choice
 from gap.further import PLAINLY_SEEN, apart, excess, plain, seen
 from gap.inquiry import Inquiry, State
-from gap.naming import PLAIN, Choice, Naming, name_effects
+from gap.naming import PLAIN, Naming, name_effects
 from gap.shrink import Held, held_out
 
 Array = npt.NDArray[np.float64]

@@ -18,10 +18,11 @@ import numpy.typing as npt
 from gap.columns import TRIAL_EFFECTS, trial_columns
 from gap.evidence import tolerance
 from gap.grid import make_grid
-from gap.inquiry import Inquiry, State, solved
+from gap.inquiry import Inquiry, State
 from gap.library import Candidate, as_data
 from gap.model import Model
 from gap.noise import WHITE, Noise, usual
+from gap.normal import solved
 from gap.rows import BLOCKS
 
 Array = npt.NDArray[np.float64]

@@ -1,37 +1,27 @@
-"""The verdict on what a search found: named, one of several, a mimic, unknown, or nothing there.
-
-Probabilities compare what each explanation leaves: like a likelihood where little is left, and
-blunter where the best explanation itself leaves a pattern, because then its form is not exact and
-small differences mean little. The constants of that map were set on practice sets (docs/gap.md).
-"""
+"""The verdict on what a search found: named, one of several, a mimic, unknown, or nothing there."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from gap.advise import advise
 from gap.agreement import repeated
 from gap.belief import learnt
+from gap.candidate import Choice
 from gap.cleared import Cleared, cleared
 from gap.further import AT_THE_END
 from gap.inquiry import Inquiry, State
 from gap.mimic import Mimic, Mimicry
-from gap.naming import ALARM, Choice, Naming, why_not
+from gap.naming import ALARM, Naming, why_not
 from gap.parameters import headline_estimates, limits_of
 from gap.shrink import Held, gap_of, held_out
 from gap.suspects import DEFECTS
 from gap.traits import traits_of
 from gap.verdict import Explanation, Gap, Verdict
+from gap.weighing import ambiguity_set, weigh
 from gap.where import DRIFT, contrasts_of, stage_shares
 from plant.catalogue import CATALOGUE
 
-BLUNT = 4.0
-"""How fast an explanation loses credit as it leaves more than the best one."""
-FORM = 100.0
-"""Whitened excess that the best explanation may leave before differences count for less."""
 MIMIC = 0.9
 SURE = 0.985
 TOLD_APART = 120.0
@@ -47,24 +37,13 @@ UNKNOWN = 0.45
 HALF = 0.5
 FORM_FULL = 0.9
 UNSEEN = 0.2
-COVER = 0.9
 STANDS_OUT = 3.0
 """Sd of chance by which the gap stands out where a constant is led to the end of its tolerance."""
 SHARED = 4.0
 """Sd of chance of what is left, and of what replicates share of it, that are no chance."""
 DRIFTS = 0.5
 """Least probability of something unknown where a drift over the trials is left."""
-_LEAST = 0.03
 NEEDED_REPLICATES = 3
-
-
-@dataclass(frozen=True)
-class _Weighed:
-    """Explanations with probabilities, best first, and what none and unknown get."""
-
-    entries: list[tuple[Choice, float]]
-    none: float
-    unknown: float
 
 
 def judge(q: Inquiry, naming: Naming) -> tuple[Verdict, Naming]:
@@ -183,7 +162,7 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
     traits = traits_of(q, naming, held)
     belief = learnt().of(traits)
     none = min(naming.chance, 0.5)
-    weighed = _weigh(naming, belief, none)
+    weighed = weigh(naming, belief, none)
     one, two = _mimics(q, naming)
     extra = [m for m in (one, two) if m is not None and m.share >= MIMIC]
     evidence: dict[str, object] = {
@@ -214,7 +193,7 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             stage=_stage_of_block(q, naming, block), entries=weighed.entries, mimics=extra,
             evidence=evidence,
         )  # fmt: skip
-    entries = _ambiguity_set(weighed)
+    entries = ambiguity_set(weighed)
     ids = {frozenset(choice.state.ids) for choice, _ in entries}
     status, reason = _status(naming, gap, share, one, two, len(ids), names)
     partly = belief["right"] + belief["part"]
@@ -276,37 +255,6 @@ def _status(
             f"{names}; held out, the closed fraction is not certain to exceed one half",
         )
     return "named", f"{names} explains the gap"
-
-
-def _weigh(naming: Naming, belief: Mapping[str, float], none: float) -> _Weighed:
-    """Belief shared out: the best explanation has its own, the rivals share what others have."""
-    known = [choice for choice in naming.rivals if choice.keys != naming.chosen.keys]
-    more = np.array([max(choice.cost - naming.chosen.cost, 0.0) for choice in known])
-    blunt = max(1.0, naming.left / FORM)
-    weights = (1.0 + more / blunt / (2.0 * BLUNT)) ** -BLUNT
-    # A rival that fits as well is as likely, whatever such an explanation is worth on its own.
-    # Where none does, being wrong means something that was not thought of.
-    alike = 1.0 + float(weights.sum())
-    real = 1.0 - none
-    known_at_all = 1.0 - belief["unknown"]
-    entries = [(naming.chosen, belief["right"] * real / alike)]
-    entries += [(c, known_at_all * real * w / alike) for c, w in zip(known, weights, strict=True)]
-    unknown = real - sum(p for _, p in entries)
-    entries.sort(key=lambda entry: -entry[1])
-    return _Weighed(entries, none, max(unknown, 0.0))
-
-
-def _ambiguity_set(weighed: _Weighed) -> list[tuple[Choice, float]]:
-    """Best explanations until together they hold most of what none and unknown leave."""
-    whole = sum(p for _, p in weighed.entries)
-    kept: list[tuple[Choice, float]] = []
-    held = 0.0
-    for choice, p in weighed.entries:
-        if kept and (held >= COVER * whole or p < _LEAST):
-            break
-        kept.append((choice, p))
-        held += p
-    return kept
 
 
 def _verdict(

@@ -13,15 +13,25 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.agreement import inflation
-from gap.dataset import CALIBRATION
-from gap.evidence import SLACK, projected
+from gap.candidate import (
+    BENT,
+    NEAR,
+    SHAPED,
+    STANDS_FOR,
+    Choice,
+    flexed_by_second,
+    in_best_form,
+    linear_gains,
+    refine,
+    with_free_shapes,
+)
+from gap.evidence import SLACK
 from gap.further import apart, counts, excess, plea
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
 from gap.shaping import shaped
 from gap.suspects import Suspect
 from plant.catalogue import CATALOGUE
-from plant.constants import KEYS
 
 Array = npt.NDArray[np.float64]
 
@@ -35,30 +45,9 @@ PLAIN = 100.0
 CARRIED = 0.3
 """Least share of its gain that a first effect must carry over to such slots."""
 MOST = 3
-BENT = 2.2
-"""Shift of a constant, in sd, from which an effect may have bent the recalibration."""
-EDGES = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
 _REFINED = 7
-_SHAPED = 3
-NEAR = 4.0
-"""Shapes are fitted for the best few that leave less than so many times more than the best, or
-than chance."""
 _ELSEWHERE = 4
 _CLOCKS_MS = (8.0, 20.0, 45.0, 80.0, 120.0, 170.0, 230.0, 300.0, 380.0, 480.0)
-_SHAPES = 2
-
-
-@dataclass(frozen=True)
-class Choice:
-    """One explanation that was fitted: its keys (id, or id:edge) and the fitted state."""
-
-    keys: tuple[str, ...]
-    state: State
-
-    @property
-    def cost(self) -> float:
-        """Whitened sum of squares left."""
-        return self.state.cost
 
 
 @dataclass
@@ -127,7 +116,7 @@ def name_effects(q: Inquiry) -> Naming:
             refine(q, state, keys, key, gains, amounts, fresh if step == 0 else None)
             for key in dict.fromkeys([*_candidates(q, state, top, best), *bent])
         ]
-        tried = _with_free_shapes(q, state, tried, gains, amounts)
+        tried = with_free_shapes(q, state, tried, gains, amounts)
         fit = [choice for choice in tried if _counts(q, naming, state, choice)]
         if step:
             best_of = (fit or tried)[0]
@@ -145,7 +134,7 @@ def name_effects(q: Inquiry) -> Naming:
         naming.chosen = Choice(tried[0].keys, state)
         keys = tried[0].keys
         gains, amounts = linear_gains(q, state)
-        flexed = _flexed(q, naming.chosen, gains, amounts, naming.excess)
+        flexed = flexed_by_second(q, naming.chosen, gains, amounts, naming.excess)
         if flexed is not None:
             state = shaped(q, flexed.state)
             naming.chosen = Choice(keys, state)
@@ -169,45 +158,11 @@ def _polished(q: Inquiry, naming: Naming) -> list[Choice]:
     least = naming.chosen.cost
     near = least + NEAR * max(least - len(q.rows), float(np.sqrt(2.0 * len(q.rows))))
     made = [
-        Choice(choice.keys, q.polish(choice.state)) if at < _SHAPED and choice.cost < near
+        Choice(choice.keys, q.polish(choice.state)) if at < SHAPED and choice.cost < near
         else choice
         for at, choice in enumerate(sorted(naming.rivals, key=lambda choice: choice.cost))
     ]  # fmt: skip
     return sorted(made, key=lambda choice: choice.cost)
-
-
-def _with_free_shapes(
-    q: Inquiry, before: State, tried: list[Choice], gains: Array, amounts: Array
-) -> list[Choice]:
-    """Best first, the leading ones with shapes fitted: none shall lead by its number's luck."""
-    tried = sorted(tried, key=lambda choice: choice.cost)
-    chance = float(np.sqrt(2.0 * len(q.rows)))
-    near = tried[0].cost + NEAR * max(tried[0].cost - len(q.rows), chance)
-    made = [
-        _in_best_form(q, before, choice, gains, amounts) if at < _SHAPED and choice.cost <= near
-        else choice
-        for at, choice in enumerate(tried)
-    ]  # fmt: skip
-    return sorted(made, key=lambda choice: choice.cost)
-
-
-def _in_best_form(
-    q: Inquiry, before: State, choice: Choice, gains: Array, amounts: Array
-) -> Choice:
-    """The last effect in the form that leaves least once its numbers are fitted."""
-    best = shaped(q, choice.state)
-    last = choice.state.suspects[-1]
-    asked = {frozenset(last.shape)}
-    for j in np.argsort(-gains).tolist():
-        suspect = q.suspects[j]
-        form = frozenset(suspect.shape)
-        if suspect.key != choice.keys[-1] or form in asked:
-            continue
-        asked.add(form)
-        start = [*before.amounts, _start(suspect, amounts[j])]
-        other = shaped(q, q.fit([*before.suspects, suspect], start, before))
-        best = min(best, other, key=lambda state: state.cost)
-    return Choice(choice.keys, best)
 
 
 def _candidates(q: Inquiry, state: State, top: list[str], best: dict[str, float]) -> list[str]:
@@ -224,25 +179,6 @@ def _candidates(q: Inquiry, state: State, top: list[str], best: dict[str, float]
     return made
 
 
-_STANDS_FOR = {
-    "supply_kpa": ("supply_droop", "pressure_gain"),
-    "gas_temperature_k": ("polytropic",),
-    "inlet_conductance_m3_s_pa": ("flow_area:inlet",),
-    "outlet_conductance_m3_s_pa": ("flow_area:outlet",),
-    "critical_ratio": ("critical_ratio",),
-    "dead_volume_ml": ("dead_volume",),
-    **{f"calibration {key}": (name,) for key, name in CALIBRATION.items() if name in CATALOGUE},
-    **{f"{e}_ms": (f"valve_delay:{e}",) for e in EDGES},
-    **{f"{e}_ms_per_kpa": (f"valve_delay_pressure:{e}",) for e in EDGES},
-}
-"""Effects that a constant may have moved for."""
-
-
-_PER_SI = {
-    "critical_ratio": 1.0, "dead_volume": 1e6, "valve_delay": 1e3, "valve_delay_pressure": 1e6,
-}  # fmt: skip
-
-
 def _bent(q: Inquiry, state: State) -> list[str]:
     """Keys of effects in whose place a constant has left its tolerance.
 
@@ -253,32 +189,9 @@ def _bent(q: Inquiry, state: State) -> list[str]:
     far = [
         (abs(shift), name)
         for name, shift in zip(q.names, state.shift.tolist(), strict=True)
-        if abs(shift) > SLACK and name in _STANDS_FOR
+        if abs(shift) > SLACK and name in STANDS_FOR
     ]
-    return [k for _, name in sorted(far, reverse=True) for k in _STANDS_FOR[name] if k in known][:4]
-
-
-def _swapped(q: Inquiry, state: State, key: str) -> tuple[Array, float] | None:
-    """Constants with the one that `key` may stand for put back, and the amount that does the same.
-
-    Along the valley between the two a descent would creep.
-    """
-    for at, name in enumerate(q.names):
-        if key not in _STANDS_FOR.get(name, ()) or abs(state.shift[at]) < BENT:
-            continue
-        c = q.data.constants
-        sd = q.data.calibration.get(name.removeprefix("calibration "))
-        amount = float(state.shift[at]) * (c.tolerance_si(name) if sd is None else sd)
-        if key.startswith("flow_area"):
-            amount /= max(getattr(c, KEYS[name].field), 1e-300)
-        elif key.partition(":")[0] in _PER_SI:
-            amount *= _PER_SI[key.partition(":")[0]]
-        elif sd is None:
-            continue
-        shift = state.shift.copy()
-        shift[at] = 0.0
-        return shift, amount
-    return None
+    return [k for _, name in sorted(far, reverse=True) for k in STANDS_FOR[name] if k in known][:4]
 
 
 def _counts(q: Inquiry, naming: Naming, before: State, choice: Choice) -> bool:
@@ -320,84 +233,11 @@ def naming_scale(q: Inquiry, gains: Array, fresh: Array) -> float:
     return float(gains.max(initial=0.0) / max(fresh.max(initial=0.0), 1e-9))
 
 
-def linear_gains(q: Inquiry, state: State) -> tuple[Array, Array]:
-    """Gain and amount of each suspect alone, linearised at `state`; both shape (suspects,)."""
-    evidence = q.evidence(state)
-    p = projected(evidence, evidence.total)
-    norm = np.maximum(np.diag(p)[1:], 1e-9)
-    amounts = p[0, 1:] / norm
-    gains = p[0, 1:] ** 2 / norm
-    low = np.array([s.sign > 0 for s in q.suspects])
-    gains = np.where(low & (amounts < 0.0), 0.0, gains)
-    return gains, amounts
-
-
 def _by_key(q: Inquiry, gains: Array) -> dict[str, float]:
     best: dict[str, float] = {}
     for suspect, gain in zip(q.suspects, gains.tolist(), strict=True):
         best[suspect.key] = max(best.get(suspect.key, 0.0), gain)
     return best
-
-
-def refine(
-    q: Inquiry,
-    state: State,
-    keys: tuple[str, ...],
-    key: str,
-    gains: Array,
-    amounts: Array,
-    fresh: Array | None = None,
-) -> Choice:
-    """Fit `key` on top of `state` in its best shapes; the best fit wins."""
-    at = [j for j, suspect in enumerate(q.suspects) if suspect.key == key]
-    at.sort(key=lambda j: -gains[j])
-    best: State | None = None
-    for j in at[:_SHAPES]:
-        if best is not None and gains[j] < 0.7 * gains[at[0]]:
-            continue
-        suspects = [*state.suspects, q.suspects[j]]
-        start = [*state.amounts, _start(q.suspects[j], amounts[j])]
-        ends = [q.fit(suspects, start, state)]
-        swapped = _swapped(q, state, key) if not state.suspects else None
-        if swapped is not None:
-            ends.append(q.fit_from(swapped[0], suspects, [swapped[1]]))
-        if fresh is not None:
-            ends.append(q.fit_afresh(suspects, [*state.amounts, _start(q.suspects[j], fresh[j])]))
-        fitted = min(ends, key=lambda end: end.cost)
-        if best is None or fitted.cost < best.cost:
-            best = fitted
-    assert best is not None
-    return Choice((*keys, key), best)
-
-
-def _start(suspect: Suspect, amount: float) -> float:
-    if suspect.id == "transport_delay":
-        return 1.0
-    return max(amount, 0.0) if suspect.sign else amount
-
-
-_ONE_SHAPE = ("polytropic", "supply_droop")
-"""Effects whose shapes are states of the gas: two at once mean nothing."""
-
-
-def _flexed(q: Inquiry, choice: Choice, gains: Array, amounts: Array, gap: float) -> Choice | None:
-    """Let the last effect use a second shape where that takes a visible share of the gap."""
-    key = choice.keys[-1]
-    if key in _ONE_SHAPE:
-        return None
-    used = {id(suspect) for suspect in choice.state.suspects}
-    at = [j for j, s in enumerate(q.suspects) if s.key == key and id(s) not in used]
-    if not at:
-        return None
-    j = max(at, key=lambda k: gains[k])
-    if gains[j] < max(20.0, min(0.01 * gap, 0.03 * excess(q, choice.state))):
-        return None
-    fitted = q.fit(
-        [*choice.state.suspects, q.suspects[j]],
-        [*choice.state.amounts, _start(q.suspects[j], amounts[j])],
-        choice.state,
-    )
-    return Choice(choice.keys, fitted) if fitted.cost < choice.cost - 15.0 else None
 
 
 def _one_for_two(q: Inquiry, naming: Naming) -> Choice | None:
@@ -414,9 +254,9 @@ def _one_for_two(q: Inquiry, naming: Naming) -> Choice | None:
     below = q.base if not others else q.fit([s for s, _ in others], [float(a) for _, a in others])
     gains, amounts = linear_gains(q, below)
     alone = refine(q, below, keys[:-2], keys[-1], gains, amounts)
-    alone = _in_best_form(q, below, alone, gains, amounts)
+    alone = in_best_form(q, below, alone, gains, amounts)
     gains, amounts = linear_gains(q, alone.state)
-    flexed = _flexed(q, alone, gains, amounts, naming.excess)
+    flexed = flexed_by_second(q, alone, gains, amounts, naming.excess)
     if flexed is not None:
         alone = Choice(alone.keys, q.polish(shaped(q, flexed.state)))
     needed = counts(q, naming.excess, naming.alarm, alone.state, keys[-2], state)

@@ -6,7 +6,8 @@ import numpy as np
 
 from gap.belief import learnt
 from gap.evidence import projected
-from gap.inquiry import Inquiry, State, covariance, solved
+from gap.inquiry import Inquiry, State
+from gap.normal import covariance, solved
 from gap.verdict import Estimate
 from plant.catalogue import CATALOGUE
 

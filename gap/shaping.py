@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from gap.inquiry import Inquiry, State, solved
+from gap.inquiry import Inquiry, State
+from gap.normal import solved
 from gap.suspects import Suspect
 
 Array = npt.NDArray[np.float64]

@@ -14,7 +14,8 @@ import numpy.typing as npt
 from scipy.stats import t as student
 
 from gap.evidence import gather, tolerance
-from gap.inquiry import Inquiry, State, solved
+from gap.inquiry import Inquiry, State
+from gap.normal import solved
 from gap.parameters import headline_estimates, settled
 from gap.rows import BLOCKS, UNITS
 from gap.verdict import Gap

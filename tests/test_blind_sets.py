@@ -18,6 +18,7 @@ from blind.recalibrate import Recalibration
 from blind.recording import record
 from blind.seal import opened, seal
 from blind.sets import BLOCK, MAGNITUDES, answer, blind_set, choose, kind_and_count
+from blind.standin import stand_in
 
 COLUMNS = {
     "trial", "time_s", "inlet_cmd", "outlet_cmd", "supply_kpa", "pressure_kpa", "length_mm",
@@ -135,5 +136,5 @@ def test_a_delay_and_its_slope_stand_in_for_each_other_where_the_supply_never_va
     late = Hidden("valve_delay", 0, 2.0, (0.0, 0.0, 0.0), "inlet_off")
     slope = Hidden("valve_delay_pressure", 0, 0.01, (0.0, 0.0, 0.0), "inlet_off")
     leak = Hidden("leak", 0, 2e-12)
-    assert recalibration.stand_in([late], slope) > 0.95
-    assert recalibration.stand_in([late], leak) < 0.5
+    assert stand_in(recalibration, [late], slope) > 0.95
+    assert stand_in(recalibration, [late], leak) < 0.5

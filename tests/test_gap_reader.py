@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from gap.candidate import linear_gains
 from gap.errors import GapError
 from gap.inquiry import Inquiry
-from gap.naming import linear_gains
 from gap.reader import read_dataset
 from gap.suspects import SUSPECTS
 from gap_sets import settled_set
