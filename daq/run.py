@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 INTERRUPTED = "interrupted"
 DAMAGED = "damaged"
+NONSENSE = (ValueError, TypeError, KeyError, NotImplementedError, OSError)
+"""What a message that is sound by its seal, and is none, makes pyarrow run into."""
 
 
 def open_run(path: Path | str) -> Run:
@@ -210,7 +212,7 @@ class Run:
                     if chunk.fields["chunk"] == "schema":
                         message = data[chunk.offset : chunk.offset + chunk.length]
                         return StreamSchema.from_message(message)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:  # sealed, and nonsense
+        except (*NONSENSE, AttributeError) as error:  # sealed, and nonsense
             raise RecordError(
                 str(self.folder / index.index),
                 f"does not say what its columns are ({error})",
@@ -234,7 +236,7 @@ class Run:
         decoder = BatchDecoder(schema, rows)
         try:
             lost = self.sound_rows(index, decoder)
-        except (ValueError, TypeError, KeyError, NotImplementedError, OSError) as error:
+        except NONSENSE as error:
             raise RecordError(
                 str(self.folder / index.index),
                 f"its chunks are not what its first line says ({error})",

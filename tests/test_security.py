@@ -441,6 +441,17 @@ def test_a_parquet_file_of_a_bench_is_read_as_it_is(tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(back.drop(columns="trial"), frame.drop(columns="trial"))
 
 
+def test_a_record_whose_columns_are_said_by_a_batch_is_told(run: Run) -> None:
+    """Sealed, and without the line that says it otherwise: pyarrow's own error came out."""
+    path = run.folder / "samples" / "valve.index.jsonl"
+    lines = [json.loads(line) for line in path.read_bytes().splitlines()]
+    rows = next(line for line in lines if line.get("chunk") == "rows")
+    fields = {**{k: v for k, v in rows.items() if k != "crc"}, "chunk": "schema"}
+    path.write_bytes(seal_line(fields))
+    with pytest.raises(RecordError, match="what its columns are"):
+        again(run).schema("valve")
+
+
 def png(width: int, height: int, depth: int = 8, kind: int = 0, frames: int = 1) -> bytes:
     def part(kind: bytes, data: bytes) -> bytes:
         return (
@@ -561,6 +572,14 @@ def test_a_stack_whose_pages_go_round_ends(tmp_path: Path) -> None:
     struct.pack_into("<I", stack, second + 2 + 10 * 12, 8)
     (tmp_path / "a.tif").write_bytes(stack)
     assert len(list(open_frames(tmp_path / "a.tif"))) == 2
+
+
+def test_a_stack_whose_pages_lie_beyond_any_file_is_no_picture(tmp_path: Path) -> None:
+    stack = bytearray(tiff([((48, 32), nothing(48 * 32))], big=True))
+    struct.pack_into("<Q", stack, 8, (1 << 64) - 8)
+    (tmp_path / "a.tif").write_bytes(stack)
+    with pytest.raises(PamrigError, match="not a picture"):
+        list(open_frames(tmp_path / "a.tif"))
 
 
 def test_thousands_of_pages_take_seconds(tmp_path: Path) -> None:

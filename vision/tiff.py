@@ -67,7 +67,7 @@ def pages(data: memoryview) -> Iterator[Page]:
                 tags[tag] = max(value, tags.get(tag, 0))  # one that stands twice: the worse
             yield Page(at, _at_once(tags))
             (at,) = struct.unpack_from(form.order + form.offset, data, end)
-    except struct.error:
+    except (struct.error, OverflowError):  # beyond the end, or beyond any
         return
 
 
