@@ -104,7 +104,10 @@ def sized(hidden: Hidden, aim: float, recalibration: Recalibration, design: Desi
     if hidden.entry.parameter is None:
         return hidden
 
-    low, high = 1e-3, hidden.entry.limit / abs(hidden.strength)
+    most = hidden.entry.limit
+    if hidden.id == "payload" and hidden.strength < 0.0:  # something must be left to hang
+        most = min([most, *(0.8 * t.load_kg for t in design.trials if t.load_kg > 0.0)])
+    low, high = 1e-3, most / abs(hidden.strength)
     factor, best, miss = min(1.0, high), hidden, np.inf
     for _ in range(12):
         one = scaled(hidden, factor)
@@ -122,7 +125,7 @@ def sized(hidden: Hidden, aim: float, recalibration: Recalibration, design: Desi
         guess = factor * float(np.clip(aim / ratio, 0.05, 20.0))
         inside = low * 1.02 < guess < high * 0.98
         factor = guess if inside else min(float(np.sqrt(low * high)), high)
-        if off < 0.0 and guess >= high and high == hidden.entry.limit / abs(hidden.strength):
+        if off < 0.0 and guess >= high and high == most / abs(hidden.strength):
             factor = high
     return sized_droop(best, design) if best.id == "supply_droop" else best
 

@@ -138,3 +138,12 @@ def test_a_delay_and_its_slope_stand_in_for_each_other_where_the_supply_never_va
     leak = Hidden("leak", 0, 2e-12)
     assert stand_in(recalibration, [late], slope) > 0.95
     assert stand_in(recalibration, [late], leak) < 0.5
+
+
+def test_a_load_that_is_lighter_than_it_is_said_to_be_still_weighs_something() -> None:
+    """Less than nothing ran away in the integrator (sets 2498, 3359 and 3706)."""
+    one = blind_set("reserved", 3359)
+    lightest = min(t.load_kg for t in one.design.trials if t.load_kg > 0.0)
+    assert [h.id for h in one.hidden] == ["payload"]
+    assert -lightest < one.hidden[0].strength < 0.0
+    assert np.isfinite(record(one).samples["length_mm"].dropna()).all()
