@@ -180,6 +180,7 @@ def elsewhere(config: RigConfig, again: bool = False) -> list[Test]:
     return [dataclasses.replace(steps, settings={**steps.settings, **other})]
 
 
+@pytest.mark.campaign  # some 20 s: two tests of a bench, two diagnoses and a prediction
 def test_delays_that_look_alike_are_named_by_their_family_once_steps_elsewhere_are_foretold(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
