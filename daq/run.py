@@ -14,7 +14,7 @@ from daq.calibration import Calibration
 from daq.chunks import ChunkIndex, Entry, Problem, only_possible_rows
 from daq.errors import RecordError
 from daq.sealed import open_file, read_lines
-from daq.segments import BatchDecoder, Columns, StreamSchema
+from daq.segments import NONSENSE, BatchDecoder, Columns, StreamSchema
 from daq.shapes import misshapen
 from daq.tablefile import read_parquet
 from daq.transport import Chunk
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 INTERRUPTED = "interrupted"
 DAMAGED = "damaged"
-NONSENSE = (ValueError, TypeError, KeyError, NotImplementedError, OSError)
-"""What a message that is sound by its seal, and is none, makes pyarrow run into."""
 
 
 def open_run(path: Path | str) -> Run:

@@ -24,6 +24,9 @@ END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 _NUMBER = re.compile(r"[<>=|]?(u?int(8|16|32|64)|float(16|32|64)|[iuf][1248])\Z")
 _PADDING = [b"\x00" * n for n in range(8)]
 
+NONSENSE = (ValueError, TypeError, KeyError, NotImplementedError, OSError)
+"""What a message that is sound by its seal, and is none, makes pyarrow run into."""
+
 
 @dataclass(frozen=True)
 class StreamSchema:
