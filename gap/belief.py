@@ -1,10 +1,11 @@
-"""How far an explanation is to be believed, learnt from practice sets whose truth is known.
+"""How far an explanation is to be believed, learnt from blind sets whose truth is known.
 
 A goodness-of-fit test rejects every explanation when the signal is strong, because no form is ever
 exact; a share of the gap alone lets mimics pass. So the traits of an explanation (`gap.traits`)
-are weighed by a multinomial logistic regression into four outcomes: it is right; part of it is;
-something else of the catalogue is; nothing of the catalogue is. Explanations by one effect and by
-several go wrong in other ways and have coefficients of their own. These come from practice sets
+are weighed by a forest of decision trees into four outcomes: it is right; part of it is; something
+else of the catalogue is; nothing of the catalogue is. What a trait says depends on the others: a
+constant at the end of its tolerance is suspicious beside a weak gap, and usual beside a strong one
+of which next to nothing is left. The forest comes from sets that were set apart for learning
 (`python -m gap.check.learn`), never from those that score the diagnosis.
 """
 
@@ -20,22 +21,23 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 OUTCOMES = ("right", "part", "other", "unknown")
-FEATURES: dict[str, tuple[str, ...]] = {
-    "one": (
-        "left_share", "repeated_row", "repeated_share", "bent", "bent_base", "margin", "no_rival",
-        "more_left", "closed",
-    ),
-    "several": ("left_share", "bent", "unbent", "three", "same_family"),
-}  # fmt: skip
-_FILE = "belief.toml"
+FEATURES = (
+    "left_share", "repeated_row", "repeated_share", "bent", "bent_base", "unbent", "margin",
+    "no_rival", "more_left", "closed", "excess", "several", "three", "same_family", "next_seen",
+    "next_gain",
+)  # fmt: skip
+LEAST = 0.01
+"""Least probability of an outcome: no forest has seen everything."""
+_FORM, _FOREST = "belief.toml", "belief.npz"
 _MOST = 1e8
 """Margins from here on say that no rival was near enough to be fitted."""
 
 
-def features(traits: Mapping[str, float]) -> dict[str, float]:
-    """Traits as bounded numbers of order one."""
+def features(traits: Mapping[str, float]) -> Array:
+    """Traits as bounded numbers of order one, in the order of `FEATURES`."""
     rows = max(traits["rows"], 1.0)
     chance = float(np.sqrt(2.0 * rows))
     left = traits["left"] + chance
@@ -43,75 +45,93 @@ def features(traits: Mapping[str, float]) -> dict[str, float]:
     margin = max(traits["margin"], 0.0)
     shared, shared_left = (max(traits[k], 0.0) + chance for k in ("repeated", "repeated_left"))
     near = traits["margin"] < _MOST
-    return {
+    made = {
         "left_share": _log(left / excess),
         # What replicates share of the rest is form, the remainder noise of whatever size.
         "repeated_row": _log(shared_left / rows),
         "repeated_share": _log(shared_left / shared),
+        "excess": _log(excess / chance),
         # How much more the best explanation by other effects leaves, if one was near at all.
-        "margin": min(_log(1.0 + margin / left), 1.0) if near else 0.0,
+        "margin": min(_log(1.0 + margin / left), 1.5) if near else 1.5,
         "no_rival": float(not near),
         "more_left": _log((max(traits["more"], 0.0) + 20.0) / left),
         "bent": min(traits["bent"], 6.0),
         "bent_base": min(traits["bent_base"], 6.0),
         "unbent": min(max(traits["bent_base"] - traits["bent"], 0.0), 5.0),
         "closed": float(np.clip(traits["closed"], -1.0, 1.0)),
+        "several": float(traits["effects"] > 1.0),
         "three": float(traits["effects"] >= 3.0),
         "same_family": traits["same_family"],
+        "next_seen": min(traits["next_seen"], 4.0),
+        "next_gain": _log(1.0 + max(traits["next_gain"], 0.0)),
     }
+    return np.array([made[name] for name in FEATURES])
 
 
 def _log(x: float) -> float:
     return float(np.log10(x))
 
 
-def kind_of(traits: Mapping[str, float]) -> str:
-    """Which coefficients an explanation is weighed with."""
-    return "several" if traits["effects"] > 1.0 else "one"
-
-
 @dataclass(frozen=True)
-class Weights:
-    """Mean and spread of the features, weights of shape (outcomes, 1 + features)."""
+class Forest:
+    """Decision trees, each a table of nodes, all of them one after another.
 
-    mean: Array
-    spread: Array
-    weights: Array
+    Attributes:
+        roots: index of each tree's first node, shape (trees,).
+        feature: which feature a node asks, -1 at a leaf, shape (nodes,).
+        threshold: up to and with this value the way goes left, shape (nodes,).
+        left: index of the node on the left, shape (nodes,); right: the same on the right.
+        odds: probability of each outcome at a node, shape (nodes, outcomes).
+    """
+
+    roots: Indices
+    feature: Indices
+    threshold: Array
+    left: Indices
+    right: Indices
+    odds: Array
 
     def of(self, values: Sequence[float] | Array) -> Array:
-        """Probability of each of `OUTCOMES` for the features in order."""
-        x = np.r_[1.0, np.clip((np.asarray(values) - self.mean) / self.spread, -4.0, 4.0)]
-        scores = self.weights @ x
-        odds = np.exp(scores - scores.max())
-        return np.asarray(odds / odds.sum())
+        """Mean probability of each outcome over the trees, shape (outcomes,)."""
+        x = np.asarray(values, dtype=np.float32)  # as the trees were grown
+        at = self.roots.copy()
+        while (inner := self.feature[at] >= 0).any():
+            node = at[inner]
+            low = x[self.feature[node]] <= self.threshold[node]
+            at[inner] = np.where(low, self.left[node], self.right[node])
+        return np.asarray(self.odds[at].mean(axis=0))
 
 
 @dataclass(frozen=True)
 class Belief:
-    """Coefficients by kind of explanation.
+    """The forest, and what an entry's true form may do to its headline.
 
     `form` is the relative error (1 sd) of an entry's headline that its true form brings.
     """
 
-    kinds: Mapping[str, Weights]
+    forest: Forest
     form: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, traits: Mapping[str, float]) -> dict[str, float]:
         """Probability of each of `OUTCOMES`."""
-        kind = kind_of(traits)
-        known = features(traits)
-        odds = self.kinds[kind].of([known[name] for name in FEATURES[kind]])
-        return dict(zip(OUTCOMES, odds.tolist(), strict=True))
+        odds = np.maximum(self.forest.of(features(traits)), LEAST)
+        return dict(zip(OUTCOMES, (odds / odds.sum()).tolist(), strict=True))
 
 
 @cache
 def learnt() -> Belief:
     """The belief that ships with the program."""
-    table = tomllib.loads(resources.files("gap").joinpath(_FILE).read_text(encoding="utf-8"))
-    kinds = {}
-    for kind, names in FEATURES.items():
-        part = table[kind]
-        if tuple(part["features"]) != names:
-            raise ValueError(f"gap/{_FILE} was learnt for other features; run gap.check.learn")
-        kinds[kind] = Weights(*(np.array(part[name]) for name in ("mean", "spread", "weights")))
-    return Belief(kinds, dict(table.get("form", {})))
+    shipped = resources.files("gap")
+    table = tomllib.loads(shipped.joinpath(_FORM).read_text(encoding="utf-8"))
+    with shipped.joinpath(_FOREST).open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        if tuple(stored["features"].tolist()) != FEATURES:
+            raise ValueError(f"gap/{_FOREST} was learnt for other features; run gap.check.learn")
+        forest = Forest(
+            stored["roots"].astype(np.int64),
+            stored["feature"].astype(np.int64),
+            stored["threshold"],
+            stored["left"].astype(np.int64),
+            stored["right"].astype(np.int64),
+            stored["odds"].astype(np.float64),
+        )
+    return Belief(forest, dict(table["form"]))

@@ -28,11 +28,11 @@ TOLD_APART = 120.0
 """Whitened sum of squares that a mimic may leave more than the named effect does."""
 NAMED = 0.82
 """Least belief that a name is not wrong (all of it hidden, or part) for it to be given."""
-NAMED_SEVERAL = 0.7
+NAMED_SEVERAL = 0.65
 """The same for several effects: where one of them is wrong, the other seldom is."""
 NAMED_ALL = 0.35
 """For several effects: least belief in all of them."""
-UNKNOWN = 0.45
+UNKNOWN = 0.44
 """Belief in something outside the catalogue from which the verdict says so."""
 HALF = 0.5
 FORM_FULL = 0.9

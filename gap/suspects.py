@@ -80,7 +80,9 @@ _FREE: dict[str, dict[str, tuple[float, float]]] = {
     "viscosity": {"knee_mm_s": (3.0, 150.0), "power": (0.3, 1.0)},
     "creep": {"tau_s": (0.5, 400.0)},
     "dead_volume": {"line_s": (0.001, 0.3)},
-    "polytropic": {"heat_s": (0.05, 30.0)},
+    # Air in a tube 10 mm wide takes the wall's temperature within seconds (r^2 / 5.8 of its thermal
+    # diffusivity, 1 s at 5 bar); what falls for longer leaks.
+    "polytropic": {"heat_s": (0.05, 6.0)},
     "supply_droop": {"tau_s": (0.005, 6.0)},
     "link_friction": {
         "knee_mm_s": (0.05, 30.0),

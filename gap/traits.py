@@ -23,12 +23,15 @@ def traits_of(q: Inquiry, naming: Naming, held: Mapping[str, Held]) -> dict[str,
     `repeated_left` what of them the replicates share, `rows` the number of features; `margin` is
     how much more the best explanation by other effects leaves, `more` what one further effect
     would take of what is left; `bent` and `bent_base` the largest shift of a constant in sd, with
-    the effects and without; `closed` the best held-out closed fraction of any channel.
+    the effects and without; `closed` the best held-out closed fraction of any channel; `next_seen`
+    and `next_gain` how far over the floor, and in whitened squares, the best further effect showed
+    that did not count.
     """
     state = naming.chosen.state
     others = [c.cost for c in naming.rivals if set(c.state.ids) != set(state.ids)]
     closed = [c[0] for c in (h.closed() for h in held.values()) if c is not None]
     families = {CATALOGUE[name].family if name in CATALOGUE else name for name in state.ids}
+    refused = naming.tried[-1] if naming.tried and not naming.tried[-1]["counted"] else {}
     return {
         "rows": float(len(q.rows)),
         "excess": naming.excess,
@@ -42,4 +45,6 @@ def traits_of(q: Inquiry, naming: Naming, held: Mapping[str, Held]) -> dict[str,
         "bent": float(np.abs(state.shift).max(initial=0.0)),
         "bent_base": float(np.abs(q.base.shift).max(initial=0.0)),
         "closed": max(closed, default=0.0),
+        "next_seen": float(refused.get("seen", 0.0)),
+        "next_gain": float(refused.get("gain", 0.0)),
     }
