@@ -205,7 +205,10 @@ def _limit(
     points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
 ) -> Array:
     beyond = (length - context.constants.length_min_m) * 1e3 - 1.0
-    loss = np.exp(-np.clip(beyond, -3.0, None) / shape["decay_mm"])
+    if "knee_mm" in shape:
+        loss = np.maximum(1.0 - beyond / shape["knee_mm"], 0.0) ** 2
+    else:
+        loss = np.exp(-np.clip(beyond, -3.0, None) / shape["decay_mm"])
     return -loss * (np.maximum(p, 0.0) / 3e5 if "pressure" in shape else 1.0)
 
 
@@ -262,8 +265,10 @@ def _creep(
     if np.all(np.diff(points.first) <= 1) or not len(p):
         return slow
     history.lag(points.first, points.time_s, np.ascontiguousarray(base), tau, slow)
-    start = base[np.minimum(points.first[:-1], len(base) - 1)][points.trial]
-    return np.asarray(-0.01 * (slow - start) / (1.0 - np.exp(-60.0 / tau)))
+    if "settled" not in shape:
+        # Fresh at the first sample; else what pulls there has done so for long.
+        slow -= base[np.minimum(points.first[:-1], len(base) - 1)][points.trial]
+    return np.asarray(-0.01 * slow / (1.0 - np.exp(-60.0 / tau)))
 
 
 def _temperature(

@@ -74,7 +74,7 @@ class Suspect:
 _FREE: dict[str, dict[str, tuple[float, float]]] = {
     "liner_threshold": {"width_kpa": (3.0, 150.0)},
     "bladder_elasticity": {"rest": (0.45, 0.95)},
-    "contraction_limit": {"decay_mm": (0.3, 4.0)},
+    "contraction_limit": {"decay_mm": (0.3, 4.0), "knee_mm": (1.5, 20.0)},
     "fibre_stretch": {"power": (0.3, 2.0)},
     "braid_friction": {"kpa": (3.0, 300.0), "mm": (0.03, 5.0)},
     "viscosity": {"knee_mm_s": (3.0, 150.0), "power": (0.3, 1.0)},
@@ -122,7 +122,7 @@ def _make() -> tuple[Suspect, ...]:
         "contraction_limit", 1.0, 1, _MUSCLE,
         {"decay_mm": 0.7}, {"decay_mm": 1.6}, {"decay_mm": 3.5},
         {"decay_mm": 0.7, "pressure": 1.0}, {"decay_mm": 1.6, "pressure": 1.0},
-        {"decay_mm": 3.5, "pressure": 1.0},
+        {"decay_mm": 3.5, "pressure": 1.0}, {"knee_mm": 5.0}, {"knee_mm": 5.0, "pressure": 1.0},
     )  # fmt: skip
     made += _shapes(
         "end_cap", 0.2, 1, _MUSCLE, {"grow": 0.0}, {"grow": 1.0}, {"grow": 2.0}, {"grow": -1.0}
@@ -139,7 +139,11 @@ def _make() -> tuple[Suspect, ...]:
         {}, {"knee_mm_s": 10.0}, {"knee_mm_s": 40.0}, {"power": 0.5}, {"pressure": 1.0},
         {"pressure": 1.0, "knee_mm_s": 20.0},
     )  # fmt: skip
-    made += _shapes("creep", 0.5, 1, _MUSCLE, *({"tau_s": t} for t in (1.5, 6.0, 25.0, 100.0)))
+    made += _shapes(
+        "creep", 0.5, 1, _MUSCLE,
+        *({"tau_s": t} for t in (1.5, 6.0, 25.0, 100.0)),
+        *({"tau_s": t, "settled": 1.0} for t in (3.0, 12.0, 50.0)),
+    )  # fmt: skip
     made += _shapes(
         "temperature_stiffening", 0.1, 0, _MUSCLE,
         {}, {"pressure": 1.0}, {"pressure": -0.5}, {"additive": 1.0},
