@@ -59,6 +59,7 @@ FOLLOW = 29
 ELASTIC = 30
 LINE = 31
 LINE_TIME = 32
+DROOP_BACK = 33
 SIZE = 40
 
 _factor = inlined(flow.subsonic_factor)
@@ -153,8 +154,11 @@ def _advance(
         if q[HEAT_RATE] > 0.0:
             p1 += (iso - p1) * (1.0 - math.exp(-h * q[HEAT_RATE]))
         target = q[DROOP] * share if inlet else 0.0
-        if q[DROOP_TIME] > 0.0:
-            s[3] += (target - s[3]) * (1.0 - math.exp(-h / q[DROOP_TIME]))
+        droop_time = q[DROOP_TIME]
+        if target < s[3] and q[DROOP_BACK] > 0.0:
+            droop_time = q[DROOP_BACK]
+        if droop_time > 0.0:
+            s[3] += (target - s[3]) * (1.0 - math.exp(-h / droop_time))
         else:
             s[3] = target
         if q[LAG] > 0.0:

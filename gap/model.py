@@ -162,6 +162,7 @@ def _switch(q: Array, name: str, option: str, amount: float, shape: Shape) -> No
     elif name == "supply_droop":
         q[chamber.DROOP] = amount * 1e3
         q[chamber.DROOP_TIME] = shape.get("tau_s", 0.0)
+        q[chamber.DROOP_BACK] = shape.get("back_s", 0.0)
     elif name == "valve_delay":
         q[chamber.DELAY + _EDGE[option]] += amount * 1e-3
     elif name == "valve_delay_pressure":

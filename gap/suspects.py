@@ -83,7 +83,7 @@ _FREE: dict[str, dict[str, tuple[float, float]]] = {
     # Air in a tube 10 mm wide takes the wall's temperature within seconds (r^2 / 5.8 of its thermal
     # diffusivity, 1 s at 5 bar); what falls for longer leaks.
     "polytropic": {"heat_s": (0.05, 6.0)},
-    "supply_droop": {"tau_s": (0.005, 6.0)},
+    "supply_droop": {"tau_s": (0.005, 6.0), "back_s": (0.005, 6.0)},
     "link_friction": {
         "knee_mm_s": (0.05, 30.0),
         "travel_mm": (0.02, 3.0),
@@ -167,6 +167,7 @@ def _make() -> tuple[Suspect, ...]:
         {"tau_s": 0.15},
         {"tau_s": 0.6},
         {"tau_s": 2.5},
+        {"tau_s": 0.03, "back_s": 0.3},  # a regulator that gives way at once and recovers slowly
     )
     edges = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
     made += [Suspect("valve_delay", 0.3, 0, _GAS, {}, edge) for edge in edges]
