@@ -60,6 +60,7 @@ ELASTIC = 30
 LINE = 31
 LINE_TIME = 32
 DROOP_BACK = 33
+LAG_BEFORE = 34
 SIZE = 40
 
 _factor = inlined(flow.subsonic_factor)
@@ -98,7 +99,10 @@ def _flows(
 def _advance(
     q: Any, s: Any, span: float, v0: float, v1: float, supply: float, inlet: bool, outlet: bool
 ) -> None:
-    """Move gas state s = (pressure, isothermal pressure, reading, fall, line) over `span` s."""
+    """Move gas state s over `span` s.
+
+    It is (pressure, isothermal pressure, reading, fall, line, pressure at the sensor).
+    """
     left = span
     v = v0
     slope = (v1 - v0) / span
@@ -162,7 +166,12 @@ def _advance(
         else:
             s[3] = target
         if q[LAG] > 0.0:
-            s[2] += (0.5 * (p + p1) - s[2]) * (1.0 - math.exp(-h / q[LAG]))
+            seen = 0.5 * (p + p1)
+            if q[LAG_BEFORE] > 0.0:
+                before = s[5]
+                s[5] += (seen - s[5]) * (1.0 - math.exp(-h / q[LAG_BEFORE]))
+                seen = 0.5 * (before + s[5])
+            s[2] += (seen - s[2]) * (1.0 - math.exp(-h / q[LAG]))
         else:
             s[2] = p1
         s[0] = max(p1, -0.99 * at)
@@ -190,6 +199,7 @@ def _trial(
     s[1] = s[0]
     s[2] = s[0]
     s[4] = s[0]
+    s[5] = s[0]
     edge = 0
     now = time[0]
     acts = now - 1.0
@@ -263,11 +273,13 @@ def _trial(
                 s[0] = max(s[0] + pull, -0.95 * q[ATMOSPHERE])
                 s[1] = max(s[1] + pull, -0.95 * q[ATMOSPHERE])
                 s[2] += pull
+                s[5] += pull
         elif q[FOLLOW] > 0.0:
             pull = (reading[i] - shown) * (1.0 - math.exp(-(end - begin) / q[FOLLOW]))
             s[0] = max(s[0] + pull, -0.95 * q[ATMOSPHERE])
             s[1] = max(s[1] + pull, -0.95 * q[ATMOSPHERE])
             s[2] += pull
+            s[5] += pull
 
 
 def _build(sources: int) -> tuple[Callable[..., None], Callable[..., None]]:
@@ -291,7 +303,7 @@ def _build(sources: int) -> tuple[Callable[..., None], Callable[..., None]]:
         waiting = np.zeros(2, dtype=np.int64)
         opened = np.zeros(2, dtype=np.bool_)
         command = np.zeros(2)
-        s = np.zeros(5)
+        s = np.zeros(6)
         for t in range(len(first) - 1):
             a = first[t]
             b = first[t + 1]
@@ -316,7 +328,7 @@ def _build(sources: int) -> tuple[Callable[..., None], Callable[..., None]]:
         waiting = np.zeros(2, dtype=np.int64)
         opened = np.zeros(2, dtype=np.bool_)
         command = np.zeros(2)
-        s = np.zeros(5)
+        s = np.zeros(6)
         for t in range(len(first) - 1):
             a = first[t]
             b = first[t + 1]

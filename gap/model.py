@@ -174,7 +174,10 @@ def _switch(q: Array, name: str, option: str, amount: float, shape: Shape) -> No
     elif name == "pressure_gain":
         q[chamber.GAIN] = amount * 1e-2
     elif name == "pressure_lag":
-        q[chamber.LAG] = max(amount, 0.0) * 1e-3
+        # A tube before the sensor is a lag of its own; the headline is the two together.
+        before = shape.get("before", 0.0)
+        q[chamber.LAG] = (1.0 - before) * max(amount, 0.0) * 1e-3
+        q[chamber.LAG_BEFORE] = before * max(amount, 0.0) * 1e-3
     elif name == "pressure_clock":
         q[chamber.CLOCK] = amount * 1e-3
 

@@ -89,6 +89,7 @@ _FREE: dict[str, dict[str, tuple[float, float]]] = {
         "travel_mm": (0.02, 3.0),
         "fall_mm_s": (1.0, 30.0),
     },
+    "pressure_lag": {"before": (0.02, 0.5)},
     "camera_distortion": {"power": (1.5, 6.0)},
     "wear": {"power": (0.3, 3.0)},
 }
@@ -181,7 +182,7 @@ def _make() -> tuple[Suspect, ...]:
     made += _shapes("payload", 0.02, 0, ("load",), {}, {"lifted_mm": 20.0})
     made += _shapes("pressure_zero", 1.0, 0, ("pressure", *_MUSCLE))
     made += _shapes("pressure_gain", 0.5, 0, ("pressure", *_MUSCLE))
-    made += _shapes("pressure_lag", 2.0, 1, ("pressure", *_MUSCLE))
+    made += _shapes("pressure_lag", 2.0, 1, ("pressure", *_MUSCLE), {}, {"before": 0.3})
     made += _shapes("force_zero", 0.2, 0, _MUSCLE)
     made += _shapes("force_gain", 0.5, 0, _MUSCLE)
     made += _shapes("length_label", 0.1, 0, _ALL)
