@@ -119,15 +119,19 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     if pairs:
         start = noise.white.copy()
         _learn(noise, pairs, prior, classes)
-        trend = _trend(model, c, noise, pairs)
-        if trend is not None:
+        z, trend = _trend(model, c, noise, pairs)
+        if z > _TREND_ASKED:
             # Replicates far apart share no slow change: what they differ by through it is not
             # noise, or wear would raise the very floor it has to rise above.
+            before = noise.white, noise.scales
             noise.white = start
             for pair in pairs:
                 pair.take_out(trend)
             _learn(noise, pairs, prior, classes)
-            noise.trend = trend
+            if z > _TREND_Z or _height(noise, pairs, trend) > _TREND_SURE:
+                noise.trend = trend
+            else:
+                noise.white, noise.scales = before
     noise.white += rows.doubt**2 + rows.floor**2
     return noise
 
@@ -260,23 +264,36 @@ class _Pair:
         return float(w @ solved[:, 0]), float(w @ solved[:, 1])
 
 
+_TREND_ASKED = 1.5
 _TREND_Z = 3.5
+_TREND_SURE = 7.0
+"""Z of a slow change from which it is one: over noise that it may have raised itself, and over
+noise learnt without it, which chance makes look smaller."""
 
 
-def _trend(model: Model, c: PlantConstants, noise: Noise, pairs: list[_Pair]) -> Array | None:
-    """The slow change over trials that replicates show, one entry a row; None if they show none."""
+def _trend(
+    model: Model, c: PlantConstants, noise: Noise, pairs: list[_Pair]
+) -> tuple[float, Array]:
+    """The slow change over trials that replicates show best, one entry a row, and its z."""
     wear = [suspect for suspect in SUSPECTS if suspect.id == "wear"]
     columns = suspect_columns(model, c, [], wear)
-    best: tuple[float, Array] | None = None
+    best = (0.0, np.zeros(len(columns)))
     for j in range(columns.shape[1]):
         products = np.array([pair.products(noise, columns[:, j]) for pair in pairs])
         across, self_product = products.sum(axis=0)
         if self_product <= 0.0:
             continue
-        z = float(across / np.sqrt(self_product))
-        if best is None or abs(z) > best[0]:
-            best = (abs(z), columns[:, j] * across / self_product)
-    return best[1] if best is not None and best[0] > _TREND_Z else None
+        z = abs(float(across / np.sqrt(self_product)))
+        if z > best[0]:
+            best = (z, columns[:, j] * across / self_product)
+    return best
+
+
+def _height(noise: Noise, pairs: list[_Pair], trend: Array) -> float:
+    """Z of a trend that was taken out of the pairs, over the noise that is left."""
+    products = np.array([pair.products(noise, trend) for pair in pairs])
+    across, self_product = products.sum(axis=0)
+    return float((across + self_product) / np.sqrt(max(self_product, 1e-300)))
 
 
 def _learn(noise: Noise, pairs: list[_Pair], prior: dict[str, float], block: Whole) -> None:
