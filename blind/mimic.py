@@ -95,8 +95,8 @@ def measure(recalibration: Recalibration, hidden: list[Hidden]) -> dict[str, obj
 
     `mimic_index` is the largest share of any one hidden effect (clear of the others) that one or
     two other entries take, by signatures of a usual size, or fitted where one effect is hidden
-    alone; `reach` what the plainest forms of the hidden effects close. For an
-    effect outside the catalogue `mimic_index` is what the catalogue closes.
+    alone; for an effect outside the catalogue it is what the catalogue closes. `reach` is what the
+    plainest forms of the hidden effects close.
     """
     rivals, unit = recalibration.rival_signatures()
     together = recalibration.signature_of(hidden)
