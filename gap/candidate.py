@@ -88,6 +88,14 @@ def linear_gains(q: Inquiry, state: State) -> tuple[Array, Array]:
     return gains, amounts
 
 
+def gains_by_key(q: Inquiry, gains: Array) -> dict[str, float]:
+    """Best gain of each key's suspects; `gains` has shape (suspects,)."""
+    best: dict[str, float] = {}
+    for suspect, gain in zip(q.suspects, gains.tolist(), strict=True):
+        best[suspect.key] = max(best.get(suspect.key, 0.0), gain)
+    return best
+
+
 def refine(
     q: Inquiry,
     state: State,
@@ -107,9 +115,9 @@ def refine(
         suspects = [*state.suspects, q.suspects[j]]
         start = [*state.amounts, _start(q.suspects[j], amounts[j])]
         ends = [q.fit(suspects, start, state)]
-        swapped = _swapped(q, state, key) if not state.suspects else None
+        swapped = _swapped(q, state, key)
         if swapped is not None:
-            ends.append(q.fit_from(swapped[0], suspects, [swapped[1]]))
+            ends.append(q.fit_from(swapped[0], suspects, [*state.amounts, swapped[1]]))
         if fresh is not None:
             ends.append(q.fit_afresh(suspects, [*state.amounts, _start(q.suspects[j], fresh[j])]))
         fitted = min(ends, key=lambda end: end.cost)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.stats import t as student
 
 from gap.candidate import Choice
-from gap.further import PLAINLY_SEEN, apart, excess, plain, seen
+from gap.further import PLAINLY_SEEN, apart, excess, plain, seen, settles
 from gap.inquiry import Inquiry, State
 from gap.naming import PLAIN, Naming, name_effects
 from gap.shrink import Held, held_out
@@ -119,7 +119,7 @@ def _needed(q: Inquiry, naming: Naming) -> Naming:
             if suspect.key != keys[-1]
         ]
         less = q.polish(q.fit([s for s, _ in pairs], [a for _, a in pairs], state))
-        if plain(q, naming.excess, less, gain):
+        if plain(q, naming.excess, less, gain) or settles(q, naming.excess, less, state):
             break  # it may show in few slots only, where no mean over slots is certain
         part = gain < FORM * max(q.base.cost - state.cost, 1.0)
         exact = excess(q, less) < 2.0 * np.sqrt(2.0 * len(q.rows))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from gap.inquiry import Inquiry, State
-from plant.catalogue import CATALOGUE
 
 SHARE_SURE = 0.06
 """Least share of the gap's excess that a further effect must take away."""
@@ -25,9 +24,17 @@ PLAIN_SHARE = 0.1
 PLAIN_OF_LEFT = 0.6
 """Gain, share of the gap and share of what is left from which less over the floor will do:"""
 PLAIN_SEEN = 0.4
+SETTLED = 0.9
+SETTLED_GAIN = 450.0
+SETTLED_SHARE = 0.02
+"""Share of what is left, gain and share of the gap from which two explain all there is."""
+SHOWS = 0.1
+"""Least change of the residual, in units of its floor, that is any at all."""
 AT_THE_END = 2.9
 BACK = 2.4
 """Shift of a constant, in sd, that an effect left out may have bent, and that none has to have."""
+RELEASE_GAIN = 120.0
+"""Gain from which an effect counts that brings such constants back."""
 _LEAST_NEXT = 40.0
 
 
@@ -64,6 +71,8 @@ def counts(q: Inquiry, gap: float, alarm: float, before: State, key: str, after:
     gain = before.cost - after.cost
     if gain < max(_LEAST_NEXT, alarm):
         return False
+    if settles(q, gap, before, after) or releases(q, before, after):
+        return True
     visible = seen(q, before, after)
     if visible > PLAIN_SEEN and plain(q, gap, before, gain):
         return True
@@ -79,6 +88,18 @@ def plain(q: Inquiry, gap: float, before: State, gain: float) -> bool:
     only, as a valve's does, and stand less high over a floor that is a mean over all of them.
     """
     return gain > max(PLAIN_GAIN, PLAIN_SHARE * gap, PLAIN_OF_LEFT * excess(q, before))
+
+
+def settles(q: Inquiry, gap: float, before: State, after: State) -> bool:
+    """Whether both together leave nothing where one of another family left much.
+
+    `gap` is the whitened gap beyond noise at the base. What an inexact form leaves, another effect
+    mends in part; that it takes all of it, and not through one family's likeness, is no accident.
+    """
+    gain = before.cost - after.cost
+    if gain < max(SETTLED_GAIN, SETTLED_SHARE * gap, SETTLED * excess(q, before)):
+        return False
+    return not _akin(before, after) and seen(q, before, after) > SHOWS
 
 
 def _worth(q: Inquiry, gap: float, alarm: float, before: State, after: State) -> bool:
@@ -98,17 +119,28 @@ def _worth(q: Inquiry, gap: float, alarm: float, before: State, after: State) ->
         return True
     if visible > PLAINLY_SEEN and gain > 0.2 * left:
         return True
-    if gain > max(PLAIN_GAIN, PLAIN_OF_LEFT * left) and _unbends(before, after):
-        return True
     if gain < 0.35 * left:
         return False
     large = left > 0.02 / 0.35 * gap
     return visible > PLAINLY_SEEN or large
 
 
-def _unbends(before: State, after: State) -> bool:
-    """Whether constants that stood at the end of their tolerance come back from it."""
-    return most_bent(before) > AT_THE_END > BACK > most_bent(after)
+def releases(q: Inquiry, before: State, after: State) -> bool:
+    """Whether constants that stood at the end of their tolerance come back from it.
+
+    Such an effect may show nowhere, because constants had taken its place, and at a price.
+    """
+    gain = before.cost - after.cost
+    if gain < max(RELEASE_GAIN, PLAIN_OF_LEFT * excess(q, before)) or _akin(before, after):
+        return False
+    then, now = np.abs(before.shift), np.abs(after.shift)
+    back = np.any((then > AT_THE_END) & (now < BACK))
+    return bool(back and not np.any((then < BACK) & (now > AT_THE_END)))
+
+
+def _akin(before: State, after: State) -> bool:
+    """Whether the last effect is of the family of another in force, and may only mend its form."""
+    return after.suspects[-1].family in {suspect.family for suspect in before.suspects}
 
 
 def most_bent(state: State) -> float:
@@ -121,11 +153,11 @@ def plea(
 ) -> dict[str, float | str]:
     """What speaks for one more effect, in plain numbers."""
     gain = before.cost - after.cost
-    last = after.suspects[-1].id
-    families = {CATALOGUE[s.id].family for s in before.suspects if s.id in CATALOGUE}
     return {
         "key": key,
         "gain": gain,
+        "bent": most_bent(before),
+        "bent_after": most_bent(after),
         "alarm": alarm,
         "share": gain / max(gap, 1.0),
         "of_left": gain / max(excess(q, before), 1.0),
@@ -133,6 +165,6 @@ def plea(
         "rows": float(len(q.rows)),
         "seen": seen(q, before, after),
         "apart": float(apart(q, before, key)),
-        "same_family": float(last in CATALOGUE and CATALOGUE[last].family in families),
+        "same_family": float(_akin(before, after)),
         "counted": float(counts(q, gap, alarm, before, key, after)),
     }

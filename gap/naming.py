@@ -20,12 +20,14 @@ from gap.candidate import (
     STANDS_FOR,
     Choice,
     flexed_by_second,
+    gains_by_key,
     in_best_form,
     linear_gains,
     refine,
     with_free_shapes,
 )
 from gap.evidence import SLACK
+from gap.exchange import exchanged, spared
 from gap.further import apart, counts, excess, plea
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
@@ -44,6 +46,8 @@ PLAIN = 100.0
 """Gain from which a first effect needs no proof on slots it was not fitted to."""
 CARRIED = 0.3
 """Least share of its gain that a first effect must carry over to such slots."""
+BETTER = 4.0
+"""How much less another effect must leave to take the place of one, in whitened squares."""
 MOST = 3
 _REFINED = 7
 _ELSEWHERE = 4
@@ -96,14 +100,14 @@ def name_effects(q: Inquiry) -> Naming:
     null = simulated_null(q)
     alarm = max(ALARM, BEYOND_CHANCE * null.threshold(CHANCE))
     naming = Naming(
-        Choice((), state), [], _by_key(q, gains), excess(q, state), excess(q, state), alarm,
+        Choice((), state), [], gains_by_key(q, gains), excess(q, state), excess(q, state), alarm,
         null.chance(float(gains.max(initial=0.0))),
     )  # fmt: skip
     keys: tuple[str, ...] = ()
     for step in range(MOST):
-        best = _by_key(q, gains)
+        best = gains_by_key(q, gains)
         top = sorted((k for k in best if k not in keys), key=lambda k: -best[k])
-        bent = _bent(q, state) if step == 0 else []
+        bent = [key for key in _bent(q, state) if key not in keys]
         if not top or (best[top[0]] < alarm and not bent):
             break
         gain = best[top[0]]
@@ -143,12 +147,39 @@ def name_effects(q: Inquiry) -> Naming:
         if one is not None:
             naming.steps[-2:] = [(one.keys[-1], naming.steps[-2][1] + naming.steps[-1][1])]
             naming.chosen, naming.rivals = one, [c for c in naming.rivals if c.keys != one.keys]
-            keys, state = one.keys, one.state
+        before = naming.chosen
+        _set_right(q, naming)
+        if one is not None or naming.chosen is not before:
+            keys, state = naming.chosen.keys, naming.chosen.state
             gains, amounts = linear_gains(q, state)
     naming.rivals = _polished(q, naming)
     naming.left = excess(q, state)
-    naming.last_gain = _by_key(q, gains)
+    naming.last_gain = gains_by_key(q, gains)
     return naming
+
+
+def _set_right(q: Inquiry, naming: Naming) -> None:
+    """Leave out what the last effect made needless, and put better ones in the place of others."""
+    if len(naming.chosen.keys) < 2:
+        return
+    less = spared(q, naming.chosen, naming.alarm)
+    if less is not None:
+        gone = next(k for k, (key, _) in enumerate(naming.steps) if key not in less.keys)
+        naming.steps[gone : gone + 2] = [
+            (naming.steps[gone + 1][0], naming.steps[gone][1] + naming.steps[gone + 1][1])
+        ]
+        naming.chosen, naming.rivals = less, []
+    if len(naming.chosen.keys) < 2:
+        return
+    others = exchanged(q, naming.chosen)
+    if others and others[0].cost < naming.chosen.cost - BETTER:
+        naming.steps = [
+            (key, gain) for key, (_, gain) in zip(others[0].keys, naming.steps, strict=True)
+        ]
+        others.append(naming.chosen)
+        naming.chosen = others.pop(0)
+    known = {choice.state.ids for choice in naming.rivals} | {naming.chosen.state.ids}
+    naming.rivals += [choice for choice in others if choice.state.ids not in known]
 
 
 def _polished(q: Inquiry, naming: Naming) -> list[Choice]:
@@ -231,13 +262,6 @@ def _scan_clocks(q: Inquiry) -> dict[str, tuple[float, float]]:
 def naming_scale(q: Inquiry, gains: Array, fresh: Array) -> float:
     """Factor that brings gains at the stated plant to those at the recalibrated one."""
     return float(gains.max(initial=0.0) / max(fresh.max(initial=0.0), 1e-9))
-
-
-def _by_key(q: Inquiry, gains: Array) -> dict[str, float]:
-    best: dict[str, float] = {}
-    for suspect, gain in zip(q.suspects, gains.tolist(), strict=True):
-        best[suspect.key] = max(best.get(suspect.key, 0.0), gain)
-    return best
 
 
 def _one_for_two(q: Inquiry, naming: Naming) -> Choice | None:
