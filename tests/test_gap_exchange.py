@@ -57,7 +57,7 @@ def test_an_effect_whose_place_a_constant_took_counts_although_it_shows_little(
         "liner_threshold": {"threshold_kpa": 30.0},
         "flow_area": {"side": "outlet", "ratio": 1.25},
     }
-    data = read_dataset(write_set(tmp_path, hidden, seed=4))
+    data = read_dataset(write_set(tmp_path, hidden, seed=4, replicates=2))
     q = Inquiry(data, [s for s in SUSPECTS if s.id in hidden])
     liner = fitted(q, "liner_threshold")
     both = refine(q, liner.state, liner.keys, "flow_area:outlet", *linear_gains(q, liner.state))
