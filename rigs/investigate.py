@@ -29,12 +29,12 @@ from gap.inquiry import Inquiry
 from gap.naming import Naming
 from gap.prediction import SHOWN, families, foretell, margins, rivals_of
 from gap.reader import read_dataset
+from gap.standing import Standing, joint
 from gap.verdict import Verdict
 from rigs.config import RigConfig
 from rigs.interrupt import StopFlag
 from rigs.protocols.registry import procedure
 from rigs.session import run_protocol
-from rigs.standing import Standing, joint
 from rigs.survey import BEFORE_NAMING, Test, battery, protocol_text
 
 if TYPE_CHECKING:

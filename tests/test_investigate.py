@@ -15,6 +15,7 @@ from daq.errors import PamrigError
 from daq.run import open_run
 from gap.prediction import Foretelling, families
 from gap.runtrials import run_trials
+from gap.standing import joint
 from gap.verdict import Experiment, Explanation, Verdict
 from plant.catalogue import CATALOGUE
 from rigs.config import RigConfig, load_rig
@@ -24,7 +25,6 @@ from rigs.protocols.registry import procedure
 from rigs.protocols.schedule import outline
 from rigs.rig import open_rig
 from rigs.session import run_protocol
-from rigs.standing import joint
 from rigs.survey import BEFORE_NAMING, REPEATS, Test, battery, protocol_text
 from rigs.virtual.bench import VirtualBench
 from withheld_campaign import MIMICKED, RIG, entropy_of, judged, read_journal, seeds_of, totals
