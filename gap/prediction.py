@@ -64,9 +64,12 @@ class Foretelling:
     @property
     def confirmed(self) -> bool:
         """Whether the new trials came out as foretold, and as no rival foretold them."""
-        nearest = min(self.rivals.values(), default=np.inf)
-        gained = min(self.without, nearest) - self.left
-        return gained > SHOWN and self.share >= FORETOLD
+        return self.gained > SHOWN and self.share >= FORETOLD
+
+    @property
+    def gained(self) -> float:
+        """Whitened squares that it takes away beyond what the nearest rival does."""
+        return min([self.without, *self.rivals.values()]) - self.left
 
     @property
     def refuted(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from gap.advise import reference_for
-from gap.prediction import Foretelling, families
+from gap.prediction import FORETOLD, SHOWN, Foretelling, families
 from gap.reporttext import headline, sentence
 from gap.verdict import Explanation, Verdict
 
@@ -45,16 +45,23 @@ class Standing:
 
     @property
     def confirmed(self) -> tuple[str, Foretelling] | None:
-        """The test that came out as the explanation foretold, if no later one spoke against it.
+        """The last test that came out as foretold, if it and those before it prove it.
 
-        It was held against whatever else is left.
+        They were held against whatever else is left, no later one spoke against it, and together
+        they take what a proof asks for.
         """
+        last: tuple[str, Foretelling] | None = None
+        gained = 0.0
         for protocol, found in reversed(self.foretold.get(self.family or "", [])):
-            against = [families(ids) for ids in found.rivals]
-            if found.confirmed and all(other in against for other in self._others):
-                return protocol, found
             if found.refuted:
                 break
+            against = [families(ids) for ids in found.rivals]
+            if found.share < FORETOLD or any(other not in against for other in self._others):
+                continue
+            last = last or (protocol, found)
+            gained += found.gained
+            if gained > SHOWN:
+                return last
         return None
 
     @property

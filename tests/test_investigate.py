@@ -133,6 +133,7 @@ def foretold(without: float, left: float, rival: float, by: str = "creep") -> Fo
         (("viscosity", "creep"), [foretold(9e3, 420.0, 6e3)], "named"),  # of one family
         (("viscosity",), [foretold(9e3, 2e3, 6e3)], "open"),  # a fifth of it is not foretold
         (("viscosity",), [foretold(9e3, 420.0, 480.0)], "open"),  # another foretold it as well
+        (("viscosity",), [foretold(9e3, 420.0, 500.0), foretold(9e3, 420.0, 480.0)], "named"),
         (("viscosity",), [foretold(450.0, 390.0, 440.0)], "open"),  # nothing there to foretell
         (("viscosity",), [foretold(9e3, 420.0, 6e3), foretold(9e3, 5e3, 6e3)], "open"),  # refuted
         (("viscosity",), [foretold(9e3, 420.0, 6e3), foretold(9e3, 420.0, 480.0)], "named"),
