@@ -314,6 +314,7 @@ def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points
     row: list[Whole] = []
     sizes = np.zeros(len(mountings), dtype=np.int64)
     held: list[Array] = []
+    settled: list[Array] = []
     mass: list[Array] = []
     made: list[Rows] = []
     count = 0
@@ -326,6 +327,7 @@ def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points
             columns[name].append(getattr(piece, name))
         row.append(inverse.astype(np.int64) + count)
         held.append(np.full(n, piece.held))
+        settled.append(np.full(n, piece.settled))
         mass.append(np.full(n, piece.mass))
         samples = np.asarray(np.bincount(inverse, weights=piece.weight), dtype=np.float64)
 
@@ -354,6 +356,7 @@ def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points
         mounting=np.repeat(mountings, sizes),
         row=np.concatenate(row),
         held=np.concatenate(held).astype(bool),
+        settled=np.concatenate(settled).astype(bool),
         mass=np.concatenate(mass),
         **joined,
     )

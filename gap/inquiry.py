@@ -27,9 +27,10 @@ from gap.evidence import Evidence, gather, tolerance
 from gap.grid import make_grid
 from gap.laws import Active
 from gap.model import Model
-from gap.noise import learn_noise
+from gap.noise import learn_noise, usual_noise
 from gap.normal import covariance, solved
 from gap.suspects import SUSPECTS, Suspect
+from gap.unlike import controlled, out_of_reach
 from plant.catalogue import CATALOGUE
 from plant.constants import KEYS, PlantConstants
 
@@ -109,7 +110,12 @@ class Inquiry:
         self.base = self._recalibrate(np.zeros(len(self.names)))
         # Replicates that a controller made are not alike in time: what the plant as stated misses
         # differs between them, and would be taken for noise.
-        self.noise = learn_noise(self.model, self.constants(self.base.shift), self.base.residual)
+        left = self.base.residual
+        if controlled(data):
+            columns = np.delete(self.signatures(self.base), len(self.names), axis=1)
+            usually = usual_noise(self.model, data.constants, left)
+            left = out_of_reach(columns, left, usually)
+        self.noise = learn_noise(self.model, self.constants(self.base.shift), left)
         self.base = self._recalibrate(self.base.shift)
         self.floor_variance = self.noise.variance()
 

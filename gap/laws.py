@@ -125,12 +125,12 @@ def true_pressure(points: Points, active: Active) -> Array:
 
 
 def moved(points: Points, values: Array, ahead_s: float) -> Array:
-    """Values of a signal `ahead_s` later, trial by trial, ends held."""
+    """Values of a signal `ahead_s` later, trial by trial, ends held; settled points stay."""
     if ahead_s == 0.0:
         return values
     made = values.copy()
     for a, b in zip(points.first[:-1].tolist(), points.first[1:].tolist(), strict=True):
-        if b - a > 2:
+        if b - a > 2 and not points.settled[a]:
             t = points.time_s[a:b]
             made[a:b] = np.interp(t + ahead_s, t, values[a:b])
     return made

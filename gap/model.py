@@ -183,10 +183,10 @@ def _switch(q: Array, name: str, option: str, amount: float, shape: Shape) -> No
 
 
 def _slope(points: Points, values: Array) -> Array:
-    """Time derivative trial by trial."""
+    """Time derivative trial by trial; settled points have none."""
     made = np.zeros(len(values))
     for a, b in zip(points.first[:-1], points.first[1:], strict=True):
-        if b - a > 2:
+        if b - a > 2 and not points.settled[a]:
             made[a:b] = np.gradient(values[a:b], points.time_s[a:b])
     return made
 

@@ -100,13 +100,8 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     """Noise of a data set from the replicates' differences of `residual`, shape (rows,)."""
     rows = model.grid.rows
     data = model.grid.data
-    effects, shared = trial_columns(model, c)
-    noise = Noise(_start_white(model, residual), [], [], [], {}, 0, 0)
-    prior: dict[str, float] = {effect.kind: effect.sd for effect in effects}
-    for group in noise.take_trials(model, effects, shared):
-        prior[group] = usual(group)
-    _settled_prior(model, prior, effects)
-    noise.scales = dict(prior)
+    noise = usual_noise(model, c, residual)
+    prior = dict(noise.scales)
     classes = _classes(model)
     clear = rows.doubt**2 + rows.adrift**2 < 0.3 * noise.white
     pairs = [
@@ -133,6 +128,18 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
             else:
                 noise.white, noise.scales = before
     noise.white += rows.doubt**2 + rows.floor**2
+    return noise
+
+
+def usual_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
+    """Noise as PLANT.md has it, before replicates tell; doubt and floor are not in it."""
+    effects, shared = trial_columns(model, c)
+    noise = Noise(_start_white(model, residual), [], [], [], {}, 0, 0)
+    scales: dict[str, float] = {effect.kind: effect.sd for effect in effects}
+    for group in noise.take_trials(model, effects, shared):
+        scales[group] = usual(group)
+    _settled_prior(model, scales, effects)
+    noise.scales = scales
     return noise
 
 

@@ -8,13 +8,16 @@ earlier ones does not, and another one that fitted them as well mostly leaves mo
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from gap.candidate import in_best_form, linear_gains, refine
 from gap.inquiry import Inquiry, State
+from gap.naming import Naming
+from plant.catalogue import CATALOGUE
 
 Array = npt.NDArray[np.float64]
 
@@ -25,6 +28,10 @@ FORETOLD = 0.9
 """Least share of the new trials' gap that it must take away."""
 REFUTED = 0.5
 """Share below which the new trials speak against it."""
+MOST_RIVALS = 4
+"""Other explanations that new trials are held against,"""
+LEAST_RIVALS = 2
+"""and how many of other families there are in any case: the nearest are fitted for it."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +64,12 @@ class Foretelling:
     @property
     def confirmed(self) -> bool:
         """Whether the new trials came out as foretold, and as no rival foretold them."""
-        nearest = min(self.rivals.values(), default=np.inf)
-        gained = min(self.without, nearest) - self.left
-        return gained > SHOWN and self.share >= FORETOLD
+        return self.gained > SHOWN and self.share >= FORETOLD
+
+    @property
+    def gained(self) -> float:
+        """Whitened squares that it takes away beyond what the nearest rival does."""
+        return min([self.without, *self.rivals.values()]) - self.left
 
     @property
     def refuted(self) -> bool:
@@ -68,7 +78,7 @@ class Foretelling:
 
 
 def foretell(
-    q: Inquiry, trials: Collection[int], state: State, rivals: Sequence[State]
+    q: Inquiry, trials: Collection[int], state: State, rivals: Iterable[State]
 ) -> Foretelling:
     """How the explanation `state`, found without them, and its rivals fare on some trials of `q`.
 
@@ -76,25 +86,65 @@ def foretell(
         q: all data, the new trials included.
         trials: which are new.
         state: found on data without them, perhaps by another inquiry.
-        rivals: other explanations of the same data.
+        rivals: other explanations of the same data; asked for only where the trials say anything.
     """
-    return Foretelling(
+    found = Foretelling(
         sum(len(q.noise.trial_rows[trial]) for trial in trials),
         _left_by(q, q.base, trials),
         _left_by(q, _fixed(q, state), trials),
-        {rival.ids: _left_by(q, _fixed(q, rival), trials) for rival in rivals},
+        {},
     )
+    if found.shown:
+        found.rivals.update({rival.ids: _left_by(q, _fixed(q, rival), trials) for rival in rivals})
+    return found
 
 
-def gains(q: Inquiry, state: State) -> Array:
-    """Whitened squares that an explanation of `q` takes from each trial, shape (trials,)."""
-    before, after = q.base, state
-    return np.array(
-        [
-            _left_by(q, before, [trial]) - _left_by(q, after, [trial])
-            for trial in range(len(q.data.trials))
+def rivals_of(q: Inquiry, naming: Naming) -> Iterator[State]:
+    """What an explanation of `q` must foretell new trials better than.
+
+    Without any one of its families, where it has several; then the nearest explanations by other
+    families, fitted now where the search had no need to.
+    """
+    chosen = naming.chosen.state
+    own = families(chosen.ids)
+    for family in sorted(own) if len(own) > 1 else ():
+        rest = [
+            (s, float(a))
+            for s, a in zip(chosen.suspects, chosen.amounts, strict=True)
+            if CATALOGUE[s.id].family != family
         ]
-    )
+        yield q.polish(q.fit([s for s, _ in rest], [a for _, a in rest]))
+    seen: set[str] = set()
+    others = [choice.state for choice in naming.rivals if not own & families(choice.state.ids)]
+    for state in others[:MOST_RIVALS]:
+        seen |= families(state.ids)
+        yield state
+    gains, amounts = linear_gains(q, q.base)
+    for key in sorted(naming.first_gain, key=lambda key: -naming.first_gain[key]):
+        if len(seen) >= LEAST_RIVALS:
+            return
+        other = families((key.partition(":")[0],))
+        if not other or other & (own | seen):
+            continue
+        seen |= other
+        first = refine(q, q.base, (), key, gains, amounts)
+        yield q.polish(in_best_form(q, q.base, first, gains, amounts).state)
+
+
+def families(ids: Collection[str]) -> frozenset[str]:
+    """Families of the catalogue's entries among `ids`; defects of a recording have none."""
+    return frozenset(CATALOGUE[name].family for name in ids if name in CATALOGUE)
+
+
+def margins(q: Inquiry, state: State, others: Sequence[State]) -> Array:
+    """What others leave of each trial more than `state`, shape (others, trials).
+
+    All are fitted to `q`; in whitened squares.
+    """
+    trials = range(len(q.data.trials))
+    own = np.array([_left_by(q, state, [trial]) for trial in trials])
+    left = [[_left_by(q, other, [trial]) for trial in trials] for other in others]
+    return np.asarray(np.array(left).reshape(len(others), len(own)) - own)
 
 
 def _fixed(q: Inquiry, state: State) -> State:

@@ -26,6 +26,7 @@ class Points:
         weight: samples that each point stands for.
         path: pressure without its sampling noise, for what depends on turning points.
         held: whether the length is the one written down, not one that was read.
+        settled: whether the trial is a table of settled points, whose `time_s` counts its rows.
         reading: measured output: force in N, pressure in Pa or length in m.
     """
 
@@ -42,6 +43,7 @@ class Points:
     rate: Array
     acceleration: Array
     held: npt.NDArray[np.bool_]
+    settled: npt.NDArray[np.bool_]
     temperature: Array
     mass: Array
     reading: Array

@@ -16,20 +16,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
+
 from daq.errors import PamrigError
 from daq.run import Run, open_run
-from gap.advise import reference_for
 from gap.dataset import DataSet
 from gap.diagnose import searched
 from gap.errors import GapError
 from gap.from_runs import export_runs, stated_plant
 from gap.inquiry import Inquiry
 from gap.naming import Naming
-from gap.prediction import Foretelling, foretell, gains
+from gap.prediction import SHOWN, families, foretell, margins, rivals_of
 from gap.reader import read_dataset
-from gap.reporttext import headline, sentence
+from gap.standing import Standing, joint
 from gap.verdict import Verdict
-from plant.catalogue import CATALOGUE
 from rigs.config import RigConfig
 from rigs.interrupt import StopFlag
 from rigs.protocols.registry import procedure
@@ -39,15 +40,13 @@ from rigs.survey import BEFORE_NAMING, Test, battery, protocol_text
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench
 
-SETTLED = ("named", "named_form_inadequate", "data_unfit")
 VALVE_TESTS = ("step",)
 """Tests whose valve commands are diagnosed: elsewhere a loop only holds a pressure."""
 LIKELY = 0.7
 """Belief in one family from which it is put to the proof before anything else is looked at."""
 FAILED = 2
 """Tests that did not come out as foretold after which no more are made for that."""
-MOST_RIVALS = 4
-"""Other explanations that a new test is held against."""
+Array = npt.NDArray[np.float64]
 Told = Callable[[str], None]
 
 
@@ -170,7 +169,7 @@ def investigate(
 
 
 @dataclass
-class _Begun:
+class _Begun(Standing):
     """An investigation under way: the tests so far, and what is known after them."""
 
     config: RigConfig
@@ -179,19 +178,21 @@ class _Begun:
     runs: list[Run] = field(default_factory=list)
     tests: list[Test] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
-    verdict: Verdict | None = None
     inquiry: Inquiry | None = None
     naming: Naming | None = None
-    foretold: dict[str, list[tuple[str, Foretelling]]] = field(default_factory=dict)
-    """By family, tests that show what was found before them, and how it fared on each."""
+    _margins: Array | None = None
 
     def next(self, left: list[Test], again: list[Test]) -> tuple[Test, str] | None:
         """The next test, taken from those left or to be made again, and why; None at the end."""
         verdict = self.verdict
-        if self._likely or self._of_valves_alone(left):
+        telling = None
+        if self._of_valves_alone(left):
+            telling = self._telling([t for t in again if t.protocol in VALVE_TESTS], -np.inf)
+        if telling is None and self._likely:
             telling = self._telling(again)
-            if telling is not None:
-                return telling
+        if telling is not None:
+            again.remove(telling)
+            return telling, self._to_see
         if verdict is not None and verdict.next_experiment is not None:
             advised = verdict.next_experiment
             for tests in (left, again):
@@ -203,7 +204,11 @@ class _Begun:
         if left:
             why = "to begin with" if verdict is None else "nothing so far has shown what it shows"
             return left.pop(0), why
-        return self._telling(again)
+        telling = self._telling(again)
+        if telling is None:
+            return None
+        again.remove(telling)
+        return telling, self._to_see
 
     @property
     def _likely(self) -> bool:
@@ -220,25 +225,31 @@ class _Begun:
         blocks = {b for suspect in self.naming.chosen.state.suspects for b in suspect.blocks}
         return blocks == {"pressure"}
 
-    def _telling(self, again: list[Test]) -> tuple[Test, str] | None:
-        """The test that shows most of what is all but named, to be made again, and why."""
+    def _telling(self, again: list[Test], least: float = SHOWN) -> Test | None:
+        """The test to be made again: where the explanation and its nearest rival part most.
+
+        None where no test parts them by more than `least`, or two have failed already.
+        """
         if self.naming is None or self.inquiry is None or self.family is None:
             return None
         if sum(not found.confirmed for _, found in self.foretold.get(self.family, [])) >= FAILED:
             return None
-        taken = gains(self.inquiry, self.naming.chosen.state)
-        best: tuple[float, Test | None] = (0.0, None)
+        if self._margins is None:
+            others = [self.inquiry.base, *rivals_of(self.inquiry, self.naming)]
+            self._margins = margins(self.inquiry, self.naming.chosen.state, others)
+        best: tuple[float, Test | None] = (least, None)
         for run, made in zip(self.runs, self.tests, strict=True):
-            here = sum(float(taken[trial]) for trial in _trials_of(self.inquiry, run))
+            apart = float(self._margins[:, _trials_of(self.inquiry, run)].sum(axis=1).min())
             for test in again:
-                if test.what == made.what and here > best[0]:
-                    best = (here, test)
-        telling = best[1]
-        if telling is None:
-            return None
-        again.remove(telling)
+                if test.what == made.what and apart > best[0]:
+                    best = (apart, test)
+        return best[1]
+
+    @property
+    def _to_see(self) -> str:
+        assert self.naming is not None
         names = " and ".join(self.naming.chosen.state.ids)
-        return telling, f"at other settings, to see whether {names} foretells it"
+        return f"at other settings, to see whether {names} foretells it"
 
     def take(self, test: Test, why: str, run: Run, outcome: str) -> None:
         """Join a run to those before it and diagnose all of them."""
@@ -258,85 +269,25 @@ class _Begun:
 
     def _diagnose(self) -> dict[str, Any] | None:
         """Diagnose all runs; how what was found before fared on the last of them."""
-        before = self.naming
+        before, known = self.naming, self.inquiry
         data = joined(self.runs, self.folder / f"data-{len(self.runs):02d}", self.plant)
         self.verdict, self.inquiry, self.naming = searched(data)
-        if before is None or not before.chosen.keys or self.inquiry is None:
+        self._margins = None
+        if before is None or known is None or not before.chosen.keys or self.inquiry is None:
             return None
         state = before.chosen.state
-        families = _families(state.ids)
-        rivals = [c.state for c in before.rivals if not families & _families(c.state.ids)]
-        found = foretell(
-            self.inquiry, _trials_of(self.inquiry, self.runs[-1]), state, rivals[:MOST_RIVALS]
-        )
+        new = _trials_of(self.inquiry, self.runs[-1])
+        found = foretell(self.inquiry, new, state, rivals_of(known, before))
         if not found.shown:
             return None
-        protocol = self.tests[-1].protocol
-        self.foretold.setdefault("+".join(families), []).append((protocol, found))
+        self.foretold.setdefault(joint(families(state.ids)), []).append(
+            (self.tests[-1].protocol, found)
+        )
         return {
             "by": list(state.ids), "share": found.share, "confirmed": found.confirmed,
             "rows": found.rows, "without": found.without, "left": found.left,
             "rivals": {" + ".join(ids): left for ids, left in found.rivals.items()},
         }  # fmt: skip
-
-    @property
-    def family(self) -> str | None:
-        """The one family that is in all entries left, where the diagnosis stops short of a name.
-
-        None where there are several.
-        """
-        if self.verdict is None or self.verdict.status not in ("indistinguishable", "mimicable"):
-            return None
-        left = [_families(effect.ids) for effect in self.verdict.effects]
-        common = frozenset.intersection(*left) if left else frozenset()
-        return next(iter(common)) if len(common) == 1 else None
-
-    @property
-    def confirmed(self) -> tuple[str, Foretelling] | None:
-        """The test that came out as the explanation foretold, if no later one spoke against it."""
-        for protocol, found in reversed(self.foretold.get(self.family or "", [])):
-            if found.confirmed:
-                return protocol, found
-            if found.refuted:
-                break
-        return None
-
-    @property
-    def settled(self) -> bool:
-        """Whether there is nothing more to find out."""
-        if self.verdict is None:
-            return False
-        return self.verdict.status in SETTLED or self.confirmed is not None
-
-    @property
-    def conclusion(self) -> str:
-        """What a lab is told, in a word or two."""
-        assert self.verdict is not None
-        status = self.verdict.status
-        if status in ("named", "named_form_inadequate") or self.confirmed is not None:
-            return "named"
-        if status in ("indistinguishable", "mimicable") and len(self._entries) > 1:
-            return "needs reference"
-        return "no gap" if status == "no_gap_above_floor" else "open"
-
-    @property
-    def _entries(self) -> set[str]:
-        """Families, or pairs of them, of the entries left."""
-        return {effect.family for effect in self.verdict.effects} if self.verdict else set()
-
-    @property
-    def why(self) -> str:
-        """The same in a sentence."""
-        assert self.verdict is not None
-        if self.confirmed is None:
-            return headline(self.verdict)
-        protocol, found = self.confirmed
-        ids = [" + ".join(effect.ids) for effect in self.verdict.effects]
-        return sentence(
-            f"It is {' or '.join(ids)}, found on the tests before and confirmed by the {protocol} "
-            f"test, of whose gap it foretold {100 * found.share:.0f} % and no other explanation "
-            "as much"
-        )
 
     def concluded(self) -> Investigation:
         """The outcome, also written to the investigation's folder."""
@@ -356,23 +307,9 @@ class _Begun:
         (self.folder / "investigation.json").write_text(text + "\n", encoding="utf-8")
         return found
 
-    @property
-    def references(self) -> dict[str, str]:
-        """What would tell the entries left apart, or prove the only one, where no test did."""
-        assert self.verdict is not None
-        names = dict.fromkeys(name for effect in self.verdict.effects for name in effect.ids)
-        proven = self.confirmed is not None and len(names) == 1
-        if self.verdict.status not in ("indistinguishable", "mimicable") or proven:
-            return {}
-        return {name: reference_for(name) for name in names}
-
 
 def _trials_of(q: Inquiry, run: Run) -> list[int]:
     return [k for k, trial in enumerate(q.data.trials) if trial.name.startswith(f"{run.run_id}:")]
-
-
-def _families(ids: tuple[str, ...]) -> frozenset[str]:
-    return frozenset(CATALOGUE[name].family for name in ids)
 
 
 def _own_folder(out: Path) -> Path:

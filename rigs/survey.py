@@ -47,16 +47,17 @@ class _Settings:
     moved: tuple[float, ...]
     masses: tuple[float, ...]
     speeds: tuple[float, ...]
+    stepped: tuple[float, ...]
     warmer_k: float
 
 
 _FIRST = _Settings(
     (0.1, 0.3, 0.5, 0.75, 1.0), (0.12, 0.45, 0.75), (0.15, 0.35, 0.55, 0.75), (0.4, 1.0),
-    (0.2, 1.0), 15.0,
+    (0.2, 1.0), (0.45,), 15.0,
 )  # fmt: skip
 _AGAIN = _Settings(
-    (0.15, 0.4, 0.6, 0.85, 0.95), (0.2, 0.6, 0.8), (0.2, 0.4, 0.6, 0.8), (0.6, 0.8), (0.1, 0.5),
-    10.0,
+    (0.15, 0.4, 0.6, 0.85, 0.95), (0.2, 0.6, 0.8), (0.2, 0.4, 0.6, 0.8), (0.6, 0.8), (0.5, 1.0),
+    (0.1, 0.8), 10.0,
 )  # fmt: skip
 
 
@@ -64,7 +65,8 @@ def battery(config: RigConfig, again: bool = False) -> list[Test]:
     """All tests that this rig can run, in the order in which they are run unless advised.
 
     Muscle and sensors at rest; valves and gas; a length that moves; loads; a hold; warmth.
-    `again` gives the same tests at other pressures, lengths, loads and speeds.
+    `again` gives the same tests at other pressures, lengths, loads and speeds; that of the valves
+    twice, with a short and with a long muscle.
     """
     at = _AGAIN if again else _FIRST
     low, high = config.limits.length_min_mm, config.limits.length_max_mm
@@ -88,12 +90,16 @@ def battery(config: RigConfig, again: bool = False) -> list[Test]:
     ]  # fmt: skip
     if not regulated and config.valve.static_scheme != "reg":
         steps = [pressures[2], pressures[4], pressures[1], pressures[3], pressures[0]]
-        made.append(Test(
-            "step", "the valves fully open, and in bursts",
-            {"schemes": ["two", "burst"], "pressures_kpa": steps, "step_s": 1.5,
-             "supply_kpa": config.limits.pressure_kpa, "length_mm": lengths[1],
-             "repeats": REPEATS},
-        ))  # fmt: skip
+        # Short and long, as the muscle's own volume tells gas that flows from gas that is stored.
+        made += [
+            Test(
+                "step", "the valves fully open, and in bursts",
+                {"schemes": ["two", "burst"], "pressures_kpa": steps, "step_s": 1.5,
+                 "supply_kpa": config.limits.pressure_kpa,
+                 "length_mm": round(low + share * (high - low), 1), "repeats": REPEATS},
+            )
+            for share in at.stepped
+        ]  # fmt: skip
     made += [
         Test(
             "isobaric", "a length that moves",

@@ -29,9 +29,16 @@ def test_the_nominal_plant_has_no_gap(nominal_set: Path) -> None:
     assert verdict.limits["liner_threshold"] > 0.0
 
 
-def test_replicates_that_are_not_alike_in_time_raise_no_noise(tmp_path: Path) -> None:
-    # As a controller makes them: what constants within their tolerances miss is then not shared.
-    noise = Inquiry(read_dataset(write_set(tmp_path, seed=11, late_s=0.04))).noise
+@pytest.mark.parametrize(
+    "effects",
+    [{}, {"flow_area": {"ratio": 0.7, "side": "inlet"}}, {"end_cap": {"shortening_mm": 1.5}}],
+    ids=["tolerances", "an inlet", "end caps"],
+)
+def test_replicates_that_are_not_alike_in_time_raise_no_noise(
+    effects: dict[str, Any], tmp_path: Path
+) -> None:
+    # As a controller makes them: what the plant misses is then not shared.
+    noise = Inquiry(read_dataset(write_set(tmp_path, effects, seed=11, late_s=0.04))).noise
     scales = (noise.scales[k] for k in ("force gain", "inlet timing", "slow pressure <"))
     gain_percent, late_ms, slow_kpa = scales
     assert gain_percent < 1.0  # 0.3 is put in

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import islice
 
 import pytest
 
+from gap.candidate import Choice
 from gap.inquiry import Inquiry, State
-from gap.naming import name_effects
-from gap.prediction import FORETOLD, SHOWN, foretell, gains
+from gap.naming import Naming, name_effects
+from gap.prediction import FORETOLD, LEAST_RIVALS, SHOWN, foretell, margins, rivals_of
 from gap.reader import read_dataset
 from gap.suspects import SUSPECTS
 from gap_bench import write_set
+from plant.catalogue import CATALOGUE
 
 NEW = "hysteresis"
 
@@ -25,17 +28,22 @@ def earlier_and_all(tmp_path_factory: pytest.TempPathFactory) -> tuple[Inquiry, 
     return Inquiry(dataclasses.replace(data, trials=known)), Inquiry(data)
 
 
+@pytest.fixture(scope="module")
+def named(earlier_and_all: tuple[Inquiry, Inquiry]) -> Naming:
+    return name_effects(earlier_and_all[0])
+
+
 def fitted(q: Inquiry, name: str) -> State:
     suspect = next(s for s in SUSPECTS if s.id == name)
     return q.polish(q.fit([suspect], [suspect.step]))
 
 
 def test_what_is_there_is_foretold_and_what_merely_fitted_is_not(
-    earlier_and_all: tuple[Inquiry, Inquiry],
+    earlier_and_all: tuple[Inquiry, Inquiry], named: Naming
 ) -> None:
     earlier, everything = earlier_and_all
     new = [k for k, t in enumerate(everything.data.trials) if t.protocol == NEW]
-    right, wrong = name_effects(earlier).chosen.state, fitted(earlier, "creep")
+    right, wrong = named.chosen.state, fitted(earlier, "creep")
     assert right.ids == ("liner_threshold",)
     found = foretell(everything, new, right, [wrong])
     assert found.shown
@@ -49,13 +57,36 @@ def test_what_is_there_is_foretold_and_what_merely_fitted_is_not(
     assert not foretell(everything, new, right, [right]).confirmed
 
 
-def test_gains_are_where_the_effect_is(earlier_and_all: tuple[Inquiry, Inquiry]) -> None:
+def test_an_explanation_that_nothing_came_near_is_held_against_other_families_all_the_same(
+    earlier_and_all: tuple[Inquiry, Inquiry], named: Naming
+) -> None:
+    earlier, _ = earlier_and_all
+    wrong = fitted(earlier, "creep")
+    alone = dataclasses.replace(named, chosen=Choice(("creep",), wrong), rivals=[])
+    rivals = list(rivals_of(earlier, alone))
+    assert len({CATALOGUE[r.ids[0]].family for r in rivals}) == len(rivals) == LEAST_RIVALS
+    assert rivals[0].ids == ("liner_threshold",)  # what is there was not fitted, but stood first
+
+
+def test_two_families_are_held_against_each_alone(
+    earlier_and_all: tuple[Inquiry, Inquiry], named: Naming
+) -> None:
+    earlier, _ = earlier_and_all
+    both = [fitted(earlier, "liner_threshold"), fitted(earlier, "wear")]
+    state = earlier.fit([s for b in both for s in b.suspects], [a for b in both for a in b.amounts])
+    pair = dataclasses.replace(named, chosen=Choice(("liner_threshold", "wear"), state), rivals=[])
+    alone = [rival.ids for rival in islice(rivals_of(earlier, pair), 2)]
+    assert sorted(alone) == [("liner_threshold",), ("wear",)]
+
+
+def test_explanations_part_where_the_effect_is(earlier_and_all: tuple[Inquiry, Inquiry]) -> None:
     earlier, _ = earlier_and_all
     state = fitted(earlier, "liner_threshold")
-    taken = gains(earlier, state)
-    assert taken.shape == (len(earlier.data.trials),)
+    apart = margins(earlier, state, [earlier.base, state])
+    assert apart.shape == (2, len(earlier.data.trials))
+    assert not apart[1].any()
     by = {
-        protocol: sum(g for g, t in zip(taken, earlier.data.trials, strict=True)
+        protocol: sum(g for g, t in zip(apart[0], earlier.data.trials, strict=True)
                       if t.protocol == protocol)
         for protocol in ("isometric", "step")
     }  # fmt: skip

@@ -32,7 +32,8 @@ def still(length_mm: np.ndarray, **fields: np.ndarray) -> Points:
         "mounting": np.zeros(n, dtype=np.int64), "time_s": np.arange(n) * 0.01,
         "row": np.arange(n), "weight": np.ones(n), "pressure": np.full(n, 3e5),
         "pressure_slope": zero, "path": zero, "length": length_mm * 1e-3, "rate": zero,
-        "acceleration": zero, "held": np.zeros(n, dtype=bool), "temperature": np.full(n, 21.0),
+        "acceleration": zero, "held": np.zeros(n, dtype=bool), "settled": np.zeros(n, dtype=bool),
+        "temperature": np.full(n, 21.0),
         "mass": np.ones(n), "reading": zero, "direction": zero,
     }  # fmt: skip
     return Points(**{**given, **fields})
@@ -56,6 +57,17 @@ def test_a_length_that_was_written_down_is_not_touched_by_the_camera() -> None:
     points = still(np.linspace(55.0, 65.0, 5), held=np.ones(5, dtype=bool))
     bent = [("camera_distortion", "", 1.0, {"power": 3.0})]
     assert laws.true_length(points, bent, C) == pytest.approx(points.length)
+
+
+@pytest.mark.parametrize("delay_ms", [75.0, -95.0])
+def test_a_late_or_early_camera_shows_settled_points_where_they_are(delay_ms: float) -> None:
+    """A table beside trials with time in them: its rows are no seconds."""
+    late = [("camera_delay", "", delay_ms, {})]
+    away = np.linspace(55.0, 65.0, 5)
+    moving = laws.true_length(still(away), late, C)
+    assert np.abs(moving * 1e3 - away).max() > 2.0
+    settled = still(away, time_s=np.arange(5.0), settled=np.ones(5, dtype=bool))
+    assert laws.true_length(settled, late, C) == pytest.approx(away * 1e-3)
 
 
 def test_a_load_with_a_hose_weighs_more_the_higher_it_hangs() -> None:
