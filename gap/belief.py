@@ -106,7 +106,7 @@ class Forest:
 class Belief:
     """The forest, and what an entry's true form may do to its headline.
 
-    `form` is the relative error (1 sd) of an entry's headline that its true form brings.
+    `form` is the error (1 sd) of the logarithm of an entry's headline that its true form brings.
     """
 
     forest: Forest

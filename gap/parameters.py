@@ -65,8 +65,6 @@ def headline_estimates(q: Inquiry, state: State, whole: bool = True) -> dict[str
         amount = float(state.amounts[at].sum())
         index = [n + j for j in at]
         sd = float(np.sqrt(max(state.cover[np.ix_(index, index)].sum(), 0.0))) * spread
-        # The headline has a form behind it that is never exact.
-        sd = float(np.hypot(sd, learnt().form.get(name, _FORM) * amount))
         if name == "supply_droop":
             active = q.found(state.shift, state.suspects, state.amounts)
             q.model.residual(q.constants(state.shift), active, ["pressure"])
@@ -76,7 +74,7 @@ def headline_estimates(q: Inquiry, state: State, whole: bool = True) -> dict[str
         if whole:
             taken = _taken_over(q, state, name, state.suspects[at[0]].option)
             amount, sd = amount + taken, float(np.hypot(sd, 0.5 * taken))
-        low, high = amount - _Z95 * sd, amount + _Z95 * sd
+        low, high = interval(amount, _Z95 * sd, _Z95 * learnt().form.get(name, _FORM))
         shift = _offset(q, name)
         key = entry.headline if entry.headline not in made else f"{name}_{entry.headline}"
         made[key] = Estimate(amount + shift, low + shift, high + shift)
@@ -85,6 +83,17 @@ def headline_estimates(q: Inquiry, state: State, whole: bool = True) -> dict[str
             word = "side" if name == "flow_area" else "edge"
             made[word if word not in made else f"{name}_{word}"] = Estimate(option)
     return made
+
+
+def interval(amount: float, noise: float, form: float) -> tuple[float, float]:
+    """Interval of a headline with two errors: `noise` adds to it, `form` to its logarithm.
+
+    Each side's reaches are added in squares (Zou and Donner, Stat. Med. 27 (2008) 1693). The form
+    behind a headline is never exact, and makes it wrong by a factor, up or down alike.
+    """
+    ends = np.array([amount * np.exp(-form), amount * np.exp(form)])
+    low, high = amount - ends.min(), ends.max() - amount
+    return float(amount - np.hypot(noise, low)), float(amount + np.hypot(noise, high))
 
 
 BEYOND = 2.0

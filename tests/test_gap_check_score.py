@@ -17,11 +17,13 @@ FAMILIES = {
     "payload": ("load", "load"), "wear": ("drift", "any"), "local_buckle": ("outside", "muscle"),
 }  # fmt: skip
 
+PARAMETERS = {"creep": {"relaxation_percent": 5.0}, "leak": {"conductance_m3_s_pa": 2e-13}}
+
 
 def answer(kind: str, *ids: str, size: float = 4.0, mimic: float = 0.3, **more: Any):
     effects = [
         {"id": i, "family": FAMILIES[i][0], "stage": FAMILIES[i][1], "form": 1,
-         "parameters": {"relaxation_percent": 5.0} if i == "creep" else {}}
+         "parameters": PARAMETERS.get(i, {})}
         for i in ids
     ]  # fmt: skip
     members = [{"id": i, "gap_over_floor": size} for i in ids]
@@ -65,6 +67,12 @@ class TestOneSet:
         assert found["right"]
         assert found["parameter_covered"]
         assert found["error"] == pytest.approx(0.1)
+
+    def test_a_leak_of_twice_the_conductance_is_wrong_by_all_of_it(self) -> None:
+        twice = explanation("leak", conductance_m3_s_pa={"value": 4e-13, "low": 1e-13, "high": 1})
+        found = score(answer("single", "leak"), verdict("named", twice))
+        assert found["error"] == pytest.approx(1.0)
+        assert found["ratio"] == pytest.approx(2.0)
 
     def test_a_sibling_is_the_right_family_and_a_wrong_name(self) -> None:
         found = score(answer("single", "creep"), verdict("named", explanation("viscosity")))

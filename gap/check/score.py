@@ -86,10 +86,11 @@ def parameter_row(answer: Mapping[str, Any], best: Mapping[str, Any]) -> Row:
             if not isinstance(value, (int, float)):
                 continue
             row: Row = {"parameter": name, "true": true, "stated": value}
-            neutral = (
-                1.0 if name in ("ratio", "exponent") else 0.5 if name == "critical_ratio" else 0
-            )
-            row["error"] = (value - true) / max(abs(true - neutral), 1e-12)
+            neutral = NEUTRAL.get(name, 0.0)
+            if true != neutral:
+                # A leak's conductance is thirteen decades below one: no floor under it.
+                row["error"] = (value - true) / abs(true - neutral)
+                row["ratio"] = (value - neutral) / (true - neutral)
             if given.get("low") is not None and given.get("high") is not None:
                 row["parameter_covered"] = bool(given["low"] <= true <= given["high"])
             return row
