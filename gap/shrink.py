@@ -49,8 +49,9 @@ class Held:
         """Closed fraction with its 95 % interval by the jackknife over units.
 
         Held-out errors say a little too little for the plant fitted to all units, errors of that
-        fit a little too much: the interval reaches to the upper end of both. None where the gap
-        beyond the floor is not certain.
+        fit a little too much: the interval reaches to the upper end of both. No plant closes more
+        than all: where the ratio says so, the floor was stated too high, by that much at least, and
+        the lower end gives way. None where the gap beyond the floor is not certain.
         """
         use = self.weight > 0.0
         found = _ratio((self.recalibrated - self.after)[use], (self.recalibrated - self.floor)[use])
@@ -61,7 +62,7 @@ class Held:
             base, after = self.fitted
             inside = _ratio((base - after)[use], (base - self.floor)[use])
             high = max(high, inside[2]) if inside is not None else high
-        return ratio, low, high
+        return ratio, low - max(ratio - 1.0, 0.0), high
 
 
 def _ratio(a: Array, b: Array) -> tuple[float, float, float] | None:

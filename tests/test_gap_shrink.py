@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from blind.noise import draw_noise
 from daq.run import open_run
+from gap.check.closed import silent
 from gap.freerun import free_running
 from gap.inquiry import Inquiry, State
 from gap.learner import generic, splines
 from gap.opening import open_data
 from gap.parameters import settled
-from gap.shrink import held_out, improved_plant, left_out
+from gap.shrink import Held, held_out, improved_plant, left_out
 from gap.shrinkage import as_lines, shrinkage
 from gap_bench import write_set
 from gap_sets import settled_set
@@ -54,6 +56,24 @@ def test_a_leak_leaves_the_constants_their_own_uncertainty(tmp_path: Path) -> No
     assert np.all(spread < 1.2)
     left = left_out(q, state, q.units)
     assert np.any(left.change[:, constants] != 0.0)
+
+
+def test_where_less_than_the_floor_is_left_all_or_a_little_less_may_be_closed() -> None:
+    """The floor was stated too high then: an interval above one would hold no plant at all."""
+    even = np.ones(8)
+    left = 0.8 + 0.02 * np.cos(np.arange(8.0))
+    closed = Held(5.0 * even, 5.0 * even, left, even, even).closed()
+    assert closed is not None
+    ratio, low, high = closed
+    assert ratio > 1.04
+    assert low < 1.0 < high
+
+
+def test_the_bench_without_noise_has_its_muscles_mounted_as_before() -> None:
+    """Either fit knows the mountings' offsets, so they are none of what is left."""
+    noise = draw_noise(np.random.default_rng(1), changed=False)
+    assert silent(noise).mounting_mm == noise.mounting_mm
+    assert silent(noise).force_zero_n == 0.0
 
 
 def test_run_free_the_gap_is_larger_and_closes_too(two: tuple[Inquiry, State]) -> None:

@@ -24,16 +24,18 @@ from gap.inquiry import State
 from gap.model import Model
 from gap.reader import read_dataset
 from gap.rows import BLOCKS, UNITS
+from gap.shrink import held_out
 
 Floats = np.ndarray
 
 
 def silent(noise: Noise) -> Noise:
-    """The same bench with nothing that shakes."""
+    """The same bench, its muscles mounted as they were, with nothing that shakes."""
     levels = {f.name: 0.0 for f in fields(noise) if isinstance(getattr(noise, f.name), float)}
     steps = {"pressure_step_kpa": 1e-6, "force_step_n": 1e-6}
     times = {"pressure_slow_s": 1.0, "force_slow_s": 1.0}
-    return replace(noise, **{**levels, **steps, **times})  # type: ignore[arg-type]
+    kept = {"mounting_mm": noise.mounting_mm}
+    return replace(noise, **{**levels, **steps, **times, **kept})  # type: ignore[arg-type]
 
 
 def closed_fraction(
@@ -41,31 +43,32 @@ def closed_fraction(
 ) -> float | None:
     """True closed fraction of the diagnosis's fit to `folder`, in the channel of its verdict.
 
-    The channel is the block in the verdict's unit whose recalibrated gap is nearest to the one it
-    states. None where the fit names nothing or the noise-free gap vanishes.
+    The channel is the block in the verdict's unit whose recalibrated gap, held out, is the one it
+    states. Mountings stay as they were: their offsets are part of either fit. None where the fit
+    names nothing or the noise-free gap vanishes.
     """
     _, asked, state = examine(read_dataset(folder), without)
     if asked is None or state is None or not state.suspects:
         return None
     clean = folder.with_name("clean")
     write(record(replace(one, noise=silent(one.noise))), clean)
+    held = held_out(asked, state)
     grid = make_grid(read_dataset(clean))
     model = Model(grid)
 
     def left(fit: State) -> Floats:
-        active = [*asked.given, *fit.active]
+        active = asked.found(fit.shift, fit.suspects, fit.amounts)
         return np.nan_to_num(model.stacked(model.residual(asked.constants(fit.shift), active)))
 
     before, after = left(asked.base) ** 2, left(state) ** 2
     rows, best, miss = grid.rows, None, np.inf
     for number, block in enumerate(BLOCKS):
         here = rows.block == number
-        if UNITS[block] != gap.get("unit") or not here.any():
+        if UNITS[block] != gap.get("unit") or block not in held or not here.any():
             continue
         weight = rows.span_s[here]
         total = float(np.sum(weight * before[here]))
-        size = np.sqrt(total / max(float(weight.sum()), 1e-12))
-        off = abs(float(size) - float(gap["recalibrated"] or 0.0))
+        off = abs(held[block].rms("recalibrated") - float(gap["recalibrated"] or 0.0))
         if total > 0.0 and off < miss:
             best, miss = 1.0 - float(np.sum(weight * after[here])) / total, off
     return best
