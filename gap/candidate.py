@@ -40,6 +40,10 @@ than chance."""
 _SHAPES = 2
 
 
+MOUNTINGS = "mountings"
+"""What the offsets of all mountings have in common: each is chance, together they are none."""
+
+
 STANDS_FOR = {
     "supply_kpa": ("supply_droop", "pressure_gain"),
     "gas_temperature_k": ("polytropic",),
@@ -47,6 +51,7 @@ STANDS_FOR = {
     "outlet_conductance_m3_s_pa": ("flow_area:outlet",),
     "critical_ratio": ("critical_ratio",),
     "dead_volume_ml": ("dead_volume",),
+    MOUNTINGS: ("length_label", "camera_scale"),
     **{f"calibration {key}": (name,) for key, name in CALIBRATION.items() if name in CATALOGUE},
     **{f"{e}_ms": (f"valve_delay:{e}",) for e in EDGES},
     **{f"{e}_ms_per_kpa": (f"valve_delay_pressure:{e}",) for e in EDGES},

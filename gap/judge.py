@@ -164,7 +164,7 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
     none = min(naming.chance, 0.5)
     weighed = weigh(naming, belief, none)
     one, two = _mimics(q, naming)
-    extra = [m for m in (one, two) if m is not None and m.share >= MIMIC]
+    extra = [m for m in (one, two) if m and m.share >= MIMIC and not _ruled_out(q, naming, m)]
     evidence: dict[str, object] = {
         "share_explained": share,
         "belief": belief,
@@ -195,7 +195,9 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
         )  # fmt: skip
     entries = ambiguity_set(weighed)
     ids = {frozenset(choice.state.ids) for choice, _ in entries}
-    status, reason = _status(naming, gap, share, one, two, len(ids), names)
+    status, reason = _status(
+        naming, gap, share, _nearest(naming, q.base.cost, one), two, len(ids), names
+    )
     partly = belief["right"] + belief["part"]
     if len(chosen.state.ids) > 1:
         sure = partly >= NAMED_SEVERAL and belief["right"] >= NAMED_ALL
@@ -215,21 +217,37 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
 
 
 def _mimics(q: Inquiry, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
-    """Best single and pair that could stand in, their shares capped where the data rule them out.
+    """Best single and pair that could stand in for the explanation, by signatures.
 
-    A mimic that leaves more than noise and inexact forms could is no mimic on these data.
+    What leaves most of one effect's gap as it is takes its name away even where the data rule it
+    out: told apart by a few per cent of the gap, the name would rest on the effect's exact form.
     """
     state = naming.chosen.state
-    found = Mimicry(q).of(q.base.residual - state.residual, frozenset(state.ids))
-    whole = max(q.base.cost - state.cost, 0.0)
+    one, two = Mimicry(q).of(q.base.residual - state.residual, frozenset(state.ids))
+    if len(state.ids) > 1:
+        one, two = (None if m and _ruled_out(q, naming, m) else m for m in (one, two))
+    return one, two
+
+
+def _nearest(naming: Naming, base: float, one: Mimic | None) -> Mimic | None:
+    """The mimic `one`, or the rival of the search that takes more at the size that it needs.
+
+    `base` is the cost of the plant without any effect.
+    """
+    state = naming.chosen.state
+    whole = max(base - state.cost, 1e-9)
+    for rival in naming.rivals if len(state.ids) == 1 else []:
+        taken = 1.0 - (rival.cost - state.cost) / whole
+        if rival.state.ids != state.ids and (one is None or taken > one.share):
+            one = Mimic(rival.state.ids, min(taken, 1.0))
+    return one
+
+
+def _ruled_out(q: Inquiry, naming: Naming, mimic: Mimic) -> bool:
+    """Whether a mimic leaves more than noise and inexact forms could."""
+    whole = max(q.base.cost - naming.chosen.cost, 0.0)
     bearable = max(TOLD_APART, 3.0 * naming.left)
-
-    def fair(mimic: Mimic | None) -> Mimic | None:
-        if mimic is None or mimic.share >= SURE or (1.0 - mimic.share) * whole < bearable:
-            return mimic
-        return Mimic(mimic.ids, min(mimic.share, 0.99 * MIMIC))
-
-    return fair(found[0]), fair(found[1])
+    return mimic.share < SURE and (1.0 - mimic.share) * whole >= bearable
 
 
 def _status(

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from gap.agreement import inflation
 from gap.candidate import (
     BENT,
+    MOUNTINGS,
     NEAR,
     SHAPED,
     STANDS_FOR,
@@ -222,6 +223,11 @@ def _bent(q: Inquiry, state: State) -> list[str]:
         for name, shift in zip(q.names, state.shift.tolist(), strict=True)
         if abs(shift) > SLACK and name in STANDS_FOR
     ]
+    # Each mounting's offset is drawn about zero: what all share is a label's or the camera's.
+    own = state.shift[len(q.names) - q.unnamed :][: q.mountings]
+    common = abs(float(own.sum())) / np.sqrt(max(len(own), 1))
+    if common > SLACK:
+        far.append((common, MOUNTINGS))
     return [k for _, name in sorted(far, reverse=True) for k in STANDS_FOR[name] if k in known][:4]
 
 

@@ -8,11 +8,18 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
 
+from gap.candidate import Choice
 from gap.diagnose import diagnose
-from gap.inquiry import Inquiry
+from gap.inquiry import Inquiry, State
+from gap.judge import _nearest
+from gap.mimic import Mimic
+from gap.naming import Naming, _bent
 from gap.reader import read_dataset
+from gap.suspects import SUSPECTS
 from gap.verdict import STATUSES
 from gap_bench import write_set
 
@@ -46,6 +53,18 @@ def test_replicates_that_are_not_alike_in_time_raise_no_noise(
     assert slow_kpa < 0.06
 
 
+def test_what_all_mountings_share_may_be_a_label_and_is_asked(tmp_path: Path) -> None:
+    """Each muscle sits off by chance; that all sit off alike is no chance."""
+    write_set(tmp_path, seed=4, replicates=2)
+    trials = pd.read_csv(tmp_path / "trials.csv")
+    trials["held_length_mm"] += 0.16
+    trials.to_csv(tmp_path / "trials.csv", index=False)
+    q = Inquiry(read_dataset(tmp_path))
+    own = q.base.shift[-q.mountings :]
+    assert np.all(np.abs(own) < 3.1)  # at no wall by itself
+    assert {"length_label", "camera_scale"} <= set(_bent(q, q.base))
+
+
 def test_a_liner_is_named_with_its_threshold(tmp_path: Path) -> None:
     write_set(tmp_path, {"liner_threshold": {"threshold_kpa": 30.0}}, seed=12)
     verdict = diagnose(read_dataset(tmp_path))
@@ -54,6 +73,22 @@ def test_a_liner_is_named_with_its_threshold(tmp_path: Path) -> None:
     assert verdict.effects[0].ids == ("liner_threshold",)
     threshold = verdict.effects[0].parameters["threshold_kpa"]
     assert threshold.low < 30.0 < threshold.high  # type: ignore[operator]
+
+
+def fitted(name: str, cost: float) -> Choice:
+    suspect = next(s for s in SUSPECTS if s.id == name)
+    none = np.empty(0)
+    return Choice((name,), State(none, (suspect,), np.ones(1), none, cost, np.eye(1)))
+
+
+def test_a_rival_that_needs_another_size_is_a_mimic_at_that_size() -> None:
+    """By signatures 14 % alike, fitted it takes all but 300 of 100,000."""
+    late, later = fitted("valve_delay_pressure", 3e3), fitted("valve_delay", 3.3e3)
+    naming = Naming(late, [later], {}, 1e5, 0.0)
+    nearest = _nearest(naming, 103e3, Mimic(("pressure_lag",), 0.14))
+    assert nearest is not None
+    assert nearest.ids == ("valve_delay",)
+    assert nearest.share == pytest.approx(0.997)
 
 
 def test_the_command_prints_one_object_and_no_more(nominal_set: Path) -> None:
