@@ -99,11 +99,13 @@ def foretell(
     return found
 
 
-def rivals_of(q: Inquiry, naming: Naming) -> Iterator[State]:
+def rivals_of(
+    q: Inquiry, naming: Naming, entries: Iterable[tuple[str, ...]] = ()
+) -> Iterator[State]:
     """What an explanation of `q` must foretell new trials better than.
 
     Without any one of its families, where it has several; then the nearest explanations by other
-    families, fitted now where the search had no need to.
+    families and the other entries of the verdict, fitted now where the search had no need to.
     """
     chosen = naming.chosen.state
     own = families(chosen.ids)
@@ -119,6 +121,14 @@ def rivals_of(q: Inquiry, naming: Naming) -> Iterator[State]:
     for state in others[:MOST_RIVALS]:
         seen |= families(state.ids)
         yield state
+    held = [families(state.ids) for state in others[:MOST_RIVALS]]
+    for ids in entries:
+        other = families(ids)
+        if other & own or other in held:
+            continue
+        seen |= other
+        suspects = [next(s for s in q.suspects if s.id == name) for name in ids]
+        yield q.polish(q.fit(suspects, [s.step for s in suspects]))
     gains, amounts = linear_gains(q, q.base)
     for key in sorted(naming.first_gain, key=lambda key: -naming.first_gain[key]):
         if len(seen) >= LEAST_RIVALS:

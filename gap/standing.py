@@ -38,17 +38,22 @@ class Standing:
     @property
     def _others(self) -> list[frozenset[str]]:
         """Families of the entries left in which that of the leading one is not."""
+        left = [families(ids) for ids in self._entry_ids]
+        return [found for found in left if self.family not in found]
+
+    @property
+    def _entry_ids(self) -> list[tuple[str, ...]]:
+        """Ids of the entries left that are not to be neglected."""
         if self.verdict is None:
             return []
-        left = [families(e.ids) for e in self.verdict.effects if e.probability > LEAST]
-        return [found for found in left if self.family not in found]
+        return [e.ids for e in self.verdict.effects if e.probability > LEAST]
 
     @property
     def confirmed(self) -> tuple[str, Foretelling] | None:
         """The last test that came out as foretold, if it and those before it prove it.
 
-        They were held against whatever else is left, no later one spoke against it, and together
-        they take what a proof asks for.
+        They were held against each entry left, or one that shares a family with it, no later one
+        spoke against it, and together they take what a proof asks for.
         """
         last: tuple[str, Foretelling] | None = None
         gained = 0.0
@@ -56,7 +61,8 @@ class Standing:
             if found.refuted:
                 break
             against = [families(ids) for ids in found.rivals]
-            if found.share < FORETOLD or any(other not in against for other in self._others):
+            held = all(any(other & one for one in against) for other in self._others)
+            if found.share < FORETOLD or not held:
                 continue
             last = last or (protocol, found)
             gained += found.gained

@@ -235,7 +235,7 @@ class _Begun(Standing):
         if sum(not found.confirmed for _, found in self.foretold.get(self.family, [])) >= FAILED:
             return None
         if self._margins is None:
-            others = [self.inquiry.base, *rivals_of(self.inquiry, self.naming)]
+            others = [self.inquiry.base, *rivals_of(self.inquiry, self.naming, self._entry_ids)]
             self._margins = margins(self.inquiry, self.naming.chosen.state, others)
         best: tuple[float, Test | None] = (least, None)
         for run, made in zip(self.runs, self.tests, strict=True):
@@ -269,7 +269,7 @@ class _Begun(Standing):
 
     def _diagnose(self) -> dict[str, Any] | None:
         """Diagnose all runs; how what was found before fared on the last of them."""
-        before, known = self.naming, self.inquiry
+        before, known, entries = self.naming, self.inquiry, self._entry_ids
         data = joined(self.runs, self.folder / f"data-{len(self.runs):02d}", self.plant)
         self.verdict, self.inquiry, self.naming = searched(data)
         self._margins = None
@@ -277,7 +277,7 @@ class _Begun(Standing):
             return None
         state = before.chosen.state
         new = _trials_of(self.inquiry, self.runs[-1])
-        found = foretell(self.inquiry, new, state, rivals_of(known, before))
+        found = foretell(self.inquiry, new, state, rivals_of(known, before, entries))
         if not found.shown:
             return None
         self.foretold.setdefault(joint(families(state.ids)), []).append(

@@ -66,6 +66,9 @@ def test_an_explanation_that_nothing_came_near_is_held_against_other_families_al
     rivals = list(rivals_of(earlier, alone))
     assert len({CATALOGUE[r.ids[0]].family for r in rivals}) == len(rivals) == LEAST_RIVALS
     assert rivals[0].ids == ("liner_threshold",)  # what is there was not fitted, but stood first
+    # An entry of the verdict is held against too, though none of the search's.
+    entry = next(rivals_of(earlier, alone, [("viscosity",), ("end_cap", "wear")]))
+    assert entry.ids == ("end_cap", "wear")
 
 
 def test_two_families_are_held_against_each_alone(
