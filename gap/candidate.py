@@ -34,7 +34,11 @@ SHAPED = 3
 
 NEAR = 4.0
 """Shapes are fitted for the best few that leave less than so many times more than the best, or
-than chance."""
+than chance,"""
+
+
+HALF = 0.5
+"""or that take away so much of the gap: the rest may be their form."""
 
 
 _SHAPES = 2
@@ -168,6 +172,7 @@ def with_free_shapes(
     tried = sorted(tried, key=lambda choice: choice.cost)
     chance = float(np.sqrt(2.0 * len(q.rows)))
     near = tried[0].cost + NEAR * max(tried[0].cost - len(q.rows), chance)
+    near = max(near, before.cost - HALF * excess(q, before))
     made = [
         in_best_form(q, before, choice, gains, amounts) if at < SHAPED and choice.cost <= near
         else choice

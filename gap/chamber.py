@@ -61,6 +61,9 @@ LINE = 31
 LINE_TIME = 32
 DROOP_BACK = 33
 LAG_BEFORE = 34
+AREA_DROP_IN = 35  # change of the areas at DROP_PA over the valve
+AREA_DROP_OUT = 36
+DROP_PA = 5e5
 SIZE = 40
 
 _factor = inlined(flow.subsonic_factor)
@@ -94,9 +97,12 @@ def _flows(
     if inlet:
         above = max(supply - fall, -0.9 * q[ATMOSPHERE]) + q[ATMOSPHERE]
         share = _factor(absolute / above, q[RATIO_IN])
-        flow_in = scale * q[AREA_IN] * above * share
+        wider = 1.0 + q[AREA_DROP_IN] * (supply - fall - p) / DROP_PA
+        flow_in = scale * q[AREA_IN] * max(wider, 0.02) * above * share
     out_ratio = q[ATMOSPHERE] / absolute
-    area = q[LEAK] + (q[AREA_OUT] if outlet else 0.0)
+    area = q[LEAK]
+    if outlet:
+        area += q[AREA_OUT] * max(1.0 + q[AREA_DROP_OUT] * p / DROP_PA, 0.02)
     if area > 0.0:
         flow_out = scale * area * absolute * _factor(out_ratio, q[RATIO_OUT])
     if q[LEAK_LAMINAR] != 0.0:

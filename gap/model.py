@@ -152,8 +152,11 @@ def _switch(q: Array, name: str, option: str, amount: float, shape: Shape) -> No
     elif name == "leak":
         q[chamber.LEAK_LAMINAR if "laminar" in shape else chamber.LEAK] += amount
     elif name == "flow_area":
-        side = chamber.AREA_IN if option == "inlet" else chamber.AREA_OUT
-        q[side] *= max(1.0 + amount, 0.02)
+        inlet = option == "inlet"
+        if "drop" in shape:
+            q[chamber.AREA_DROP_IN if inlet else chamber.AREA_DROP_OUT] += amount
+        else:
+            q[chamber.AREA_IN if inlet else chamber.AREA_OUT] *= max(1.0 + amount, 0.02)
     elif name == "critical_ratio":
         if "outlet" not in shape:
             q[chamber.RATIO_IN] += amount

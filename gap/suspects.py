@@ -74,7 +74,7 @@ class Suspect:
 _FREE: dict[str, dict[str, tuple[float, float]]] = {
     "liner_threshold": {"width_kpa": (3.0, 150.0)},
     "bladder_elasticity": {"rest": (0.45, 0.95)},
-    "contraction_limit": {"decay_mm": (0.3, 4.0), "knee_mm": (1.5, 20.0)},
+    "contraction_limit": {"decay_mm": (0.3, 4.0), "knee_mm": (1.5, 10.0)},
     "fibre_stretch": {"power": (0.3, 2.0)},
     "braid_friction": {"kpa": (3.0, 300.0), "mm": (0.03, 5.0)},
     "viscosity": {"knee_mm_s": (3.0, 150.0), "power": (0.3, 1.0)},
@@ -156,7 +156,11 @@ def _make() -> tuple[Suspect, ...]:
         "polytropic", 0.02, 1, _GAS, {}, {"heat_s": 0.2}, {"heat_s": 1.0}, {"heat_s": 5.0}
     )
     made += _shapes("leak", 1e-12, 1, _GAS, {}, {"laminar": 1.0})
-    made += [Suspect("flow_area", 0.03, 0, _GAS, {}, side) for side in ("inlet", "outlet")]
+    made += [
+        Suspect("flow_area", 0.03, 0, _GAS, shape, side)
+        for side in ("inlet", "outlet")
+        for shape in ({}, {"drop": 1.0})  # a seat that lifts, or a filter that throttles, with it
+    ]
     made += _shapes("critical_ratio", 0.03, 0, _GAS, {}, {"inlet": 1.0}, {"outlet": 1.0})
     made += _shapes(
         "supply_droop",
