@@ -63,15 +63,21 @@ def apart(q: Inquiry, state: State, key: str) -> bool:
     return not set(own) & others & set(q.grid.points)
 
 
-def counts(q: Inquiry, gap: float, alarm: float, before: State, key: str, after: State) -> bool:
+def counts(
+    q: Inquiry, gap: float, alarm: float, before: State, key: str, after: State,
+    relative: float = np.inf,
+) -> bool:  # fmt: skip
     """Whether a further effect of `key` takes away enough to count as one more.
 
-    `gap` is the whitened gap beyond noise at the base, `alarm` what a first effect needs.
+    `gap` is the whitened gap beyond noise at the base, `alarm` what a first effect needs,
+    `relative` the cost with the best relative of those in force instead, which mends their form.
     """
     gain = before.cost - after.cost
     if gain < max(_LEAST_NEXT, alarm):
         return False
-    if settles(q, gap, before, after) or releases(q, before, after):
+    if after.cost < relative and (
+        settles(q, gap, before, after) or releases(q, before, after)
+    ):  # fmt: skip
         return True
     visible = seen(q, before, after)
     if visible > PLAIN_SEEN and plain(q, gap, before, gain):
@@ -99,7 +105,7 @@ def settles(q: Inquiry, gap: float, before: State, after: State) -> bool:
     gain = before.cost - after.cost
     if gain < max(SETTLED_GAIN, SETTLED_SHARE * gap, SETTLED * excess(q, before)):
         return False
-    return not _akin(before, after) and seen(q, before, after) > SHOWS
+    return not akin(before, after) and seen(q, before, after) > SHOWS
 
 
 def _worth(q: Inquiry, gap: float, alarm: float, before: State, after: State) -> bool:
@@ -131,14 +137,14 @@ def releases(q: Inquiry, before: State, after: State) -> bool:
     Such an effect may show nowhere, because constants had taken its place, and at a price.
     """
     gain = before.cost - after.cost
-    if gain < max(RELEASE_GAIN, PLAIN_OF_LEFT * excess(q, before)) or _akin(before, after):
+    if gain < max(RELEASE_GAIN, PLAIN_OF_LEFT * excess(q, before)) or akin(before, after):
         return False
     then, now = np.abs(before.shift), np.abs(after.shift)
     back = np.any((then > AT_THE_END) & (now < BACK))
     return bool(back and not np.any((then < BACK) & (now > AT_THE_END)))
 
 
-def _akin(before: State, after: State) -> bool:
+def akin(before: State, after: State) -> bool:
     """Whether the last effect is of the family of another in force, and may only mend its form."""
     return after.suspects[-1].family in {suspect.family for suspect in before.suspects}
 
@@ -149,9 +155,9 @@ def most_bent(state: State) -> float:
 
 
 def plea(
-    q: Inquiry, gap: float, alarm: float, before: State, key: str, after: State
+    q: Inquiry, gap: float, alarm: float, before: State, key: str, after: State, counted: bool
 ) -> dict[str, float | str]:
-    """What speaks for one more effect, in plain numbers."""
+    """What speaks for one more effect, in plain numbers, and whether it counted."""
     gain = before.cost - after.cost
     return {
         "key": key,
@@ -165,6 +171,6 @@ def plea(
         "rows": float(len(q.rows)),
         "seen": seen(q, before, after),
         "apart": float(apart(q, before, key)),
-        "same_family": float(_akin(before, after)),
-        "counted": float(counts(q, gap, alarm, before, key, after)),
+        "same_family": float(akin(before, after)),
+        "counted": float(counted),
     }

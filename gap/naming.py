@@ -29,7 +29,7 @@ from gap.candidate import (
 )
 from gap.evidence import SLACK
 from gap.exchange import exchanged, spared
-from gap.further import apart, counts, excess, plea
+from gap.further import akin, apart, counts, excess, plea
 from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
 from gap.shaping import shaped
@@ -122,12 +122,11 @@ def name_effects(q: Inquiry) -> Naming:
             for key in dict.fromkeys([*_candidates(q, state, top, best), *bent])
         ]
         tried = with_free_shapes(q, state, tried, gains, amounts)
-        fit = [choice for choice in tried if _counts(q, naming, state, choice)]
+        relative = min((c.cost for c in tried if akin(state, c.state)), default=np.inf)
+        fit = [choice for choice in tried if _counts(q, naming, state, choice, relative)]
         if step:
-            best_of = (fit or tried)[0]
-            naming.tried.append(
-                plea(q, naming.excess, alarm, state, best_of.keys[-1], best_of.state)
-            )
+            key, after = (fit or tried)[0].keys[-1], (fit or tried)[0].state
+            naming.tried.append(plea(q, naming.excess, alarm, state, key, after, bool(fit)))
         if not fit:
             break
         tried.remove(fit[0])
@@ -231,11 +230,12 @@ def _bent(q: Inquiry, state: State) -> list[str]:
     return [k for _, name in sorted(far, reverse=True) for k in STANDS_FOR[name] if k in known][:4]
 
 
-def _counts(q: Inquiry, naming: Naming, before: State, choice: Choice) -> bool:
+def _counts(q: Inquiry, naming: Naming, before: State, choice: Choice, relative: float) -> bool:
     """Whether an effect that was fitted takes away enough to count."""
     if not before.suspects:
         return before.cost - choice.cost >= naming.alarm
-    return counts(q, naming.excess, naming.alarm, before, choice.keys[-1], choice.state)
+    key = choice.keys[-1]
+    return counts(q, naming.excess, naming.alarm, before, key, choice.state, relative)
 
 
 def _scan_clocks(q: Inquiry) -> dict[str, tuple[float, float]]:
