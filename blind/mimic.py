@@ -33,7 +33,8 @@ def best_rivals(
 ) -> list[tuple[float, tuple[str, ...]]]:
     """The best single rival and the best pair of rivals: share taken, and their labels.
 
-    All signatures are bare (clear of recalibration). Rivals whose id is in `without` are skipped.
+    All signatures are bare (clear of recalibration). Rivals whose id is in `without` are skipped, and
+    none takes a share with an amount that no bench has (a muscle longer than itself, say).
     """
     keep = [i for i, r in enumerate(rivals) if r.id not in without]
     total = float(target @ target)
@@ -43,16 +44,21 @@ def best_rivals(
     columns = unit[:, keep]
     along = columns.T @ t
     gram = columns.T @ columns
-    one = along**2
+    either = np.array([rivals[i].entry.either_sign for i in keep])
+    one = np.where(either | (along > 0.0), along**2, 0.0)
     best = int(np.argmax(one))
     found: list[tuple[float, tuple[str, ...]]] = [(float(one[best]), (label(rivals[keep[best]]),))]
-    top = np.argsort(-one)[:200]
+    top = np.argsort(-(along**2))[:200]
     pair_best, pair = 0.0, (0, 0)
     for a, b in combinations(top.tolist(), 2):
         g = gram[a, b]
         if abs(g) > 0.999 or rivals[keep[a]].id == rivals[keep[b]].id:
             continue
-        value = (one[a] + one[b] - 2.0 * g * along[a] * along[b]) / (1.0 - g * g)
+        first = (along[a] - g * along[b]) / (1.0 - g * g)
+        second = (along[b] - g * along[a]) / (1.0 - g * g)
+        if not (either[a] or first > 0.0) or not (either[b] or second > 0.0):
+            continue
+        value = first * along[a] + second * along[b]
         if value > pair_best:
             pair_best, pair = float(value), (a, b)
     if pair_best > 0.0:

@@ -13,6 +13,7 @@ from blind.__main__ import main
 from blind.design import draw_design
 from blind.entries import CATALOGUE, Hidden
 from blind.exchange import write
+from blind.mimic import best_rivals
 from blind.noise import draw_noise
 from blind.recalibrate import Recalibration
 from blind.recording import record
@@ -147,3 +148,16 @@ def test_a_load_that_is_lighter_than_it_is_said_to_be_still_weighs_something() -
     assert [h.id for h in one.hidden] == ["payload"]
     assert -lightest < one.hidden[0].strength < 0.0
     assert np.isfinite(record(one).samples["length_mm"].dropna()).all()
+
+
+def test_an_amount_that_no_bench_has_takes_nobodys_place() -> None:
+    """A muscle cannot be longer than its ends say, nor slide with less than no friction."""
+    target = np.array([1.0, 0.2])
+    cap = Hidden("end_cap", 0, 0.5)
+    zero = Hidden("force_zero", 0, 2.0)
+    unit = np.array([[-1.0, 0.0], [0.0, 1.0]])
+    found = best_rivals(target, [cap, zero], unit, set())
+    assert found[0][1] == ("force_zero",)
+    assert max(share for share, _ in found) == pytest.approx(0.04 / 1.04)
+    turned = best_rivals(target, [cap, zero], -unit, set())
+    assert turned[1] == (pytest.approx(1.0), ("end_cap", "force_zero"))
