@@ -33,8 +33,8 @@ def best_rivals(
 ) -> list[tuple[float, tuple[str, ...]]]:
     """The best single rival and the best pair of rivals: share taken, and their labels.
 
-    All signatures are bare (clear of recalibration). Rivals whose id is in `without` are skipped, and
-    none takes a share with an amount that no bench has (a muscle longer than itself, say).
+    All signatures are bare (clear of recalibration). Rivals whose id is in `without` are skipped,
+    and none takes a share with an amount that no bench has (friction below none, say).
     """
     keep = [i for i, r in enumerate(rivals) if r.id not in without]
     total = float(target @ target)

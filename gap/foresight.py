@@ -65,12 +65,7 @@ def by_trial(q: Inquiry, best: State, rival: State) -> list[Products]:
     gap = q._residual(q.constants(best.shift), best.active) - q._residual(
         q.constants(rival.shift), rival.active
     )
-    columns = np.hstack(
-        [
-            q.columns_at(rival.shift, rival.suspects, rival.amounts),
-            q.slopes(rival.shift, rival.suspects, rival.amounts),
-        ]
-    )
+    columns = q.columns_of(rival)
     both = np.hstack([columns, gap[:, None]])
     made = []
     for trial, rows in enumerate(q.noise.trial_rows):

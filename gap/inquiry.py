@@ -218,6 +218,11 @@ class Inquiry:
         self.columns = self.columns_at(state.shift, (), np.empty(0))
         return state
 
+    def columns_of(self, state: State) -> Array:
+        """Signatures of constants and amounts at a state, shape (rows, constants + suspects)."""
+        at = (state.shift, state.suspects, state.amounts)
+        return np.hstack([self.columns_at(*at), self.slopes(*at)])
+
     def columns_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
         """Signatures of the constants, shape (rows, constants), with suspects in force."""
         active = self.found(shift, suspects, amounts)

@@ -25,12 +25,7 @@ def settled(q: Inquiry, state: State) -> State:
     if not state.suspects:
         return state
     n = len(q.names)
-    columns = np.hstack(
-        [
-            q.columns_at(state.shift, state.suspects, state.amounts),
-            q.slopes(state.shift, state.suspects, state.amounts),
-        ]
-    )
+    columns = q.columns_of(state)
     matrix, right = q.normal(columns, state.residual, state.shift)
     beta = solved(matrix, right, 0.0)
     best = state

@@ -134,8 +134,7 @@ def left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> Folds
     n = len(q.names)
     low, high = np.array([s.bounds for s in state.suspects]).reshape(-1, 2).T
     loose = 4.0 / np.maximum(high - low, 1e-30) ** 2  # half the range is one sd
-    slopes = q.slopes(state.shift, state.suspects, state.amounts)
-    columns = np.hstack([q.columns_at(state.shift, state.suspects, state.amounts), slopes])
+    columns = q.columns_of(state)
     evidence = gather(
         q.noise, columns, state.residual, np.zeros((len(q.rows), 0)), q.rows.block,
         q.rows.span_s, of_trial, np.zeros(columns.shape[1]),
