@@ -73,16 +73,19 @@ LEAST_ALIKE_IN_TIME = 0.04
 
 
 def fitted_rivals(
-    one: Hidden, rivals: list[Hidden], along: Floats, recalibration: Recalibration
+    one: Hidden, rivals: list[Hidden], along: Floats, recalibration: Recalibration, ids: set[str]
 ) -> list[tuple[float, tuple[str, ...]]]:
-    """The nearest rival and those of its own family, each fitted at the size it needs."""
+    """The nearest rival and those of its own family, each fitted at the size it needs.
+
+    None of `ids`, which are hidden themselves, is a rival.
+    """
     asked: dict[str, Hidden] = {}
     nearest: str | None = None
     for i in np.argsort(-(along**2)).tolist():
         rival = rivals[i]
         kin = rival.entry.family == one.entry.family and rival.variant in (None, one.variant)
         least = LEAST_ALIKE_IN_TIME if kin and rival.variant else LEAST_ALIKE
-        if rival.id == one.id or rival.entry.parameter is None or along[i] ** 2 < least:
+        if rival.id in ids or rival.entry.parameter is None or along[i] ** 2 < least:
             continue
         nearest = nearest or label(rival)
         if kin or label(rival) == nearest:
@@ -100,9 +103,9 @@ def measure(recalibration: Recalibration, hidden: list[Hidden]) -> dict[str, obj
     """Gap over floor, mimics and reach of the hidden effects together, as plain numbers.
 
     `mimic_index` is the largest share of any one hidden effect (clear of the others) that one or
-    two other entries take, by signatures of a usual size, or fitted where one effect is hidden
-    alone; for an effect outside the catalogue it is what the catalogue closes. `reach` is what the
-    plainest forms of the hidden effects close.
+    two other entries take, by signatures of a usual size, the nearest ones also fitted at the size
+    they need; for an effect outside the catalogue it is what the catalogue closes. `reach` is what
+    the plainest forms of the hidden effects close.
     """
     rivals, unit = recalibration.rival_signatures()
     together = recalibration.signature_of(hidden)
@@ -118,8 +121,7 @@ def measure(recalibration: Recalibration, hidden: list[Hidden]) -> dict[str, obj
             basis = np.linalg.qr(unit[:, others])[0]
             target = bare - basis @ (basis.T @ bare)
         found = best_rivals(target, rivals, unit, ids)
-        if len(hidden) == 1:
-            found += fitted_rivals(one, rivals, unit.T @ target, recalibration)
+        found += fitted_rivals(one, rivals, unit.T @ target, recalibration, ids)
         ratio = recalibration.ratio(alone)
         members.append(
             {

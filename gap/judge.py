@@ -298,7 +298,7 @@ def _verdict(
     return Verdict(
         status=status,
         reason=reason,
-        stage=None if stage == "any" else stage,
+        stage="muscle" if stage == "any" else stage,  # wear: the pull is where it shows
         effects=tuple(
             Explanation(e.ids, e.family, e.probability * scale, e.parameters) for e in effects
         ),
