@@ -47,14 +47,15 @@ def features(traits: Mapping[str, float]) -> Array:
     near = traits["margin"] < _MOST
     made = {
         "left_share": _log(left / excess),
-        # What replicates share of the rest is form, the remainder noise of whatever size.
-        "repeated_row": _log(shared_left / rows),
+        # What replicates share of the rest is form, the remainder noise of whatever size; of few
+        # rows chance makes them share more.
+        "repeated_row": _log(0.02 + max(traits["repeated_left"] - 2.0 * chance, 0.0) / rows),
         "repeated_share": _log(shared_left / shared),
         "excess": _log(excess / chance),
         # How much more the best explanation by other effects leaves, if one was near at all.
         "margin": min(_log(1.0 + margin / left), 1.5) if near else 1.5,
         "no_rival": float(not near),
-        "more_left": _log((max(traits["more"], 0.0) + 20.0) / left),
+        "more_left": _log((max(traits["more"], 0.0) + 20.0) / (traits["left"] + 80.0)),
         "bent": min(traits["bent"], 6.0),
         "bent_base": min(traits["bent_base"], 6.0),
         "unbent": min(max(traits["bent_base"] - traits["bent"], 0.0), 5.0),
