@@ -1,0 +1,105 @@
+"""Forms that an effect may have on a bench: what each does to a prediction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from gap import chamber, laws
+from gap.laws import Active, Context
+from gap.model import _switch
+from plant.constants import nominal
+from test_gap_shapes import still
+
+C = nominal()
+HELD_M = 0.06
+SUPPLY_PA = 5e5
+
+
+def course(
+    name: str,
+    option: str,
+    amount: float,
+    shape: Mapping[str, float],
+    edges: list[tuple[float, int]],
+) -> np.ndarray:
+    """Predicted reading in Pa every millisecond of 0.4 s, the inlet switched at `edges`."""
+    q = np.zeros(chamber.SIZE)
+    q[chamber.ATMOSPHERE], q[chamber.TEMPERATURE] = C.atmosphere_pa, C.gas_temperature_k
+    q[chamber.BRAID], q[chamber.TURNS] = C.braid_length_m, C.turns
+    q[chamber.AREA_IN] = C.inlet_conductance_m3_s_pa
+    q[chamber.AREA_OUT] = C.outlet_conductance_m3_s_pa
+    q[chamber.RATIO_IN] = q[chamber.RATIO_OUT] = C.critical_ratio
+    q[chamber.VOLUME], q[chamber.EXPONENT] = C.dead_volume_m3, 1.0
+    _switch(q, name, option, amount, shape)
+    time = np.arange(0.0, 0.4, 1e-3)
+    n = len(time)
+    out = np.empty(n)
+    chamber.predict(
+        q, np.array([0, n]), time, np.zeros(n), np.full(n, HELD_M), np.full(n, SUPPLY_PA),
+        np.array([0, len(edges)]), np.array([at for at, _ in edges]),
+        np.array([float(to) for _, to in edges]), np.zeros(len(edges), dtype=np.int64), out,
+        np.zeros(1),
+    )  # fmt: skip
+    return out
+
+
+PULSE = [(0.06, 1), (0.09, 0)]
+TWICE = [(0.06, 1), (0.08, 0), (0.14, 1), (0.16, 0)]
+
+
+def test_a_tube_before_the_sensor_is_late_once_more_and_as_late_in_all() -> None:
+    """Two lags in a row: the delay of their sum is the sum, the start is flatter."""
+    true = course("pressure_lag", "", 0.0, {}, PULSE)
+    one = course("pressure_lag", "", 8.0, {}, PULSE)
+    two = course("pressure_lag", "", 8.0, {"before": 0.5}, PULSE)
+    final = true[-1]
+    late = [float(np.sum(true - shown) * 1e-3 / final) for shown in (one, two)]
+    assert late == pytest.approx([8e-3, 8e-3], rel=0.03)
+    early = slice(62, 64)
+    assert np.all(two[early] < one[early])
+
+
+def test_a_slow_regulator_gives_less_to_the_second_of_two_pulses() -> None:
+    def second(shape: Mapping[str, float]) -> float:
+        p = course("supply_droop", "", 80.0, shape, TWICE)
+        return float(p[-1] - p[120])
+
+    quick = second({"tau_s": 0.01})
+    slow = second({"tau_s": 0.01, "back_s": 0.3})
+    assert slow < 0.97 * quick
+
+
+def test_an_area_that_changes_with_the_drop_is_the_stated_one_where_nothing_drops() -> None:
+    plain = course("flow_area", "inlet", 0.0, {}, PULSE)
+    wide = course("flow_area", "inlet", 0.2, {"drop": 1.0}, PULSE)
+    begin = slice(62, 66)  # the whole supply drops over the seat
+    assert np.mean(wide[begin] / plain[begin]) == pytest.approx(1.2, abs=0.02)
+    full = [(0.02, 1)]
+    assert course("flow_area", "inlet", 0.2, {"drop": 1.0}, full)[-1] == pytest.approx(
+        course("flow_area", "inlet", 0.0, {}, full)[-1], rel=2e-3
+    )
+
+
+def pull(effects: Active, **fields: np.ndarray) -> np.ndarray:
+    """Change of the muscle's force by `effects`, N."""
+    points = still(**fields)
+    context = Context(C, np.zeros(1))
+    return laws.muscle_force(points, effects, context) - laws.muscle_force(points, [], context)
+
+
+def test_a_limit_with_a_knee_takes_the_stated_force_near_the_end_and_none_beyond_the_knee() -> None:
+    ends = C.length_min_m * 1e3 + np.array([1.0, 3.5, 6.0, 9.0])
+    lost = pull([("contraction_limit", "", 4.0, {"knee_mm": 5.0})], length_mm=ends)
+    assert lost == pytest.approx([-4.0, -1.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_a_load_held_before_the_record_began_has_crept_already() -> None:
+    held = np.full(50, 60.0)
+    fresh = pull([("creep", "", 6.0, {"tau_s": 5.0})], length_mm=held)
+    settled = pull([("creep", "", 6.0, {"tau_s": 5.0, "settled": 1.0})], length_mm=held)
+    force = laws.muscle_force(still(held), [], Context(C, np.zeros(1)))
+    assert fresh == pytest.approx(np.zeros(50))
+    assert settled / force == pytest.approx(np.full(50, -0.06), rel=1e-4)
