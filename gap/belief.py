@@ -124,7 +124,7 @@ def learnt() -> Belief:
     """The belief that ships with the program."""
     shipped = resources.files("gap")
     table = tomllib.loads(shipped.joinpath(_FORM).read_text(encoding="utf-8"))
-    with shipped.joinpath(_FOREST).open("rb") as file, np.load(file, allow_pickle=False) as stored:
+    with shipped.joinpath(_FOREST).open("rb") as file, np.load(file) as stored:
         if tuple(stored["features"].tolist()) != FEATURES:
             raise ValueError(f"gap/{_FOREST} was learnt for other features; run gap.check.learn")
         forest = Forest(
