@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.stats import t as student
 
 from gap.candidate import Choice
-from gap.further import PLAINLY_SEEN, apart, excess, plain, seen, settles
+from gap.further import PLAINLY_SEEN, apart, excess, plain, relieves, seen, settles
 from gap.inquiry import Inquiry, State
 from gap.naming import PLAIN, Naming, name_effects
 from gap.shrink import Held, held_out
@@ -34,6 +34,9 @@ SURE = 0.95
 FORM = 0.12
 """Share of what is explained below which a further effect in the same channels only mends the
 form of the one before."""
+SECOND = 1.25
+"""Gain, in units of a first effect's alarm, from which one needs no other proof in channels that
+no other touches, beside one that leaves nothing: there it is a first effect."""
 LARGE = 0.2
 """Share of the gap from which a further effect needs no held-out proof."""
 
@@ -121,8 +124,10 @@ def _needed(q: Inquiry, naming: Naming) -> Naming:
         less = q.polish(q.fit([s for s, _ in pairs], [a for _, a in pairs], state))
         if plain(q, naming.excess, less, gain) or settles(q, naming.excess, less, state):
             break  # it may show in few slots only, where no mean over slots is certain
-        part = gain < FORM * max(q.base.cost - state.cost, 1.0)
         exact = excess(q, less) < 2.0 * np.sqrt(2.0 * len(q.rows))
+        if relieves(less, state) or (elsewhere and exact and gain > SECOND * naming.alarm):
+            break
+        part = gain < FORM * max(q.base.cost - state.cost, 1.0)
         mends = part and not (elsewhere or exact) and seen(q, less, state) < PLAINLY_SEEN
         if not mends and (
             gain > LARGE * naming.excess or _gains_surely(held_out(q, less), held_out(q, state))

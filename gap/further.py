@@ -35,6 +35,13 @@ BACK = 2.4
 """Shift of a constant, in sd, that an effect left out may have bent, and that none has to have."""
 RELEASE_GAIN = 120.0
 """Gain from which an effect counts that brings such constants back."""
+RELIEF = 2.0
+RELIEVED = 3.0
+"""Drop of the largest shift, in sd, and what it must have come down to, for constants that an
+effect relieves."""
+ALL_THAT_IS_LEFT = 0.97
+ALL_GAIN = 1000.0
+"""Share of what is left and gain from which the share of the gap does not matter."""
 _LEAST_NEXT = 40.0
 
 
@@ -103,7 +110,13 @@ def settles(q: Inquiry, gap: float, before: State, after: State) -> bool:
     mends in part; that it takes all of it, and not through one family's likeness, is no accident.
     """
     gain = before.cost - after.cost
-    if gain < max(SETTLED_GAIN, SETTLED_SHARE * gap, SETTLED * excess(q, before)):
+    left = excess(q, before)
+    # A first effect may be a thousand times the second: then all there is counts, not its share;
+    # and where it leaves nothing, its form has nothing to mend.
+    everything = gain > max(ALL_GAIN, ALL_THAT_IS_LEFT * left)
+    exact = left < np.sqrt(2.0 * len(q.rows))
+    share = 0.0 if everything or exact else SETTLED_SHARE
+    if gain < max(SETTLED_GAIN, share * gap, SETTLED * left):
         return False
     return not akin(before, after) and seen(q, before, after) > SHOWS
 
@@ -142,6 +155,17 @@ def releases(q: Inquiry, before: State, after: State) -> bool:
     then, now = np.abs(before.shift), np.abs(after.shift)
     back = np.any((then > AT_THE_END) & (now < BACK))
     return bool(back and not np.any((then < BACK) & (now > AT_THE_END)))
+
+
+def relieves(before: State, after: State) -> bool:
+    """Whether the constant that was bent most comes back a good way, and at a price.
+
+    Held-out data cannot tell such an effect from the constants that had taken its place.
+    """
+    if before.cost - after.cost < RELEASE_GAIN or akin(before, after):
+        return False
+    drop = most_bent(before) - most_bent(after)
+    return drop > RELIEF and most_bent(after) < RELIEVED
 
 
 def akin(before: State, after: State) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gap.advise import advise
@@ -15,11 +17,12 @@ from gap.mimic import Mimic, Mimicry
 from gap.naming import ALARM, Naming, why_not
 from gap.parameters import headline_estimates, limits_of
 from gap.shrink import Held, gap_of, held_out
+from gap.strokes import eased
 from gap.suspects import DEFECTS
 from gap.traits import traits_of
 from gap.verdict import Explanation, Gap, Verdict
 from gap.weighing import ambiguity_set, weigh
-from gap.where import DRIFT, contrasts_of, stage_shares
+from gap.where import contrasts_of, drifting, stage_shares
 from plant.catalogue import CATALOGUE
 
 MIMIC = 0.9
@@ -49,6 +52,7 @@ NEEDED_REPLICATES = 3
 def judge(q: Inquiry, naming: Naming) -> tuple[Verdict, Naming]:
     """Turn the outcome of a search into a verdict, and say which explanation it rests on."""
     outcome = cleared(q, naming)
+    outcome = replace(outcome, naming=eased(q, outcome.naming))
     return _judged(q, outcome), outcome.naming
 
 
@@ -181,9 +185,7 @@ def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
             none=none, unknown=weighed.unknown, gap=gap, stage=_stage_of_block(q, naming, block),
             entries=weighed.entries, mimics=extra, evidence=evidence,
         )  # fmt: skip
-    drift = next(
-        (c for c in contrasts_of(q, chosen.state) if c.alarm and c.name.startswith(DRIFT)), None
-    )
+    drift = drifting(q, chosen.state)
     if drift is not None:
         return _verdict(
             q, naming, held, "unknown",

@@ -349,4 +349,10 @@ def _slide(points: Points, shape: Shape) -> Array:
         slip = np.tanh(speed / shape["knee_mm_s"])
         if "fall_mm_s" in shape:  # Stribeck's part, gone at speed
             slip = slip * np.exp(-((speed / shape["fall_mm_s"]) ** 2))
-    return np.where(points.direction != 0.0, -points.direction, slip)
+    come = -points.direction
+    if "step_mm" in shape:
+        # A load still creeps where a point is called settled, the less the shorter its last step.
+        step = np.abs(np.diff(points.length, prepend=np.nan)) * 1e3
+        step[points.first[:-1][points.first[:-1] < len(step)]] = np.inf
+        come = come * -np.expm1(-step / shape["step_mm"])
+    return np.where(points.direction != 0.0, come, slip)

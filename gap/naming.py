@@ -70,6 +70,7 @@ class Naming:
         steps: (key, gain) of each effect in order of entry.
         tried: for each step beyond the first the best further effect and what spoke for it.
         last_gain: gain of each key on top of the explanation, linearised.
+        uneven: the explanation with its valve delays free to differ at each stroke, if it has any.
     """
 
     chosen: Choice
@@ -82,6 +83,12 @@ class Naming:
     steps: list[tuple[str, float]] = field(default_factory=list)
     tried: list[dict[str, float | str]] = field(default_factory=list)
     last_gain: dict[str, float] = field(default_factory=dict)
+    uneven: State | None = None
+
+    @property
+    def remaining(self) -> State:
+        """The state whose residual speaks for or against the explanation."""
+        return self.uneven or self.chosen.state
 
 
 def name_effects(q: Inquiry) -> Naming:

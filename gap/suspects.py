@@ -88,6 +88,7 @@ _FREE: dict[str, dict[str, tuple[float, float]]] = {
         "knee_mm_s": (0.05, 30.0),
         "travel_mm": (0.02, 3.0),
         "fall_mm_s": (1.0, 30.0),
+        "step_mm": (0.2, 10.0),
     },
     "pressure_lag": {"before": (0.02, 0.5)},
     "camera_distortion": {"power": (1.5, 6.0)},
@@ -182,6 +183,7 @@ def _make() -> tuple[Suspect, ...]:
         "link_friction", 0.5, 1, ("load",),
         {"knee_mm_s": 0.3}, {"knee_mm_s": 2.0}, {"knee_mm_s": 10.0}, {"travel_mm": 0.1},
         {"travel_mm": 0.5}, {"knee_mm_s": 0.3, "fall_mm_s": 4.0},
+        {"knee_mm_s": 1.0, "step_mm": 1.5},
     )  # fmt: skip
     made += _shapes("payload", 0.02, 0, ("load",), {}, {"lifted_mm": 20.0})
     made += _shapes("pressure_zero", 1.0, 0, ("pressure", *_MUSCLE))

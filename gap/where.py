@@ -69,6 +69,9 @@ def whereabouts(q: Inquiry, state: State) -> dict[str, list[dict[str, object]]]:
 
 DRIFT = "early-late trials"
 """Name of the contrast that a slow change over the trials shows in."""
+DRIFT_SURE = 3.6
+"""Sd from which a drift that an explanation leaves is no chance: the explanation was chosen among
+many, and none of them for it."""
 
 
 def contrasts_of(q: Inquiry, state: State | None = None) -> tuple[Contrast, ...]:
@@ -97,6 +100,17 @@ def contrasts_of(q: Inquiry, state: State | None = None) -> tuple[Contrast, ...]
     least = float(norm.isf(_FAMILY_WISE / 2.0 / max(len(made), 1)))
     made.sort(key=lambda item: -abs(item[1]))
     return tuple(Contrast(name, z, abs(z) > least) for name, z in made)
+
+
+def drifting(q: Inquiry, state: State) -> Contrast | None:
+    """The drift over the trials that an explanation leaves, if it leaves one."""
+    return next(
+        (
+            c for c in contrasts_of(q, state)
+            if c.alarm and c.name.startswith(DRIFT) and abs(c.z) > DRIFT_SURE
+        ),
+        None,
+    )  # fmt: skip
 
 
 def _designs(q: Inquiry, block: str) -> list[tuple[str, Mask, Mask]]:

@@ -7,7 +7,8 @@ names effects of another form; that is measured on the blind bench.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,10 +69,12 @@ def write_set(
     replicates: int = 3,
     overrides: Mapping[str, Any] | None = None,
     late_s: float = 0.0,
+    opens_late_s: Sequence[float] = (),
 ) -> Path:
     """Write a data set in the EXCHANGE form with `effects` of the plant switched on.
 
-    Each replicate's commands come `late_s` later than those of the one before it.
+    Each replicate's commands come `late_s` later than those of the one before it; the outlet opens
+    `opens_late_s` later at its first stroke of each trial, at its second, ..., than its command.
     """
     rng = np.random.default_rng(seed)
     constants = _drawn(rng)
@@ -84,8 +87,11 @@ def write_set(
         protocol, length, mass, source, events, duration = PLAN[slot]
         name = f"t{order:02d}"
         inputs = commands([(at + late_s * replicate, *to) for at, *to in events])
+        acted = commands(
+            [(at + late_s * replicate, *to) for at, *to in uneven(events, opens_late_s)]
+        )
         truth = run_commands(
-            constants, inputs, duration, 1000.0, on, source=source, load="isotonic" if mass else
+            constants, acted, duration, 1000.0, on, source=source, load="isotonic" if mass else
             "isometric", length_m=length * 1e-3, mass_kg=mass or 1.0,
         )  # fmt: skip
         trials.append(
@@ -103,6 +109,14 @@ def write_set(
         lines = [f"{key} = {value}" for key, value in overrides.items()]
         (folder / "bench.toml").write_text("\n".join(lines) + "\n")
     return folder
+
+
+def uneven(events: list[Any], opens_late_s: Sequence[float]) -> list[Any]:
+    """Events with each opening of the outlet later by the next of `opens_late_s`, over and over."""
+    late = itertools.cycle(opens_late_s or (0.0,))
+    return [
+        (at + next(late), *to) if tuple(to) == ("outlet", 1.0) else (at, *to) for at, *to in events
+    ]
 
 
 def _drawn(rng: np.random.Generator) -> Any:

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from gap.candidate import Choice, linear_gains, refine
+from gap.cleared import cleared
 from gap.exchange import exchanged, spared
-from gap.further import AT_THE_END, BACK, SEEN_NEXT, counts, excess, most_bent, seen
+from gap.further import (
+    AT_THE_END,
+    BACK,
+    SEEN_NEXT,
+    counts,
+    excess,
+    most_bent,
+    relieves,
+    seen,
+    settles,
+)
 from gap.inquiry import Inquiry
-from gap.naming import ALARM
+from gap.naming import ALARM, Naming
 from gap.reader import read_dataset
 from gap.shaping import shaped
 from gap.suspects import SUSPECTS
@@ -67,3 +79,21 @@ def test_an_effect_whose_place_a_constant_took_counts_although_it_shows_little(
     gap = excess(q, q.base)
     assert liner.cost - both.cost > 120.0, (liner.cost, both.cost, len(q.rows))
     assert counts(q, gap, ALARM, liner.state, "flow_area:outlet", both.state)
+
+    # Nor does it leave again because held-out slots cannot tell it from the bent constant.
+    assert relieves(liner.state, both.state)
+    assert not relieves(both.state, liner.state)
+    steps = [("liner_threshold", gap), ("flow_area:outlet", liner.cost - both.cost)]
+    found = Naming(both, [], {}, gap, excess(q, both.state), steps=steps)
+    assert cleared(q, found).naming.chosen.keys == both.keys
+
+
+def test_what_takes_all_that_is_left_counts_beside_an_effect_of_any_size(table: Inquiry) -> None:
+    """A first effect a thousand times as large makes every share of the gap small."""
+    rows, gap = len(table.rows), 1e7
+    liner = replace(fitted(table, "liner_threshold").state, cost=rows + 5000.0)
+    both = fitted(table, "liner_threshold", "force_gain").state
+    assert settles(table, gap, liner, replace(both, cost=rows + 100.0))
+    assert not settles(table, gap, liner, replace(both, cost=rows + 250.0))
+    small = replace(liner, cost=rows + 900.0)
+    assert not settles(table, gap, small, replace(both, cost=rows + 0.0))

@@ -103,3 +103,14 @@ def test_a_load_held_before_the_record_began_has_crept_already() -> None:
     force = laws.muscle_force(still(held), [], Context(C, np.zeros(1)))
     assert fresh == pytest.approx(np.zeros(50))
     assert settled / force == pytest.approx(np.full(50, -0.06), rel=1e-4)
+
+
+def test_a_load_that_still_creeps_where_it_is_called_settled_rubs_less_after_a_short_step() -> None:
+    """Coming down: the friction is whole at the first point, and grows with the last step."""
+    length = 60.0 + np.cumsum([0.0, 0.2, 1.5, 6.0])
+    points = still(length, direction=np.full(4, -1.0))
+    form = {"knee_mm_s": 1.0, "step_mm": 1.5}
+    plain = laws.load_pull(points, [], Context(C, np.zeros(1)))
+    rubbed = laws.load_pull(points, [("link_friction", "", 2.0, form)], Context(C, np.zeros(1)))
+    whole = 1.0 - np.exp(-np.array([np.inf, 0.2, 1.5, 6.0]) / 1.5)
+    assert rubbed - plain == pytest.approx(-2.0 * whole, abs=1e-9)
