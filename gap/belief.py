@@ -27,7 +27,7 @@ OUTCOMES = ("right", "part", "other", "unknown")
 FEATURES = (
     "left_share", "repeated_row", "repeated_share", "bent", "bent_base", "unbent", "margin",
     "no_rival", "more_left", "closed", "excess", "several", "three", "same_family", "next_seen",
-    "next_gain",
+    "next_gain", "first_gain", "last_gain", "settled", "at_an_end",
 )  # fmt: skip
 LEAST = 0.01
 """Least probability of an outcome: no forest has seen everything."""
@@ -65,6 +65,11 @@ def features(traits: Mapping[str, float]) -> Array:
         "same_family": traits["same_family"],
         "next_seen": min(traits["next_seen"], 4.0),
         "next_gain": _log(1.0 + max(traits["next_gain"], 0.0)),
+        "first_gain": _log(max(traits["first_gain"], 1.0)),
+        "last_gain": _log(max(traits["last_gain"], 1.0)),
+        "settled": traits["settled"],
+        # A stand-in is often led to an end of what it can be.
+        "at_an_end": min(traits["at_an_end"], 2.0),
     }
     return np.array([made[name] for name in FEATURES])
 

@@ -29,11 +29,11 @@ MIMIC = 0.9
 SURE = 0.985
 TOLD_APART = 120.0
 """Whitened sum of squares that a mimic may leave more than the named effect does."""
-NAMED = 0.8
+NAMED = 0.72
 """Least belief that a name is not wrong (all of it hidden, or part) for it to be given."""
-NAMED_SEVERAL = 0.62
+NAMED_SEVERAL = 0.58
 """The same for several effects: where one of them is wrong, the other seldom is."""
-NAMED_ALL = 0.38
+NAMED_ALL = 0.34
 """For several effects: least belief in all of them."""
 UNKNOWN = 0.45
 """Belief in something outside the catalogue from which the verdict says so."""

@@ -11,7 +11,6 @@ from gap.inquiry import Inquiry
 from gap.naming import Naming
 from gap.shrink import Held
 from gap.suspects import Suspect
-from gap.where import contrasts_of
 from plant.catalogue import CATALOGUE
 
 _MOST = 1e9
@@ -28,7 +27,6 @@ def traits_of(q: Inquiry, naming: Naming, held: Mapping[str, Held]) -> dict[str,
     the effects and without; `closed` the best held-out closed fraction of any channel; `next_seen`
     and `next_gain` how far over the floor, and in whitened squares, the best further effect showed
     that did not count; `first_gain` and `last_gain` what the first and the last effect took away;
-    `prior` the sum of squares of all shifts; `contrast` the largest contrast that is left, in sd;
     `at_an_end` how many amounts and numbers of shapes stand at an end of their range; `settled`
     whether the data are a table of settled points.
     """
@@ -54,16 +52,14 @@ def traits_of(q: Inquiry, naming: Naming, held: Mapping[str, Held]) -> dict[str,
         "next_gain": float(refused.get("gain", 0.0)),
         "first_gain": naming.steps[0][1],
         "last_gain": naming.steps[-1][1],
-        "prior": float(np.sum(state.shift**2)),
-        "contrast": max((abs(c.z) for c in contrasts_of(q, naming.chosen.state)), default=0.0),
         "at_an_end": float(
-            sum(_at_an_end(s, a) for s, a in zip(state.suspects, state.amounts, strict=True))
+            sum(at_an_end(s, a) for s, a in zip(state.suspects, state.amounts, strict=True))
         ),
         "settled": float(q.data.settled),
     }
 
 
-def _at_an_end(suspect: Suspect, amount: float) -> bool:
+def at_an_end(suspect: Suspect, amount: float) -> bool:
     """Whether an amount, or a number of its shape, could not go further."""
     low, high = suspect.bounds
     shapes = [(suspect.shape[key], ends) for key, ends in suspect.free.items()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,16 @@ from hypothesis import strategies as st
 
 from gap.belief import FEATURES, OUTCOMES, Forest, features, learnt
 from gap.check.errors import CheckError
-from gap.check.learn import Samples, fit, learnable
+from gap.check.learn import LEAF, Samples, fit, learnable
 from gap.check.ledger import enter
+from gap.suspects import SUSPECTS
+from gap.traits import at_an_end
 
 TRAITS = {
     "rows": 3000.0, "excess": 30_000.0, "left": 0.0, "repeated": 30_000.0, "repeated_left": 0.0,
     "effects": 1.0, "same_family": 0.0, "margin": 20_000.0, "more": 10.0, "bent": 1.5,
     "bent_base": 4.0, "closed": 0.98, "next_seen": 0.0, "next_gain": 10.0,
+    "first_gain": 30_000.0, "last_gain": 30_000.0, "settled": 0.0, "at_an_end": 0.0,
 }  # fmt: skip
 
 
@@ -66,7 +70,7 @@ def test_the_stored_trees_answer_as_the_library_that_grew_them() -> None:
     y = (x[:, 0] + 0.3 * rng.standard_normal(120) > 0).astype(np.int64) * (1 + (x[:, 1] > 0))
     of = Samples(x, y, np.ones(120))
     twin = ensemble.RandomForestClassifier(
-        200, min_samples_leaf=4, max_features=0.4, random_state=0
+        200, min_samples_leaf=LEAF, max_features=0.4, random_state=0
     ).fit(x, y, of.weight)
     own = fit(of)
     expected = np.zeros((20, len(OUTCOMES)))
@@ -89,6 +93,24 @@ def test_a_set_that_has_not_scored_yet_may_not_teach(tmp_path: Path) -> None:
 
 def test_changed_conditions_never_teach(tmp_path: Path) -> None:
     assert learnable([line("practice", 3, changed=True)], tmp_path / "ledger.csv") == []
+
+
+@pytest.mark.parametrize(
+    ("entry", "shape", "amount", "expected"),
+    [
+        ("pressure_gain", {}, 5.0, False),
+        ("pressure_gain", {}, -30.0, True),
+        ("leak", {}, 1e-13, False),
+        ("leak", {}, 0.0, False),
+        ("creep", {"tau_s": 20.0}, 4.0, False),
+        ("creep", {"tau_s": 399.0}, 4.0, True),
+    ],
+)
+def test_a_stand_in_is_known_by_the_end_it_was_led_to(
+    entry: str, shape: dict[str, float], amount: float, expected: bool
+) -> None:
+    suspect = replace(next(s for s in SUSPECTS if s.id == entry), shape=shape)
+    assert at_an_end(suspect, amount) is expected
 
 
 def test_traits_become_features_in_the_order_the_forest_knows() -> None:

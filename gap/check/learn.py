@@ -34,7 +34,7 @@ from plant.catalogue import CATALOGUE
 
 FOLDS = 10
 TREES = 200
-LEAF = 4
+LEAF = 2
 """Least sets in a leaf of a tree."""
 ASKED = 0.4
 """Share of the features that each split chooses from."""
