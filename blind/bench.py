@@ -42,6 +42,10 @@ CONSTANTS: tuple[tuple[str, int, float, float, bool], ...] = (
 KEYS = {key: place for key, place, _, _, _ in CONSTANTS}
 
 
+class NoSuchBenchError(ValueError):
+    """What was asked of the bench no bench can have, such as a load that weighs less than none."""
+
+
 @dataclass(frozen=True)
 class Trial:
     """One trial as commanded: what is prescribed, and when each channel is read.
@@ -119,7 +123,12 @@ def run_trial(trial: Trial, c: Floats, e: Floats, times: Floats, scale: float = 
     """States of one trial at ascending instants; columns are `stepping.OUT_*`.
 
     `c` are the bench's constants; the trial's own mass, temperature and count are set here.
+
+    Raises:
+        NoSuchBenchError: The effects take more load away than the trial has.
     """
+    if trial.load_kg > 0.0 and e[n.PAYLOAD, 0] >= 0.0 and trial.load_kg + e[n.PAYLOAD, 1] <= 0.0:
+        raise NoSuchBenchError(f"{trial.load_kg} kg with {e[n.PAYLOAD, 1]} kg of payload")
     own = c.copy()
     own[n.MASS] = trial.load_kg
     own[n.MUSCLE_C] = trial.temperature_c

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from blind.bench import no_effect
+from blind.bench import NoSuchBenchError, no_effect
 from blind.entries import Hidden, scaled
 from blind.recalibrate import END_SD, MOST_STEPS, Recalibration
 
@@ -31,7 +31,7 @@ def stand_in(of: Recalibration, hidden: list[Hidden], rival: Hidden) -> float:
         scaled(rival, float(at[-1])).put(e)
         try:
             made = signal - of.difference(of.constants(at[:-1]), e)
-        except ZeroDivisionError:  # less load than none: no bench has that
+        except NoSuchBenchError:
             return signal, np.inf
         return made, float(np.sum((made * w) ** 2) + at[:-1] @ at[:-1])
 

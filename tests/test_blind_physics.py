@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 import blind
 from blind import numbers as n
-from blind.bench import Trial, no_effect, nominal, run_trial
+from blind.bench import NoSuchBenchError, Trial, no_effect, nominal, run_trial
 from blind.entries import CATALOGUE, ENTRIES, Hidden, draw
 from blind.laws import static_force, volume
 from blind.protocols import stairs
@@ -92,6 +93,16 @@ def test_a_hanging_mass_comes_to_rest_where_the_braid_carries_it() -> None:
     out = run_trial(trial, C, no_effect(), np.array([80.0]))[0]
     carried = (3.0 * out[OUT_L] ** 2 - 88.4**2) * 0.3 / (4.0 * math.pi * 1.855**2)
     assert carried == pytest.approx(2.0 * 9.80665, rel=1e-3)
+
+
+def test_a_load_that_weighs_less_than_none_is_refused_and_not_integrated() -> None:
+    """It ran away in ever smaller steps; the measure of mimics tried it (reserved set 5684)."""
+    trial = plain(load_kg=0.6, regulator=constant(300.0))
+    with pytest.raises(NoSuchBenchError, match=r"0\.6 kg with -1\.5 kg"):
+        run_trial(trial, C, with_effect("payload", -1.5), np.array([8.0]))
+    lighter = run_trial(trial, C, with_effect("payload", -0.4, form=0), np.array([80.0]))[0]
+    light = run_trial(replace(trial, load_kg=0.2), C, no_effect(), np.array([80.0]))[0]
+    assert lighter[OUT_L] == pytest.approx(light[OUT_L], rel=1e-3)
 
 
 def test_a_settled_point_of_a_swinging_load_is_where_it_comes_to_rest() -> None:
