@@ -115,7 +115,7 @@ def name_effects(q: Inquiry) -> Naming:
     for step in range(MOST):
         best = gains_by_key(q, gains)
         top = sorted((k for k in best if k not in keys), key=lambda k: -best[k])
-        bent = [key for key in _bent(q, state) if key not in keys]
+        bent = [key for key in bent_keys(q, state) if key not in keys]
         if not top or (best[top[0]] < alarm and not bent):
             break
         gain = best[top[0]]
@@ -217,8 +217,8 @@ def _candidates(q: Inquiry, state: State, top: list[str], best: dict[str, float]
     return made
 
 
-def _bent(q: Inquiry, state: State) -> list[str]:
-    """Keys of effects in whose place a constant has left its tolerance.
+def bent_keys(q: Inquiry, state: State, beyond: float = SLACK) -> list[str]:
+    """Keys of effects in whose place a constant has left its tolerance, or gone `beyond` (sd).
 
     Next to strong data a signature must match the constant's to the last digit to show that it
     could take over, so these are always fitted.
@@ -227,12 +227,12 @@ def _bent(q: Inquiry, state: State) -> list[str]:
     far = [
         (abs(shift), name)
         for name, shift in zip(q.names, state.shift.tolist(), strict=True)
-        if abs(shift) > SLACK and name in STANDS_FOR
+        if abs(shift) > beyond and name in STANDS_FOR
     ]
     # Each mounting's offset is drawn about zero: what all share is a label's or the camera's.
     own = state.shift[len(q.names) - q.unnamed :][: q.mountings]
     common = abs(float(own.sum())) / np.sqrt(max(len(own), 1))
-    if common > SLACK:
+    if common > beyond:
         far.append((common, MOUNTINGS))
     return [k for _, name in sorted(far, reverse=True) for k in STANDS_FOR[name] if k in known][:4]
 

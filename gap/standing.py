@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from gap.advise import reference_for
+from gap.judge import HALF
 from gap.prediction import FORETOLD, SHOWN, Foretelling, families
 from gap.reporttext import headline, sentence
 from gap.verdict import Explanation, Verdict
@@ -21,6 +22,9 @@ class Standing:
     """The last verdict, and how what was found before fared on the tests after it."""
 
     verdict: Verdict | None = None
+    leaning: dict[str, float] = field(default_factory=dict)
+    """Where there is no gap: effects that would relieve what is stated at the end of its tolerance
+    (`gap.leaning`), with the gain."""
     foretold: dict[str, list[tuple[str, Foretelling]]] = field(default_factory=dict)
     """By family, tests that show what was found before them, and how it fared on each."""
 
@@ -90,25 +94,39 @@ class Standing:
         return len(named) < 2 or any(f.confirmed for _, f in self.foretold.get(joint(named), []))
 
     @property
+    def doubtful(self) -> bool:
+        """Whether a name stands that is not certain to close half of the gap.
+
+        Tests that were not made yet may then show another effect, or none.
+        """
+        if self.verdict is None or self.verdict.gap is None or self.confirmed is not None:
+            return False
+        low = self.verdict.gap.closed_low
+        return self.verdict.status == "named_form_inadequate" and low is not None and low <= HALF
+
+    @property
     def conclusion(self) -> str:
         """What a lab is told, in a word or two."""
         assert self.verdict is not None
         status = self.verdict.status
         if status in ("named", "named_form_inadequate") or self.confirmed is not None:
             return "named"
-        if status in ("indistinguishable", "mimicable") and len(self._entries) > 1:
+        if status in ("indistinguishable", "mimicable") and len(self.verdict.effects) > 1:
             return "needs reference"
-        return "no gap" if status == "no_gap_above_floor" else "open"
-
-    @property
-    def _entries(self) -> set[str]:
-        """Families, or pairs of them, of the entries left."""
-        return {effect.family for effect in self.verdict.effects} if self.verdict else set()
+        if status == "no_gap_above_floor":
+            return "needs reference" if self.leaning else "no gap"
+        return "open"
 
     @property
     def why(self) -> str:
         """The same in a sentence."""
         assert self.verdict is not None
+        if self.verdict.status == "no_gap_above_floor" and self.leaning:
+            return sentence(
+                "model and bench agree to within the floor only with something that is stated led "
+                f"to the end of its tolerance; {' or '.join(self.leaning)} in its place would do "
+                "as well"
+            )
         if self.confirmed is None:
             return headline(self.verdict)
         protocol, found = self.confirmed
@@ -123,6 +141,8 @@ class Standing:
     def references(self) -> dict[str, str]:
         """What would tell the entries left apart, or prove the only one, where no test did."""
         assert self.verdict is not None
+        if self.verdict.status == "no_gap_above_floor":
+            return {name: reference_for(name) for name in self.leaning}
         proven = self.confirmed is not None
         left = self._of_family if proven else self.verdict.effects
         names = dict.fromkeys(name for effect in left for name in effect.ids)

@@ -26,6 +26,7 @@ from gap.diagnose import searched
 from gap.errors import GapError
 from gap.from_runs import export_runs, stated_plant
 from gap.inquiry import Inquiry
+from gap.leaning import leaning
 from gap.naming import Naming
 from gap.prediction import SHOWN, families, foretell, margins, rivals_of
 from gap.reader import read_dataset
@@ -163,7 +164,7 @@ def investigate(
         begun.take(test, why, run, result.outcome)
         used_min += begun.rounds[-1].minutes
         tell(f"  {begun.rounds[-1].headline}")
-        if begun.settled:
+        if begun.settled and not (begun.doubtful and left):
             break
     return begun.concluded()
 
@@ -273,6 +274,9 @@ class _Begun(Standing):
         data = joined(self.runs, self.folder / f"data-{len(self.runs):02d}", self.plant)
         self.verdict, self.inquiry, self.naming = searched(data)
         self._margins = None
+        self.leaning = {}
+        if self.inquiry is not None and self.verdict.status == "no_gap_above_floor":
+            self.leaning = leaning(self.inquiry)
         if before is None or known is None or not before.chosen.keys or self.inquiry is None:
             return None
         state = before.chosen.state

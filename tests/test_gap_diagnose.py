@@ -16,8 +16,9 @@ from gap.candidate import Choice
 from gap.diagnose import diagnose
 from gap.inquiry import Inquiry, State
 from gap.judge import _nearest
+from gap.leaning import PLAIN, leaning
 from gap.mimic import Mimic
-from gap.naming import Naming, _bent
+from gap.naming import Naming, bent_keys
 from gap.reader import read_dataset
 from gap.suspects import SUSPECTS
 from gap.verdict import STATUSES
@@ -62,7 +63,14 @@ def test_what_all_mountings_share_may_be_a_label_and_is_asked(tmp_path: Path) ->
     q = Inquiry(read_dataset(tmp_path))
     own = q.base.shift[-q.mountings :]
     assert np.all(np.abs(own) < 3.1)  # at no wall by itself
-    assert {"length_label", "camera_scale"} <= set(_bent(q, q.base))
+    assert {"length_label", "camera_scale"} <= set(bent_keys(q, q.base))
+    relieving = leaning(q)
+    assert relieving["length_label"] > PLAIN
+    assert set(relieving) <= {"length_label", "camera_scale"}
+
+
+def test_agreement_that_asks_nothing_of_what_is_stated_leans_on_nothing(nominal_set: Path) -> None:
+    assert leaning(Inquiry(read_dataset(nominal_set))) == {}
 
 
 def test_a_liner_is_named_with_its_threshold(tmp_path: Path) -> None:

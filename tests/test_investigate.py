@@ -13,9 +13,7 @@ import rigs.investigate as loop
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
 from daq.run import open_run
-from gap.prediction import Foretelling, families
 from gap.runtrials import run_trials
-from gap.standing import joint
 from gap.verdict import Experiment, Explanation, Verdict
 from plant.catalogue import CATALOGUE
 from rigs.config import RigConfig, load_rig
@@ -119,63 +117,6 @@ def test_what_is_advised_is_run_next_and_otherwise_the_next_of_the_list(
         assert chosen[0].what.startswith(expected)
         assert chosen[1].startswith("advised") == (protocol != "reference")
         assert len(tests) == count - 1
-
-
-def foretold(without: float, left: float, rival: float, by: str = "creep") -> Foretelling:
-    return Foretelling(400, without, left, {(by,): rival})
-
-
-@pytest.mark.parametrize(
-    ("effects", "tests", "conclusion"),
-    [
-        (("viscosity",), [], "open"),
-        (("viscosity",), [foretold(9e3, 420.0, 6e3)], "named"),
-        (("viscosity", "creep"), [foretold(9e3, 420.0, 6e3)], "named"),  # of one family
-        (("viscosity",), [foretold(9e3, 2e3, 6e3)], "open"),  # a fifth of it is not foretold
-        (("viscosity",), [foretold(9e3, 420.0, 480.0)], "open"),  # another foretold it as well
-        (("viscosity",), [foretold(9e3, 420.0, 500.0), foretold(9e3, 420.0, 480.0)], "named"),
-        (("viscosity",), [foretold(450.0, 390.0, 440.0)], "open"),  # nothing there to foretell
-        (("viscosity",), [foretold(9e3, 420.0, 6e3), foretold(9e3, 5e3, 6e3)], "open"),  # refuted
-        (("viscosity",), [foretold(9e3, 420.0, 6e3), foretold(9e3, 420.0, 480.0)], "named"),
-        (("viscosity", "camera_delay"), [foretold(9e3, 420.0, 6e3)], "needs reference"),
-        (("viscosity", "camera_delay"), [foretold(9e3, 420.0, 6e3, "camera_delay")], "named"),
-        (("viscosity", "wear+end_cap"), [foretold(9e3, 420.0, 6e3, "wear")], "named"),
-        (("viscosity", "end_cap+viscosity"), [foretold(9e3, 420.0, 6e3)], "named"),  # in both
-        (("viscosity", "end_cap+viscosity"), [], "needs reference"),
-    ],
-)
-def test_one_family_is_named_once_a_later_test_came_out_as_it_foretold(
-    effects: tuple[str, ...], tests: list[Foretelling], conclusion: str, tmp_path: Path
-) -> None:
-    begun = begun_with(tmp_path, verdict_with(None, "indistinguishable", effects))
-    begun.foretold[CATALOGUE["viscosity"].family] = [("isobaric", test) for test in tests]
-    assert begun.conclusion == conclusion
-    assert begun.settled == (conclusion == "named")
-    assert ("confirmed by the isobaric test" in begun.why) == (conclusion == "named")
-    told_apart = ("camera_delay", "wear+end_cap")
-    left = [e for e in effects if conclusion != "named" or e not in told_apart]
-    names = {name for effect in left for name in effect.split("+")}
-    assert set(begun.references) == (set() if conclusion == "named" and len(names) == 1 else names)
-
-
-def test_what_looked_like_nothing_known_is_named_too_once_it_foretold_a_test(
-    tmp_path: Path,
-) -> None:
-    begun = begun_with(tmp_path, verdict_with(None, "unknown", ("viscosity",)))
-    assert (begun.conclusion, begun.settled) == ("open", False)
-    begun.foretold[CATALOGUE["viscosity"].family] = [("isobaric", foretold(9e3, 420.0, 6e3))]
-    assert (begun.conclusion, begun.settled) == ("named", True)
-
-
-def test_a_name_of_two_families_is_put_to_the_proof_that_it_takes_both(tmp_path: Path) -> None:
-    begun = begun_with(tmp_path, verdict_with(None, "named", ("wear+creep",)))
-    assert begun.conclusion == "named"  # if there is no other test
-    assert not begun.settled
-    key = joint(families(("creep", "wear")))
-    begun.foretold[key] = [("isometric", foretold(9e3, 420.0, 480.0))]  # creep alone did as well
-    assert not begun.settled
-    begun.foretold[key] += [("isometric", foretold(9e3, 420.0, 6e3))]
-    assert begun.settled
 
 
 # ---------------------------------------------------------------------------- the loop
@@ -338,12 +279,15 @@ def test_sweeps_beyond_the_stage_are_refused(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------------- the campaign
 
 
-def row(hidden: str, conclusion: str, families: list[str], mimic: float = 0.0) -> dict[str, object]:
+def row(
+    hidden: str, conclusion: str, families: list[str], mimic: float = 0.0, asked: str = ""
+) -> dict[str, object]:
     measured = {"mimic_index": mimic}
     one = {
         "answer": {"effects": [{"id": hidden, "family": hidden}], "measured": measured},
         "set": [{"ids": [f], "family": f} for f in families], "conclusion": conclusion,
         "named": families[0] if conclusion == "named" else None,
+        "references": {asked: "a standard"} if asked else {},
     }  # fmt: skip
     return one | judged(one)
 
@@ -356,11 +300,12 @@ def test_the_campaign_judges_right_alike_and_wrong() -> None:
         row("friction", "needs reference", ["rate", "friction"]),
         row("friction", "needs reference", ["rate"], MIMICKED),
         row("friction", "open", []),
+        row("friction", "needs reference", [], MIMICKED, asked="friction"),
     ]
-    assert [r["right"] for r in rows] == [True, False, False, False, False, False]
-    assert [r["wrong"] for r in rows] == [False, True, False, False, False, False]
-    assert [r["confirmed"] for r in rows] == [False, False, True, False, False, False]
-    assert totals(rows)["right family named"].of == 6
+    assert [r["right"] for r in rows] == [True, False, False, False, False, False, False]
+    assert [r["wrong"] for r in rows] == [False, True, False, False, False, False, False]
+    assert [r["confirmed"] for r in rows] == [False, False, True, False, False, False, True]
+    assert totals(rows)["right family named"].of == 7
 
 
 def test_the_campaign_goes_on_after_a_line_that_was_cut_short(tmp_path: Path) -> None:

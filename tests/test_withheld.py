@@ -21,8 +21,10 @@ from daq.clock import VirtualClock
 from daq.errors import ConfigError, PamrigError
 from plant.catalogue import CATALOGUE
 from rigs.config import RigConfig, load_rig
+from rigs.virtual.runnable import draw_runnable, refusal
 from rigs.virtual.withheld import Envelope, WithheldBench, ask, draw
 from vision.edge import measure_gap
+from withheld_campaign import RIG, entropy_of
 
 
 def quiet(rig: str = "virtual") -> RigConfig:
@@ -147,6 +149,24 @@ def test_on_a_rig_whose_delays_have_no_slope_mimics_are_measured_and_the_answer_
     assert shares
     assert np.isfinite(shares).all()
     assert "valve_delay:inlet_on" in text_of(secret.answer())
+
+
+def test_a_secret_that_the_rig_s_protections_refuse_is_seen_to_be_refused() -> None:
+    """Vented, this sensor reads 24 kPa: nobody could clear a fault, nor begin a test."""
+    config = load_rig(RIG)
+    zero = Secret((Hidden("pressure_zero", 0, 24.0),), stated(config), {})
+    assert "vent first" in str(refusal(config, zero))
+
+
+@pytest.mark.campaign
+def test_a_refused_secret_is_drawn_again_and_named_to_nobody() -> None:
+    told: list[str] = []
+    secret = draw_runnable(load_rig(RIG, 87), entropy=entropy_of(87), tell=told.append)
+    first = draw(load_rig(RIG, 87), entropy=entropy_of(87))
+    assert first.hidden[0].id == "pressure_zero"
+    assert len(told) >= 1
+    assert "pressure_zero" not in "".join(told)
+    assert secret.answer() != first.answer()
 
 
 def test_two_draws_from_the_system_s_entropy_differ() -> None:

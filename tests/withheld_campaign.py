@@ -27,7 +27,8 @@ from daq.errors import PamrigError
 from gap.check.statistics import Share, share
 from rigs.config import RigConfig, load_rig
 from rigs.investigate import Investigation, investigate
-from rigs.virtual.withheld import WithheldBench, draw
+from rigs.virtual.runnable import draw_runnable
+from rigs.virtual.withheld import WithheldBench
 
 RIG = "virtual-instruments"
 MIMICKED = 0.9
@@ -35,14 +36,16 @@ Row = dict[str, Any]
 HOW = f"""
 Each seed draws an effect of the catalogue by the package `blind` (another integrator, other forms,
 other true constants within their tolerances), so large that its recalibrated gap is 3 to 6 floors
-on a mixed design of the generator's own, and hides it in the virtual bench of the rig `{RIG}`. The
-answer's salted SHA-256 is fixed before the first test. `pamrig gap investigate` knows the
-rig file and the stated constants, runs its tests over the bench's ports on a virtual clock, and
-stops when it can name the gap or has no test left. A name is the diagnosis' own (its status is
-given) or that of the one family left, once a later test came out as it foretold (*foretold*; see
-[investigate](investigate.md)). *Right*: one family is named, the hidden one. *Not told apart,
-confirmed*: the verdict offers a set that holds the hidden family and names references that would
-settle it, and by the generator's own measure one or two other entries take more than
+on a mixed design of the generator's own, and puts it into the virtual bench of the rig `{RIG}`. It
+is drawn again where the rig's own protections end one of the first two tests: a sensor that reads
+24 kPa when vented is refused, as a real one is. The answer's salted SHA-256 is fixed before the
+first test. `pamrig gap investigate` knows the rig file and the stated constants, runs its tests
+over the bench's ports on a virtual clock, and stops when it can name the gap or has no test left. A
+name is the diagnosis' own (its status is given) or that of the one family left, once a later test
+came out as it foretold (*foretold*; see [investigate](investigate.md)). *Right*: one family is
+named, the hidden one. *Not told apart, confirmed*: the verdict offers a set that holds the hidden
+family (or finds no gap, but what is stated led to the end of its tolerance) and names references
+that would settle it, and by the generator's own measure one or two other entries take more than
 {100 * MIMICKED:.0f} % of what the effect leaves. Everything else is a miss. Intervals are Wilson's
 at 95 %.
 """.strip()
@@ -56,7 +59,7 @@ def entropy_of(seed: int) -> int:
 def one(seed: int, config: RigConfig, out: Path, budget_min: float) -> Row:
     """Hide, seal, investigate, open, judge."""
     begun = time.process_time()
-    secret = draw(config, entropy=entropy_of(seed))
+    secret = draw_runnable(config, entropy=entropy_of(seed))
     bench = WithheldBench(config, secret, VirtualClock())
     drawn = time.process_time()
     row: Row = {"seed": seed, "sha256": bench.digest}
@@ -106,7 +109,8 @@ def judged(row: Row) -> Row:
     measured = row["answer"]["measured"]
     right = row["conclusion"] == "named" and row["named"] == hidden["family"]
     mimicked = float(measured.get("mimic_index", 0.0)) >= MIMICKED
-    offered = row["conclusion"] == "needs reference" and hidden["family"] in families
+    asked = hidden["family"] in families or hidden["id"] in row.get("references", {})
+    offered = row["conclusion"] == "needs reference" and asked
     return {
         "hidden": hidden["id"],
         "family": hidden["family"],

@@ -27,11 +27,12 @@ def serve_withheld(
     """
     import typer
 
-    from rigs.virtual.withheld import Envelope, WithheldBench, draw
+    from rigs.virtual.runnable import draw_runnable
+    from rigs.virtual.withheld import Envelope, WithheldBench
 
     config = load_rig(rig, seed)
-    typer.echo("drawing an effect ...")
-    secret = draw(config)
+    typer.echo("drawing an effect, and trying whether the rig runs with it ...")
+    secret = draw_runnable(config, tell=typer.echo)
     benches: list[WithheldBench] = []
 
     def make(config: RigConfig, origin_ns: int) -> VirtualBench:
