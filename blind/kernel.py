@@ -88,6 +88,8 @@ def slopes(
             inflow = valve_flow(supply, p, 0, 1e3 * (t - vs[SINCE]), c, e)
         if vs[OPEN + 1] > 0.0:
             outflow = valve_flow(p, pa, 1, 1e3 * (t - vs[SINCE + 1]), c, e)
+            if p < pa:  # shortened with its outlet open, a muscle draws air in
+                outflow = -valve_flow(pa, p, 1, 1e3 * (t - vs[SINCE + 1]), c, e)
         outflow += leak_flow(p, c, e)
         vol = volume(length, c)
         extra = e[n.VOLUME, 1]

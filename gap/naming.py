@@ -34,6 +34,7 @@ from gap.inquiry import Inquiry, State
 from gap.null import carried, simulated_null
 from gap.shaping import shaped
 from gap.suspects import Suspect
+from gap.unlike import controlled
 from plant.catalogue import CATALOGUE
 
 Array = npt.NDArray[np.float64]
@@ -52,6 +53,7 @@ BETTER = 4.0
 MOST = 3
 _REFINED = 7
 _ELSEWHERE = 4
+_DELAYS_MS = (3.0, 8.0, 15.0, 25.0)
 _CLOCKS_MS = (8.0, 20.0, 45.0, 80.0, 120.0, 170.0, 230.0, 300.0, 380.0, 480.0)
 
 
@@ -101,7 +103,7 @@ def name_effects(q: Inquiry) -> Naming:
         fresh_gains, fresh = linear_gains(q, q.stated())
         fresh_gains = fresh_gains * max(naming_scale(q, gains, fresh_gains), 0.0)
         gains = np.maximum(gains, np.minimum(fresh_gains, excess(q, state)))
-    for key, (gain, amount) in _scan_clocks(q).items():
+    for key, (gain, amount) in (_scan_clocks(q) | _scan_delays(q)).items():
         for j, suspect in enumerate(q.suspects):
             if suspect.key == key and gain > gains[j]:
                 gains[j], amounts[j] = gain, amount
@@ -270,6 +272,26 @@ def _scan_clocks(q: Inquiry) -> dict[str, tuple[float, float]]:
         if best[0] > 0.0:
             found[suspect.key] = best
     return found
+
+
+def _scan_delays(q: Inquiry) -> dict[str, tuple[float, float]]:
+    """Gain and amount of valve delays in tests that a controller made.
+
+    Its pulses may be shorter than the delay, and then do nothing at all: a signature of a
+    millisecond does not point at twenty. Commands that are alike in all replicates are long ones.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    if not controlled(q.data) or excess(q, q.base) < 0.3 * len(q.rows):
+        return found
+    for suspect in q.suspects:
+        if suspect.id != "valve_delay":
+            continue
+        tried = [
+            (q.base.cost - q.cost_at(q.base.shift, (suspect,), np.array([size])), size)
+            for size in _DELAYS_MS
+        ]
+        found[suspect.key] = max(tried)
+    return {key: best for key, best in found.items() if best[0] > 0.0}
 
 
 def naming_scale(q: Inquiry, gains: Array, fresh: Array) -> float:

@@ -82,6 +82,8 @@ class Investigation:
     rounds: tuple[Round, ...]
     references: Mapping[str, str]
     folder: Path
+    ended: str | None = None
+    """The fault that ended it, if one did: the conclusion is that of the tests before."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -94,6 +96,7 @@ class Investigation:
             "rounds": [{**vars(r), "effects": list(r.effects)} for r in self.rounds],
             "minutes": sum(r.minutes for r in self.rounds),
             "data": str(self.folder),
+            "ended": self.ended,
             "verdict": self.verdict.as_dict(),
         }
 
@@ -124,7 +127,8 @@ def investigate(
         derive: also make table, figures and report of each run.
 
     Raises:
-        PamrigError: a test could not be run at all, or its data cannot be used.
+        PamrigError: the first test did not come to its end, or data cannot be used. A later fault
+            ends the investigation, with what the tests before it allow to say.
     """
     if not budget_min > 0.0:
         raise GapError("--budget", f"expected minutes above 0, got {budget_min:g}")
@@ -157,10 +161,16 @@ def investigate(
             tell(f"  stopped; {run.run_id} is left out")
             break
         if result.outcome != "clean":
-            raise PamrigError(
+            error = PamrigError(
                 str(result.folder), f"the test ended {result.outcome}: {result.error}",
                 "find the cause and begin again; what was recorded is safe",
             )  # fmt: skip
+            if not begun.runs:
+                raise error
+            # No machine goes on by itself after a fault; what was measured before it is diagnosed.
+            begun.ended = str(error)
+            tell(f"  {error}")
+            break
         begun.take(test, why, run, result.outcome)
         used_min += begun.rounds[-1].minutes
         tell(f"  {begun.rounds[-1].headline}")
@@ -181,6 +191,7 @@ class _Begun(Standing):
     rounds: list[Round] = field(default_factory=list)
     inquiry: Inquiry | None = None
     naming: Naming | None = None
+    ended: str | None = None
     _margins: Array | None = None
 
     def next(self, left: list[Test], again: list[Test]) -> tuple[Test, str] | None:
@@ -305,7 +316,7 @@ class _Begun(Standing):
             named = self.family if self.confirmed else self.verdict.effects[0].family
         found = Investigation(
             self.conclusion, self.why, named, self.verdict, tuple(self.rounds), self.references,
-            self.folder,
+            self.folder, self.ended,
         )  # fmt: skip
         text = json.dumps(found.as_dict(), indent=2, allow_nan=False)
         (self.folder / "investigation.json").write_text(text + "\n", encoding="utf-8")

@@ -38,8 +38,11 @@ def gap_investigate(
         )
     if as_json:
         typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
-        return
-    typer.echo(f"{found.conclusion}: {found.why}")
-    for name, how in found.references.items():
-        typer.echo(f"  {name}: {how}")
-    typer.echo(f"rounds   {found.folder / 'investigation.json'}")
+    else:
+        typer.echo(f"{found.conclusion}: {found.why}")
+        for name, how in found.references.items():
+            typer.echo(f"  {name}: {how}")
+        typer.echo(f"rounds   {found.folder / 'investigation.json'}")
+    if found.ended is not None:
+        typer.echo(f"ended by a fault, concluded from the tests before it: {found.ended}", err=True)
+        raise typer.Exit(2)

@@ -45,6 +45,18 @@ def test_a_moving_stage_and_a_regulator() -> None:
     assert shown.force_n == pytest.approx(33.72, abs=0.05)
 
 
+def test_a_muscle_shortened_with_its_outlet_open_draws_air_in() -> None:
+    """It stayed below the atmosphere, and the next filling looked like a dead sensor (seed 130)."""
+    bench = LiveBench()
+    bench.start_trial(length_mm=72.0)
+    for i in range(100):
+        drawn = bench.step(0.01, outlet=1, length_mm=72.0 - 0.1 * i)
+    assert drawn.pressure_kpa == pytest.approx(0.0, abs=0.2)
+    for i in range(100):
+        shut = bench.step(0.01, length_mm=62.0 - 0.1 * i)
+    assert shut.pressure_kpa < -3.0  # nothing comes in where the outlet is shut
+
+
 def test_a_force_that_depends_on_speed_shows_while_the_stage_moves() -> None:
     hidden = Hidden("viscosity", 1, 0.5, (12.0, 0.0, 0.0))
     bench = LiveBench(hidden=[hidden])

@@ -158,6 +158,27 @@ def elsewhere(config: RigConfig, again: bool = False) -> list[Test]:
 
 
 @pytest.mark.campaign  # some 20 s: two tests of a bench, two diagnoses and a prediction
+def test_a_fault_in_a_later_test_ends_it_with_what_the_tests_before_allow_to_say(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing goes on by itself after a fault, and nothing measured before it is lost."""
+    monkeypatch.setattr(loop, "battery", few)
+    config = rig_with(tmp_path, "")
+    bench = VirtualBench(config, VirtualClock())
+
+    def tell(text: str) -> None:
+        if text.startswith("round 2"):
+            bench.board.sensor_override = 0  # the wire comes off between two tests
+
+    found = investigate(config, tmp_path / "runs", bench=bench, tell=tell, derive=False)
+    assert [r.protocol for r in found.rounds] == ["isometric"]
+    assert found.conclusion == "no gap"
+    assert "sensor_no_rise" in str(found.ended)
+    stored = json.loads((found.folder / "investigation.json").read_text())
+    assert stored["ended"] == found.ended
+    assert stored["verdict"]["status"] == "no_gap_above_floor"
+
+
 def test_delays_that_look_alike_are_named_by_their_family_once_steps_elsewhere_are_foretold(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -89,6 +89,7 @@ def told(found: Investigation) -> Row:
             for e in verdict.effects
         ],
         "references": dict(found.references),
+        "ended": found.ended,
         "rounds": [
             {
                 "protocol": r.protocol, "why": r.why, "minutes": round(r.minutes, 1),
@@ -162,7 +163,8 @@ def line(row: Row) -> str:
     return (
         f"{row['seed']} {word_for(row)}: {hidden['id']} {hidden['parameters']} {size:.1f} floors, "
         f"{row['conclusion']} ({row.get('status', '')}) [{best}] {rounds} "
-        f"{row.get('minutes', 0)} min, {row['cpu_s']} s of CPU {row.get('error', '')}"
+        f"{row.get('minutes', 0)} min, {row['cpu_s']} s of CPU "
+        f"{row.get('error') or row.get('ended') or ''}"
     )
 
 
