@@ -18,7 +18,7 @@ from gap.inquiry import Inquiry, State
 from gap.judge import _nearest
 from gap.leaning import PLAIN, leaning
 from gap.mimic import Mimic
-from gap.naming import Naming, bent_keys
+from gap.naming import Naming, bent_keys, name_effects
 from gap.reader import read_dataset
 from gap.suspects import SUSPECTS
 from gap.verdict import STATUSES
@@ -71,6 +71,17 @@ def test_what_all_mountings_share_may_be_a_label_and_is_asked(tmp_path: Path) ->
 
 def test_agreement_that_asks_nothing_of_what_is_stated_leans_on_nothing(nominal_set: Path) -> None:
     assert leaning(Inquiry(read_dataset(nominal_set))) == {}
+
+
+def test_an_outlet_much_later_than_a_controllers_pulses_are_long_is_found_alone(
+    tmp_path: Path,
+) -> None:
+    """It never opens in them: by small changes of the delay a smaller outlet looks nearer."""
+    late = {"valve_delay": {"delay_ms": 25.0, "edge": "outlet_on"}}
+    q = Inquiry(read_dataset(write_set(tmp_path, late, seed=3, replicates=2, late_s=0.04)))
+    naming = name_effects(q)
+    assert naming.chosen.keys == ("valve_delay:outlet_on",)
+    assert naming.chosen.state.amounts[0] == pytest.approx(25.0, abs=0.5)
 
 
 def test_a_liner_is_named_with_its_threshold(tmp_path: Path) -> None:
