@@ -48,6 +48,7 @@ class Trial:
 
     Attributes:
         slot: names the setting; trials of one slot are replicates of each other.
+        tare_length_mm: where the muscle was held, vented, when the force was last set to zero.
         settled: a table of settled points, without time.
         direction: for settled points +1 up, -1 down, 0 unknown, one a row, shape (rows,).
     """
@@ -65,6 +66,7 @@ class Trial:
     settled: bool
     channels: Mapping[str, Channel]
     direction: npt.NDArray[np.int64]
+    tare_length_mm: float = float("nan")
 
     def __contains__(self, channel: str) -> bool:
         return channel in self.channels

@@ -18,12 +18,12 @@ from daq.run import Run
 from gap.errors import GapError
 from gap.reader import read_bench
 from gap.runtables import table_trials
-from gap.runtrials import RunTrial, run_trials
+from gap.runtrials import RunTrial, run_trials, tares
 from plant import tomlfile
 from plant.constants import CHOICES, KEYS
 
 COLUMNS = ("trial", "slot", "replicate", "protocol", "mounting", "order", "held_length_mm",
-           "load_kg", "temperature_c", "start_s", "note")  # fmt: skip
+           "load_kg", "temperature_c", "start_s", "tare_length_mm", "note")  # fmt: skip
 FORMS = ("time", "points")
 
 
@@ -66,20 +66,25 @@ def export_runs(
     calibration = _calibration(runs)
     trials: list[RunTrial] = []
     known: dict[str, list[str]] = {}
+    tared_mm: float | None = None
     # Whole runs follow each other: on a simulated bench the clock of a run does not go as ours.
     for run in sorted(runs, key=lambda run: int(run.manifest["started"].get("wall_ns", 0))):
-        own = list(_trials(run, form, commands_of))
+        own = list(_trials(run, form, commands_of, tared_mm))
+        tared_mm = tares(run, tared_mm)[-1][1]  # a balance keeps its tare from run to run
         for trial in own:
             trial.row["slot"] += _told_apart(run, known)
         trials += sorted(own, key=lambda trial: float(trial.row["start_s"]))
     return _write(folder, trials, bench, calibration, tuple(run.run_id for run in runs))
 
 
-def _trials(run: Run, form: str, commands_of: Collection[str] | None) -> Iterable[RunTrial]:
+def _trials(
+    run: Run, form: str, commands_of: Collection[str] | None, tared_mm: float | None
+) -> Iterable[RunTrial]:
     _refuse_mechanism(run)
     if form == "points" or run.manifest.get("imported"):
         return table_trials(run)
-    return run_trials(run, commands_of is None or run.manifest.get("protocol") in commands_of)
+    wanted = commands_of is None or run.manifest.get("protocol") in commands_of
+    return run_trials(run, wanted, tared_mm)
 
 
 NO_SETTING = (

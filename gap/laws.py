@@ -160,6 +160,20 @@ def muscle_force(points: Points, active: Active, context: Context) -> Array:
     return force
 
 
+def rest_pull(points: Points, tared: Array, active: Active, context: Context) -> Array:
+    """Pull in N of the muscle, vented, at the lengths (m) where its force was set to zero.
+
+    The nominal muscle pulls nothing there, so a tare takes nothing away; rubber and a limit of the
+    contraction do not ask for pressure. Zero where it is not known where the tare was made.
+    """
+    none = np.zeros(len(tared))
+    pull = none
+    for name, _, amount, shape in active:
+        if name in ("bladder_elasticity", "contraction_limit"):
+            pull = pull + amount * _ADDED[name](points, none, tared, none, shape, context)
+    return np.where(np.isnan(tared), 0.0, pull)
+
+
 def _liner_loss(p: Array, lost_kpa: float, shape: Shape) -> Array:
     lost = lost_kpa * 1e3
     if "saturating" in shape:

@@ -34,11 +34,14 @@ class Model:
 
     grid: Grid
     order: Array = field(init=False)
+    tared: Array = field(init=False)
     fall_pa: float = 0.0
 
     def __post_init__(self) -> None:
         order = np.array([trial.order for trial in self.grid.data.trials], dtype=np.float64)
         self.order = order - order.min() if len(order) else order
+        tared_mm = [trial.tare_length_mm for trial in self.grid.data.trials]
+        self.tared = 1e-3 * np.array(tared_mm, dtype=np.float64)
 
     def residual(
         self, constants: PlantConstants, active: Active, blocks: Iterable[str] = BLOCKS
@@ -66,7 +69,10 @@ class Model:
 
     def _force(self, points: Points, c: PlantConstants, active: Active) -> Array:
         context = Context(c, self.order)
-        force = laws.force_read(laws.muscle_force(points, active, context), points, active)
+        pull = laws.muscle_force(points, active, context)
+        if not np.all(np.isnan(self.tared)):
+            pull = pull - laws.rest_pull(points, self.tared[points.trial], active, context)
+        force = laws.force_read(pull, points, active)
         for name, _, amount, _shape in active:
             if name == "force_clock":
                 force = laws.moved(points, force, -amount * 1e-3)
@@ -78,6 +84,8 @@ class Model:
         context = Context(c, self.order)
         asked = laws.load_pull(points, active, context)
         given = laws.force_true(points.reading, active)
+        if not np.all(np.isnan(self.tared)):
+            given = given + laws.rest_pull(points, self.tared[points.trial], active, context)
         without = np.isnan(given)
         if without.any():
             given = np.where(without, laws.muscle_force(points, active, context), given)

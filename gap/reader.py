@@ -27,7 +27,10 @@ from plant.effects import NONE, Effects
 from plant.errors import PlantError
 
 TRIAL_TEXT = ("trial", "slot", "replicate", "protocol", "mounting")
-TRIAL_NUMBERS = ("order", "held_length_mm", "load_kg", "temperature_c", "start_s")
+TRIAL_NUMBERS = (
+    "order", "held_length_mm", "load_kg", "temperature_c", "start_s",
+    "tare_length_mm",
+)  # fmt: skip
 SAMPLE_NUMBERS = ("time_s", *COMMANDS, *CHANNELS)
 MOST_UNCERTAIN = 1000.0
 
@@ -180,6 +183,7 @@ def _trial(
         settled=settled,
         channels=channels,
         direction=direction[rows],
+        tare_length_mm=float(facts["tare_length_mm"][row]),
     )
 
 

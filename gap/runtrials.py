@@ -49,8 +49,27 @@ class _Span:
     zeros: int = 0
 
 
-def run_trials(run: Run, commands: bool = True) -> Iterator[RunTrial]:
+def tares(run: Run, before_mm: float | None = None) -> list[tuple[float, float | None]]:
+    """Times (s) of the tares of a run, and where the stage held the muscle, mm; None if unknown.
+
+    The first is the one from before the run.
+    """
+    found: list[tuple[float, float | None]] = [(-np.inf, before_mm)]
+    held: float | None = None
+    for event in run.events:
+        if event["kind"] == "command" and event.get("device") == "stage":
+            held = event.get("length_mm", held)
+        elif event["kind"] == "tare":
+            found.append((event["t_ns"] * 1e-9, held))
+    return found
+
+
+def run_trials(
+    run: Run, commands: bool = True, tared_mm: float | None = None
+) -> Iterator[RunTrial]:
     """Every whole trial of a run with its channels, in order; valve commands where wanted.
+
+    `tared_mm` is where the force was last set to zero before the run.
 
     Raises:
         RecordError: the run holds no trial, or its record is damaged.
@@ -65,6 +84,7 @@ def run_trials(run: Run, commands: bool = True) -> Iterator[RunTrial]:
     protocol = str(run.manifest.get("protocol", "unnamed"))
     conditions = run.manifest.get("conditions", {})
     wall_s = int(run.manifest["started"]["wall_ns"]) * 1e-9
+    tared = tares(run, tared_mm)
     for span in spans:
         facts = span.facts
         kind = str(facts.get("protocol", protocol))
@@ -76,6 +96,7 @@ def run_trials(run: Run, commands: bool = True) -> Iterator[RunTrial]:
             "mounting": facts.get("mounting", ""),
             **{name: facts.get(name) for name in HELD},
             "start_s": wall_s + span.begin_s,
+            "tare_length_mm": [at for time, at in tared if time <= span.begin_s][-1],
             "note": run.run_id,
         }
         if row["temperature_c"] is None:

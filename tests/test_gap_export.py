@@ -23,7 +23,7 @@ from protocol_runs import run_short
 from rigs.cli import app
 
 COLUMNS = ["trial", "slot", "replicate", "protocol", "mounting", "order", "held_length_mm",
-           "load_kg", "temperature_c", "start_s", "note"]  # fmt: skip
+           "load_kg", "temperature_c", "start_s", "tare_length_mm", "note"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

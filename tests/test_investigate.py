@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import rigs.investigate as loop
@@ -158,6 +159,19 @@ def elsewhere(config: RigConfig, again: bool = False) -> list[Test]:
 
 
 @pytest.mark.campaign  # some 20 s: two tests of a bench, two diagnoses and a prediction
+def test_a_limit_that_pushes_where_the_force_is_tared_needs_no_force_zero_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tares are made at 54 mm, vented: what pushes there is missing from every reading."""
+    monkeypatch.setattr(loop, "battery", few)
+    config = rig_with(tmp_path, "[effects.contraction_limit]\nforce_n = 6\n")
+    found = investigate(config, tmp_path / "runs", derive=False)
+    assert (found.conclusion, found.family) == ("named", "limit")
+    assert found.verdict.effects[0].ids == ("contraction_limit",)
+    trials = pd.read_csv(found.folder / "data-02" / "trials.csv")
+    assert set(trials["tare_length_mm"]) == {54.0}  # the balance keeps it for the step test
+
+
 def test_a_fault_in_a_later_test_ends_it_with_what_the_tests_before_allow_to_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
