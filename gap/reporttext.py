@@ -76,7 +76,7 @@ def _in_brackets(values: str) -> str:
 
 def sentence(text: str) -> str:
     """Text with a capital and a full stop."""
-    text = text.strip().rstrip(".")
+    text = text.strip().rstrip(".,").replace(",; ", "; ")
     return text[:1].upper() + text[1:] + "."
 
 

@@ -97,12 +97,15 @@ class Standing:
     def doubtful(self) -> bool:
         """Whether a name stands that is not certain to close half of the gap.
 
-        Tests that were not made yet may then show another effect, or none.
+        Tests that were not made yet may then show another effect, or none. So it is where nobody
+        can say how much of the gap is closed.
         """
-        if self.verdict is None or self.verdict.gap is None or self.confirmed is not None:
+        if self.verdict is None or self.confirmed is not None:
             return False
-        low = self.verdict.gap.closed_low
-        return self.verdict.status == "named_form_inadequate" and low is not None and low <= HALF
+        if self.verdict.status not in ("named", "named_form_inadequate"):
+            return False
+        low = None if self.verdict.gap is None else self.verdict.gap.closed_low
+        return low is None or low <= HALF
 
     @property
     def conclusion(self) -> str:
