@@ -94,6 +94,29 @@ class Standing:
         return len(named) < 2 or any(f.confirmed for _, f in self.foretold.get(joint(named), []))
 
     @property
+    def named(self) -> str | None:
+        """The family that is named, or the families that act together; None without a name.
+
+        Of several, those that some test needed: a test that is foretold as well without a family
+        is no reason to name it. All of them where no test has told them apart.
+        """
+        if self.conclusion != "named" or self.verdict is None or not self.verdict.effects:
+            return None
+        if self.confirmed is not None:
+            return self.family
+        several = families(self.verdict.effects[0].ids)
+        needed = {
+            gone
+            for _, found in self.foretold.get(joint(several), [])
+            for ids, left in found.rivals.items()
+            for gone in several - families(ids)
+            if families(ids) == several - {gone} and left - found.left > SHOWN
+        }
+        if len(several) < 2 or not needed or self.settled:
+            return self.verdict.effects[0].family
+        return joint(frozenset(needed))
+
+    @property
     def doubtful(self) -> bool:
         """Whether a name stands that is not certain to close half of the gap.
 

@@ -311,12 +311,9 @@ class _Begun(Standing):
         if self.verdict is None:
             self._diagnose()
         assert self.verdict is not None
-        named = None
-        if self.conclusion == "named":
-            named = self.family if self.confirmed else self.verdict.effects[0].family
         found = Investigation(
-            self.conclusion, self.why, named, self.verdict, tuple(self.rounds), self.references,
-            self.folder, self.ended,
+            self.conclusion, self.why, self.named, self.verdict, tuple(self.rounds),
+            self.references, self.folder, self.ended,
         )  # fmt: skip
         text = json.dumps(found.as_dict(), indent=2, allow_nan=False)
         (self.folder / "investigation.json").write_text(text + "\n", encoding="utf-8")

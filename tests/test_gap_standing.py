@@ -76,6 +76,20 @@ def test_a_name_of_two_families_is_put_to_the_proof_that_it_takes_both() -> None
     assert standing.settled
 
 
+def test_of_several_families_those_are_named_that_a_test_needed() -> None:
+    """A droop was named with a pressure gain that every test did as well without (seed 174)."""
+    standing = Standing(verdict=verdict_with("named", ("wear+creep",)))
+    wear, creep = CATALOGUE["wear"].family, CATALOGUE["creep"].family
+    assert standing.named == f"{wear}+{creep}"  # no test has told them apart
+    key = joint(families(("creep", "wear")))
+    tests = standing.foretold.setdefault(key, [])
+    for alone in ({"creep": 430.0, "wear": 440.0}, {"creep": 430.0, "wear": 6e3}):
+        tests.append(("step", Foretelling(400, 9e3, 420.0, {(k,): v for k, v in alone.items()})))
+        assert standing.named == (creep if alone["wear"] > 1e3 else f"{wear}+{creep}")
+    tests.append(("step", Foretelling(400, 9e3, 420.0, {("creep",): 6e3, ("wear",): 430.0})))
+    assert standing.named == f"{wear}+{creep}"
+
+
 def test_agreement_that_leans_on_what_is_stated_asks_for_a_check_of_it() -> None:
     """A label 0.2 mm wrong passes for the mounting and the camera's calibration, all at 3 sd."""
     standing = Standing(verdict=verdict_with("no_gap_above_floor"))
