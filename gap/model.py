@@ -67,11 +67,13 @@ class Model:
         total = np.bincount(points.row, weights=raw * points.weight)
         return np.asarray(total / np.bincount(points.row, weights=points.weight))
 
+    def _rest(self, points: Points, active: Active, context: Context) -> Array:
+        """What the last tare took away from each reading, N."""
+        return laws.rest_pull(points, self.tared[points.trial], active, context)
+
     def _force(self, points: Points, c: PlantConstants, active: Active) -> Array:
         context = Context(c, self.order)
-        pull = laws.muscle_force(points, active, context)
-        if not np.all(np.isnan(self.tared)):
-            pull = pull - laws.rest_pull(points, self.tared[points.trial], active, context)
+        pull = laws.muscle_force(points, active, context) - self._rest(points, active, context)
         force = laws.force_read(pull, points, active)
         for name, _, amount, _shape in active:
             if name == "force_clock":
@@ -83,9 +85,7 @@ class Model:
     def _load(self, points: Points, c: PlantConstants, active: Active) -> Array:
         context = Context(c, self.order)
         asked = laws.load_pull(points, active, context)
-        given = laws.force_true(points.reading, active)
-        if not np.all(np.isnan(self.tared)):
-            given = given + laws.rest_pull(points, self.tared[points.trial], active, context)
+        given = laws.force_true(points.reading, active) + self._rest(points, active, context)
         without = np.isnan(given)
         if without.any():
             given = np.where(without, laws.muscle_force(points, active, context), given)

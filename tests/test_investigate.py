@@ -15,7 +15,7 @@ from daq.clock import VirtualClock
 from daq.errors import PamrigError
 from daq.run import open_run
 from gap.runtrials import run_trials
-from gap.verdict import Experiment, Explanation, Verdict
+from gap.verdict import Experiment, Verdict
 from plant.catalogue import CATALOGUE
 from rigs.config import RigConfig, load_rig
 from rigs.interrupt import StopFlag
@@ -80,22 +80,6 @@ def test_valves_are_tried_again_with_a_short_and_with_a_long_muscle() -> None:
     assert long > usual + 5.0
 
 
-def verdict_with(
-    experiment: Experiment | None = None, status: str = "unknown", effects: tuple[str, ...] = ()
-) -> Verdict:
-    ids = [tuple(effect.split("+")) for effect in effects]
-    found = tuple(Explanation(i, "+".join(CATALOGUE[e].family for e in i), 0.4, {}) for i in ids)
-    return Verdict(
-        status, "", None, found, 0.0, 1.0, None, (), (), {}, experiment, {},
-    )  # fmt: skip
-
-
-def begun_with(folder: Path, verdict: Verdict) -> loop._Begun:
-    begun = loop._Begun(load_rig("virtual"), folder, None)
-    begun.verdict = verdict
-    return begun
-
-
 @pytest.mark.parametrize(
     ("protocol", "why", "expected"),
     [
@@ -110,7 +94,8 @@ def test_what_is_advised_is_run_next_and_otherwise_the_next_of_the_list(
 ) -> None:
     left, again = battery(load_rig("virtual")), battery(load_rig("virtual"), again=True)
     experiment = Experiment(protocol, {}, 1.0, 4.0, 2, ("a", "b"), why)
-    begun = begun_with(tmp_path, verdict_with(experiment))
+    begun = loop._Begun(load_rig("virtual"), tmp_path, None)
+    begun.verdict = Verdict("unknown", "", None, (), 0.0, 1.0, None, (), (), {}, experiment, {})
     for tests in (left, again) if protocol != "reference" else (left,):
         count = len(tests)
         chosen = begun.next(left, again)
@@ -158,7 +143,6 @@ def elsewhere(config: RigConfig, again: bool = False) -> list[Test]:
     return [dataclasses.replace(steps, settings={**steps.settings, **other})]
 
 
-@pytest.mark.campaign  # some 20 s: two tests of a bench, two diagnoses and a prediction
 def test_a_limit_that_pushes_where_the_force_is_tared_needs_no_force_zero_beside_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,7 +150,7 @@ def test_a_limit_that_pushes_where_the_force_is_tared_needs_no_force_zero_beside
     monkeypatch.setattr(loop, "battery", few)
     config = rig_with(tmp_path, "[effects.contraction_limit]\nforce_n = 6\n")
     found = investigate(config, tmp_path / "runs", derive=False)
-    assert (found.conclusion, found.family) == ("named", "limit")
+    assert (found.conclusion, found.family) == ("named", CATALOGUE["contraction_limit"].family)
     assert found.verdict.effects[0].ids == ("contraction_limit",)
     trials = pd.read_csv(found.folder / "data-02" / "trials.csv")
     assert set(trials["tare_length_mm"]) == {54.0}  # the balance keeps it for the step test
@@ -193,6 +177,7 @@ def test_a_fault_in_a_later_test_ends_it_with_what_the_tests_before_allow_to_say
     assert stored["verdict"]["status"] == "no_gap_above_floor"
 
 
+@pytest.mark.campaign  # some 20 s: two tests of a bench, two diagnoses and a prediction
 def test_delays_that_look_alike_are_named_by_their_family_once_steps_elsewhere_are_foretold(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

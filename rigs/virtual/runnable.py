@@ -17,11 +17,9 @@ from daq.errors import ConfigError
 from rigs.config import RigConfig
 from rigs.protocols.registry import procedure
 from rigs.session import run_protocol
-from rigs.survey import battery, protocol_text
+from rigs.survey import BEFORE_NAMING, battery, protocol_text
 from rigs.virtual.withheld import WithheldBench, draw
 
-FIRST = ("isometric", "step")
-"""Tests that every investigation begins with."""
 TRIES = 20
 _OTHER = 1 << 96
 """What a draw that is made again adds to the entropy: more than the system's own can be."""
@@ -53,11 +51,7 @@ def draw_runnable(
 
 def refusal(config: RigConfig, secret: Secret) -> str | None:
     """What ends the first tests on a bench with this secret; None if nothing."""
-    seen: set[str] = set()
-    for test in battery(config):
-        if test.protocol not in FIRST or test.protocol in seen:
-            continue
-        seen.add(test.protocol)
+    for test in battery(config)[:BEFORE_NAMING]:
         with TemporaryDirectory() as scratch:
             path = Path(scratch) / f"{test.protocol}.toml"
             path.write_text(protocol_text(test, config), encoding="utf-8")
