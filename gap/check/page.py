@@ -14,7 +14,7 @@ after the verdict was stored. A gap's *size* is the rms of effect on less effect
 nominal constants are fitted anew within their tolerances, over the rms of the replicate scatter
 of the clearest channel. A set counts as *mimicked* where one or two other entries of the
 catalogue take more than 90 % of what the effect leaves on that very design. Intervals are
-Wilson's at 95 %. Definitions of every judgement stand in `gap/check/score.py`.
+Wilson's at 95 %. Definitions of every judgement stand in `gap/check/scoring/score.py`.
 """
 
 
