@@ -219,8 +219,9 @@ def test_generated_source_is_kept_and_a_damaged_one_is_made_anew(tmp_path: Path)
     assert kept.read_text().startswith(source)
     # What is kept is what is used: SymPy is not asked again.
     code = (
-        "import sys; from plant.links import load_arm; from plant.links.symbolic.generated import
-        generated;" "print(generated(load_arm('planar3')).inverse_dynamics([0, 0, 0], [1, 2, 3], [1, 1, 1]));"
+        "import sys; from plant.links import load_arm;"
+        "from plant.links.symbolic.generated import generated;"
+        "print(generated(load_arm('planar3')).inverse_dynamics([0, 0, 0], [1, 2, 3], [1, 1, 1]));"
         "assert 'sympy' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=600)

@@ -99,7 +99,8 @@ class WithheldPlant(BenchSim):
         self, state: Array, params: Array, dt_s: float, inlet_on_s: float, vent_on_s: float
     ) -> None:
         """One control tick, as `plant.simulator.bench.advance`; `state` and `params` are this
-        plant's own."""
+        plant's own.
+        """
         del state, params
         begin = 0.0
         marks = (min(inlet_on_s, dt_s), min(vent_on_s, dt_s), dt_s)
