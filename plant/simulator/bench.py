@@ -169,9 +169,9 @@ class BenchSim:
     `state` and `params` are the arrays of the kernel (`plant.physics.layout` names the slots);
     hand them to the module function `advance` where the cost of a method call matters. With
     `load="isometric"` the length is prescribed (`set_length`, `set_length_rate` for a moving
-    stage); with "isotonic" a mass hangs on the muscle and its length follows. With `source="regulator"` an open inlet lets
-    the muscle follow `set_regulator` with a lag of 1 s as long as the outlet is shut. Substeps are
-    `step_share` of the usual ones.
+    stage); with "isotonic" a mass hangs on the muscle and its length follows. With
+    `source="regulator"` an open inlet lets the muscle follow `set_regulator` with a lag of 1 s as
+    long as the outlet is shut. Substeps are `step_share` of the usual ones.
     """
 
     def __init__(
