@@ -28,17 +28,18 @@ HOUSE = Path(__file__).resolve().parent.parent
 def one(repeats: int) -> dict[str, float]:
     """Simulated seconds, processor seconds and peak memory in MB of one run; then of its table."""
     from analysis.reporting.derived import derive_all
-    from rigs.execution.session import run_isometric
-    from rigs.protocols.isometric_method import load_isometric
+    from rigs.execution.session import run_protocol
+    from rigs.protocols.isometric import load_isometric
+    from rigs.protocols.registry import procedure
     from rigs.rigfile.config import load_rig
 
     config = load_rig("virtual")
     plan = load_isometric("isometric-short", config.limits)
     with tempfile.TemporaryDirectory() as root:
-        run_isometric(config, plan, Path(root))
+        run_protocol(procedure("isometric"), config, plan, Path(root))
         plan = dataclasses.replace(plan, repeats=repeats)
         before, start = peak_mb(), time.process_time()
-        result = run_isometric(config, plan, Path(root), derive=False)
+        result = run_protocol(procedure("isometric"), config, plan, Path(root))
         run_s, run_mb = time.process_time() - start, peak_mb()
         start = time.process_time()
         derive_all(result.folder)

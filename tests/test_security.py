@@ -34,7 +34,9 @@ import pytest
 import daq.store.tablefile
 from analysis.formats.importer import import_points
 from analysis.layouts.layouts import measured_edges
+from analysis.reduction.pictures import measure_stored
 from analysis.reporting.derived import derive_all
+from analysis.run_table import reduce_run
 from daq.clock import VirtualClock
 from daq.errors import PamrigError, RecordError
 from daq.record.sealed import seal_file, seal_line
@@ -54,14 +56,12 @@ from plant.finger.reader import load_finger
 from plant.links.reader import load_arm
 from plant.models.catalogue import load as load_model
 from rigs.calibration.frames import open_frames
-from rigs.execution.pictures import measure_stored
-from rigs.execution.resume import reduce_run
 from rigs.rigfile.camera_calibration import load_camera_calibration
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.virtual.server import open_server
 from rigs.virtual.withheld.bench import ENVELOPE, ask
-from vision.preview import draw
+from vision.marker.preview import draw
 
 HOUSE = Path(__file__).parent.parent
 SECONDS = 20.0
@@ -500,7 +500,7 @@ PICTURES = """
 import resource, sys
 from pathlib import Path
 from rigs.calibration.frames import open_frames
-from rigs.execution.pictures import decode
+from analysis.reduction.pictures import decode
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for path in sorted(Path(sys.argv[1]).iterdir()):
     assert decode(path.read_bytes()) is None, path

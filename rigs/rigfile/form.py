@@ -10,6 +10,10 @@ from rigs.rigfile.toml_reader import Table, load_toml
 
 ENDS = {"crlf": b"\r\n", "lf": b"\n", "cr": b"\r"}
 NUMBER = re.compile(r"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?")
+STANDARD_GRAVITY_M_S2 = 9.80665
+GRAMS = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / STANDARD_GRAVITY_M_S2,
+         "lb": 453.59237, "kN": 1e6 / STANDARD_GRAVITY_M_S2}  # fmt: skip
+"""Grams in a unit that indicators print; newtons are the indicator's own, at standard gravity."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +21,7 @@ class Parsed:
     """What a line turned out to be.
 
     Attributes:
-        fault: kind of fault (see ``rigs.devices.instruments.faults``), or "" for a good reading.
+        fault: kind of fault (see ``rigs.devices.faults``), or "" for a good reading.
         value: the reading in the instrument's unit.
         stable: False where the instrument says that it still moves.
         detail: words for a message.
