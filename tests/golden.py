@@ -112,8 +112,15 @@ class Item:
 
 def columns(table: pd.DataFrame) -> dict[str, list[Any]]:
     """A table as JSON, column by column."""
-    return {str(name): json.loads(table[name].to_json(orient="values", double_precision=15))
-            for name in table}  # fmt: skip
+    return {
+        str(name): [None if pd.isna(value) else value for value in table[name].tolist()]
+        for name in table
+    }
+
+
+def recorded(command: str) -> Item:
+    """A command that makes a run."""
+    return Item(lambda desk: desk.run(command))
 
 
 def short(protocol: str, rig: str = "") -> Item:
@@ -181,11 +188,9 @@ def items() -> dict[str, Item]:
     """Everything there is to make, by name; a name begins with its kind."""
     out = {f"test/{name}": short(name) for name in MUSCLE + OTHER}
     out |= {f"test/{name}@virtual-thesis": short(name, "virtual-thesis") for name in MUSCLE}
-    for name in TABLES:
-        out[f"thesis/{name}"] = Item(lambda desk, name=name: desk.run(f"import thesis {name}"))
+    out |= {f"thesis/{name}": recorded(f"import thesis {name}") for name in TABLES}
     out |= {f"said/{name}": asked(*said) for name, said in SAID.items()}
-    out |= {f"simulated/{name}": Item(lambda desk, name=name: desk.run(f"simulate {name}"))
-            for name in SCENARIOS}  # fmt: skip
+    out |= {f"simulated/{name}": recorded(f"simulate {name}") for name in SCENARIOS}
     out["thesis/gap"] = asked("gap thesis", verdict=True)
     out["exported/static"] = exported("isometric", "isobaric", "isotonic")
     out["exported/loop"] = exported("isometric@virtual-thesis-loop", "step")
@@ -283,14 +288,17 @@ def made(folder: Path, name: str, stamp: str) -> bool:
 
 
 def outputs(place: Path) -> dict[str, Any]:
-    """All items of a folder or a packed file."""
+    """All items of a packed file, or those of a folder that were made by the last sources."""
     if place.is_file():
         return dict(json.loads(gzip.decompress(place.read_bytes())))
-    found = {path.relative_to(place).with_suffix("").as_posix(): path
-             for path in sorted(place.glob("*/*.json"))}  # fmt: skip
-    return {
-        name: json.loads(path.read_text(encoding="utf-8"))["value"] for name, path in found.items()
-    }
+    paths = sorted(place.glob("*/*.json"), key=lambda path: path.stat().st_mtime_ns)
+    found = {path.relative_to(place).with_suffix("").as_posix(): json.loads(path.read_text("utf-8"))
+             for path in paths}  # fmt: skip
+    last = next(reversed(found.values()), {"sources": ""})["sources"]
+    stale = [name for name, item in found.items() if item["sources"] != last]
+    if stale:
+        print(f"{place.name}: left out, since made by older sources: {', '.join(sorted(stale))}")
+    return {name: found[name]["value"] for name in sorted(found) if name not in stale}
 
 
 def pack(folder: Path, target: Path) -> None:
