@@ -341,8 +341,6 @@ class Measure:
                 else:
                     yield from self._walk(old[name], new[name], inner, name, largest)
         elif isinstance(old, list) and isinstance(new, list):
-            if self.allow_text and all(text(value) for value in old + new):
-                return
             if len(old) != len(new):
                 yield f"{where}.length", len(old), len(new)
             for index, pair in enumerate(zip(old, new, strict=False)):
@@ -352,7 +350,9 @@ class Measure:
             whole = isinstance(old, int) and isinstance(new, int)
             if old != new if whole else abs(old - new) > close:
                 yield where, old, new
-        elif old != new and not (self.allow_text and text(old) and text(new)):
+        elif self.allow_text and text(old) and text(new):
+            return
+        elif old != new or isinstance(old, bool) is not isinstance(new, bool):
             yield where, old, new
 
 
@@ -369,8 +369,8 @@ def sizes(value: Any, key: str) -> Iterator[tuple[str, float]]:
 
 
 def text(value: Any) -> bool:
-    """Free text: a string with a space in it, as no id has. What has no words is no other text."""
-    return value is None or (isinstance(value, str) and (" " in value.strip() or not value))
+    """Free text: a string with a space in it, as no id has."""
+    return isinstance(value, str) and " " in value.strip()
 
 
 def compare(
