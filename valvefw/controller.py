@@ -39,6 +39,8 @@ class Controller:
         self.board = board
         self.version = VERSION
         self.values = config.defaults()
+        self.checksum = config.Checksum()
+        self.checksum.of(self.values)
         self.safety = Safety(self.values)
         self.valves = Valves()
         boot_id = board.random16() & 0xFFFF
