@@ -191,7 +191,8 @@ class Controller:
         self.board.tx(encode_frame(bytes((EVENT,)) + text.encode()))
 
     def trip(self, cause: str) -> None:
-        """Latch a fault and vent."""
+        """Vent, latch a fault and tell; on the chip, telling takes longer than all else."""
+        self.board.drive(0, VENT_HOLD_US)
         known = len(self.safety.faults)
         if self.safety.latch(cause, self._last_us):
             self._black_box_due = True
