@@ -53,6 +53,7 @@ from plant.links.generated import GeneratedDynamics, generated
 from plant.links.reader import load_arm
 from plant.models.catalogue import load as load_model
 from rigs.camera_calibration import load_camera_calibration
+from rigs.cli import main
 from rigs.config import load_rig
 from rigs.frames import open_frames
 from rigs.importer import import_points
@@ -773,6 +774,23 @@ def test_a_name_in_an_arm_file_is_a_plain_word(
     with pytest.raises(LinkError):
         generated(load_arm(path))
     assert [p.name for p in tmp_path.iterdir()] == ["arm.toml"]
+
+
+def test_an_error_brings_no_control_characters_to_the_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Messages quote files and devices; every one that ends a command leaves by one door."""
+
+    def fails(**_: Any) -> None:
+        raise ConfigError("a\x1b]0;title\x07.toml", "\x9b2J is no n\u00e4me\nline\u202e", "\r\x7f")
+
+    monkeypatch.setattr("rigs.cli.app", fails)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == (
+        "pamrig: a\\x1b]0;title\\x07.toml: \\x9b2J is no n\u00e4me\\nline\\u202e (\\r\\x7f)\n"
+    )
 
 
 STRANGER = (
