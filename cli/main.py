@@ -309,12 +309,12 @@ def firmware_check(port: PortOption, as_json: JsonOption = False) -> None:
 
 def main() -> None:
     """Entry point of the console script: user errors become one line and exit status 2."""
-    from daq.errors import PamrigError
+    from daq.errors import PamrigError, printable
 
     try:
         app(standalone_mode=True)
     except PamrigError as error:
-        typer.echo(f"pamrig: {error}", err=True)
+        typer.echo(printable(f"pamrig: {error}"), err=True)
         sys.exit(2)
     except BrokenPipeError:
         sys.exit(1)
