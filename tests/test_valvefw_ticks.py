@@ -13,7 +13,7 @@ import rp2040_pins
 from valvefw import config, wire
 from valvefw.config import PARAMETERS, config_crc
 from valvefw.deskboard import DeskBoard
-from valvefw.valves import VENT_HOLD_US
+from valvefw.schemes.valves import VENT_HOLD_US
 from valvefw.wire import EVENT, TICK_US, Decoder, crc16, encode_frame
 
 

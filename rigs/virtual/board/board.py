@@ -21,7 +21,7 @@ from rigs.virtual.board.pressure_sensor import ADC_TOP
 from rigs.virtual.board.pressure_sensor import PressureSensor as PressureSensor
 from valvefw.board import DRIVE_SILENCE_US, Board
 from valvefw.controller import Controller
-from valvefw.valves import VENT_HOLD_US
+from valvefw.schemes.valves import VENT_HOLD_US
 from valvefw.wire import TICK_US
 
 TICK_S = TICK_US * 1e-6

@@ -16,9 +16,9 @@ edge does not ask for a cure that is worse. Each pair that did not end there wid
 a model that is wrong by more than the zone must not become a limit cycle.
 """
 
-from valvefw.gas import Gas
-from valvefw.scheme import HOLD_US, Scheme
-from valvefw.valves import VENT_HOLD_US, Valves
+from valvefw.schemes.gas import Gas
+from valvefw.schemes.scheme import HOLD_US, Scheme
+from valvefw.schemes.valves import VENT_HOLD_US, Valves
 
 READ = 0
 FILL = 1

@@ -5,8 +5,8 @@ shut and the ram holds its position. A switch that is on when a new set-point co
 until it has gone off once, so that the ram can leave it; the listing has no way to leave.
 """
 
-from valvefw.scheme import HOLD_US, Scheme
-from valvefw.valves import Valves
+from valvefw.schemes.scheme import HOLD_US, Scheme
+from valvefw.schemes.valves import Valves
 
 
 class Ram(Scheme):

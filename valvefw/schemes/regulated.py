@@ -1,8 +1,8 @@
 """Regulator behind the inlet valve: inlet held open, outlet shut, pressure set by the regulator."""
 
 from valvefw.board import DRIVE_SILENCE_US
-from valvefw.scheme import Scheme
-from valvefw.valves import Valves
+from valvefw.schemes.scheme import Scheme
+from valvefw.schemes.valves import Valves
 
 
 class Regulated(Scheme):

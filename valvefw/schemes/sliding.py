@@ -8,8 +8,8 @@ in the listing. The listing differentiates desired minus actual, which falls whi
 rises: its comments and the text (control of the speed of approach) ask for the other sign.
 """
 
-from valvefw.scheme import HOLD_US, Scheme
-from valvefw.valves import Valves
+from valvefw.schemes.scheme import HOLD_US, Scheme
+from valvefw.schemes.valves import Valves
 
 RATE_US = 100000
 

@@ -1,6 +1,6 @@
 """Proportional pulse-width modulation of inlet and outlet (5.7.3, Figure 5-12, version 9)."""
 
-from valvefw.inletduty import InletDuty
+from valvefw.schemes.inletduty import InletDuty
 
 
 class BothDuty(InletDuty):

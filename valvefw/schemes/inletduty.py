@@ -5,8 +5,8 @@ proportional to the error and keep shut for the rest of it; if it is below, vent
 reading. From ``duty_full`` on the pulse saturates: the whole period, then one unit shut.
 """
 
-from valvefw.scheme import HOLD_US, Scheme
-from valvefw.valves import Valves
+from valvefw.schemes.scheme import HOLD_US, Scheme
+from valvefw.schemes.valves import Valves
 
 
 class InletDuty(Scheme):

@@ -12,8 +12,8 @@ the dead zone ends it. Inside the zone readings are filtered over several window
 cure (a smallest pulse and its answer) is worse than the noise that asks for it.
 """
 
-from valvefw.scheme import Scheme
-from valvefw.valves import VENT_HOLD_US, Valves
+from valvefw.schemes.scheme import Scheme
+from valvefw.schemes.valves import VENT_HOLD_US, Valves
 
 CALM = 4  # windows inside the dead zone before it widens
 

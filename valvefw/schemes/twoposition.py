@@ -4,8 +4,8 @@ The error is taken as the thesis takes it, between 10-bit readings. Above the ga
 open, below it the outlet, inside it neither. Of what the valve does meanwhile it knows nothing.
 """
 
-from valvefw.scheme import HOLD_US, Scheme
-from valvefw.valves import Valves
+from valvefw.schemes.scheme import HOLD_US, Scheme
+from valvefw.schemes.valves import Valves
 
 
 class TwoPosition(Scheme):

@@ -1,6 +1,6 @@
 """What a control scheme is: ``start`` when chosen, then one ``step`` per tick."""
 
-from valvefw.valves import Valves
+from valvefw.schemes.valves import Valves
 
 # A valve that shall stay open until the next tick says otherwise is given this long.
 HOLD_US = 2000

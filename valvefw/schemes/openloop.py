@@ -1,7 +1,7 @@
 """Open loop: both valves shut but for the pulses the host asks for."""
 
-from valvefw.scheme import Scheme
-from valvefw.valves import Valves
+from valvefw.schemes.scheme import Scheme
+from valvefw.schemes.valves import Valves
 
 
 class OpenLoop(Scheme):
