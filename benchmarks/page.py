@@ -30,7 +30,7 @@ HEAD = """\
 
 Speed beside what one would use instead, and how cost grows. This page is written by
 
-    python -m benchmarks --page docs/benchmarks.md
+    python -m benchmarks --page docs/evidence/benchmarks.md
 
 (`make bench`); `--only PART` measures one part anew. Every figure is of one run in which the ways
 took turns. A ratio is theirs over ours, taken round by round: median (smallest to largest). Where

@@ -21,7 +21,7 @@ from rigs.segments import reduce_run
 from rigs.session import run_protocol
 
 HOUSE = Path(__file__).resolve().parent.parent
-PAGE = HOUSE / "docs" / "first-day.md"
+PAGE = HOUSE / "docs" / "start" / "first-day.md"
 ANSWER_S = 300.0
 QUESTION = re.compile(r">> (.*?press Enter.*?)\r?\n", re.DOTALL)
 

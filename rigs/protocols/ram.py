@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rigs.runner import Runner
 
 SWITCHES = {"A": 0x40, "B": 0x80}
-"""Flags of the telemetry that carry the two proximity inputs (docs/wire-format.md)."""
+"""Flags of the telemetry that carry the two proximity inputs (docs/reference/wire-format.md)."""
 
 
 @dataclass(frozen=True)
