@@ -18,7 +18,7 @@ $(READY): requirements.lock pyproject.toml
 	@touch $@
 
 demo: $(READY)   ## an isometric test on the virtual bench, then the thesis's measured table
-	@$(BIN)/python -m rigs.demo $(RUNS)
+	@$(BIN)/python -m cli.demo $(RUNS)
 
 test: $(READY)   ## all tests at their small sizes: those that compute, then those that wait
 	@$(BIN)/python -m tests.compiling

@@ -25,9 +25,9 @@ def one_set(number: int) -> dict[str, dict[str, Any]]:
     from blind.exchange import write
     from blind.recording import record
     from blind.sets import answer, blind_set
-    from gap.check import baselines
     from gap.check.examine import diagnosed
-    from gap.check.score import score
+    from gap.check.scoring import baselines
+    from gap.check.scoring.score import score
 
     one = blind_set(STREAM, number, True)
     found: dict[str, dict[str, Any]] = {}
@@ -52,7 +52,7 @@ def one_set(number: int) -> dict[str, dict[str, Any]]:
 
 
 def _selections(f: Any) -> dict[str, Callable[[], list[tuple[str, str]]]]:
-    from gap.check import baselines
+    from gap.check.scoring import baselines
 
     def at(index: int | None) -> list[tuple[str, str]]:
         return [] if index is None else [f.keys[index]]

@@ -27,9 +27,9 @@ def recorded(valve: str, seconds: float) -> tuple[Any, float]:
     """Valve commands (ticks, 8, 2) of a closed loop with its firmware, and how fast that ran."""
     from plant.finger import FingerSim, load_finger
     from plant.finger.reader import load_valve
-    from rigs.controllers import loop
-    from rigs.controllers.laws import build_law
-    from rigs.controllers.reference import circle
+    from studies.controllers import loop
+    from studies.controllers.laws import build_law
+    from studies.controllers.reference import circle
 
     finger, c = load_finger(), load_valve(valve)
     law, scheme = build_law("feedforward", finger, c)
@@ -71,7 +71,7 @@ def main() -> None:
     from plant.finger import FingerSim, load_finger
     from plant.finger.reader import load_valve
     from plant.links.dynamics import gravity_torque
-    from rigs.controllers.muscles import Pairs
+    from studies.controllers.muscles import Pairs
     from test_finger_plant import independent
 
     finger = load_finger()

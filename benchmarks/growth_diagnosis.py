@@ -23,8 +23,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 def cost(folder: Path, without: list[str]) -> float:
     """Processor seconds of reading and diagnosing."""
-    from gap.diagnose import diagnose
-    from gap.reader import read_dataset
+    from gap.data.reader import read_dataset
+    from gap.decision.diagnose import diagnose
 
     start = time.process_time()
     diagnose(read_dataset(folder), without)
@@ -34,7 +34,7 @@ def cost(folder: Path, without: list[str]) -> float:
 def measure(tiny: bool = False) -> dict[str, Any]:
     """Costs by number of trials with all effects, and by number of effects at 30 trials."""
     from gap_sets import settled_set
-    from plant.catalogue import CATALOGUE
+    from plant.effects.catalogue import CATALOGUE
 
     replicates = (1, 2, 3) if tiny else REPLICATES
     effects = (1, 2, 3) if tiny else EFFECTS

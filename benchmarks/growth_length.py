@@ -27,10 +27,10 @@ HOUSE = Path(__file__).resolve().parent.parent
 
 def one(repeats: int) -> dict[str, float]:
     """Simulated seconds, processor seconds and peak memory in MB of one run; then of its table."""
-    from rigs.config import load_rig
-    from rigs.isometric import load_isometric
-    from rigs.products import derive_all
-    from rigs.session import run_isometric
+    from analysis.reporting.derived import derive_all
+    from rigs.execution.session import run_isometric
+    from rigs.protocols.isometric_method import load_isometric
+    from rigs.rigfile.config import load_rig
 
     config = load_rig("virtual")
     plan = load_isometric("isometric-short", config.limits)

@@ -7,12 +7,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from daq.run import open_run
-from daq.store import verify
-from rigs.config import load_rig
-from rigs.isometric import load_isometric
-from rigs.products import derive_all
-from rigs.session import run_isometric
+from analysis.reporting.derived import derive_all
+from daq.store.run import open_run
+from daq.store.store import verify
+from rigs.execution.session import run_isometric
+from rigs.protocols.isometric_method import load_isometric
+from rigs.rigfile.config import load_rig
 
 
 def main(repeats: int = 20) -> None:

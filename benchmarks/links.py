@@ -42,8 +42,8 @@ def ways_of(arm_name: str) -> dict[str, Callable[[], object]]:
     from links_oracles import mujoco_arm, pinocchio_arm
     from plant.links import dynamics as dyn
     from plant.links import load_arm
-    from plant.links.generated import generated
     from plant.links.onestate import OneState
+    from plant.links.symbolic.generated import generated
 
     arm = load_arm(arm_name)
     r = np.random.default_rng(1)
@@ -93,10 +93,10 @@ def agreement(arm_name: str) -> None:
     from links_oracles import mujoco_torque, pinocchio_torque
     from plant.links import dynamics as dyn
     from plant.links import load_arm
-    from plant.links.generated import generated
-    from plant.links.lagrange import derive
     from plant.links.motion import swing
     from plant.links.newton_euler import newton_euler
+    from plant.links.symbolic.generated import generated
+    from plant.links.symbolic.lagrange import derive
 
     arm = load_arm(arm_name)
     r = np.random.default_rng(2)
@@ -128,7 +128,7 @@ def agreement(arm_name: str) -> None:
 
 def derivation_s() -> float:
     from plant.links import load_arm
-    from plant.links.lagrange import derive
+    from plant.links.symbolic.lagrange import derive
 
     arm = load_arm("finger").with_payload(0.001)  # one that nothing has derived yet
     begin = time.perf_counter()

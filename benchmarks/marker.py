@@ -33,8 +33,8 @@ HOUSE = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(HOUSE), str(HOUSE / "tests")]
 
 from benchmarks.paired import ratios, short, table
-from vision.edge import measure_gap
 from vision.macro import NoMarker, measure_macro
+from vision.marker.edge import measure_gap
 from vision_defects import jpeg, specks
 from vision_truth import Scene, picture
 

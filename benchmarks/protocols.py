@@ -11,11 +11,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from daq.run import open_run
-from rigs.config import load_rig
+from daq.store.run import open_run
+from rigs.execution.session import run_protocol
 from rigs.protocols.names import PROTOCOLS, default_rig
 from rigs.protocols.registry import procedure
-from rigs.session import run_protocol
+from rigs.rigfile.config import load_rig
 
 HOUR_S = 3600.0
 ENOUGH_S = 240.0

@@ -6,7 +6,8 @@
 The same recorded valve commands (fills and vents of 12 to 25 ms on the valve of 1996) to the same
 muscle with 3 kg hung on it, between its stops:
 
-- the compiled scene (`plant.scene`), and the single bench's kernel (`plant.simulate`);
+- the compiled scene (`plant.scene.scene`), and the single bench's kernel
+(`plant.simulator.simulate`);
 - SciPy's `solve_ivp` on the same equations in plain Python, pieced together at every valve edge and
   stop, with the tolerance that gives it the scene's own error (or less);
 - MuJoCo's pneumatic cylinder: a first-order filter of the command and a constant area, moving the
@@ -27,13 +28,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from plant import layout, scene_kernel
 from plant.constants import nominal
-from plant.simulate import commands, run_commands
-from rigs.simulation.scenario import load_scenario
-from rigs.simulation.session import build_scene, firmware_values
-from rigs.studies.trial import Bench, run_trial
-from rigs.virtual.sceneloop import SceneLoop
+from plant.physics import layout
+from plant.scene import kernel as scene_kernel
+from plant.simulator.simulate import commands, run_commands
+from rigs.virtual.board.scene_loop import SceneLoop
+from studies.schemes.trial import Bench, run_trial
+from studies.simulation.scenario import load_scenario
+from studies.simulation.session import build_scene, firmware_values
 
 MASS_KG = 3.0
 START_M = 0.066
@@ -56,7 +58,7 @@ def edges(duration_s: float) -> list[tuple[float, int, float]]:
 
 
 def scene_run(duration_s: float, step_share: float = 1.0) -> np.ndarray:
-    from plant.scene import Coordinate, Scene, Unit
+    from plant.scene.scene import Coordinate, Scene, Unit
 
     load = Coordinate(
         "load", mass=MASS_KG, pull=MASS_KG * 9.80665, damping=C.load_damping_n_s_m,

@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from plant.bench import BenchSim
 from plant.constants import PlantConstants, nominal
-from rigs.config import load_rig
-from rigs.virtual.asprinted import install_as_printed
-from rigs.virtual.board import SimBoard
-from rigs.virtual.tuning import burst_parameters, safety_parameters
+from plant.simulator.bench import BenchSim
+from rigs.rigfile.config import load_rig
+from rigs.virtual.board.as_printed import install_as_printed
+from rigs.virtual.board.board import SimBoard
+from rigs.virtual.board.tuning import burst_parameters, safety_parameters
 from valvefw.wire import encode_frame
 
 Floats = npt.NDArray[np.float64]
@@ -166,7 +166,7 @@ def table(seeds: int) -> str:
 
 def picture(folder: Path) -> Path:
     """Small multiples: a row a scheme, a column a bench; as printed behind as intended."""
-    from rigs.drawing import INK, MEASURED, QUIET, SET, style
+    from analysis.reporting.drawing import INK, MEASURED, QUIET, SET, style
 
     with style():
         import matplotlib.pyplot as plt

@@ -18,7 +18,7 @@ TITLE = "Start-up"
 OURS = "pamrig --help"
 PEERS = os.environ.get("PAMRIG_BENCH_PYTHON", sys.executable)
 WAYS = {
-    OURS: [sys.executable, "-m", "rigs.cli", "--help"],
+    OURS: [sys.executable, "-m", "cli.main", "--help"],
     "bare Python": [sys.executable, "-c", "pass"],
     "import pamrig": [sys.executable, "-c", "import pamrig"],
     "PyMeasure: import pymeasure.experiment": [PEERS, "-c", "import pymeasure.experiment"],

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from blind.bench import CONSTANTS, Trial, nominal, tolerances, with_keys
+from blind.physics.bench import CONSTANTS, Trial, nominal, tolerances, with_keys
 from blind.protocols import PROTOCOLS, SERVES, Habits, habits, slot, stairs
 
 Rng = np.random.Generator

@@ -14,19 +14,19 @@ from typing import Any
 
 import numpy as np
 
-from blind import numbers as n
-from blind.bench import Trial, no_effect, nominal, with_keys
 from blind.design import draw_design, true_constants
-from blind.entries import CATALOGUE, ENTRIES, OUTSIDE, Hidden, draw
-from blind.kernel import QUEUE, SINCE, TIMES, VALVE_CELLS, command, slopes
-from blind.laws import relaxation
 from blind.mimic import measure
 from blind.noise import draw_noise
-from blind.readings import frame_delay_s, read_force, read_length, read_pressure
+from blind.physics import numbers as n
+from blind.physics.bench import Trial, no_effect, nominal, with_keys
+from blind.physics.entries import CATALOGUE, ENTRIES, OUTSIDE, Hidden, draw
+from blind.physics.kernel import QUEUE, SINCE, TIMES, VALVE_CELLS, command, slopes
+from blind.physics.laws import relaxation
+from blind.physics.readings import frame_delay_s, read_force, read_length, read_pressure
+from blind.physics.stepping import advance, at_rest
 from blind.recalibrate import Recalibration
 from blind.seal import seal
 from blind.sets import sized
-from blind.stepping import advance, at_rest
 
 FRAME_MEMORY_S = 0.5
 HAIR_S = 1e-9

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from blind.entries import Hidden
+from blind.physics.entries import Hidden
 from blind.recalibrate import Recalibration
 from blind.standin import stand_in
 

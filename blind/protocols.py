@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from blind import numbers as n
-from blind.bench import Trial
+from blind.physics import numbers as n
+from blind.physics.bench import Trial
 
 Rng = np.random.Generator
 Floats = np.ndarray

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from scipy.linalg import cho_solve
 
-from blind import numbers as n
-from blind.bench import CONSTANTS, Trial, no_effect, tolerances
 from blind.design import Design
-from blind.entries import CATALOGUE, Hidden, draw
 from blind.noise import Noise
-from blind.readings import read_trial
+from blind.physics import numbers as n
+from blind.physics.bench import CONSTANTS, Trial, no_effect, tolerances
+from blind.physics.entries import CATALOGUE, Hidden, draw
+from blind.physics.readings import read_trial
 
 Floats = np.ndarray
 GRAVITY = 9.80665

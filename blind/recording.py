@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from blind.bench import Trial
 from blind.defects import Channels, spoil
 from blind.noise import shake_force, shake_length, shake_pressure
-from blind.readings import read_settled, read_trial
+from blind.physics.bench import Trial
+from blind.physics.readings import read_settled, read_trial
 from blind.sets import STREAMS, BlindSet
 
 Floats = np.ndarray

@@ -12,14 +12,14 @@ from functools import cache
 
 import numpy as np
 
-from blind import numbers as n
-from blind.bench import no_effect, run_trial
 from blind.design import Design, draw_design
-from blind.entries import CATALOGUE, ENTRIES, OUTSIDE, Hidden, draw, scaled
 from blind.mimic import measure
 from blind.noise import Noise, draw_noise
+from blind.physics import numbers as n
+from blind.physics.bench import no_effect, run_trial
+from blind.physics.entries import CATALOGUE, ENTRIES, OUTSIDE, Hidden, draw, scaled
+from blind.physics.stepping import OUT_FALL
 from blind.recalibrate import Recalibration
-from blind.stepping import OUT_FALL
 
 Rng = np.random.Generator
 STREAMS = {"practice": 101, "reserved": 202, "smoke": 303, "live": 404}

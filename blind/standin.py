@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from blind.bench import NoSuchBenchError, no_effect
-from blind.entries import Hidden, scaled
+from blind.physics.bench import NoSuchBenchError, no_effect
+from blind.physics.entries import Hidden, scaled
 from blind.recalibrate import END_SD, MOST_STEPS, Recalibration
 
 Floats = np.ndarray

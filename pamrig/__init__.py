@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas as pd
 
-    from daq.run import Run
+    from daq.store.run import Run
     from gap.verdict import Verdict
 
 __all__ = ["RecordedRun", "diagnose", "open_run", "runs", "simulate"]
@@ -23,7 +23,7 @@ class RecordedRun:
     """A recorded run as tables.
 
     Attributes:
-        run: the record itself, with raw streams and frames (`daq.run.Run`).
+        run: the record itself, with raw streams and frames (`daq.store.run.Run`).
     """
 
     def __init__(self, run: Run) -> None:
@@ -36,7 +36,7 @@ class RecordedRun:
         Made from the record where it has not been derived yet.
         """
         if not (self.run.folder / "derived" / "table.parquet").is_file():
-            from rigs.products import derive_all
+            from analysis.reporting.derived import derive_all
 
             self.run = derive_all(self.run.folder)
         return self.run.table
@@ -50,7 +50,7 @@ class RecordedRun:
         """Any stream in engineering units (``valve``, ``balance``, ``points``)."""
         import pandas as pd
 
-        from daq.derive import engineering
+        from daq.store.derive import engineering
 
         columns, _ = engineering(self.run, name)
         return pd.DataFrame(columns)
@@ -80,7 +80,7 @@ def open_run(run: str | Path = "last", runs: str | Path = "runs") -> RecordedRun
     Raises:
         daq.errors.RecordError: no run, or several, are meant.
     """
-    from daq.store import find_run
+    from daq.store.store import find_run
 
     return RecordedRun(find_run(Path(runs), str(run)))
 
@@ -89,22 +89,22 @@ def runs(folder: str | Path = "runs") -> pd.DataFrame:
     """All runs of a folder, oldest first."""
     import pandas as pd
 
-    from daq.store import list_runs
+    from daq.store.store import list_runs
 
     rows: list[dict[str, Any]] = [info.as_dict() for info in list_runs(folder)]
     return pd.DataFrame(rows)
 
 
 def diagnose(data: str | Path, without: Iterable[str] = ()) -> Verdict:
-    """Diagnose a data set in the dataset format; see `gap.diagnose.diagnose`.
+    """Diagnose a data set in the dataset format; see `gap.decision.diagnose.diagnose`.
 
     `verdict.as_dict()` is the object that `pamrig gap diagnose --json` prints.
 
     Raises:
         gap.errors.GapError: the data cannot be used; names file, row and column.
     """
-    from gap.diagnose import diagnose as ask
-    from gap.reader import read_dataset
+    from gap.data.reader import read_dataset
+    from gap.decision.diagnose import diagnose as ask
 
     return ask(read_dataset(data), without)
 
@@ -115,9 +115,9 @@ def simulate(scenario: str | Path, runs: str | Path = "runs") -> RecordedRun:
     Raises:
         daq.errors.PamrigError: names file and key of what cannot be, or why it ended early.
     """
-    from daq.run import open_run as open_folder
-    from rigs.simulation.scenario import load_scenario
-    from rigs.simulation.session import simulate as run_scenario
+    from daq.store.run import open_run as open_folder
+    from studies.simulation.scenario import load_scenario
+    from studies.simulation.session import simulate as run_scenario
 
     result = run_scenario(load_scenario(str(scenario)), runs)
     return RecordedRun(open_folder(result.folder))

@@ -17,18 +17,7 @@ Slots = MutableSequence[float]
 # was lent: with rows taken out of arrays that counting took more than half of a scene's time.
 _LEAN: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
-_SOURCES = (
-    "additions.py",
-    "compiled.py",
-    "constants.py",
-    "flow.py",
-    "friction.py",
-    "kernel.py",
-    "layout.py",
-    "muscle.py",
-    "rates.py",
-    "stepping.py",
-)
+_ALWAYS = ("compiled.py", "constants.py", "physics")
 
 
 def inlined(function: F) -> F:
@@ -56,14 +45,21 @@ def entry_point(signature: str) -> Callable[[F], F]:
     return decorate
 
 
-def fingerprint() -> int:
+def fingerprint(*more: str) -> int:
     """CRC of the sources that are compiled in.
 
     numba renews its cache when the file of the compiled function changes, not when a function that
     it calls from another file does. Closure variables are part of its key, so an entry point that
     closes over this number is compiled anew after a change to any of the files.
+
+    Args:
+        more: folders or files of `plant` beside the physics, such as "links/kernel.py".
     """
     crc = 0
-    for name in _SOURCES:
-        crc = zlib.crc32(resources.files("plant").joinpath(name).read_bytes(), crc)
+    for name in (*_ALWAYS, *more):
+        place = resources.files("plant").joinpath(*name.split("/"))
+        files = [place] if place.is_file() else sorted(place.iterdir(), key=lambda f: f.name)
+        for file in files:
+            if file.name.endswith(".py"):
+                crc = zlib.crc32(file.read_bytes(), crc)
     return crc

@@ -1,3 +1,3 @@
-"""Instrument drivers, rigs, the virtual bench, test protocols, the command line."""
+"""What touches a bench: drivers, rig, test execution, protocols, calibration, virtual bench."""
 
 import vision as _vision  # noqa: F401 - bounds the pictures that OpenCV takes, before it is loaded

@@ -23,18 +23,18 @@ from typing import Any
 
 import numpy as np
 
-from blind.bench import Trial as BlindTrial
 from blind.exchange import write
+from blind.physics.bench import Trial as BlindTrial
 from blind.recording import record
 from blind.sets import BlindSet, blind_set
-from gap.advise import ENOUGH, advise
-from gap.check.statistics import share
-from gap.dataset import Trial
-from gap.foresight import products, separation
-from gap.inquiry import Inquiry, State
-from gap.library import Candidate, candidates
-from gap.naming import name_effects
-from gap.reader import read_dataset
+from gap.check.scoring.statistics import share
+from gap.data.dataset import Trial
+from gap.data.reader import read_dataset
+from gap.design.advise import ENOUGH, advise
+from gap.design.foresight import products, separation
+from gap.design.library import Candidate, candidates
+from gap.estimation.fit_problem import Inquiry, State
+from gap.selection.forward import name_effects
 
 Row = dict[str, Any]
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from daq.calibration import Calibration
 from daq.clock import VirtualClock
-from daq.record import RecordWriter
-from rigs.virtual.camera import render
+from daq.record.writer import RecordWriter
+from rigs.virtual.emulators.camera import render
 
 GRAVITY = 9.80665
 CALIBRATIONS = {

@@ -32,7 +32,7 @@ meanwhile is noticed at once."""
 def pamrig(*words: str | Path, **options: Any) -> subprocess.Popen[str]:
     """Start the command line as a user would."""
     return subprocess.Popen(
-        [sys.executable, "-m", "rigs.cli", *map(str, words)],
+        [sys.executable, "-m", "cli.main", *map(str, words)],
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -45,7 +45,7 @@ def run_pamrig(
 ) -> subprocess.CompletedProcess[str]:
     """Run the command line to its end."""
     return subprocess.run(
-        [sys.executable, "-m", "rigs.cli", *map(str, words)],
+        [sys.executable, "-m", "cli.main", *map(str, words)],
         text=True,
         capture_output=True,
         timeout=limit_s,
@@ -146,8 +146,8 @@ def starved(status: int, said: str, bench_late_ms: float) -> bool:
 
 def check_ended_well(runs: Path) -> None:
     """What holds of every starved run: it says so, its record is whole, the muscle was vented."""
-    from daq.run import open_run
-    from daq.store import verify
+    from daq.store.run import open_run
+    from daq.store.store import verify
 
     for folder in runs.glob("*/run.json"):
         run = open_run(folder.parent)

@@ -6,11 +6,11 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from daq.run import Run, open_run
-from rigs.config import RigConfig, load_rig
-from rigs.isometric import Isometric, load_isometric
-from rigs.runner import Runner
-from rigs.session import Result, run_isometric
+from daq.store.run import Run, open_run
+from rigs.execution.runner import Runner
+from rigs.execution.session import Result, run_isometric
+from rigs.protocols.isometric_method import Isometric, load_isometric
+from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 
 

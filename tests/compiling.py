@@ -13,11 +13,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 # Longest first. Parts that import each other stand together: what one has compiled is there.
 PARTS = (
-    "import plant.kernel, plant.scene_kernel",
+    "import plant.simulator.kernel, plant.scene.kernel",
     """
 import numpy as np
-from rigs.pictures import measure_stored
-from rigs.virtual.camera import render
+from rigs.execution.pictures import measure_stored
+from rigs.virtual.emulators.camera import render
 measure_stored(render(60.0, np.random.default_rng(0)), {})
 """,
     "import plant.links.kernel, plant.links.integrate, plant.finger.kernel",

@@ -9,10 +9,10 @@ import numpy as np
 
 from daq.calibration import Calibration
 from daq.clock import VirtualClock
-from daq.record import RecordWriter
-from daq.run import Run
-from daq.segments import Columns
-from daq.telemetry import VALVE_COLUMNS, VALVE_UNITS
+from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS
+from daq.record.segments import Columns
+from daq.record.writer import RecordWriter
+from daq.store.run import Run
 
 PRESSURE = Calibration("pressure_kpa", "kPa", "counts", -100.0, 0.25, 0.5, 0.002, (0.0, 700.0))
 FORCE = Calibration("force_n", "N", "g", 0.0, -9.81 / 1000)

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rigs.virtual.camera import CameraModel, render
+from rigs.virtual.emulators.camera import CameraModel, render
 
 
 def main(folder: Path) -> None:

@@ -17,8 +17,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from plant.constants import nominal
-from plant.effects import Effects
-from plant.simulate import Commands, commands, run_commands
+from plant.effects.effects import Effects
+from plant.simulator.simulate import Commands, commands, run_commands
 
 Array = npt.NDArray[np.float64]
 

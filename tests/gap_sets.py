@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from plant.constants import nominal
-from plant.effects import Effects
-from plant.forcelaw import ForceLaw
-from plant.readings import read_force, read_pressure
+from plant.effects.effects import Effects
+from plant.simulator.force_law import ForceLaw
+from plant.simulator.readings import read_force, read_pressure
 
 PRESSURES = (0.0, 60.0, 120.0, 200.0, 300.0, 400.0, 500.0)
 

@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 from daq.clock import VirtualClock
 from daq.errors import LinkLost, PortError
-from daq.transport import Link, MemoryLink, memory_pair
-from rigs.pump import Pump
+from daq.link.transport import Link, MemoryLink, memory_pair
+from rigs.devices.event_loop import Pump
 
 
 class Device(Protocol):

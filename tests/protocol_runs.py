@@ -8,12 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from daq.run import Run, open_run
-from rigs.config import RigConfig, load_rig
+from daq.store.run import Run, open_run
+from rigs.execution.runner import Runner
+from rigs.execution.session import Result, run_protocol
 from rigs.protocols.names import default_rig
 from rigs.protocols.registry import procedure
-from rigs.runner import Runner
-from rigs.session import Result, run_protocol
+from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 
 BRAID_MM = 88.4

@@ -24,11 +24,11 @@ import psutil
 import pyarrow as pa
 
 from daq.errors import DeviceError
-from daq.record import RecordWriter
-from daq.telemetry import VALVE_COLUMNS, VALVE_UNITS
-from rigs.config import RigConfig, load_rig
-from rigs.rig import Rig, open_rig
-from rigs.session import BALANCE_SCHEMA, BALANCE_UNITS, software
+from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS
+from daq.record.writer import RecordWriter
+from rigs.bench.rig import Rig, open_rig
+from rigs.execution.session import BALANCE_SCHEMA, BALANCE_UNITS, software
+from rigs.rigfile.config import RigConfig, load_rig
 
 SETPOINTS_KPA = (150.0, 300.0, 450.0, 250.0)
 MOST_MB_H = 1.0

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.formats.importer import import_points, import_thesis
+from analysis.reduction.points import reduce_isometric
+from analysis.regression.force_lines import per_length
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
-from daq.run import open_run
-from daq.verify import verify
-from rigs.importer import import_points, import_thesis
-from rigs.reduction import reduce_isometric
-from rigs.regression import per_length
+from daq.store.run import open_run
+from daq.store.verify import verify
 
 GOOD = "pressure_kpa,length_mm,force_n\n200,60,5.5\n400,60,16.25\n600,60,27\n"
 

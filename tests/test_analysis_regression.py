@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.findings.thesis_check import compare_c9
+from analysis.formats.importer import import_thesis
+from analysis.reduction.points import COLUMNS, reduce_isometric
+from analysis.regression.force_lines import against_length, fit_line, per_length
 from daq.clock import VirtualClock
-from daq.run import open_run
-from rigs.importer import import_thesis
-from rigs.reduction import COLUMNS, reduce_isometric
-from rigs.regression import against_length, fit_line, per_length
-from rigs.thesis_check import compare_c9
+from daq.store.run import open_run
 
 
 def printed_pairs() -> dict[str, tuple[str, str]]:

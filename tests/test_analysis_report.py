@@ -14,20 +14,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.findings.hysteresis import hysteresis_findings
+from analysis.findings.isobaric import isobaric_findings
+from analysis.findings.isotonic import isotonic_findings
+from analysis.formats.importer import import_points, import_thesis
+from analysis.reduction.columns import points_frame
+from analysis.reduction.points import Reduction, reduce_isometric
+from analysis.reporting.drawing import spread
+from analysis.reporting.report import report_json, write_report
+from analysis.reporting.sections import section_parts
+from analysis.reporting.timeline import min_max
+from analysis.reporting.wording import with_u
 from analysis_bench import CALIBRATIONS, write_run
 from daq.clock import VirtualClock
-from daq.run import open_run
-from rigs.drawing import spread
-from rigs.findings_hysteresis import hysteresis_findings
-from rigs.findings_isobaric import isobaric_findings
-from rigs.findings_isotonic import isotonic_findings
-from rigs.importer import import_points, import_thesis
-from rigs.pointstable import points_frame
-from rigs.reduction import Reduction, reduce_isometric
-from rigs.report import report_json, write_report
-from rigs.report_sections import section_parts
-from rigs.timeline import min_max
-from rigs.wording import with_u
+from daq.store.run import open_run
 
 EVIL = '<script>alert("x")</script><img src=x onerror=alert(1)>&{{ 7 * 7 }}'
 VOID = {"meta", "img", "br", "link", "input", "hr"}

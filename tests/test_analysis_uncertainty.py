@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from rigs.uncertainty import correlation_time, window_mean
+from analysis.reduction.uncertainty import correlation_time, window_mean
 
 
 def ar1(rng: np.random.Generator, phi: float, runs: int, n: int) -> np.ndarray:

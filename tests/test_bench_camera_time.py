@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
+from analysis.reporting.report import report_json, write_report
+from analysis.reporting.timeline import timeline_figure
 from bench_runs import run_bench
-from daq.run import Run
-from rigs.config import load_rig
-from rigs.report import report_json, write_report
-from rigs.timeline import timeline_figure
+from daq.store.run import Run
+from rigs.rigfile.config import load_rig
 
 
 def synced(folder: Path, delay_ms: float, readout_ms: float, seed: int = 1) -> Run:

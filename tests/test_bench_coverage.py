@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from analysis.reduction.points import reduce_isometric
 from bench_runs import run_bench
-from rigs.reduction import reduce_isometric
 
 BRAID_MM = 88.4
 TURNS = 1.855

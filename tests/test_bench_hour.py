@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from daq.run import open_run
-from daq.store import verify
-from rigs.config import load_rig
-from rigs.isometric import load_isometric
-from rigs.session import run_isometric
+from daq.store.run import open_run
+from daq.store.store import verify
+from rigs.execution.session import run_isometric
+from rigs.protocols.isometric_method import load_isometric
+from rigs.rigfile.config import load_rig
 
 
 @pytest.mark.campaign

@@ -21,8 +21,8 @@ from bench_process import (
     run_pamrig,
     worst_late_ms,
 )
-from daq.run import open_run
-from rigs.config import load_rig
+from daq.store.run import open_run
+from rigs.rigfile.config import load_rig
 
 
 def rig_with(tmp_path: Path, *changes: tuple[str, str], base: str = "virtual") -> Path:
@@ -96,7 +96,7 @@ def test_bad_rig_files(
     ],
 )
 def test_bad_protocols(tmp_path: Path, change: tuple[str, str], expect: tuple[str, ...]) -> None:
-    from rigs.toml_reader import find_config
+    from rigs.rigfile.toml_reader import find_config
 
     text, _ = find_config("isometric", "protocols")
     assert change[0] in text
@@ -215,7 +215,7 @@ def test_too_little_room_is_told_before_the_start(
     import shutil
 
     from daq.errors import RecordError
-    from rigs.session import check_disk
+    from rigs.execution.session import check_disk
 
     monkeypatch.setattr(
         shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 10**6)
@@ -234,7 +234,7 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
 def test_help_is_light() -> None:
     """None of the heavy packages may be loaded by the command line's front."""
     code = (
-        "import sys, rigs.cli;"
+        "import sys, cli.main;"
         "heavy=('rerun','cv2','pyarrow','pandas','numba','matplotlib','scipy','numpy');"
         "bad=[m for m in heavy if m in sys.modules];"
         "print(bad); sys.exit(bool(bad))"

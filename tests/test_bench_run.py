@@ -10,13 +10,13 @@ import pytest
 
 import pamrig
 from bench_runs import quick, run_bench
-from daq.run import open_run
-from rigs.config import load_rig
-from rigs.interrupt import StopFlag
-from rigs.isometric import steps
-from rigs.runner import Watch
-from rigs.session import run_isometric
-from rigs.steps import Measure, SetLength, SetPressure, Tare, Vent
+from daq.interrupt import StopFlag
+from daq.store.run import open_run
+from rigs.execution.runner import Watch
+from rigs.execution.session import run_isometric
+from rigs.execution.steps import Measure, SetLength, SetPressure, Tare, Vent
+from rigs.protocols.isometric_method import steps
+from rigs.rigfile.config import load_rig
 
 
 def record_of(folder: Path) -> dict[str, bytes]:
@@ -221,8 +221,8 @@ def test_json_of_the_record_has_no_nan(tmp_path: Path) -> None:
 
 def test_received_bytes_can_be_recorded_and_replayed(tmp_path: Path) -> None:
     """What the wire brought gives the same samples again, through framer and codec."""
-    from daq.framer import CobsFramer
-    from daq.telemetry import TelemetryStream
+    from daq.link.framer import CobsFramer
+    from daq.link.telemetry import TelemetryStream
     from valvefw import wire
 
     config = load_rig("virtual")

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from bench_process import run_in_real_time
-from daq.run import open_run
-from rigs.config import load_rig
+from daq.store.run import open_run
+from rigs.rigfile.config import load_rig
 from rigs.virtual.warmup import warm_up
 
 

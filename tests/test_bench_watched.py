@@ -23,8 +23,8 @@ from bench_process import (
     starved,
     worst_late_ms,
 )
-from daq.run import open_run
-from daq.store import verify
+from daq.store.run import open_run
+from daq.store.store import verify
 
 pytestmark = pytest.mark.realtime
 # A bench in a laboratory has its computer to itself; a test machine need not.

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 import plant.constants
-from blind.bench import Trial, no_effect, nominal
-from blind.entries import CATALOGUE, Hidden, draw
-from blind.readings import Readings, read_trial
-from plant.effects import NONE, Effects
-from plant.readings import Readings as PlantReadings
-from plant.readings import readings
-from plant.simulate import commands, run_commands
+from blind.physics.bench import Trial, no_effect, nominal
+from blind.physics.entries import CATALOGUE, Hidden, draw
+from blind.physics.readings import Readings, read_trial
+from plant.effects.effects import NONE, Effects
+from plant.simulator.readings import Readings as PlantReadings
+from plant.simulator.readings import readings
+from plant.simulator.simulate import commands, run_commands
 
 END, STEP = 6.0, 0.002
 TIMES = np.arange(0.0, END, STEP)

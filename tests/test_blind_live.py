@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from blind import numbers as n
-from blind.bench import Trial, nominal, run_trial
-from blind.entries import Hidden
 from blind.live import LiveBench, draw_secret
+from blind.physics import numbers as n
+from blind.physics.bench import Trial, nominal, run_trial
+from blind.physics.entries import Hidden
+from blind.physics.stepping import OUT_F, OUT_L, OUT_P
 from blind.seal import opened
-from blind.stepping import OUT_F, OUT_L, OUT_P
 
 
 def test_steps_of_a_millisecond_give_the_trial_run_whole() -> None:

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import blind
-from blind import numbers as n
-from blind.bench import NoSuchBenchError, Trial, no_effect, nominal, run_trial
-from blind.entries import CATALOGUE, ENTRIES, Hidden, draw
-from blind.laws import static_force, volume
+from blind.physics import numbers as n
+from blind.physics.bench import NoSuchBenchError, Trial, no_effect, nominal, run_trial
+from blind.physics.entries import CATALOGUE, ENTRIES, Hidden, draw
+from blind.physics.laws import static_force, volume
+from blind.physics.readings import read_settled, read_trial
+from blind.physics.stepping import OUT_F, OUT_FALL, OUT_L, OUT_P, OUT_TAP
 from blind.protocols import stairs
-from blind.readings import read_settled, read_trial
-from blind.stepping import OUT_F, OUT_FALL, OUT_L, OUT_P, OUT_TAP
 
 C = nominal()
 

@@ -11,10 +11,10 @@ import pytest
 
 from blind.__main__ import main
 from blind.design import draw_design
-from blind.entries import CATALOGUE, Hidden
 from blind.exchange import write
 from blind.mimic import best_rivals
 from blind.noise import draw_noise
+from blind.physics.entries import CATALOGUE, Hidden
 from blind.recalibrate import Recalibration
 from blind.recording import record
 from blind.seal import opened, seal

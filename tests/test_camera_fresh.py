@@ -13,12 +13,12 @@ import pytest
 from daq.clock import RealClock, VirtualClock
 from daq.errors import DeviceError, DeviceTimeout
 from protocol_runs import run_short
-from rigs.camera import CallCamera, TriggeredUvc
-from rigs.freshcamera import AGAIN_S, FreshCamera
-from rigs.pictures import measure_stored
-from rigs.pump import Pump
-from rigs.uvc import UvcCamera, UvcFrame
-from rigs.virtual.camera import render
+from rigs.devices.camera import CallCamera, TriggeredUvc
+from rigs.devices.event_loop import Pump
+from rigs.devices.fresh_camera import AGAIN_S, FreshCamera
+from rigs.devices.uvc import UvcCamera, UvcFrame
+from rigs.execution.pictures import measure_stored
+from rigs.virtual.emulators.camera import render
 
 SHAPE = (8, 8)
 

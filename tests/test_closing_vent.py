@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from protocol_runs import events, run_short
-from rigs.config import load_rig
-from rigs.rig import Rig, open_rig
-from rigs.virtual.supply import VirtualSupply
+from rigs.bench.rig import Rig, open_rig
+from rigs.rigfile.config import load_rig
+from rigs.virtual.emulators.supply import VirtualSupply
 
 STAND = "virtual-valve-stand"
 
@@ -113,7 +113,7 @@ def test_a_disk_that_fails_does_not_end_the_vent(
 
 def test_venting_by_hand_gives_the_solenoids_their_supply(monkeypatch: pytest.MonkeyPatch) -> None:
     """`pamrig vent` told the controller alone: an outlet without voltage stayed shut."""
-    from rigs.vent import vent_rig
+    from rigs.bench.vent import vent_rig
 
     made: list[VirtualSupply] = []
     init = VirtualSupply.__init__

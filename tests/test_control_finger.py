@@ -11,23 +11,23 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cli.main import main
 from plant.finger import FingerSim, load_finger
 from plant.finger.reader import load_valve
-from plant.friction import slip_history
 from plant.links.dynamics import forward_dynamics, inverse_dynamics
-from rigs.cli import main
-from rigs.controllers.adaptive import Adaptive, payload_regressor
-from rigs.controllers.bench import FingerBench, Sensing
-from rigs.controllers.feedforward import FeedForward
-from rigs.controllers.fibres import Fibres
-from rigs.controllers.figures import PathFigures, StepFigures, path_figures, step_figures
-from rigs.controllers.laws import LAWS, build_law, tuning
-from rigs.controllers.loop import run_law
-from rigs.controllers.muscles import Pairs
-from rigs.controllers.reference import GRID_S, Reference, circle, step, tips
-from rigs.controllers.report import as_markdown, as_text, plants_markdown
-from rigs.controllers.spread import over_draws, spread
-from rigs.controllers.study import BARE, LADEN, PERTURBED, Case, Row, run_case, run_trial, table
+from plant.physics.friction import slip_history
+from studies.comparison.figures import PathFigures, StepFigures, path_figures, step_figures
+from studies.comparison.report import as_markdown, as_text, plants_markdown
+from studies.comparison.spread import over_draws, spread
+from studies.comparison.study import BARE, LADEN, PERTURBED, Case, Row, run_case, run_trial, table
+from studies.controllers.adaptive import Adaptive, payload_regressor
+from studies.controllers.bench import FingerBench, Sensing
+from studies.controllers.feedforward import FeedForward
+from studies.controllers.fibres import Fibres
+from studies.controllers.laws import LAWS, build_law, tuning
+from studies.controllers.loop import run_law
+from studies.controllers.muscles import Pairs
+from studies.controllers.reference import GRID_S, Reference, circle, step, tips
 
 FINGER = load_finger()
 CURED = load_valve("cured")

@@ -16,17 +16,17 @@ from plant.errors import PlantError
 from plant.finger import load_finger
 from plant.finger.reader import load_valve
 from plant.links.dynamics import forward_dynamics, gravity_torque
-from rigs.controllers.feedforward import critical_integral_rate
-from rigs.controllers.figures import PathFigures, StepFigures
-from rigs.controllers.laws import Tuning, tuning
-from rigs.controllers.model import linear_model
-from rigs.controllers.muscles import Pairs
-from rigs.controllers.pid import Gains, ziegler_nichols
-from rigs.controllers.placement import PolePlacement, feedback_rates
-from rigs.controllers.pressure import PulsePid, pressure_case
-from rigs.controllers.provenance import Provenance, provenance
-from rigs.controllers.reference import STEP_POSTURE_DEG
-from rigs.controllers.tuning import (
+from studies.comparison.figures import PathFigures, StepFigures
+from studies.comparison.pressure import PulsePid, pressure_case
+from studies.comparison.provenance import Provenance, provenance
+from studies.controllers.feedforward import critical_integral_rate
+from studies.controllers.laws import Tuning, tuning
+from studies.controllers.model import linear_model
+from studies.controllers.muscles import Pairs
+from studies.controllers.pid import Gains, ziegler_nichols
+from studies.controllers.placement import PolePlacement, feedback_rates
+from studies.controllers.reference import STEP_POSTURE_DEG
+from studies.controllers.tuning import (
     Critical,
     PressureResponse,
     critical_gain,
@@ -170,7 +170,7 @@ class TestPolePlacement:
 
     def test_the_observer_finds_a_constant_disturbance(self) -> None:
         """On its own model with 8 kPa too much on one joint: angle kept, disturbance found."""
-        from rigs.controllers.reference import Reference
+        from studies.controllers.reference import Reference
 
         law = self.design()
         model = law.model

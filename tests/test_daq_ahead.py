@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq import disk
-from daq.ahead import SLOTS
 from daq.clock import RealClock
-from daq.record import RecordWriter
-from daq.run import open_run
-from daq.store import verify
-from daq.telemetry import VALVE_COLUMNS, Batch, TelemetryStream
+from daq.link.telemetry import VALVE_COLUMNS, Batch, TelemetryStream
+from daq.record import disk
+from daq.record.ahead import SLOTS
+from daq.record.writer import RecordWriter
+from daq.store.run import open_run
+from daq.store.store import verify
 from daq_records import begin, valve_batch
 from test_daq_telemetry import frame
 
@@ -180,8 +180,8 @@ KILLED = """
 import os, signal, sys
 from daq_records import begin, valve_batch
 from daq.clock import RealClock
-from daq.record import RecordWriter
-from daq.telemetry import VALVE_COLUMNS
+from daq.record.writer import RecordWriter
+from daq.link.telemetry import VALVE_COLUMNS
 writer = RecordWriter(sys.argv[1], {}, RealClock())
 writer.stream("valve", VALVE_COLUMNS)
 for k in range(173):

@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from daq.clockfit import ClockFit, ClockMap, DeviceTime
+from daq.link.clockfit import ClockFit, ClockMap, DeviceTime
 
 S = 1_000_000_000
 

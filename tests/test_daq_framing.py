@@ -9,14 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.codec import (
-    CodecError,
-    decode_event,
-    decode_reply,
-    decode_telemetry,
-    encode_request,
-)
-from daq.framer import CobsFramer, LineFramer
+from daq.link.codec import CodecError, decode_event, decode_reply, decode_telemetry, encode_request
+from daq.link.framer import CobsFramer, LineFramer
 from valvefw import wire
 
 payloads = st.lists(st.binary(min_size=1, max_size=60), max_size=12)

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from daq.derive import derive
 from daq.errors import RecordError
-from daq.run import Run, open_run
-from daq.sealed import open_file, seal_file
-from daq.segments import BatchEncoder
-from daq.store import list_runs, show, verify
+from daq.record.sealed import open_file, seal_file
+from daq.record.segments import BatchEncoder
+from daq.store.derive import derive
+from daq.store.run import Run, open_run
+from daq.store.store import list_runs, show, verify
 from daq_records import begin, content, fill, valve_batch
 
 

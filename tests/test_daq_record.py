@@ -21,14 +21,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import daq.disk
+import daq.record.disk
 from daq.clock import RealClock
 from daq.errors import RecordError
-from daq.record import RecordWriter
-from daq.run import open_run
-from daq.sealed import SealError, open_file, open_line, seal_file, seal_line
-from daq.segments import BatchDecoder, BatchEncoder, StreamSchema
-from daq.store import verify
+from daq.record.sealed import SealError, open_file, open_line, seal_file, seal_line
+from daq.record.segments import BatchDecoder, BatchEncoder, StreamSchema
+from daq.record.writer import RecordWriter
+from daq.store.run import open_run
+from daq.store.store import verify
 from daq_records import (
     MANIFEST,
     balance_batch,
@@ -367,8 +367,8 @@ WRITER = """
 import sys, time
 from pathlib import Path
 from daq.clock import RealClock
-from daq.record import RecordWriter
-from daq.telemetry import VALVE_COLUMNS
+from daq.record.writer import RecordWriter
+from daq.link.telemetry import VALVE_COLUMNS
 from daq_records import valve_batch, jpeg
 writer = RecordWriter(Path(sys.argv[1]), {"protocol": "kill", "specimen": "x"}, RealClock(),
                       segment_rows=400)
@@ -466,7 +466,7 @@ def test_a_full_disk_stops_the_run_loudly_and_all_before_it_is_readable(
     writer = RecordWriter(
         small_disk, MANIFEST, RealClock(), durable=threaded, threaded=threaded, segment_rows=1000
     )
-    from daq.telemetry import VALVE_COLUMNS
+    from daq.link.telemetry import VALVE_COLUMNS
 
     writer.stream("valve", VALVE_COLUMNS)
     appended = 0
@@ -567,21 +567,21 @@ def test_a_disk_slower_than_the_data_is_waited_for_at_the_end_and_bounded_before
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The end of a run gave up after 30 s, and what was still queued was lost."""
-    real = daq.disk.write_all
+    real = daq.record.disk.write_all
 
     def slow(fd: int, data: bytes) -> None:
         time.sleep(0.01)
         real(fd, data)
 
-    monkeypatch.setattr(daq.disk, "write_all", slow)
-    monkeypatch.setattr(daq.disk, "JOIN_S", 0.1)
+    monkeypatch.setattr(daq.record.disk, "write_all", slow)
+    monkeypatch.setattr(daq.record.disk, "JOIN_S", 0.1)
     writer, _ = begin(tmp_path / "patient", durable=True, threaded=True)
     for k in range(40):
         writer.append("valve", valve_batch(50 * k))
     assert writer.finalize("clean")["outcome"] == "clean"  # 80 writes: eight times JOIN_S
     assert len(open_run(writer.folder).samples("valve")["seq"]) == 2000
 
-    monkeypatch.setattr(daq.disk, "QUEUE_BYTES", 50_000)
+    monkeypatch.setattr(daq.record.disk, "QUEUE_BYTES", 50_000)
     writer, _ = begin(tmp_path / "full", durable=True, threaded=True)
     with pytest.raises(RecordError, match="behind the data"):  # noqa: PT012
         for k in range(10_000):
@@ -594,7 +594,7 @@ def test_events_that_a_disk_refused_for_a_while_are_written_when_it_takes_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threaded: bool
 ) -> None:
     """They were thrown away: later ones stood there, and the record had a hole in the middle."""
-    real, refused = daq.disk.write_all, [0]
+    real, refused = daq.record.disk.write_all, [0]
 
     def read_only(fd: int, data: bytes) -> None:
         refused[0] += 1
@@ -603,12 +603,12 @@ def test_events_that_a_disk_refused_for_a_while_are_written_when_it_takes_them(
     writer, _ = begin(tmp_path, threaded=threaded)
     writer.event("tick", k=0)
     assert writer.sync()
-    monkeypatch.setattr(daq.disk, "write_all", read_only)
+    monkeypatch.setattr(daq.record.disk, "write_all", read_only)
     for k in (1, 2):
         writer.event("tick", k=k)
     assert writer.sync()
     assert refused[0] >= 2
-    monkeypatch.setattr(daq.disk, "write_all", real)
+    monkeypatch.setattr(daq.record.disk, "write_all", real)
     for k in (3, 4):
         writer.event("tick", k=k)
     assert writer.finalize("clean")["outcome"] == "faulted"

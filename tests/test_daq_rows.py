@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.ahead import SLOT_BYTES
 from daq.clock import VirtualClock
-from daq.record import RecordWriter
-from daq.rows import RowWriter
-from daq.run import Run, open_run
-from daq.verify import verify
+from daq.record.ahead import SLOT_BYTES
+from daq.record.rows import RowWriter
+from daq.record.writer import RecordWriter
+from daq.store.run import Run, open_run
+from daq.store.verify import verify
 
 BATCH_ROWS = SLOT_BYTES // (20 + 8 + 8 + 2 + 4 + 1)
 SCHEMA = {"row": "int64", "level": "float64", "counts": "uint16", "small": "float32", "on": "uint8"}
@@ -152,8 +152,8 @@ def test_what_the_docs_show_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 KILLED = """
 import os, signal, sys, time
 from daq.clock import RealClock
-from daq.record import RecordWriter
-from daq.rows import RowWriter
+from daq.record.writer import RecordWriter
+from daq.record.rows import RowWriter
 from test_daq_rows import SCHEMA, given_row
 record = RecordWriter(sys.argv[1], {}, RealClock())
 record._disk.then(lambda: time.sleep(float(sys.argv[2])))

@@ -11,12 +11,12 @@ import pytest
 
 from daq.calibration import Calibration
 from daq.clock import VirtualClock
-from daq.clockfit import ClockFit
-from daq.derive import derive
 from daq.errors import ConfigError, RecordError
-from daq.record import RecordWriter
-from daq.run import Run, open_run
-from daq.store import find_run, list_runs, rebuild, show, verify
+from daq.link.clockfit import ClockFit
+from daq.record.writer import RecordWriter
+from daq.store.derive import derive
+from daq.store.run import Run, open_run
+from daq.store.store import find_run, list_runs, rebuild, show, verify
 from daq_records import FORCE, MANIFEST, PRESSURE, begin, fill, valve_batch
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.telemetry import VALVE_COLUMNS, Batch, Gap, TelemetryStream
+from daq.link.telemetry import VALVE_COLUMNS, Batch, Gap, TelemetryStream
 from valvefw import wire
 
 WRAP = 1 << 32

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from rigs.config import load_rig
-from rigs.toml_reader import find_config
+from rigs.rigfile.config import load_rig
+from rigs.rigfile.toml_reader import find_config
 
 HOUSE = Path(__file__).resolve().parent.parent
 PAGES = [
@@ -59,7 +59,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def argv(command: str) -> list[str]:
     words = [PLACES.get(word, word) for word in shlex.split(command)]
-    return [sys.executable, "-m", "rigs.cli", *words[1:]]
+    return [sys.executable, "-m", "cli.main", *words[1:]]
 
 
 def run(folder: Path, command: str) -> subprocess.CompletedProcess[str]:

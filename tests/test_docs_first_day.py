@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from daq.run import Run, open_run
-from daq.store import list_runs, verify
-from rigs.config import load_rig
+from daq.store.run import Run, open_run
+from daq.store.store import list_runs, verify
+from rigs.execution.resume import reduce_run
+from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
-from rigs.segments import reduce_run
-from rigs.session import run_protocol
+from rigs.rigfile.config import load_rig
 
 HOUSE = Path(__file__).resolve().parent.parent
 PAGE = HOUSE / "docs" / "start" / "first-day.md"
@@ -46,7 +46,7 @@ class Desk:
         self.folder = folder
         shim = folder / "bin" / "pamrig"
         shim.parent.mkdir()
-        shim.write_text(f'#!/bin/sh\nexec {sys.executable} -m rigs.cli "$@"\n')
+        shim.write_text(f'#!/bin/sh\nexec {sys.executable} -m cli.main "$@"\n')
         shim.chmod(0o755)
         (folder / "configs").symlink_to(HOUSE / "configs")
         self.environment = {

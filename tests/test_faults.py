@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.framer import CobsFramer
-from daq.run import open_run
+from daq.link.framer import CobsFramer
+from daq.store.run import open_run
 from faults.campaign import run_campaign
 from faults.judge import Verdict, judge
 from faults.kinds import Fault, has_checksum
@@ -23,13 +23,13 @@ from faults.places import empty_s
 from faults.trial import Truth, run_trial
 from faults.values import check_step
 from protocol_runs import run_short
-from rigs.instruments.form import load_form
-from rigs.instruments.modbus import ModbusForm
-from rigs.loads import HangLoad
-from rigs.segments import reduce_run, remaining
-from rigs.steps import EndTrial, Steps, Trial
-from rigs.virtual.modbus import VirtualModbus
-from rigs.virtual.text import VirtualText
+from rigs.devices.instruments.modbus import ModbusForm
+from rigs.execution.actions.loads import HangLoad
+from rigs.execution.resume import reduce_run, remaining
+from rigs.execution.steps import EndTrial, Steps, Trial
+from rigs.rigfile.form import load_form
+from rigs.virtual.emulators.modbus import VirtualModbus
+from rigs.virtual.emulators.text import VirtualText
 from valvefw.wire import TELEMETRY
 
 SMALL = range(14)

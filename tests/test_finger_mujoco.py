@@ -10,9 +10,9 @@ from plant.constants import nominal
 from plant.finger import FingerSim, load_finger
 from plant.links.dynamics import gravity_torque
 from plant.links.kinematics import link_frames
-from plant.muscle import braid_force, braid_volume
-from rigs.controllers.muscles import Pairs
-from rigs.controllers.reference import tips
+from plant.physics.muscle import braid_force, braid_volume
+from studies.controllers.muscles import Pairs
+from studies.controllers.reference import tips
 
 
 def test_frames_are_mujocos() -> None:

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plant import layout
 from plant.constants import PlantConstants, nominal
-from plant.effects import Effects
+from plant.effects.effects import Effects
 from plant.errors import PlantError
 from plant.finger import FingerSim, load_finger
 from plant.finger.body import Finger
 from plant.finger.reader import load_valve
-from plant.flow import mass_flow_kg_s
 from plant.links.dynamics import forward_dynamics, gravity_torque, kinetic_energy
-from plant.muscle import braid_force, braid_volume
-from rigs.controllers.muscles import Pairs
+from plant.physics import layout
+from plant.physics.flow import mass_flow_kg_s
+from plant.physics.muscle import braid_force, braid_volume
+from studies.controllers.muscles import Pairs
 
 TICK_S = 1e-3
 

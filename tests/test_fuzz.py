@@ -16,7 +16,7 @@ from fuzz.loop import Loop, Target
 from fuzz.shares import SHARES
 from fuzz.targets import TARGETS
 from fuzz_toys_read import deep
-from rigs.config import load_rig
+from rigs.rigfile.config import load_rig
 from soak import soak
 
 INPUTS = 300_000 if os.environ.get("PAMRIG_CAMPAIGN") else 4000

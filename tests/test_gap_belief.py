@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gap.belief import FEATURES, OUTCOMES, Forest, features, learnt
 from gap.check.errors import CheckError
 from gap.check.learn import LEAF, Samples, fit, learnable
 from gap.check.ledger import enter
-from gap.suspects import SUSPECTS
-from gap.traits import at_an_end
+from gap.decision.reliability import FEATURES, OUTCOMES, Forest, features, learnt
+from gap.decision.traits import at_an_end
+from gap.effects.candidates import SUSPECTS
 
 TRAITS = {
     "rows": 3000.0, "excess": 30_000.0, "left": 0.0, "repeated": 30_000.0, "repeated_left": 0.0,

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gap.dataset import Array, Channel, DataSet, Trial
-from gap.diagnose import diagnose
-from gap.reader import read_dataset
+from gap.data.dataset import Array, Channel, DataSet, Trial
+from gap.data.reader import read_dataset
+from gap.decision.diagnose import diagnose
 from gap_bench import write_set
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gap.check.baselines import (
+from gap.check.scoring.baselines import (
     Features,
     by_bic,
     by_random_folds,

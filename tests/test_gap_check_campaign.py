@@ -138,7 +138,7 @@ def test_the_page_is_written_from_totals(tmp_path: Path) -> None:
 def test_a_wrong_stream_is_one_line_and_status_2(tmp_path: Path) -> None:
     import typer
 
-    from gap.check.cli import add_check
+    from cli.gap.check import add_check
 
     app = typer.Typer()
     add_check(app)

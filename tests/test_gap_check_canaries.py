@@ -12,8 +12,8 @@ import pytest
 from blind.exchange import write
 from blind.recording import Recorded, record
 from blind.sets import BlindSet, blind_set, choose, kind_and_count
-from gap.diagnose import diagnose
-from gap.reader import read_dataset
+from gap.data.reader import read_dataset
+from gap.decision.diagnose import diagnose
 from gap.verdict import Verdict
 
 NAMING = ("named", "named_form_inadequate")

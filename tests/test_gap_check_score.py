@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 from statsmodels.stats.proportion import proportion_confint
 
-from gap.check.score import score
-from gap.check.statistics import Share, calibration_error, debiased_error, limit_of_diagnosis
-from gap.check.totals import totals
+from gap.check.scoring.score import score
+from gap.check.scoring.statistics import (
+    Share,
+    calibration_error,
+    debiased_error,
+    limit_of_diagnosis,
+)
+from gap.check.scoring.totals import totals
 
 FAMILIES = {
     "creep": ("rate", "muscle"), "viscosity": ("rate", "muscle"), "leak": ("flow", "valve"),

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gap.copies import without_copies
-from gap.dataset import Channel, DataSet
-from gap.fitness import unfit_channels
-from gap.inquiry import Inquiry
-from gap.reader import read_dataset
-from gap.suspects import SUSPECTS
+from gap.data.dataset import Channel, DataSet
+from gap.data.duplicates import without_copies
+from gap.data.quality import unfit_channels
+from gap.data.reader import read_dataset
+from gap.effects.candidates import SUSPECTS
+from gap.estimation.fit_problem import Inquiry
 from gap_bench import write_set
 from gap_sets import settled_set
 

@@ -12,15 +12,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gap.candidate import Choice
-from gap.diagnose import diagnose
-from gap.inquiry import Inquiry, State
-from gap.judge import _nearest
-from gap.leaning import PLAIN, leaning
-from gap.mimic import Mimic
-from gap.naming import Naming, bent_keys, name_effects
-from gap.reader import read_dataset
-from gap.suspects import SUSPECTS
+from gap.data.reader import read_dataset
+from gap.decision.at_bound import PLAIN, leaning
+from gap.decision.classify import _nearest
+from gap.decision.confounders import Mimic
+from gap.decision.diagnose import diagnose
+from gap.effects.candidates import SUSPECTS
+from gap.estimation.fit_problem import Inquiry, State
+from gap.selection.forward import Naming, bent_keys, name_effects
+from gap.selection.refine import Choice
 from gap.verdict import STATUSES
 from gap_bench import write_set
 
@@ -112,7 +112,7 @@ def test_a_rival_that_needs_another_size_is_a_mimic_at_that_size() -> None:
 
 def test_the_command_prints_one_object_and_no_more(nominal_set: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "rigs.cli", "gap", "diagnose", str(nominal_set), "--json"],
+        [sys.executable, "-m", "cli.main", "gap", "diagnose", str(nominal_set), "--json"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from gap.candidate import Choice, linear_gains, refine
-from gap.cleared import cleared
-from gap.exchange import exchanged, spared
-from gap.further import (
+from gap.data.reader import read_dataset
+from gap.effects.candidates import SUSPECTS
+from gap.estimation.fit_problem import Inquiry
+from gap.estimation.shape_fit import shaped
+from gap.selection.forward import ALARM, Naming
+from gap.selection.inclusion import (
     AT_THE_END,
     BACK,
     SEEN_NEXT,
@@ -21,11 +23,9 @@ from gap.further import (
     seen,
     settles,
 )
-from gap.inquiry import Inquiry
-from gap.naming import ALARM, Naming
-from gap.reader import read_dataset
-from gap.shaping import shaped
-from gap.suspects import SUSPECTS
+from gap.selection.pruning import cleared
+from gap.selection.refine import Choice, linear_gains, refine
+from gap.selection.swap import exchanged, spared
 from gap_bench import write_set
 from gap_sets import settled_set
 

@@ -12,15 +12,15 @@ import pytest
 from typer.testing import CliRunner
 
 from bench_runs import run_bench
+from cli.main import app
 from daq.errors import RecordError
-from daq.run import Run, open_run
+from daq.store.run import Run, open_run
+from gap.data.from_runs import export_runs
+from gap.data.run_trials import run_trials
 from gap.errors import GapError
-from gap.from_runs import export_runs
-from gap.runtrials import run_trials
-from plant.bench import BenchSim
 from plant.constants import nominal
+from plant.simulator.bench import BenchSim
 from protocol_runs import run_short
-from rigs.cli import app
 
 COLUMNS = ["trial", "slot", "replicate", "protocol", "mounting", "order", "held_length_mm",
            "load_kg", "temperature_c", "start_s", "tare_length_mm", "note"]  # fmt: skip

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from gap import chamber, laws
-from gap.laws import Active, Context
-from gap.model import _switch
+from gap.model import force as laws
+from gap.model import pressure as chamber
+from gap.model.force import Active, Context
+from gap.model.residuals import _switch
 from plant.constants import nominal
 from test_gap_shapes import still
 

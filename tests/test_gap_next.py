@@ -11,23 +11,23 @@ from scipy.optimize import minimize
 from typer.testing import CliRunner
 
 import advice_campaign
-from daq.run import open_run
-from gap.advise import ENOUGH, REFERENCES, advise, protocol_text
-from gap.evidence import tolerance
-from gap.foresight import Products, foreseen, products, separation
-from gap.inquiry import Inquiry, State
-from gap.library import Candidate, candidates
-from gap.opening import open_data
-from gap.runtrials import run_trials
-from gap.suspects import SUSPECTS
+from cli.main import app
+from daq.store.run import open_run
+from gap.data.run_trials import run_trials
+from gap.data.sources import open_data
+from gap.design.advise import ENOUGH, REFERENCES, advise, protocol_text
+from gap.design.foresight import Products, foreseen, products, separation
+from gap.design.library import Candidate, candidates
+from gap.effects.candidates import SUSPECTS
+from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.information import tolerance
 from gap.verdict import Experiment
 from gap_sets import settled_set
-from plant.catalogue import CATALOGUE
-from rigs.cli import app
-from rigs.config import load_rig
+from plant.effects.catalogue import CATALOGUE
+from rigs.execution.schedule import outline
+from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
-from rigs.protocols.schedule import outline
-from rigs.session import run_protocol
+from rigs.rigfile.config import load_rig
 
 
 def fitted(q: Inquiry, name: str, amount: float) -> State:

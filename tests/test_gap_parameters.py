@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from gap.chamber import laminar_drop
 from gap.check.learn import shared_spread
-from gap.parameters import interval
+from gap.estimation.intervals import interval
+from gap.model.pressure import laminar_drop
 
 
 def test_a_form_that_halves_a_headline_is_as_likely_as_one_that_doubles_it() -> None:

@@ -7,14 +7,14 @@ from itertools import islice
 
 import pytest
 
-from gap.candidate import Choice
-from gap.inquiry import Inquiry, State
-from gap.naming import Naming, name_effects
-from gap.prediction import FORETOLD, LEAST_RIVALS, SHOWN, foretell, margins, rivals_of
-from gap.reader import read_dataset
-from gap.suspects import SUSPECTS
+from gap.data.reader import read_dataset
+from gap.effects.candidates import SUSPECTS
+from gap.estimation.fit_problem import Inquiry, State
+from gap.selection.forward import Naming, name_effects
+from gap.selection.refine import Choice
+from gap.validation.prediction import FORETOLD, LEAST_RIVALS, SHOWN, foretell, margins, rivals_of
 from gap_bench import write_set
-from plant.catalogue import CATALOGUE
+from plant.effects.catalogue import CATALOGUE
 
 NEW = "hysteresis"
 

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gap.candidate import linear_gains
+from gap.data.reader import read_dataset
+from gap.effects.candidates import SUSPECTS
 from gap.errors import GapError
-from gap.inquiry import Inquiry
-from gap.reader import read_dataset
-from gap.suspects import SUSPECTS
+from gap.estimation.fit_problem import Inquiry
+from gap.selection.refine import linear_gains
 from gap_sets import settled_set
 
 TRIALS = (

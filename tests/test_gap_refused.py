@@ -9,14 +9,14 @@ import pytest
 from typer.testing import CliRunner
 
 from bench_runs import run_bench
+from cli.main import app
 from daq.errors import ConfigError, PamrigError
-from daq.run import open_run
+from daq.store.run import open_run
+from gap.data.from_runs import export_runs
+from gap.data.reader import read_dataset
 from gap.errors import GapError
-from gap.from_runs import export_runs
-from gap.reader import read_dataset
 from gap_sets import settled_set
-from rigs.cli import app
-from rigs.config import load_rig
+from rigs.rigfile.config import load_rig
 
 
 def refused(*words: str) -> str:

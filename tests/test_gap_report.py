@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from gap.examination import Examination, examine
-from gap.opening import open_data
-from gap.report import render_report
-from gap.reporttext import experiment_sentence, headline, parameter_text, rivals
+from cli.main import app
+from gap.data.sources import open_data
+from gap.reporting.examination import Examination, examine
+from gap.reporting.report import render_report
+from gap.reporting.text import experiment_sentence, headline, parameter_text, rivals
 from gap.verdict import Contrast, Estimate, Experiment, Explanation, Gap, Share, Verdict
 from gap_sets import settled_set
-from rigs.cli import app
 
 PLAIN = Verdict(
     status="named",

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gap import laws
-from gap.diagnose import searched
-from gap.inquiry import Inquiry
-from gap.laws import Context
-from gap.reader import read_dataset
-from gap.rows import Points
-from gap.shaping import shaped
-from gap.suspects import SUSPECTS
+from gap.data.reader import read_dataset
+from gap.decision.diagnose import searched
+from gap.effects.candidates import SUSPECTS
+from gap.estimation.fit_problem import Inquiry
+from gap.estimation.shape_fit import shaped
+from gap.model import force as laws
+from gap.model.features import Points
+from gap.model.force import Context
 from gap_bench import write_set
 from plant.constants import nominal
 
@@ -117,7 +117,7 @@ def test_a_hardening_tube_is_one_effect_not_two_of_its_family(tmp_path: Path) ->
 
 
 def test_the_improved_plant_has_the_fitted_shape(tube: Inquiry) -> None:
-    from gap.shrink import improved_plant
+    from gap.validation.shrink import improved_plant
 
     suspect = next(s for s in SUSPECTS if dict(s.shape) == {"rest": 0.68})
     written = improved_plant(tube, tube.polish(shaped(tube, tube.fit([suspect], [0.3]))))

@@ -10,20 +10,20 @@ import pytest
 from typer.testing import CliRunner
 
 from blind.noise import draw_noise
-from daq.run import open_run
-from gap.check.closed import silent
-from gap.freerun import free_running
-from gap.inquiry import Inquiry, State
-from gap.learner import generic, splines
-from gap.opening import open_data
-from gap.parameters import settled
-from gap.shrink import Held, held_out, improved_plant, left_out
-from gap.shrinkage import as_lines, shrinkage
+from cli.main import app
+from daq.store.run import open_run
+from gap.check.scoring.closed import silent
+from gap.data.sources import open_data
+from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.intervals import settled
+from gap.validation.free_run import free_running
+from gap.validation.learner import generic, splines
+from gap.validation.shrink import Held, held_out, improved_plant, left_out
+from gap.validation.shrinkage import as_lines, shrinkage
 from gap_bench import write_set
 from gap_sets import settled_set
 from plant.constants import nominal
-from rigs.cli import app
-from rigs.plantfile import load_plant
+from rigs.rigfile.plant_file import load_plant
 
 RATIO = 0.6
 STIFFNESS = 0.8

@@ -6,10 +6,10 @@ import dataclasses
 
 import pytest
 
-from gap.prediction import Foretelling, families
-from gap.standing import Standing, joint
+from gap.decision.standing import Standing, joint
+from gap.validation.prediction import Foretelling, families
 from gap.verdict import Explanation, Gap, Verdict
-from plant.catalogue import CATALOGUE
+from plant.effects.catalogue import CATALOGUE
 
 
 def verdict_with(status: str, effects: tuple[str, ...] = ()) -> Verdict:

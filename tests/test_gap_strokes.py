@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gap.agreement import repeated
-from gap.candidate import Choice
-from gap.further import excess
-from gap.inquiry import Inquiry
-from gap.naming import Naming
-from gap.reader import read_dataset
-from gap.strokes import eased
-from gap.suspects import SUSPECTS
+from gap.data.reader import read_dataset
+from gap.effects.candidates import SUSPECTS
+from gap.estimation.agreement import repeated
+from gap.estimation.fit_problem import Inquiry
+from gap.selection.forward import Naming
+from gap.selection.inclusion import excess
+from gap.selection.per_stroke import eased
+from gap.selection.refine import Choice
 from gap_bench import uneven, write_set
 
 LATE_S = (5.4e-3, 4.4e-3, 4.8e-3, 5.6e-3, 4.6e-3, 5.2e-3, 4.5e-3, 5.5e-3)

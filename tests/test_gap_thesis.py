@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from cli.main import app
 from gap.errors import GapError
-from gap.staticladder import Ladder, Table
-from gap.thesis import TableVerdict, diagnose_thesis, points_of, smoothness
-from gap.thesisdata import thesis_set
+from gap.thesis.data import thesis_set
+from gap.thesis.static_ladder import Ladder, Table
+from gap.thesis.tables import TableVerdict, diagnose_thesis, points_of, smoothness
 from plant.constants import nominal
 from plant.thesis import array
-from rigs.cli import app
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +86,8 @@ def test_the_ladder_finds_what_was_put_in_and_stops() -> None:
         pressure, length, np.zeros(90), np.full(90, 21.0),
         np.full(90, -1), np.repeat(np.arange(10), 9),
     )  # fmt: skip
-    from plant.effects import Effects
-    from plant.forcelaw import ForceLaw
+    from plant.effects.effects import Effects
+    from plant.simulator.force_law import ForceLaw
 
     on = Effects.from_config({"liner_threshold": {"threshold_kpa": 80.0}})
     force = ForceLaw(nominal(), on).lasting(pressure * 1e3, length * 1e-3)
@@ -106,7 +106,7 @@ def test_the_ladder_keeps_nothing_where_there_is_nothing() -> None:
     rng = np.random.default_rng(4)
     length = np.repeat(np.linspace(53, 69, 10), 9)
     pressure = np.tile(np.linspace(0, 560, 9), 10)
-    from plant.forcelaw import ForceLaw
+    from plant.simulator.force_law import ForceLaw
 
     force = ForceLaw(nominal()).lasting(pressure * 1e3, length * 1e-3) + rng.normal(0, 0.3, 90)
     table = Table(

@@ -14,17 +14,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from gap.chain import Chain
-from gap.inquiry import Inquiry, State
-from gap.maps import residual_maps
-from gap.opening import open_data
-from gap.shapley import _shapley, common_squares, waterfall
-from gap.shrink import held_out
+from cli.main import app
+from gap.data.sources import open_data
+from gap.estimation.fit_problem import Inquiry, State
+from gap.model.chain import Chain
+from gap.validation.maps import residual_maps
+from gap.validation.shapley import _shapley, common_squares, waterfall
+from gap.validation.shrink import held_out
+from gap.validation.where import stage_shares
 from gap.verdict import Share
-from gap.where import stage_shares
 from gap_bench import write_set
 from gap_sets import settled_set
-from rigs.cli import app
 
 
 @dataclass(frozen=True)

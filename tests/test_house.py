@@ -12,8 +12,8 @@ HOUSE = Path(__file__).resolve().parent.parent
 PACKAGES = ("valvefw", "plant", "vision", "blind", "daq", "rigs", "gap", "pamrig")
 # Where each of these may be imported, and nowhere else.
 ONLY_IN = {
-    "serial": ("daq/transport.py",),
-    "rerun": ("daq/live", "daq/viewfile.py"),
+    "serial": ("daq/link/transport.py",),
+    "rerun": ("daq/live", "daq/live/viewfile.py"),
     "machine": ("valvefw/boards/", "valvefw/board_"),
     "rp2": ("valvefw/boards/", "valvefw/board_"),
 }
@@ -76,8 +76,8 @@ def test_nothing_sleeps_but_the_clock() -> None:
         "rigs/virtual/server.py",
         "rigs/virtual/bench.py",
         "daq/live",
-        "daq/disk.py",
-        "rigs/uvc.py",
+        "daq/record/disk.py",
+        "rigs/devices/uvc.py",
     )
     for name, path in sources():
         if "time.sleep(" in path.read_text(encoding="utf-8"):

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from analysis.regression.calibration_line import Reference, fit_line
+from cli.main import app
 from daq.errors import ConfigError
-from daq.run import open_run
-from rigs.calibrate_force import calibrate_force
-from rigs.calibrate_pressure import calibrate_pressure
-from rigs.calibration_file import load_calibration, write_calibration
-from rigs.calibration_run import middle, up_and_down
-from rigs.cli import app
-from rigs.config import load_rig
-from rigs.interrupt import StopFlag, Stopped
-from rigs.linefit import Reference, fit_line
+from daq.interrupt import StopFlag, Stopped
+from daq.store.run import open_run
+from rigs.calibration.force import calibrate_force
+from rigs.calibration.pressure import calibrate_pressure
+from rigs.calibration.run import middle, up_and_down
+from rigs.rigfile.calibration_file import load_calibration, write_calibration
+from rigs.rigfile.config import load_rig
 
 RAW = np.array([0.0, 400.0, 800.0, 1600.0, 2400.0, 1600.0, 800.0, 400.0, 0.0])
 WEIGHTS = Reference("set W-3, class M1", u_gain=1e-4)
@@ -214,7 +214,7 @@ def named(folder: Path, file: str, rig: str = "virtual-instruments") -> str:
 
 def test_a_rig_file_names_it_and_a_run_freezes_it(tmp_path: Path) -> None:
     from bench_runs import quick
-    from rigs.session import run_isometric
+    from rigs.execution.session import run_isometric
 
     done = calibrate_pressure(load_rig("virtual-instruments"), [0, 200, 400, 600], tmp_path / "c")
     write_calibration(tmp_path / "p.toml", done.file, done.points)
@@ -238,9 +238,9 @@ def test_a_rig_file_names_it_and_a_run_freezes_it(tmp_path: Path) -> None:
 
 
 def test_a_measurement_outside_its_domain_says_so(tmp_path: Path) -> None:
+    from analysis.reduction.points import reduce_isometric
     from bench_runs import quick
-    from rigs.reduction import reduce_isometric
-    from rigs.session import run_isometric
+    from rigs.execution.session import run_isometric
 
     done = calibrate_pressure(load_rig("virtual-instruments"), [0, 100, 200, 300], tmp_path / "c")
     write_calibration(tmp_path / "p.toml", done.file, done.points)

@@ -11,19 +11,19 @@ import pytest
 from bench_runs import quick
 from daq.clock import VirtualClock
 from daq.errors import DeviceError
-from daq.run import open_run
-from rigs.config import RigConfig, load_rig
-from rigs.doctor import examine
-from rigs.isometric import load_isometric
-from rigs.operator import ManualAxis, Request, ask_number
+from daq.store.run import open_run
+from rigs.bench.doctor import examine
+from rigs.bench.rig import open_rig
+from rigs.devices.event_loop import Pump
+from rigs.devices.operator import ManualAxis, Request, ask_number
+from rigs.execution.resume import reduce_run
+from rigs.execution.runner import Runner
+from rigs.execution.session import run_isometric, run_protocol
+from rigs.protocols.isometric_method import load_isometric
 from rigs.protocols.registry import procedure
-from rigs.pump import Pump
-from rigs.rig import open_rig
-from rigs.runner import Runner
-from rigs.segments import reduce_run
-from rigs.session import run_isometric, run_protocol
-from rigs.toml_reader import find_config
-from rigs.virtual.operator import VirtualOperator
+from rigs.rigfile.config import RigConfig, load_rig
+from rigs.rigfile.toml_reader import find_config
+from rigs.virtual.emulators.operator import VirtualOperator
 
 
 class Desk:

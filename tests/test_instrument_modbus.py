@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 
 from bench_process import BUSY
 from daq.clock import RealClock, VirtualClock
-from daq.transport import SerialLink, memory_pair
+from daq.link.transport import SerialLink, memory_pair
 from instrument_desk import Desk
-from rigs.instruments.modbus import KINDS, ORDERS, ModbusForm, ModbusInstrument
-from rigs.pump import Pump
-from rigs.virtual.modbus import VirtualModbus, crc16
+from rigs.devices.event_loop import Pump
+from rigs.devices.instruments.modbus import KINDS, ORDERS, ModbusForm, ModbusInstrument
+from rigs.virtual.emulators.modbus import VirtualModbus, crc16
 
 FORM = ModbusForm(
     quantity="pressure_kpa",

@@ -11,14 +11,14 @@ import pytest
 
 from bench_process import BUSY
 from bench_runs import quick
-from daq.derive import engineering
 from daq.errors import ConfigError
-from daq.run import Run, open_run
-from rigs.config import RigConfig, load_rig
-from rigs.doctor import examine
-from rigs.interrupt import StopFlag
-from rigs.rig import open_rig
-from rigs.session import Result, run_isometric
+from daq.interrupt import StopFlag
+from daq.store.derive import engineering
+from daq.store.run import Run, open_run
+from rigs.bench.doctor import examine
+from rigs.bench.rig import open_rig
+from rigs.execution.session import Result, run_isometric
+from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.server import open_server
 

@@ -8,9 +8,9 @@ import pytest
 
 from daq.errors import DeviceError, LinkLost
 from instrument_desk import Desk
-from rigs.stage import Stage
-from rigs.virtual.mishap import MISHAPS
-from rigs.virtual.stage import VirtualStage
+from rigs.devices.stage import Stage
+from rigs.virtual.emulators.injected_fault import MISHAPS
+from rigs.virtual.emulators.stage import VirtualStage
 
 
 def stage_of() -> tuple[Desk, Stage, dict[str, float]]:

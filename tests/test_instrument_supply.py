@@ -9,14 +9,14 @@ import pytest
 
 from daq.clock import VirtualClock
 from daq.errors import DeviceError, LinkLost
-from daq.transport import memory_pair
+from daq.link.transport import memory_pair
 from instrument_desk import Desk
-from plant.bench import BenchSim
 from plant.constants import nominal
-from rigs.instruments.supply import Supply
-from rigs.pump import Pump
-from rigs.virtual.solenoids import Solenoids
-from rigs.virtual.supply import VirtualSupply
+from plant.simulator.bench import BenchSim
+from rigs.devices.event_loop import Pump
+from rigs.devices.instruments.supply import Supply
+from rigs.virtual.board.solenoids import Solenoids
+from rigs.virtual.emulators.supply import VirtualSupply
 
 
 def desk_of(reopen: bool = True, serial: str = "PS-1") -> tuple[Desk, Supply]:

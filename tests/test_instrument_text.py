@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from daq.errors import ConfigError, DeviceError, DeviceTimeout, LinkLost
 from instrument_desk import Desk
-from rigs.instruments.form import TextForm, load_form
-from rigs.instruments.text import TextInstrument
-from rigs.virtual.text import VirtualText
+from rigs.devices.instruments.text import TextInstrument
+from rigs.rigfile.form import TextForm, load_form
+from rigs.virtual.emulators.text import VirtualText
 
 FORMS = ("load-cell-stream", "load-cell-polled", "thermometer", "air-velocity", "hygrometer")
 # Half of the last digit that each prints, and how far the ramp goes in a reply's time.
@@ -277,7 +277,7 @@ def test_tare_waits_for_readings_at_rest() -> None:
 def test_a_description_that_cannot_work_is_refused(
     tmp_path: Path, old: str, new: str, words: str
 ) -> None:
-    from rigs.toml_reader import find_config
+    from rigs.rigfile.toml_reader import find_config
 
     text, _ = find_config("hygrometer", "instruments")
     path = tmp_path / "mine.toml"

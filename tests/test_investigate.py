@@ -10,21 +10,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import rigs.investigate as loop
+import cli.investigate.investigate as loop
+from cli.investigate.investigate import investigate
+from cli.investigate.survey import BEFORE_NAMING, REPEATS, Test, battery, protocol_text
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
-from daq.run import open_run
-from gap.runtrials import run_trials
+from daq.interrupt import StopFlag
+from daq.store.run import open_run
+from gap.data.run_trials import run_trials
 from gap.verdict import Experiment, Verdict
-from plant.catalogue import CATALOGUE
-from rigs.config import RigConfig, load_rig
-from rigs.interrupt import StopFlag
-from rigs.investigate import investigate
+from plant.effects.catalogue import CATALOGUE
+from rigs.bench.rig import open_rig
+from rigs.execution.schedule import outline
+from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
-from rigs.protocols.schedule import outline
-from rigs.rig import open_rig
-from rigs.session import run_protocol
-from rigs.survey import BEFORE_NAMING, REPEATS, Test, battery, protocol_text
+from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 from withheld_campaign import MIMICKED, RIG, entropy_of, judged, read_journal, seeds_of, totals
 

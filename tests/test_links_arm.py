@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from plant.links import Arm, Link, LinkError, load_arm
 from plant.links import dynamics as dyn
-from plant.links.appendix import SYMBOLS, derived_equations, differences, printed_equations
 from plant.links.inertia import (
     check_inertia,
     from_pseudo_inertia,
@@ -24,6 +23,7 @@ from plant.links.inertia import (
 )
 from plant.links.kinematics import tip_jacobian, tip_position
 from plant.links.reader import shipped_arms
+from plant.links.symbolic.appendix import SYMBOLS, derived_equations, differences, printed_equations
 
 clouds = st.lists(
     st.tuples(*[st.floats(-0.1, 0.1)] * 3, st.floats(1e-3, 1.0)), min_size=1, max_size=8

@@ -15,7 +15,7 @@ from plant.links import load_arm
 
 def links(tmp_path: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "rigs.cli", "links", *words],
+        [sys.executable, "-m", "cli.main", "links", *words],
         env=os.environ | {"PAMRIG_CACHE": str(tmp_path)},
         capture_output=True,
         text=True,
@@ -95,7 +95,7 @@ def test_without_sympy_it_says_what_to_install(tmp_path: Path) -> None:
         "    return real(name)\n"
         "m.version = gone\n"
         "sys.argv = ['pamrig', 'links', 'finger']\n"
-        "from rigs.cli import main; main()\n"
+        "from cli.main import main; main()\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=False

@@ -15,11 +15,11 @@ from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
 from links_oracles import mujoco_torque, pinocchio_torque, spatial_arm
 from plant.links import Arm, LinkError, load_arm
 from plant.links import dynamics as dyn
-from plant.links.generated import generated, generated_source
 from plant.links.inertia import Array, pseudo_inertia
 from plant.links.kinematics import link_matrix
-from plant.links.lagrange import Equations, derive
-from plant.links.printing import printed
+from plant.links.symbolic.generated import generated, generated_source
+from plant.links.symbolic.lagrange import Equations, derive
+from plant.links.symbolic.printing import printed
 
 ARMS = {
     "planar2": load_arm("planar2"),
@@ -172,8 +172,8 @@ def test_in_symbols_three_links_become_two(gone: int) -> None:
 def test_the_finger_is_derived_in_well_under_thirty_seconds() -> None:
     """From nothing, in a new process: SymPy's start, derivation, all three forms."""
     code = (
-        "from plant.links import load_arm; from plant.links.lagrange import derive;"
-        "from plant.links.printing import printed;"
+        "from plant.links import load_arm; from plant.links.symbolic.lagrange import derive;"
+        "from plant.links.symbolic.printing import printed;"
         "e = derive(load_arm('finger')); [printed(e, f) for f in ('text', 'latex', 'python')]"
     )
     before = os.times().children_user
@@ -219,7 +219,8 @@ def test_generated_source_is_kept_and_a_damaged_one_is_made_anew(tmp_path: Path)
     assert kept.read_text().startswith(source)
     # What is kept is what is used: SymPy is not asked again.
     code = (
-        "import sys; from plant.links import load_arm; from plant.links.generated import generated;"
+        "import sys; from plant.links import load_arm;"
+        "from plant.links.symbolic.generated import generated;"
         "print(generated(load_arm('planar3')).inverse_dynamics([0, 0, 0], [1, 2, 3], [1, 1, 1]));"
         "assert 'sympy' not in sys.modules"
     )

@@ -10,14 +10,14 @@ import pytest
 
 from bench_runs import quick
 from daq.errors import ConfigError
-from daq.run import open_run
+from daq.store.run import open_run
 from plant.constants import PlantConstants
-from plant.effects import NONE, Effects
-from rigs.config import load_rig
-from rigs.liveprediction import FORCE_PATH, PRESSURE_PATH, SHARE_PATHS, LivePrediction
-from rigs.plantfile import load_plant
-from rigs.runner import Runner
-from rigs.session import run_isometric
+from plant.effects.effects import NONE, Effects
+from rigs.execution.runner import Runner
+from rigs.execution.session import run_isometric
+from rigs.live.prediction import FORCE_PATH, PRESSURE_PATH, SHARE_PATHS, LivePrediction
+from rigs.rigfile.config import load_rig
+from rigs.rigfile.plant_file import load_plant
 
 
 class Sheet:
@@ -60,7 +60,7 @@ def plant() -> PlantConstants:
 
 
 def measured(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    from daq.derive import engineering
+    from daq.store.derive import engineering
 
     run = open_run(folder)
     valve, _ = engineering(run, "valve")
@@ -120,7 +120,7 @@ def test_a_plant_file_or_a_rig_file_is_read_and_a_bad_one_refused(tmp_path: Path
 
 
 def test_shares_add_up_and_go_to_the_stage_that_is_wrong() -> None:
-    from rigs.liveshare import LiveShare
+    from rigs.live.stage_share import LiveShare
 
     for gas_n, muscle_n, most in ((4.0, 0.5, 0), (0.5, 4.0, 1)):
         share = LiveShare()
@@ -138,7 +138,7 @@ def test_shares_add_up_and_go_to_the_stage_that_is_wrong() -> None:
 
 
 def test_without_a_gap_no_share_is_said() -> None:
-    from rigs.liveshare import LiveShare
+    from rigs.live.stage_share import LiveShare
 
     share = LiveShare()
     assert share.shares is None

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.layout import Axis, Panel
-from daq.liveview_chart import HEIGHT, LABEL_GAP, WIDTH, Chart, nice_ticks
-from daq.liveview_decimate import Thinner, decimate
-from daq.liveview_queue import DropQueue
-from rigs.liveview import CAMERA, FORCE, LOG, POINTS, STATE, isometric_layout
+from analysis.layouts.layouts import CAMERA, FORCE, LOG, POINTS, STATE, isometric_layout
+from daq.live.chart import HEIGHT, LABEL_GAP, WIDTH, Chart, nice_ticks
+from daq.live.decimate import Thinner, decimate
+from daq.live.layout import Axis, Panel
+from daq.live.queue import DropQueue
 
 
 def test_full_queue_drops_the_oldest_bulk_and_counts_it():
@@ -181,7 +181,7 @@ def test_impossible_panels_are_refused():
 
 def test_importing_the_live_view_does_not_import_the_viewer():
     code = (
-        "import sys, daq.live, daq.layout, daq.viewfile, rigs.liveview\n"
+        "import sys, daq.live.live, daq.live.layout, daq.live.viewfile, analysis.layouts.layouts\n"
         "print([m for m in ('rerun', 'cv2', 'pyarrow', 'pandas') if m in sys.modules])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -15,12 +15,14 @@ import numpy as np
 import psutil
 import pytest
 
-import daq.live
-from daq.layout import LiveLayout
-from daq.live import LiveView
-from daq.liveview_queue import DropQueue
-from daq.liveview_scene import Scene
-from daq.liveview_web import (
+import daq.live.live
+from analysis.layouts import layouts as names
+from analysis.layouts.layouts import isometric_layout
+from daq.live.layout import LiveLayout
+from daq.live.live import LiveView
+from daq.live.queue import DropQueue
+from daq.live.scene import Scene
+from daq.live.web import (
     POLICY,
     ViewerError,
     WebViewer,
@@ -28,8 +30,6 @@ from daq.liveview_web import (
     viewer_environment,
     viewer_program,
 )
-from rigs import liveview as names
-from rigs.liveview import isometric_layout
 
 pytestmark = pytest.mark.realtime
 CLOSE_S = 30.0
@@ -42,7 +42,7 @@ JPEG = b"\xff\xd8" + bytes(range(256)) * 400  # 100 kB that no viewer here decod
 def patience() -> Iterator[None]:
     """A busy machine may take longer to start the viewer's server than a user would wait."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(daq.live, "START_S", 300.0)
+        patch.setattr(daq.live.live, "START_S", 300.0)
         yield
 
 
@@ -215,7 +215,7 @@ def test_a_viewer_that_blocks_for_ever_costs_only_the_newest_picture(monkeypatch
     """What ``log`` does when its buffers are full, done for certain."""
     release = threading.Event()
     monkeypatch.setattr(Scene, "series", lambda *_: release.wait(30.0))
-    monkeypatch.setattr(daq.live, "CLOSE_S", 1.0)
+    monkeypatch.setattr(daq.live.live, "CLOSE_S", 1.0)
     queue = DropQueue(bulk_bytes=200_000)
     view = LiveView("stuck", isometric_layout(), port=0, queue=queue)
     took = feed(view, 2.0, frames_hz=50.0)

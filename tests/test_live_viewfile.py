@@ -12,16 +12,16 @@ import cv2
 import numpy as np
 import pytest
 
+from analysis.layouts import layouts as names
+from analysis.layouts.layouts import isometric_layout, measured_edges
 from daq.calibration import Calibration
 from daq.clock import VirtualClock
-from daq.derive import derive
-from daq.liveview_web import NativeViewer, ViewerError, WebViewer
-from daq.record import RecordWriter
-from daq.run import open_run
-from daq.telemetry import VALVE_COLUMNS, VALVE_UNITS
-from daq.viewfile import build_view, open_view, plain_layout, view_maker
-from rigs import liveview as names
-from rigs.liveview import isometric_layout, measured_edges
+from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS
+from daq.live.viewfile import build_view, open_view, plain_layout, view_maker
+from daq.live.web import NativeViewer, ViewerError, WebViewer
+from daq.record.writer import RecordWriter
+from daq.store.derive import derive
+from daq.store.run import open_run
 
 N = 4_000
 BALANCE = {"row": "int64", "host_ns": "int64", "grams": "float64", "stable": "uint8"}

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant import audit as audit_module
-from plant.audit_print import same, truncated, unit_in_last_place
-from plant.audit_rest import full_regression_c8, full_regression_c9, full_regression_d1
-from plant.compare_table43 import STATISTICS, describe, recover_braid, table
-from plant.fit_tables import best_subsets, full_regression, subsets_text
+from plant.audit import audit as audit_module
+from plant.audit.printed import same, truncated, unit_in_last_place
+from plant.audit.rest import full_regression_c8, full_regression_c9, full_regression_d1
+from plant.fitting.table43 import STATISTICS, describe, recover_braid, table
+from plant.fitting.tables import best_subsets, full_regression, subsets_text
 from plant.models.thesis_points import thesis_points
 from plant.thesis import anomalies, array
 

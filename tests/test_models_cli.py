@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from cli.main import app
 from daq.errors import PamrigError
-from rigs.cli import app
 
 runner = CliRunner()
 

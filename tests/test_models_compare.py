@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from plant.compare import compare, floors
 from plant.errors import PlantError
-from plant.fit import fit
-from plant.fit_data import Points, joined
+from plant.fitting.compare import compare, floors
+from plant.fitting.data import Points, joined
+from plant.fitting.fit import fit
 from plant.models import catalogue
 from plant.models.thesis_points import thesis_points
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.models.points import run_points
 from bench_runs import run_bench
-from plant.fit import fit
+from plant.fitting.fit import fit
 from plant.models import catalogue
-from rigs.models_data import run_points
 
 TRUTH = {"braid_length": 88.4, "turns": 1.855}
 

@@ -11,8 +11,8 @@ import statsmodels.api as sm
 from scipy.stats import norm
 
 from plant.errors import PlantError
-from plant.fit import fit
-from plant.fit_data import Points, SensorErrors, joined
+from plant.fitting.data import Points, SensorErrors, joined
+from plant.fitting.fit import fit
 from plant.models import catalogue
 from plant.models.law import History
 from plant.models.model import OutsideDomain

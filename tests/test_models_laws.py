@@ -14,7 +14,7 @@ from plant.models import catalogue
 from plant.models.law import History
 from plant.models.model import Model, OutsideDomain
 from plant.models.units import to_si
-from plant.muscle import force, volume
+from plant.physics.muscle import force, volume
 
 NAMES = catalogue.names()
 SEPARABLE = [n for n in NAMES if catalogue.get(n).law.separable]
@@ -199,7 +199,7 @@ def test_liner_braid_without_a_threshold_is_braid_and_bladder() -> None:
 
 
 def test_liner_braid_uses_the_plants_own_liner() -> None:
-    from plant.muscle import liner_pressure
+    from plant.physics.muscle import liner_pressure
 
     model = catalogue.get("liner-braid").with_values(
         {"threshold": 120.0, "threshold_slope": 0.0, "stiffness": 0.0, "width": 20.0,

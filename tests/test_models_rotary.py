@@ -13,7 +13,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from plant.errors import PlantError
-from plant.rotary import RotaryMuscle
+from plant.physics.rotary import RotaryMuscle
 
 MUSCLES = [
     RotaryMuscle(0.015, 0.040, 0.050),

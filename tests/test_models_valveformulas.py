@@ -11,8 +11,8 @@ from fluids import compressible, control_valve, fittings, safety_valve
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plant import valveformulas as v
 from plant.errors import PlantError
+from plant.physics import valve_formulas as v
 
 AIR = {"MW": 28.97, "gamma": 1.4, "Z": 1.0}
 

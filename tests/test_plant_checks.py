@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plant import flow, layout, muscle
-from plant.bench import BenchSim, advance
 from plant.constants import GAS_CONSTANT_J_KG_K, nominal
 from plant.errors import PlantError
-from plant.simulate import pulse_train, run_commands
+from plant.physics import flow, layout, muscle
+from plant.simulator.bench import BenchSim, advance
+from plant.simulator.simulate import pulse_train, run_commands
 
 C = nominal()
 LENGTHS = st.floats(0.045, 0.080)

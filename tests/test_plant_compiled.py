@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 import plant
-from plant import compiled, kernel
-from plant.bench import BenchSim
+from plant import compiled
 from plant.constants import nominal
-from plant.simulate import pulse_train, run_commands
+from plant.simulator import kernel
+from plant.simulator.bench import BenchSim
+from plant.simulator.simulate import pulse_train, run_commands
 
 FOLDER = Path(plant.__file__).parent
 

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plant import layout, muscle
-from plant.bench import BenchSim
-from plant.catalogue import CATALOGUE, FAMILIES
 from plant.constants import nominal
-from plant.effects import Effects
+from plant.effects.catalogue import CATALOGUE, FAMILIES
+from plant.effects.effects import Effects
 from plant.errors import PlantError
-from plant.friction import slip_history
+from plant.physics import layout, muscle
+from plant.physics.friction import slip_history
+from plant.simulator.bench import BenchSim
 
 C = nominal()
 RISE = np.arange(0.0, 601.0, 20.0)

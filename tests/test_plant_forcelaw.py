@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from plant.constants import nominal
-from plant.effects import Effects
+from plant.effects.effects import Effects
 from plant.errors import PlantError
-from plant.forcelaw import ForceLaw
-from plant.readings import lagged, readings
-from plant.simulate import Commands, commands, run_commands
+from plant.simulator.force_law import ForceLaw
+from plant.simulator.readings import lagged, readings
+from plant.simulator.simulate import Commands, commands, run_commands
 
 C = nominal()
 ALL = Effects.from_config(

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plant import layout
-from plant.bench import BenchSim, build_params
-from plant.catalogue import CATALOGUE
 from plant.constants import nominal
-from plant.effects import Effects
+from plant.effects.catalogue import CATALOGUE
+from plant.effects.effects import Effects
 from plant.errors import PlantError
-from plant.readings import readings
-from plant.simulate import Commands, Traces, commands, pulse_train, run_commands
+from plant.physics import layout
+from plant.simulator.bench import BenchSim, build_params
+from plant.simulator.readings import readings
+from plant.simulator.simulate import Commands, Traces, commands, pulse_train, run_commands
 
 C = nominal()
 B, N, ATM = 0.0884, 1.855, 101_325.0

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plant.bench import BenchSim
 from plant.constants import PlantConstants, nominal
-from plant.simulate import Commands, commands, run_commands
+from plant.simulator.bench import BenchSim
+from plant.simulator.simulate import Commands, commands, run_commands
 
 B, N, V0, ATM, RT, RHO = 0.0884, 1.855, 0.5e-6, 101_325.0, 287.05 * 293.15, 1.185
 BREAK = 0.5

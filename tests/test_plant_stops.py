@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from plant import layout as at
-from plant.bench import BenchSim
 from plant.constants import nominal
+from plant.physics import layout as at
+from plant.simulator.bench import BenchSim
 
 
 def test_a_load_that_speeds_up_towards_a_stop_arrives() -> None:

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plant import layout, muscle, valve
-from plant.bench import BenchSim
 from plant.constants import nominal
 from plant.errors import PlantError
-from plant.simulate import Commands, commands, pulse_train, run_commands
+from plant.physics import layout, muscle, valve
+from plant.simulator.bench import BenchSim
+from plant.simulator.simulate import Commands, commands, pulse_train, run_commands
 
 C = nominal()
 INERTIAL, TRANSPORT = C, C.with_overrides({"delay_mode": "transport"})

@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.reduction.points import reduce_isometric
 from bench_runs import quick
+from cli.test.request import tell_run
 from daq.clock import NS_PER_S
 from daq.errors import ConfigError, RecordError
-from daq.run import Run, open_run
-from daq.verify import verify
+from daq.store.run import Run, open_run
+from daq.store.verify import verify
 from protocol_runs import run_short
-from rigs.config import load_rig
-from rigs.control import RunControl, control_file
-from rigs.isometric import Isometric
+from rigs.execution.control import RunControl, control_file
+from rigs.execution.runner import Runner, Watch
+from rigs.execution.schedule import arrange, outline, path
+from rigs.execution.session import run_isometric
+from rigs.protocols.isometric_method import Isometric
 from rigs.protocols.registry import procedure
-from rigs.protocols.schedule import arrange, outline, path
-from rigs.reduction import reduce_isometric
-from rigs.runner import Runner, Watch
-from rigs.session import run_isometric
-from rigs.tell import tell_run
+from rigs.rigfile.config import load_rig
 
 
 def steered(

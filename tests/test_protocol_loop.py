@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.reduction.step import judge
+from analysis.reporting.report import report_json
 from daq.errors import ConfigError
-from daq.run import Run, open_run
-from rigs.config import load_rig
+from daq.store.run import Run, open_run
+from rigs.execution.session import run_protocol
 from rigs.protocols.names import default_rig
 from rigs.protocols.registry import procedure
-from rigs.report import report_json
-from rigs.session import run_protocol
-from rigs.step_reduction import judge
+from rigs.rigfile.config import load_rig
 
 
 def measured(root: Path, name: str, keep: list[Any] | None = None, **changes: Any) -> Run:

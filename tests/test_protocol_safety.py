@@ -16,18 +16,18 @@ import numpy as np
 import pytest
 
 from bench_process import LIMIT_S, STARVED_MS, run_in_real_time
-from daq.run import open_run
-from daq.store import verify
-from plant.layout import PRESSURE
+from daq.interrupt import StopFlag
+from daq.store.run import open_run
+from daq.store.store import verify
+from plant.physics.layout import PRESSURE
 from protocol_runs import events, run_short
-from rigs.control import RunControl
-from rigs.interrupt import StopFlag
-from rigs.leakcheck import LeakCheck
-from rigs.pictures import measure_stored
+from rigs.execution.actions.leak_check import LeakCheck
+from rigs.execution.control import RunControl
+from rigs.execution.pictures import measure_stored
+from rigs.execution.runner import Runner, Watch
 from rigs.protocols.names import PROTOCOLS
 from rigs.protocols.registry import procedure
-from rigs.runner import Runner, Watch
-from vision.coarse import _bands
+from vision.marker.coarse import _bands
 
 STATIC = ("isometric", "isobaric", "isotonic", "isothermal", "hysteresis")
 SHORT_S = 15.0
@@ -212,7 +212,7 @@ def check_whole(run: Any, name: str) -> None:
 def test_a_killed_program_leaves_a_readable_record(tmp_path: Path, seed: int) -> None:
     name = STATIC[seed % len(STATIC)]
     client = subprocess.Popen(
-        [sys.executable, "-m", "rigs.cli", name, "--out", str(tmp_path / "runs")],
+        [sys.executable, "-m", "cli.main", name, "--out", str(tmp_path / "runs")],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     end = time.monotonic() + 60

@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.store import verify
-from plant.bench import BenchSim
+from analysis.findings.hysteresis import cycles_of
+from analysis.findings.isothermal import temperature_growth, temperature_lines
+from daq.store.store import verify
 from plant.constants import nominal
-from plant.effects import Effects
+from plant.effects.effects import Effects
+from plant.simulator.bench import BenchSim
 from protocol_runs import (
     events,
     force_n,
@@ -24,15 +26,13 @@ from protocol_runs import (
     run_short,
     with_virtual,
 )
-from rigs.config import load_rig
-from rigs.findings_hysteresis import cycles_of
-from rigs.findings_isothermal import temperature_growth, temperature_lines
+from rigs.execution.actions.setpoint import at_set_pressure
+from rigs.execution.runner import Runner
+from rigs.execution.session import run_protocol
 from rigs.protocols.names import default_rig
 from rigs.protocols.registry import procedure
-from rigs.runner import Runner
-from rigs.session import run_protocol
-from rigs.setpoint import at_set_pressure
-from rigs.toml_reader import find_config
+from rigs.rigfile.config import load_rig
+from rigs.rigfile.toml_reader import find_config
 from rigs.virtual.bench import VirtualBench
 
 STATIC = ("isobaric", "isotonic", "isothermal", "hysteresis")
@@ -293,7 +293,7 @@ def test_an_hour_of_protocol_takes_less_than_a_minute(name: str, tmp_path: Path)
     cpu = time.process_time()
     result = run_protocol(kind, config, plan, tmp_path, derive=False)
     cpu = time.process_time() - cpu
-    from daq.run import open_run
+    from daq.store.run import open_run
 
     run = open_run(result.folder)
     assert run.final is not None

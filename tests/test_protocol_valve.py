@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.reporting.report import report_json
 from daq.errors import ConfigError
-from daq.run import Run, open_run
+from daq.store.run import Run, open_run
 from plant.constants import nominal
-from plant.valve import drop_out_v, off_delay_s, on_delay_s, pull_in_v
-from rigs.config import load_rig
-from rigs.control import RunControl
+from plant.physics.valve import drop_out_v, off_delay_s, on_delay_s, pull_in_v
+from rigs.execution.control import RunControl
+from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
-from rigs.report import report_json
-from rigs.session import run_protocol
+from rigs.rigfile.config import load_rig
 
 STAND = "virtual-valve-stand"
 

@@ -19,30 +19,30 @@ import pytest
 from scipy.io import loadmat
 from typer.testing import CliRunner
 
-from daq.annotations import ANNOTATIONS, annotate, read_annotations
+from analysis.formats.export import export_run, with_unit
+from analysis.reporting.derived import derive_all
+from analysis.reporting.report import report_json
+from cli.data.records_commands import point_numbers
+from cli.main import app
+from cli.test.plan import load_plan, run_chain, standing
+from cli.test.request import tell_run
+from cli.test.resume import continue_run
 from daq.errors import ConfigError, PamrigError, PortError, RecordError
-from daq.run import Run, open_run
-from daq.runindex import index_path, rebuild_index, update_index
-from daq.runname import run_name
-from daq.store import find_run, list_runs
-from daq.verify import verify
-from rigs.chain import load_plan, run_chain, standing
-from rigs.cli import app
-from rigs.config import load_rig
-from rigs.continuing import continue_run
-from rigs.control import RunControl, control_file
-from rigs.export import export_run, with_unit
-from rigs.interrupt import StopFlag
-from rigs.isometric import load_isometric
-from rigs.locks import rig_lock
-from rigs.products import derive_all
+from daq.interrupt import StopFlag
+from daq.record.runname import run_name
+from daq.store.annotations import ANNOTATIONS, annotate, read_annotations
+from daq.store.index import index_path, rebuild_index, update_index
+from daq.store.run import Run, open_run
+from daq.store.store import find_run, list_runs
+from daq.store.verify import verify
+from rigs.bench.locks import rig_lock
+from rigs.bench.rig import open_rig
+from rigs.execution.control import RunControl, control_file
+from rigs.execution.resume import reduce_run, whole_trials
+from rigs.execution.session import run_protocol
+from rigs.protocols.isometric_method import load_isometric
 from rigs.protocols.registry import procedure
-from rigs.records_commands import point_numbers
-from rigs.report import report_json
-from rigs.rig import open_rig
-from rigs.segments import reduce_run, whole_trials
-from rigs.session import run_protocol
-from rigs.tell import tell_run
+from rigs.rigfile.config import load_rig
 
 SMALL = """
 protocol = "isometric"
@@ -318,7 +318,7 @@ def killed(folder: Path, after_s: float, before: Run | None = None) -> Run:
     if before is not None:
         start = ["continue", before.run_id, "--runs", str(root)]
     program = subprocess.Popen(
-        [sys.executable, "-m", "rigs.cli", *start],
+        [sys.executable, "-m", "cli.main", *start],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     end = time.monotonic() + 900.0  # a busy machine is not what is tested
@@ -613,8 +613,8 @@ def test_a_lock_goes_with_its_process_however_that_ends(tmp_path: Path) -> None:
     ports = {d: str(tmp_path / d) for d in ("valve", "balance", "stage")}
     path = rig_on_ports(tmp_path, "bench", ports)
     code = (
-        "import sys, os\nfrom pathlib import Path\nfrom rigs.config import load_rig\n"
-        "from rigs.locks import rig_lock\n"
+        "import sys, os\nfrom pathlib import Path\nfrom rigs.rigfile.config import load_rig\n"
+        "from rigs.bench.locks import rig_lock\n"
         f"with rig_lock(load_rig({str(path)!r}), Path({str(tmp_path / 'locks')!r})):\n"
         "    print('held', flush=True)\n    sys.stdin.read()\n"
     )

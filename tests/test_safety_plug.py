@@ -16,13 +16,13 @@ import pytest
 
 from daq.clock import VirtualClock
 from daq.errors import LinkLost
-from daq.transport import MemoryLink
+from daq.link.transport import MemoryLink
 from plant.constants import PlantConstants
-from rigs.config import load_rig
-from rigs.pump import Pump
-from rigs.valve import ValveController
+from rigs.devices.event_loop import Pump
+from rigs.devices.valve_controller import ValveController
+from rigs.rigfile.config import load_rig
 from rigs.virtual.bench import VirtualBench
-from rigs.virtual.tuning import burst_parameters, safety_parameters
+from rigs.virtual.board.tuning import burst_parameters, safety_parameters
 from test_valvefw_safety import Bench, thesis, virtual
 from valvefw.config import PARAMETERS
 from valvefw.sensorwatch import SensorWatch

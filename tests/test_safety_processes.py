@@ -25,8 +25,8 @@ EMPTY_KPA = 20.0
 
 HOST = """
 import sys
-from rigs.config import load_rig
-from rigs.rig import open_valve
+from rigs.rigfile.config import load_rig
+from rigs.bench.rig import open_valve
 config = load_rig(sys.argv[1])
 with open_valve(config) as (valve, pump, _, _bench):
     valve.configure(config.valve.parameters)

@@ -7,15 +7,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-from plant import layout as at
-from plant import scene_kernel
-from plant.bench import BenchSim
 from plant.constants import nominal
-from plant.effects import NONE, Effects
+from plant.effects.effects import NONE, Effects
 from plant.errors import PlantError
 from plant.links.reader import load_arm
-from plant.ram import Ram, RamConstants, ram_scene
-from plant.scene import Coordinate, Scene, Switch, Unit
+from plant.physics import layout as at
+from plant.scene import kernel as scene_kernel
+from plant.scene.ram import Ram, RamConstants, ram_scene
+from plant.scene.scene import Coordinate, Scene, Switch, Unit
+from plant.simulator.bench import BenchSim
 
 C = nominal()
 
@@ -146,7 +146,7 @@ def test_shut_valves_keep_their_gas_whatever_the_finger_does() -> None:
 
 
 def content(scene: Scene) -> np.ndarray:
-    from plant.muscle import chamber_volume
+    from plant.physics.muscle import chamber_volume
 
     absolute = scene.pressures_kpa * 1e3 + C.atmosphere_pa
     return np.asarray(absolute * chamber_volume(scene.lengths_mm * 1e-3, C))
@@ -155,7 +155,7 @@ def content(scene: Scene) -> np.ndarray:
 def test_an_undamped_swing_on_shut_muscles_keeps_its_energy() -> None:
     """Kinetic, gravity's and the gas's energy: the isothermal gas stores -P0 V0 ln V + p_atm V."""
     from plant.links.dynamics import total_energy
-    from plant.muscle import chamber_volume
+    from plant.physics.muscle import chamber_volume
 
     arm = load_arm("planar2")
     units = [

@@ -12,8 +12,8 @@ from plant.constants import nominal
 from plant.links.arm import Arm, Link
 from plant.models import catalogue
 from plant.models.law import History
-from plant.modeltable import model_table
-from plant.scene import Coordinate, Scene, Unit
+from plant.scene.model_table import model_table
+from plant.scene.scene import Coordinate, Scene, Unit
 
 C = nominal()
 

@@ -13,18 +13,18 @@ import pandas as pd
 import pytest
 
 import pamrig
+from analysis.findings.simulation import scene_figure
+from analysis.formats.export import export_run
 from daq.errors import ConfigError, RecordError
-from daq.run import open_run
-from daq.verify import verify
-from gap.from_runs import export_runs
-from gap.reader import read_dataset
-from rigs.export import export_run
-from rigs.interrupt import StopFlag
-from rigs.segments import reduce_run
-from rigs.simulation.findings import scene_figure
-from rigs.simulation.scenario import load_scenario
-from rigs.simulation.session import build_scene, simulate
-from rigs.toml_reader import find_config
+from daq.interrupt import StopFlag
+from daq.store.run import open_run
+from daq.store.verify import verify
+from gap.data.from_runs import export_runs
+from gap.data.reader import read_dataset
+from rigs.execution.resume import reduce_run
+from rigs.rigfile.toml_reader import find_config
+from studies.simulation.scenario import load_scenario
+from studies.simulation.session import build_scene, simulate
 
 SHIPPED = ("antagonists", "finger", "held-steps", "hung-two-position", "ram", "spring-return")
 
@@ -234,7 +234,7 @@ def test_a_bad_scenario_is_refused_with_file_and_key(
 def test_the_command_line_refuses_with_status_2_and_prints_json(tmp_path: Path) -> None:
     def pamrig_command(*words: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, "-m", "rigs.cli", "simulate", *words, "--out", str(tmp_path / "runs")],
+            [sys.executable, "-m", "cli.main", "simulate", *words, "--out", str(tmp_path / "runs")],
             capture_output=True, text=True, timeout=900, check=False,
         )  # fmt: skip
 

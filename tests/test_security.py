@@ -31,36 +31,36 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-import daq.tablefile
-from daq.annotations import annotate
+import daq.store.tablefile
+from analysis.formats.importer import import_points
+from analysis.layouts.layouts import measured_edges
+from analysis.reporting.derived import derive_all
 from daq.clock import VirtualClock
 from daq.errors import PamrigError, RecordError
-from daq.record import RecordWriter
-from daq.run import Run, open_run
-from daq.runindex import index_path, rebuild_index
-from daq.sealed import seal_file, seal_line
-from daq.segments import _compressed
-from daq.store import list_runs, rebuild, show
-from daq.tablefile import read_parquet
-from daq.verify import verify
+from daq.record.sealed import seal_file, seal_line
+from daq.record.segments import _compressed
+from daq.record.writer import RecordWriter
+from daq.store.annotations import annotate
+from daq.store.index import index_path, rebuild_index
+from daq.store.run import Run, open_run
+from daq.store.store import list_runs, rebuild, show
+from daq.store.tablefile import read_parquet
+from daq.store.verify import verify
+from gap.data.reader import read_dataset
 from gap.errors import GapError
-from gap.reader import read_dataset
 from plant.constants import load_constants
 from plant.errors import PlantError
 from plant.finger.reader import load_finger
 from plant.links.reader import load_arm
 from plant.models.catalogue import load as load_model
-from rigs.camera_calibration import load_camera_calibration
-from rigs.config import load_rig
-from rigs.frames import open_frames
-from rigs.importer import import_points
-from rigs.liveview import measured_edges
-from rigs.pictures import measure_stored
-from rigs.products import derive_all
-from rigs.segments import reduce_run
-from rigs.toml_reader import load_toml
+from rigs.calibration.frames import open_frames
+from rigs.execution.pictures import measure_stored
+from rigs.execution.resume import reduce_run
+from rigs.rigfile.camera_calibration import load_camera_calibration
+from rigs.rigfile.config import load_rig
+from rigs.rigfile.toml_reader import load_toml
 from rigs.virtual.server import open_server
-from rigs.virtual.withheld import ENVELOPE, ask
+from rigs.virtual.withheld.bench import ENVELOPE, ask
 from vision.preview import draw
 
 HOUSE = Path(__file__).parent.parent
@@ -413,8 +413,8 @@ def test_a_parquet_file_that_stands_for_more_than_it_holds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     path = exchange(tmp_path) / "samples.parquet"
-    monkeypatch.setattr(daq.tablefile, "MOST_CELLS", 1_000_000)
-    monkeypatch.setattr(daq.tablefile, "MOST_TEXT", 1_000_000)
+    monkeypatch.setattr(daq.store.tablefile, "MOST_CELLS", 1_000_000)
+    monkeypatch.setattr(daq.store.tablefile, "MOST_TEXT", 1_000_000)
     if kind == "cells":
         frame = pd.DataFrame({"trial": "t1", "time_s": np.zeros(1_000_000)})
     elif kind == "words":
@@ -499,8 +499,8 @@ def tiff(pages: list[tuple[tuple[int, int], bytes]], order: str = "<", big: bool
 PICTURES = """
 import resource, sys
 from pathlib import Path
-from rigs.frames import open_frames
-from rigs.pictures import decode
+from rigs.calibration.frames import open_frames
+from rigs.execution.pictures import decode
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for path in sorted(Path(sys.argv[1]).iterdir()):
     assert decode(path.read_bytes()) is None, path
@@ -598,7 +598,7 @@ def test_a_picture_too_large_says_so_with_its_name_and_how_it_is_read(tmp_path: 
     video.release()
     for name in ("claim.png", "film.avi"):
         done = subprocess.run(
-            [sys.executable, "-m", "rigs.cli", "length", str(tmp_path / name)],
+            [sys.executable, "-m", "cli.main", "length", str(tmp_path / name)],
             capture_output=True, text=True, check=False, timeout=900,
         )  # fmt: skip
         assert done.returncode == 2
@@ -711,7 +711,10 @@ def test_everything_listens_on_loopback_and_bears_what_comes(tmp_path: Path) -> 
 PACKAGES = ("valvefw", "plant", "vision", "blind", "daq", "rigs", "gap", "pamrig")
 RUNS_CODE = {"eval", "exec", "compile", "__import__"}
 LOADS_CODE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml", "code"}
-MAY = {("plant/links/generated.py", "exec"), ("plant/links/generated.py", "compile")}
+MAY = {
+    ("plant/links/symbolic/generated.py", "exec"),
+    ("plant/links/symbolic/generated.py", "compile"),
+}
 """Equations that this program derived itself, from numbers; kept in the user's own cache."""
 
 

@@ -11,8 +11,8 @@ from typing import TextIO
 
 import pytest
 
-from rigs import firstuse
-from rigs.firstuse import WORDS, tell_of_compiling
+from studies import first_use as firstuse
+from studies.first_use import WORDS, tell_of_compiling
 
 pytestmark = pytest.mark.realtime
 pty = pytest.importorskip("pty", reason="no terminals of this kind on this system")

@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plant.bench import FINE_STEP_SHARE, BenchSim
 from plant.constants import nominal
-from rigs.studies import delay, orifice, ram, schemes
-from rigs.studies.command import Progress
-from rigs.studies.ram import lift
-from rigs.studies.trial import SCHEMES, Bench, Trace, run_trial, summary
-from rigs.virtual.asprinted import install_as_printed
-from rigs.virtual.board import SimBoard
-from rigs.virtual.pressuresensor import PressureSensor
-from rigs.virtual.tuning import burst_parameters, safety_parameters
+from plant.simulator.bench import FINE_STEP_SHARE, BenchSim
+from rigs.virtual.board.as_printed import install_as_printed
+from rigs.virtual.board.board import SimBoard
+from rigs.virtual.board.pressure_sensor import PressureSensor
+from rigs.virtual.board.tuning import burst_parameters, safety_parameters
+from studies.schemes import delay, orifice, ram, schemes
+from studies.schemes.command import Progress
+from studies.schemes.ram import lift
+from studies.schemes.trial import SCHEMES, Bench, Trace, run_trial, summary
 from valvefw.wire import encode_frame
 
 C = nominal()
@@ -107,7 +107,7 @@ def test_the_muscle_swings_on_the_valve_of_1996_and_not_on_the_small_fast_one() 
 
 def test_halving_the_step_changes_no_figure_of_a_lift() -> None:
     """The ram's rest and the peak on the way; every tick is made of substeps half as long."""
-    from plant.ram import Ram, RamConstants, ram_scene
+    from plant.scene.ram import Ram, RamConstants, ram_scene
 
     rests = []
     for share in (1.0, 0.5):
@@ -176,7 +176,7 @@ def test_each_study_answers_in_small(module, tmp_path: Path) -> None:  # type: i
 
 def test_the_command_writes_figures_and_one_json_value(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "rigs.cli", "study", "delay", "--json", "--out", str(tmp_path)],
+        [sys.executable, "-m", "cli.main", "study", "delay", "--json", "--out", str(tmp_path)],
         capture_output=True, text=True, timeout=900, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -8,21 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.findings.flow import Meter, fit_iso, flow_findings, flow_share
+from analysis.findings.hysteresis import cycles_of, hysteresis_findings
+from analysis.findings.isobaric import isobaric_findings, lines_in_length
+from analysis.findings.isotonic import isotonic_findings
+from analysis.findings.switching import time_findings, voltage_findings
+from analysis.formats.importer import import_thesis
+from analysis.reduction.points import Reduction, reduce_points
+from analysis.reduction.valve_points import imported_points
+from analysis.regression.least_squares import straight_line
+from analysis.reporting.report import report_json, write_report
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
-from daq.run import open_run
-from daq.verify import verify
-from rigs.findings_flow import Meter, fit_iso, flow_findings, flow_share
-from rigs.findings_hysteresis import cycles_of, hysteresis_findings
-from rigs.findings_isobaric import isobaric_findings, lines_in_length
-from rigs.findings_isotonic import isotonic_findings
-from rigs.findings_switching import time_findings, voltage_findings
-from rigs.importer import import_thesis
-from rigs.leastsquares import straight_line
-from rigs.protocols.procedure import Findings, Section
-from rigs.reduction import Reduction, reduce_points
-from rigs.report import report_json, write_report
-from rigs.valve_points import imported_points
+from daq.store.run import open_run
+from daq.store.verify import verify
+from rigs.execution.procedure import Findings, Section
 
 CYCLES = {"mass_kg": "float64", "cycle_max_kpa": "float64"}
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from plant.constants import PlantConstants, nominal
-from rigs.config import load_rig
-from rigs.virtual.tuning import burst_parameters, safety_parameters
+from rigs.rigfile.config import load_rig
+from rigs.virtual.board.tuning import burst_parameters, safety_parameters
 from test_valvefw_pwm import Held
 from test_valvefw_safety import thesis, virtual
 from valvefw.config import defaults

@@ -17,7 +17,7 @@ import pytest
 
 import micropython_host
 from daq.clock import RealClock
-from daq.transport import SerialLink
+from daq.link.transport import SerialLink
 from valvefw.config import PARAMETERS, config_crc, defaults
 from valvefw.deskboard import DeskBoard
 from valvefw.wire import cobs_encode, decode_frame, encode_frame, lfsr_next

@@ -11,11 +11,11 @@ import pytest
 import micropython_host
 from daq.clock import VirtualClock
 from daq.errors import DeviceError, LinkLost, PamrigError, PortError
-from daq.transport import ModemLines
-from rigs import firmware
-from rigs.config import load_rig
-from rigs.console import converse
-from rigs.rs232 import Rs232Board
+from daq.link.transport import ModemLines
+from rigs.bench import firmware
+from rigs.bench.console import converse
+from rigs.devices.rs232 import Rs232Board
+from rigs.rigfile.config import load_rig
 from valvefw import VERSION
 from valvefw.wire import encode_frame
 

@@ -7,9 +7,9 @@ import random
 import numpy as np
 import pytest
 
-from plant.bench import BenchSim
 from plant.constants import PlantConstants, nominal
-from rigs.virtual.board import PressureSensor, SimBoard
+from plant.simulator.bench import BenchSim
+from rigs.virtual.board.board import PressureSensor, SimBoard
 from valvefw.config import PARAMETERS, defaults
 from valvefw.deskboard import DeskBoard
 from valvefw.safety import Safety

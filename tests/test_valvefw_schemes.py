@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.virtual.asprinted import (
+from rigs.virtual.board.as_printed import (
     BothDutyAsPrinted,
     InletDutyAsPrinted,
     SlidingAsPrinted,

@@ -10,10 +10,10 @@ import pytest
 
 from daq.clock import VirtualClock
 from daq.errors import ConfigError
-from plant.catalogue import CATALOGUE
-from rigs.config import RigConfig, load_rig
+from plant.effects.catalogue import CATALOGUE
+from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
-from vision.edge import measure_gap
+from vision.marker.edge import measure_gap
 
 
 def rig(**effects: dict[str, Any]) -> RigConfig:

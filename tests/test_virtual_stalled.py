@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from daq.clock import RealClock
-from daq.codec import encode_request
-from daq.transport import SerialLink
-from rigs.config import load_rig
-from rigs.pump import Pump
-from rigs.valve import ValveController
+from daq.link.codec import encode_request
+from daq.link.transport import SerialLink
+from rigs.devices.event_loop import Pump
+from rigs.devices.valve_controller import ValveController
+from rigs.rigfile.config import load_rig
 from rigs.virtual.server import BenchServer, open_server
 
 pytestmark = pytest.mark.realtime

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from vision.edge import measure_gap
 from vision.gray import FrameError, RegionError
+from vision.marker.edge import measure_gap
 from vision_defects import glare, jpeg, missing_rows, specks
 from vision_truth import Scene, clean, cramer_rao, digitise, half_plane, picture
 

@@ -10,21 +10,21 @@ import cv2
 import numpy as np
 import pytest
 
+from cli.data.length import length_report, measure_lengths, parse_box
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, DeviceError, PamrigError
-from rigs.calibrate_camera import (
+from rigs.calibration.camera import (
     CameraCalibration,
     calibrate_from_board,
     calibrate_from_gauges,
     load_camera_calibration,
     save_camera_calibration,
 )
-from rigs.frames import FramesError, open_frames
-from rigs.length import length_report, measure_lengths, parse_box
-from rigs.uvc import UvcCamera
-from rigs.virtual.camera import CameraModel, render
-from vision.edge import measure_gap
+from rigs.calibration.frames import FramesError, open_frames
+from rigs.devices.uvc import UvcCamera
+from rigs.virtual.emulators.camera import CameraModel, render
 from vision.lens import Lens
+from vision.marker.edge import measure_gap
 from vision_truth import Scene, picture
 
 KEYS = ["file", "frame", "pixels", "u_pixels", "length_mm", "u_mm", "trusted", "reason"]
@@ -89,7 +89,7 @@ def test_video(tmp_path, frames):
 
 
 def test_run_folder_replays_to_the_bit(tmp_path, frames):
-    from daq.record import RecordWriter
+    from daq.record.writer import RecordWriter
     from daq_records import MANIFEST
 
     clock = VirtualClock()
@@ -275,7 +275,7 @@ def test_bad_calibration_files(tmp_path, text):
 
 def test_lens_distortion_is_found_from_gauge_blocks():
     """Positions measured through a known lens: the fitted k1 is the true one, within its u."""
-    from rigs.calibrate_camera import _fit_lens
+    from rigs.calibration.camera import _fit_lens
 
     rng = np.random.default_rng(6)
     true = Lens(320.0, 240.0, 400.0, k1=0.01)

@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blind.entries import ENTRIES, Hidden
 from blind.live import Secret
+from blind.physics.entries import ENTRIES, Hidden
 from blind.seal import text_of
+from cli.investigate.runnable import draw_runnable, refusal
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, PamrigError
-from plant.catalogue import CATALOGUE
-from rigs.config import RigConfig, load_rig
-from rigs.virtual.runnable import draw_runnable, refusal
-from rigs.virtual.withheld import Envelope, WithheldBench, ask, draw
-from vision.edge import measure_gap
+from plant.effects.catalogue import CATALOGUE
+from rigs.rigfile.config import RigConfig, load_rig
+from rigs.virtual.withheld.bench import Envelope, WithheldBench, ask, draw
+from vision.marker.edge import measure_gap
 from withheld_campaign import RIG, entropy_of
 
 
@@ -40,8 +40,8 @@ def quiet(rig: str = "virtual") -> RigConfig:
 
 
 def stated(config: RigConfig) -> np.ndarray:
-    from blind.bench import nominal, with_keys
-    from rigs.virtual.withheld import _STATED
+    from blind.physics.bench import nominal, with_keys
+    from rigs.virtual.withheld.bench import _STATED
 
     assert config.virtual is not None
     return with_keys(nominal(), {k: v for k, v in config.virtual.plant.items() if k in _STATED})
@@ -78,8 +78,8 @@ def seen_mm(bench: WithheldBench) -> float:
 def test_without_an_effect_it_is_the_nominal_bench_to_another_integrator_s_accuracy() -> None:
     bench, clock = hiding()
     at_pressure(bench, clock, 0.25)
-    from plant.bench import BenchSim
     from plant.constants import nominal
+    from plant.simulator.bench import BenchSim
 
     assert bench.config.virtual is not None
     twin = BenchSim(nominal().with_overrides(bench.config.virtual.plant), length_m=0.06175)
@@ -218,7 +218,7 @@ def test_a_rig_that_states_an_effect_is_refused() -> None:
 
 @pytest.mark.campaign
 def test_the_command_prints_the_seal_and_never_the_answer(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "rigs.cli", "virtual", "--dir", str(tmp_path)]
+    command = [sys.executable, "-m", "cli.main", "virtual", "--dir", str(tmp_path)]
     done = subprocess.run(
         [*command, "--withheld", "--seconds", "1"],
         text=True, capture_output=True, timeout=900, check=False,

@@ -2,10 +2,10 @@
 
 Each seed draws a secret effect (entry, form, sign, size, and the bench's true constants) with the
 blind package and puts it into a virtual bench. The answer is sealed in the journal by its salted
-SHA-256 before the first test; `rigs.investigate` then runs its tests on that bench over its ports,
-byte by byte on a virtual clock, and knows the rig file and the stated constants only. The answer is
-opened when the investigation has ended. The journal takes one line a seed: stopped at any moment,
-the command goes on with the next seed.
+SHA-256 before the first test; `cli.investigate.investigate` then runs its tests on that bench over
+its ports, byte by byte on a virtual clock, and knows the rig file and the stated constants only.
+The answer is opened when the investigation has ended. The journal takes one line a seed: stopped
+at any moment, the command goes on with the next seed.
 
     python -m tests.withheld_campaign --seeds 0-39 --page docs/evidence/investigate-check.md
 """
@@ -22,13 +22,13 @@ import time
 from pathlib import Path
 from typing import Any
 
+from cli.investigate.investigate import Investigation, investigate
+from cli.investigate.runnable import draw_runnable
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
-from gap.check.statistics import Share, share
-from rigs.config import RigConfig, load_rig
-from rigs.investigate import Investigation, investigate
-from rigs.virtual.runnable import draw_runnable
-from rigs.virtual.withheld import WithheldBench
+from gap.check.scoring.statistics import Share, share
+from rigs.rigfile.config import RigConfig, load_rig
+from rigs.virtual.withheld.bench import WithheldBench
 
 RIG = "virtual-instruments"
 MIMICKED = 0.9

@@ -13,11 +13,11 @@ import numpy as np
 import pyarrow  # noqa: F401  a run imports it before it begins
 from source import BLOCK, CHANNELS, TABLE, blocks, checked, rows, serve
 
-from daq.ahead import SLOTS
 from daq.clock import RealClock
-from daq.record import RecordWriter
-from daq.rows import RowWriter
-from daq.run import open_run
+from daq.record.ahead import SLOTS
+from daq.record.rows import RowWriter
+from daq.record.writer import RecordWriter
+from daq.store.run import open_run
 
 COLUMNS = {"row": "int64", **dict.fromkeys(CHANNELS, "float64")}
 BATCHES = SLOTS - 1

@@ -6,8 +6,8 @@ import sys
 
 import typer
 
+from cli.gap.check import add_check
 from daq.errors import PamrigError
-from gap.check.cli import add_check
 
 if __name__ == "__main__":
     app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)

@@ -13,7 +13,7 @@ import typer
 from gap.check.campaign import Plan, parse_numbers, run_campaign
 from gap.check.errors import CheckError
 from gap.check.ledger import enter, used_before
-from gap.check.totals import totals
+from gap.check.scoring.totals import totals
 
 STREAMS = ("practice", "reserved", "smoke")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from gap.diagnose import diagnose
-from gap.reader import read_dataset
+from gap.data.reader import read_dataset
+from gap.decision.diagnose import diagnose
 from gap.verdict import Verdict
 
 

@@ -21,8 +21,8 @@ from blind.exchange import write
 from blind.recording import record
 from blind.seal import opened, seal
 from blind.sets import BlindSet, answer, blind_set
-from gap.check.closed import closed_fraction
-from gap.check.score import score
+from gap.check.scoring.closed import closed_fraction
+from gap.check.scoring.score import score
 
 Diagnose = Callable[[Path, Sequence[str]], Mapping[str, Any]]
 
@@ -86,7 +86,7 @@ def examine(task: Task) -> dict[str, Any]:
         verdict = diagnosed(task.engine, folder, one.without)
         rivals: dict[str, dict[str, Any]] = {}
         if task.baselines:
-            from gap.check.baselines import baseline_verdicts
+            from gap.check.scoring.baselines import baseline_verdicts
 
             rivals = baseline_verdicts(folder, one.without)
         truth = opened(envelope, digest)

@@ -1,4 +1,5 @@
-"""Learn how far an explanation is to be believed: makes `gap/belief.npz` and `gap/belief.toml`.
+"""Learn how far an explanation is to be believed: makes `gap/decision/reliability.npz` and
+`gap/decision/reliability.toml`.
 
     pip install 'pamrig[learn]'
     python -m gap.check.learn out/practice/results.jsonl ...
@@ -25,12 +26,12 @@ from scipy.stats import t as student
 
 from blind.seal import opened
 from blind.sets import BLOCK
-from gap.belief import FEATURES, LEAST, OUTCOMES, Array, Forest, features
 from gap.check.errors import CheckError
 from gap.check.ledger import used_before
-from gap.check.score import parameter_row
-from gap.check.statistics import Z95
-from plant.catalogue import CATALOGUE
+from gap.check.scoring.score import parameter_row
+from gap.check.scoring.statistics import Z95
+from gap.decision.reliability import FEATURES, LEAST, OUTCOMES, Array, Forest, features
+from plant.effects.catalogue import CATALOGUE
 
 FOLDS = 10
 TREES = 200
@@ -191,7 +192,7 @@ def shared_spread(groups: Sequence[Sequence[float]]) -> tuple[float, float]:
 def store(forest: Forest, form: Mapping[str, float], sets: int, folder: Path) -> None:
     """Write the two files that ship."""
     np.savez_compressed(
-        folder / "belief.npz",
+        folder / "reliability.npz",
         features=np.array(FEATURES),
         roots=forest.roots.astype(np.int32),
         feature=forest.feature.astype(np.int8),
@@ -201,12 +202,12 @@ def store(forest: Forest, form: Mapping[str, float], sets: int, folder: Path) ->
         odds=forest.odds.astype(np.float32),
     )
     text = (
-        f"# Made by `python -m gap.check.learn` with {sets} explanations, as belief.npz;\n"
+        f"# Made by `python -m gap.check.learn` with {sets} explanations, as reliability.npz;\n"
         "# do not edit. How far headlines are off, as a logarithm, one sd.\n"
         "[form]\n"
     )
     text += "".join(f"{name} = {value:.3g}\n" for name, value in form.items())
-    (folder / "belief.toml").write_text(text, encoding="utf-8")
+    (folder / "reliability.toml").write_text(text, encoding="utf-8")
 
 
 def main(paths: Sequence[str]) -> int:
@@ -230,7 +231,7 @@ def main(paths: Sequence[str]) -> int:
             f"unknown from {least:.1f}: {int((flagged & unknown).sum())} of {unknown.sum()}, "
             f"{int((flagged & ~unknown).sum())} of {(~unknown).sum()} in error"
         )
-    store(fit(of), form_errors(lines), len(of.x), Path(__file__).parents[1])
+    store(fit(of), form_errors(lines), len(of.x), Path(__file__).parents[1] / "decision")
     return 0
 
 

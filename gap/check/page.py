@@ -14,7 +14,7 @@ them after the verdict was stored. The *size* of a gap is the rms of (effect on 
 after the nominal constants are fitted again within their tolerances, divided by the rms of the
 replicate scatter of the clearest channel. A set counts as having a *confounder* if one or two
 other entries of the catalogue take more than 90 % of what the effect leaves on that same design.
-Intervals are Wilson intervals at 95 %. Every score is defined in `gap/check/score.py`.
+Intervals are Wilson intervals at 95 %. Every score is defined in the package `gap.check`.
 """
 
 

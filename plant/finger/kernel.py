@@ -1,8 +1,8 @@
 """Valve edges and control ticks of a finger in compiled code; between edges see `stepping`.
 
-Each muscle is a row of its own in the layout of the one-muscle bench (`plant.layout`), so that
-valves, flow and muscle laws are those of `plant.kernel` and `plant.rates`. Pending valve edges of
-all muscles act exactly when due.
+Each muscle is a row of its own in the layout of the one-muscle bench (`plant.physics.layout`), so
+that valves, flow and muscle laws are those of `plant.simulator.kernel` and `plant.simulator.rates`.
+Pending valve edges of all muscles act exactly when due.
 
 Importing this module loads numba and, the first time after an installation, compiles.
 """
@@ -10,20 +10,18 @@ Importing this module loads numba and, the first time after an installation, com
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Callable
-from importlib import resources
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from plant import layout as at
 from plant.compiled import called, entry_point, fingerprint
 from plant.finger.stepping import integrate, pull_of
-from plant.kernel import SAME_INSTANT_S, _act, _command, _due
 from plant.links.kernel import WORK
-from plant.rates import chamber, power
+from plant.physics import layout as at
+from plant.simulator.kernel import SAME_INSTANT_S, _act, _command, _due
+from plant.simulator.rates import chamber, power
 
 Array = npt.NDArray[np.float64]
 
@@ -128,13 +126,7 @@ def _close(muscles: Array, params: Array, joints: Array, box: Any) -> None:
         state[at.FORCE] = pull_of(state, params[i], state[at.PRESSURE], state[at.LENGTH], rate)
 
 
-_CONTENT = zlib.crc32(
-    b"".join(
-        resources.files("plant").joinpath(*parts).read_bytes()
-        for parts in (("links", "kernel.py"), ("finger", "stepping.py"), ("finger", "kernel.py"))
-    ),
-    fingerprint(),
-)
+_CONTENT = fingerprint("simulator", "finger", "links/kernel.py")
 _TABLE = "float64[:,::1]"
 
 

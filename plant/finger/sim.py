@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from plant import layout
-from plant.bench import build_params, build_state
 from plant.constants import PlantConstants
-from plant.effects import NONE, Effects
+from plant.effects.effects import NONE, Effects
 from plant.errors import PlantError
 from plant.finger import kernel
 from plant.finger.body import Finger
 from plant.links.dynamics import total_energy
 from plant.links.kinematics import tip_position
-from plant.muscle import braid_volume
+from plant.physics import layout
+from plant.physics.muscle import braid_volume
+from plant.simulator.bench import build_params, build_state
 
 Array = npt.NDArray[np.float64]
 
@@ -103,7 +103,8 @@ class FingerSim:
     def advance(self, dt_s: float, on_s: Array) -> None:
         """One control tick: `on_s` (2 n, 2) how long from its start each inlet and outlet is on.
 
-        A value of at least `dt_s` keeps the command on at the end, as in `plant.bench.advance`.
+        A value of at least `dt_s` keeps the command on at the end, as in
+        `plant.simulator.bench.advance`.
         """
         self._run(dt_s, on_s.reshape(1, *on_s.shape), self._no_traces)
 

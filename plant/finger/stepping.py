@@ -17,15 +17,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from plant import flow
-from plant import layout as at
 from plant.compiled import Slots, called, inlined
 from plant.constants import (
     GAS_CONSTANT_J_KG_K,
     REFERENCE_DENSITY_KG_M3,
 )
 from plant.links.kernel import DAMPING, mass_matrix, recurse, solve, turn
-from plant.rates import chamber, element, flows, outward, power, sealed, slip_after, tension
+from plant.physics import flow
+from plant.physics import layout as at
+from plant.simulator.rates import (
+    chamber,
+    element,
+    flows,
+    outward,
+    power,
+    sealed,
+    slip_after,
+    tension,
+)
 
 Array = npt.NDArray[np.float64]
 

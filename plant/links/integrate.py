@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Callable
-from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
 
-from plant.compiled import called, entry_point
+from plant.compiled import called, entry_point, fingerprint
 from plant.links.kernel import WORK, forward
 
 Array = npt.NDArray[np.float64]
@@ -27,14 +25,7 @@ _STAGES = (
 _STEP = (5 / 18, 4 / 9, 5 / 18)
 _MOST_ROUNDS = 60
 
-# numba's cache does not see changes in the files of called functions; a closure over their content
-# does (as in plant.compiled).
-_CONTENT = zlib.crc32(
-    b"".join(
-        resources.files("plant").joinpath(*parts).read_bytes()
-        for parts in (("compiled.py",), ("links", "kernel.py"), ("links", "integrate.py"))
-    )
-)
+_CONTENT = fingerprint("links/kernel.py", "links/integrate.py")
 
 
 @called

@@ -105,9 +105,10 @@ class LinerBraid(Law):
     """Braid, bladder spring, and a liner that must swell before it meets the braid.
 
     F = p_eff (3 L^2 - b^2) / (4 pi n^2) + k (L - L_r), where p_eff = w ln(1 + e^((p - p_t)/w) -
-    e^(-p_t/w)) is the dead band of `plant.muscle.liner_pressure`, and p_t(L) = p_0 + p_1 (L -
-    L_ref) (never below 0): the shorter the muscle, the wider its braid and the further the liner
-    must swell, so p_1 < 0 is expected. Smooth in pressure and length, unlike the piecewise ones.
+    e^(-p_t/w)) is the dead band of `plant.physics.muscle.liner_pressure`, and p_t(L) = p_0 + p_1
+    (L - L_ref) (never below 0): the shorter the muscle, the wider its braid and the further the
+    liner must swell, so p_1 < 0 is expected. Smooth in pressure and length, unlike the piecewise
+    ones.
     """
 
     parameters = (

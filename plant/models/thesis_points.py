@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from plant.errors import PlantError
-from plant.fit_data import Points
+from plant.fitting.data import Points
 from plant.models.law import Array, History
 from plant.thesis import array
 

@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rigs.findings_flow import Meter, flow_findings, flow_share
-from rigs.protocols.procedure import Procedure
-from rigs.protocols.schedule import arrange
-from rigs.steps import EndTrial, State, Steps, Trial
-from rigs.toml_reader import load_toml
-from rigs.valve_acts import ValvePoint, pressure_now
-from rigs.valve_layout import valve_layout
-from rigs.valve_reduction import reduce_flow
+from analysis.findings.flow import Meter, flow_findings, flow_share
+from analysis.layouts.valve import valve_layout
+from analysis.reduction.valve import reduce_flow
+from rigs.execution.actions.valve import ValvePoint, pressure_now
+from rigs.execution.procedure import Procedure
+from rigs.execution.schedule import arrange
+from rigs.execution.steps import EndTrial, State, Steps, Trial
+from rigs.rigfile.toml_reader import load_toml
 
 if TYPE_CHECKING:
-    from daq.layout import LiveLayout
-    from rigs.config import RigConfig
-    from rigs.runner import Runner
+    from daq.live.layout import LiveLayout
+    from rigs.execution.runner import Runner
+    from rigs.rigfile.config import RigConfig
 
 THESIS_CONDUCTANCE = 1.25e-9
 """m3/(s Pa) of a 1.0 mm orifice: what the live view draws beside the readings."""

@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.layout import LiveLayout
-from rigs.config import RigConfig
-from rigs.findings_hysteresis import hysteresis_findings
-from rigs.loads import HangLoad
+from analysis.findings.hysteresis import hysteresis_findings
+from analysis.reduction.points import Reduction, reduce_points
+from daq.live.layout import LiveLayout
+from rigs.execution.actions.loads import HangLoad
+from rigs.execution.actions.setpoint import at_set_pressure
+from rigs.execution.procedure import Findings, Procedure
+from rigs.execution.steps import State, Steps
 from rigs.protocols.isotonic import read_masses
 from rigs.protocols.method import Method, read_method
-from rigs.protocols.procedure import Findings, Procedure
 from rigs.protocols.trials import Logbook, Path
-from rigs.reduction import Reduction, reduce_points
-from rigs.setpoint import at_set_pressure
-from rigs.steps import State, Steps
-from rigs.toml_reader import load_toml
+from rigs.rigfile.config import RigConfig
+from rigs.rigfile.toml_reader import load_toml
 
 if TYPE_CHECKING:
-    from daq.run import Run
+    from daq.store.run import Run
 
 EXTRA = {"mass_kg": "float64", "cycle_max_kpa": "float64"}
 
@@ -141,7 +141,7 @@ def findings(run: Run, reduction: Reduction) -> Findings:
 
 def layout(parameters: Mapping[str, Any]) -> LiveLayout:
     """Its screen."""
-    from rigs.liveview_static import hysteresis_layout
+    from analysis.layouts.static import hysteresis_layout
 
     return hysteresis_layout(
         parameters.get("lengths_mm") or (),

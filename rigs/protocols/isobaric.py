@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daq.layout import LiveLayout
-from rigs.config import RigConfig
-from rigs.findings_isobaric import isobaric_findings
+from analysis.findings.isobaric import isobaric_findings
+from analysis.reduction.points import reduce_points
+from daq.live.layout import LiveLayout
+from rigs.execution.actions.sweep import Sweeps, read_sweeps
+from rigs.execution.procedure import Procedure
+from rigs.execution.steps import State, Steps
 from rigs.protocols.method import Method, read_method
-from rigs.protocols.procedure import Procedure
 from rigs.protocols.trials import VENTED_KPA, Logbook
-from rigs.reduction import reduce_points
-from rigs.steps import State, Steps
-from rigs.sweep import Sweeps, read_sweeps
-from rigs.toml_reader import load_toml
+from rigs.rigfile.config import RigConfig
+from rigs.rigfile.toml_reader import load_toml
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def read(name: str, config: RigConfig) -> Isobaric:
 
 def layout(parameters: Mapping[str, Any]) -> LiveLayout:
     """Its screen."""
-    from rigs.liveview_static import isobaric_layout
+    from analysis.layouts.static import isobaric_layout
 
     del parameters
     return isobaric_layout()

@@ -1,15 +1,15 @@
-"""The isometric test (``rigs.isometric``) among the other protocols."""
+"""The isometric test (``rigs.protocols.isometric_method``) among the other protocols."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from daq.layout import LiveLayout
-from rigs.config import RigConfig
-from rigs.isometric import Isometric, load_isometric
-from rigs.protocols.procedure import Procedure
-from rigs.reduction import reduce_isometric
+from analysis.reduction.points import reduce_isometric
+from daq.live.layout import LiveLayout
+from rigs.execution.procedure import Procedure
+from rigs.protocols.isometric_method import Isometric, load_isometric
+from rigs.rigfile.config import RigConfig
 
 
 def read(name: str, config: RigConfig) -> Isometric:
@@ -19,7 +19,7 @@ def read(name: str, config: RigConfig) -> Isometric:
 
 def layout(parameters: Mapping[str, Any]) -> LiveLayout:
     """Its screen."""
-    from rigs.liveview import isometric_layout
+    from analysis.layouts.layouts import isometric_layout
 
     return isometric_layout(pressure_max_kpa=max(parameters.get("pressures_kpa") or [600.0]))
 

@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from daq.layout import LiveLayout
-from rigs.config import RigConfig
-from rigs.findings_isothermal import isothermal_findings
+from analysis.findings.isothermal import isothermal_findings
+from analysis.reduction.points import Reduction, reduce_points
+from daq.live.layout import LiveLayout
+from rigs.execution.actions.temperature import SetTemperature, SoakCriterion
+from rigs.execution.procedure import Procedure
+from rigs.execution.steps import State, Steps
 from rigs.protocols.method import Method, read_method
-from rigs.protocols.procedure import Procedure
 from rigs.protocols.trials import Logbook
-from rigs.reduction import Reduction, reduce_points
-from rigs.steps import State, Steps
-from rigs.temperatures import SetTemperature, SoakCriterion
-from rigs.toml_reader import load_toml
+from rigs.rigfile.config import RigConfig
+from rigs.rigfile.toml_reader import load_toml
 
 if TYPE_CHECKING:
-    from daq.run import Run
+    from daq.store.run import Run
 
 EXTRA = {"set_temperature_c": "float64"}
 
@@ -123,7 +123,7 @@ def reduce(run: Run) -> Reduction:
 
 def layout(parameters: Mapping[str, Any]) -> LiveLayout:
     """Its screen."""
-    from rigs.liveview_static import isothermal_layout
+    from analysis.layouts.static import isothermal_layout
 
     return isothermal_layout(max(parameters.get("pressures_kpa") or [600.0]))
 

@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from daq.layout import LiveLayout
-from rigs.config import RigConfig
-from rigs.findings_isotonic import isotonic_findings
-from rigs.loads import HangLoad
+from analysis.findings.isotonic import isotonic_findings
+from analysis.reduction.points import Reduction, reduce_points
+from daq.live.layout import LiveLayout
+from rigs.execution.actions.loads import HangLoad
+from rigs.execution.procedure import Procedure
+from rigs.execution.steps import State, Steps
 from rigs.protocols.method import Method, read_method
-from rigs.protocols.procedure import Procedure
 from rigs.protocols.trials import Logbook
-from rigs.reduction import Reduction, reduce_points
-from rigs.steps import State, Steps
-from rigs.toml_reader import Table, load_toml
+from rigs.rigfile.config import RigConfig
+from rigs.rigfile.toml_reader import Table, load_toml
 
 if TYPE_CHECKING:
-    from daq.run import Run
+    from daq.store.run import Run
 
 EXTRA = {"mass_kg": "float64"}
 
@@ -92,7 +92,7 @@ def reduce(run: Run) -> Reduction:
 
 def layout(parameters: Mapping[str, Any]) -> LiveLayout:
     """Its screen."""
-    from rigs.liveview_static import isotonic_layout
+    from analysis.layouts.static import isotonic_layout
 
     return isotonic_layout(pressure_max_kpa=max(parameters.get("pressures_kpa") or [600.0]))
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from rigs.config import RigConfig
-from rigs.leakcheck import LeakCheck
-from rigs.protocols.schedule import ORDERS, Place, T, arrange
-from rigs.steps import SettleCriterion
-from rigs.toml_reader import Table
+from rigs.execution.actions.leak_check import LeakCheck
+from rigs.execution.schedule import ORDERS, Place, T, arrange
+from rigs.execution.steps import SettleCriterion
+from rigs.rigfile.config import RigConfig
+from rigs.rigfile.toml_reader import Table
 
 
 @dataclass(frozen=True)

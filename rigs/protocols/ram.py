@@ -11,18 +11,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from analysis.findings.ram import ram_findings, reduce_ram
+from analysis.layouts.valve import valve_layout
 from daq.clock import NS_PER_S
-from rigs.findings_ram import ram_findings, reduce_ram
-from rigs.protocols.procedure import Procedure
-from rigs.steps import Act, EndTrial, State, Steps, Trial
-from rigs.toml_reader import load_toml
-from rigs.valve_acts import Release
-from rigs.valve_layout import valve_layout
+from rigs.execution.actions.valve import Release
+from rigs.execution.procedure import Procedure
+from rigs.execution.steps import Act, EndTrial, State, Steps, Trial
+from rigs.rigfile.toml_reader import load_toml
 
 if TYPE_CHECKING:
-    from daq.layout import LiveLayout
-    from rigs.config import RigConfig
-    from rigs.runner import Runner
+    from daq.live.layout import LiveLayout
+    from rigs.execution.runner import Runner
+    from rigs.rigfile.config import RigConfig
 
 SWITCHES = {"A": 0x40, "B": 0x80}
 """Flags of the telemetry that carry the two proximity inputs (docs/reference/wire-format.md)."""

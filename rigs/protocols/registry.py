@@ -5,8 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 
 from daq.errors import ConfigError
+from rigs.execution.procedure import Procedure
 from rigs.protocols.names import PROTOCOLS
-from rigs.protocols.procedure import Procedure
 
 
 def procedure(name: str) -> Procedure:
@@ -25,5 +25,5 @@ def procedure(name: str) -> Procedure:
 def procedure_of(name: object) -> Procedure:
     """The protocol of a record; the isometric one for records of a protocol unknown here."""
     if name == "simulate":  # records of `pamrig simulate`; no rig runs it
-        return import_module("rigs.simulation.findings").PROCEDURE  # type: ignore[no-any-return]
+        return import_module("analysis.findings.simulation").PROCEDURE  # type: ignore[no-any-return]
     return procedure(name if isinstance(name, str) and name in PROTOCOLS else "isometric")

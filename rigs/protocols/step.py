@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rigs.findings_step import step_findings
-from rigs.protocols.procedure import Procedure
+from analysis.findings.step import step_findings
+from analysis.layouts.valve import valve_layout
+from analysis.reduction.step import reduce_step
+from rigs.execution.actions.valve import Release
+from rigs.execution.procedure import Procedure
+from rigs.execution.steps import Act, EndTrial, SetLength, State, Steps, Trial
 from rigs.protocols.trials import BREATH_KPA, BREATH_S
-from rigs.step_reduction import reduce_step
-from rigs.steps import Act, EndTrial, SetLength, State, Steps, Trial
-from rigs.toml_reader import load_toml
-from rigs.valve_acts import Release
-from rigs.valve_layout import valve_layout
+from rigs.rigfile.toml_reader import load_toml
 
 if TYPE_CHECKING:
-    from daq.layout import LiveLayout
-    from rigs.config import RigConfig
-    from rigs.runner import Runner
+    from daq.live.layout import LiveLayout
+    from rigs.execution.runner import Runner
+    from rigs.rigfile.config import RigConfig
 
 SCHEMES = ("two", "duty_in", "duty", "slide", "burst", "pwm")
 

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.ma  # np.median loads it when first called: that must not be while air is on
 
+from analysis.findings.switching import time_findings
+from analysis.layouts.valve import valve_layout
+from analysis.reduction.valve import reduce_switching_time
 from daq.errors import DeviceError
 from plant.constants import nominal
-from plant.valve import off_delay_s, on_delay_s
-from rigs.findings_switching import time_findings
-from rigs.protocols.procedure import Procedure
-from rigs.protocols.schedule import arrange
-from rigs.steps import EndTrial, State, Steps, Trial
-from rigs.switching import (
+from plant.physics.valve import off_delay_s, on_delay_s
+from rigs.execution.actions.switching import (
     AIR_M_S,
     LINE_MM,
     SwitchingTimes,
@@ -29,15 +28,16 @@ from rigs.switching import (
     capture_block,
     switching_times,
 )
-from rigs.toml_reader import load_toml
-from rigs.valve_acts import ValvePoint, has_supply_axis
-from rigs.valve_layout import valve_layout
-from rigs.valve_reduction import reduce_switching_time
+from rigs.execution.actions.valve import ValvePoint, has_supply_axis
+from rigs.execution.procedure import Procedure
+from rigs.execution.schedule import arrange
+from rigs.execution.steps import EndTrial, State, Steps, Trial
+from rigs.rigfile.toml_reader import load_toml
 
 if TYPE_CHECKING:
-    from daq.layout import LiveLayout
-    from rigs.config import RigConfig
-    from rigs.runner import Runner
+    from daq.live.layout import LiveLayout
+    from rigs.execution.runner import Runner
+    from rigs.rigfile.config import RigConfig
 
 VALVES = ("inlet", "outlet")
 CAPTURE = {"order": "int64", "take": "int64", "k": "int64", "counts": "uint16"}

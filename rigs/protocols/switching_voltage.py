@@ -12,21 +12,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rigs.findings_switching import voltage_findings
-from rigs.protocols.procedure import Procedure
-from rigs.protocols.schedule import arrange
-from rigs.runner import RunFault
-from rigs.steps import EndTrial, State, Steps, Trial
-from rigs.toml_reader import load_toml
-from rigs.valve_acts import ValvePoint, has_supply_axis, pressure_now, release
-from rigs.valve_layout import valve_layout
-from rigs.valve_reduction import open_in, reduce_switching_voltage
+from analysis.findings.switching import voltage_findings
+from analysis.layouts.valve import valve_layout
+from analysis.reduction.valve import open_in, reduce_switching_voltage
+from rigs.execution.actions.valve import ValvePoint, has_supply_axis, pressure_now, release
+from rigs.execution.procedure import Procedure
+from rigs.execution.runner import RunFault
+from rigs.execution.schedule import arrange
+from rigs.execution.steps import EndTrial, State, Steps, Trial
+from rigs.rigfile.toml_reader import load_toml
 
 if TYPE_CHECKING:
-    from daq.layout import LiveLayout
-    from rigs.config import RigConfig
-    from rigs.instruments.supply import Supply
-    from rigs.runner import Runner
+    from daq.live.layout import LiveLayout
+    from rigs.devices.instruments.supply import Supply
+    from rigs.execution.runner import Runner
+    from rigs.rigfile.config import RigConfig
 
 VALVES = ("inlet", "outlet")
 ON_MS = 80

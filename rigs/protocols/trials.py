@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rigs.loads import HangLoad, LowerLoad
-from rigs.mounting import Remount
-from rigs.protocols.method import Method
-from rigs.protocols.schedule import Place, path
-from rigs.steps import (
+from rigs.execution.actions.loads import HangLoad, LowerLoad
+from rigs.execution.actions.mounting import Remount
+from rigs.execution.actions.sweep import Sweep
+from rigs.execution.schedule import Place, path
+from rigs.execution.steps import (
     Dwell,
     EndTrial,
     Measure,
@@ -28,7 +28,7 @@ from rigs.steps import (
     Vent,
     Zero,
 )
-from rigs.sweep import Sweep
+from rigs.protocols.method import Method
 
 BREATH_KPA = 20.0
 BREATH_S = 0.5

@@ -11,20 +11,20 @@ import numpy.typing as npt
 
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, LinkLost, PortError
-from daq.transport import Link, memory_pair
-from plant.bench import BenchSim
+from daq.link.transport import Link, memory_pair
 from plant.constants import nominal
-from plant.effects import Effects
+from plant.effects.effects import Effects
 from plant.errors import PlantError
-from rigs.config import RigConfig
-from rigs.virtual.balance import VirtualBalance
-from rigs.virtual.board import Advance, PressureSensor, SimBoard
-from rigs.virtual.camera import CameraModel, led_exposure, render
+from plant.simulator.bench import BenchSim
+from rigs.rigfile.config import RigConfig
+from rigs.virtual.board.board import Advance, PressureSensor, SimBoard
+from rigs.virtual.board.ram_load import RamLoad
+from rigs.virtual.board.solenoids import Solenoids
+from rigs.virtual.emulators.balance import VirtualBalance
+from rigs.virtual.emulators.camera import CameraModel, led_exposure, render
+from rigs.virtual.emulators.sensor_error import Misreading
+from rigs.virtual.emulators.stage import VirtualStage
 from rigs.virtual.extras import Extras
-from rigs.virtual.misreading import Misreading
-from rigs.virtual.ramload import RamLoad
-from rigs.virtual.solenoids import Solenoids
-from rigs.virtual.stage import VirtualStage
 
 DRIFT = 25e-6
 """The controller's crystal is slower than the host's by this much: a clock fit has work."""

@@ -11,14 +11,14 @@ import numpy as np
 
 from daq.calibration import Calibration
 from daq.clock import Clock
-from plant.bench import PRESSURE, BenchSim
 from plant.constants import GAS_CONSTANT_J_KG_K
-from plant.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MASS_OUT
-from rigs.instruments.settings import TextDevice
-from rigs.virtual.modbus import VirtualModbus
-from rigs.virtual.operator import VirtualOperator
-from rigs.virtual.supply import VirtualSupply
-from rigs.virtual.text import VirtualText
+from plant.physics.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MASS_OUT
+from plant.simulator.bench import PRESSURE, BenchSim
+from rigs.rigfile.instruments import TextDevice
+from rigs.virtual.emulators.modbus import VirtualModbus
+from rigs.virtual.emulators.operator import VirtualOperator
+from rigs.virtual.emulators.supply import VirtualSupply
+from rigs.virtual.emulators.text import VirtualText
 
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench

@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 
 from daq.errors import ConfigError, PamrigError
-from rigs.config import RigConfig, load_rig
-from rigs.interrupt import stop_on_signals
+from daq.interrupt import stop_on_signals
+from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
-from rigs.virtual.byteports import LOOPBACK, Port, PtyPort, TcpPort
-from rigs.virtual.operatorport import OperatorPort
+from rigs.virtual.byte_ports import LOOPBACK, Port, PtyPort, TcpPort
+from rigs.virtual.operator_port import OperatorPort
 from rigs.virtual.warmup import warm_up
 
 TICK_NS = 1_000_000
@@ -39,7 +39,7 @@ BENCH_FILE = "bench.toml"
 
 
 class CameraPort:
-    """Frames on request over loopback TCP; the protocol is in ``rigs.camera.TcpCamera``."""
+    """Frames on request over loopback TCP; the protocol is in ``rigs.devices.camera.TcpCamera``."""
 
     def __init__(self, bench: VirtualBench, serial: str) -> None:
         self._bench = bench

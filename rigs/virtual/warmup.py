@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 from daq.clock import VirtualClock
-from rigs.config import RigConfig
+from rigs.rigfile.config import RigConfig
 from rigs.virtual.bench import VirtualBench
 
 PATIENCE_S = 3.0

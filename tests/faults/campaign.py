@@ -13,8 +13,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from rigs.execution.session import software
 from rigs.protocols.names import PROTOCOLS
-from rigs.session import software
 
 from .judge import Verdict, judge
 from .kinds import Fault, draw

@@ -9,8 +9,8 @@ import random
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-import daq.disk
-import daq.sealed
+import daq.record.disk
+import daq.record.sealed
 
 if TYPE_CHECKING:
     from .kinds import Fault
@@ -56,13 +56,13 @@ class FaultyDisk:
     @contextlib.contextmanager
     def fitted(self) -> Iterator[None]:
         """In force while the context lasts."""
-        everything, real_sync = daq.sealed.write_all, os.fsync
-        daq.sealed.write_all = daq.disk.write_all = self._write_all
+        everything, real_sync = daq.record.sealed.write_all, os.fsync
+        daq.record.sealed.write_all = daq.record.disk.write_all = self._write_all
         os.fsync = self._fsync
         try:
             yield
         finally:
-            daq.sealed.write_all = daq.disk.write_all = everything
+            daq.record.sealed.write_all = daq.record.disk.write_all = everything
             os.fsync = real_sync
 
     def _fsync(self, fd: int) -> None:

@@ -1,9 +1,9 @@
 """Whether a faulted run kept every promise, judged by the bench's truth and the bytes on disk.
 
-Nothing here asks the code that is judged, but for two questions that are about it: `daq.verify`
-(does the product itself call the record sound?) and the table (is a number in it wrong?).
-Rows are read with pyarrow, events and final.json as the JSON they are, times and pressures are
-the simulation's own.
+Nothing here asks the code that is judged, but for two questions that are about it:
+`daq.store.verify` (does the product itself call the record sound?) and the table (is a number in
+it wrong?). Rows are read with pyarrow, events and final.json as the JSON they are, times and
+pressures are the simulation's own.
 """
 
 from __future__ import annotations
@@ -356,8 +356,8 @@ def _emptied(truth: Truth, verdict: Verdict) -> None:
 
 def _readable(truth: Truth, record: Bytes, verdict: Verdict) -> None:
     """All that the record took is on the disk as it was, by Arrow and JSON and by the package."""
-    from daq.run import open_run
-    from daq.verify import verify
+    from daq.store.run import open_run
+    from daq.store.verify import verify
 
     run = open_run(record.folder)
     broken_disk = any(f.layer == "disk" and f.hits for f in truth.faults)

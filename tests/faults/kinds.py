@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.errors import DeviceTimeout
-from plant.layout import DELAY
-from rigs.virtual.balance import VirtualBalance
-from rigs.virtual.supply import VirtualSupply
-from rigs.virtual.text import VirtualText
+from plant.physics.layout import DELAY
+from rigs.virtual.emulators.balance import VirtualBalance
+from rigs.virtual.emulators.supply import VirtualSupply
+from rigs.virtual.emulators.text import VirtualText
 
 from .wires import Rule
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from plant.constants import GAS_CONSTANT_J_KG_K, PlantConstants, nominal
-from plant.flow import mass_flow_kg_s
-from plant.muscle import braid_volume
-from plant.ram import RamConstants
-from rigs.config import RigConfig, load_rig
+from plant.physics.flow import mass_flow_kg_s
+from plant.physics.muscle import braid_volume
+from plant.scene.ram import RamConstants
 from rigs.protocols.names import PROTOCOLS, default_rig
+from rigs.rigfile.config import RigConfig, load_rig
 from valvefw.config import defaults
 from valvefw.sensorwatch import JUMP_N
 

@@ -21,13 +21,13 @@ import rigs.virtual.bench as bench_module
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
 from plant.constants import GAS_CONSTANT_J_KG_K
-from plant.layout import MASS, MASS_OUT
-from rigs.config import load_rig
+from plant.physics.layout import MASS, MASS_OUT
+from rigs.execution.runner import Runner
+from rigs.execution.schedule import outline
+from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
-from rigs.protocols.schedule import outline
-from rigs.runner import Runner
-from rigs.session import run_protocol
-from rigs.virtual.board import SimBoard
+from rigs.rigfile.config import load_rig
+from rigs.virtual.board.board import SimBoard
 
 from . import kinds
 from .disk import FaultyDisk

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from cli.test.resume import continue_run
 from daq.errors import PamrigError
-from daq.run import open_run
-from rigs.continuing import continue_run
-from rigs.segments import reduce_run
+from daq.store.run import open_run
+from rigs.execution.resume import reduce_run
 
 from .judge import SIGMAS, Bytes, Verdict
 from .places import CLASSES

@@ -13,24 +13,24 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from daq.annotations import annotate
+from analysis.layouts.layouts import measured_edges
 from daq.calibration import Calibration
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
-from daq.record import RecordWriter
-from daq.run import Run, open_run
-from daq.sealed import seal_line
-from daq.store import rebuild, show
-from daq.verify import verify
-from gap.reader import read_dataset
+from daq.record.sealed import seal_line
+from daq.record.writer import RecordWriter
+from daq.store.annotations import annotate
+from daq.store.run import Run, open_run
+from daq.store.store import rebuild, show
+from daq.store.verify import verify
+from gap.data.reader import read_dataset
 from plant.errors import PlantError
 from plant.models.catalogue import load as load_model
-from rigs.config import load_rig
-from rigs.frames import open_frames
-from rigs.liveview import measured_edges
-from rigs.pictures import decode, measure_stored
-from rigs.segments import reduce_run
-from rigs.toml_reader import load_toml
+from rigs.calibration.frames import open_frames
+from rigs.execution.pictures import decode, measure_stored
+from rigs.execution.resume import reduce_run
+from rigs.rigfile.config import load_rig
+from rigs.rigfile.toml_reader import load_toml
 
 from .loop import Target
 

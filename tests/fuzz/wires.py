@@ -7,21 +7,21 @@ from collections.abc import Callable
 from typing import Any
 
 from daq.clock import VirtualClock
-from daq.codec import CodecError, decode_event, decode_reply, encode_request
 from daq.errors import PamrigError
-from daq.framer import CobsFramer
-from daq.telemetry import TelemetryStream
-from daq.transport import memory_pair
-from rigs.balance import Balance
-from rigs.instruments.form import load_form
-from rigs.instruments.modbus import ModbusForm, ModbusInstrument
-from rigs.instruments.supply import Supply
-from rigs.instruments.text import TextInstrument
-from rigs.pump import Pump
-from rigs.stage import Stage
-from rigs.valve import ValveController
-from rigs.virtual.modbus import crc16
-from rigs.virtual.supply import VirtualSupply
+from daq.link.codec import CodecError, decode_event, decode_reply, encode_request
+from daq.link.framer import CobsFramer
+from daq.link.telemetry import TelemetryStream
+from daq.link.transport import memory_pair
+from rigs.devices.balance import Balance
+from rigs.devices.event_loop import Pump
+from rigs.devices.instruments.modbus import ModbusForm, ModbusInstrument
+from rigs.devices.instruments.supply import Supply
+from rigs.devices.instruments.text import TextInstrument
+from rigs.devices.stage import Stage
+from rigs.devices.valve_controller import ValveController
+from rigs.rigfile.form import load_form
+from rigs.virtual.emulators.modbus import crc16
+from rigs.virtual.emulators.supply import VirtualSupply
 from valvefw import wire
 
 from .loop import Target

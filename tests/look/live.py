@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from daq.layout import ORANGE, SKY, Colour
-from daq.live import LiveView
-from daq.run import open_run
-from daq.viewfile import open_view
-from rigs.liveview import isometric_layout, measured_edges
+from analysis.layouts.layouts import isometric_layout, measured_edges
+from daq.live.layout import ORANGE, SKY, Colour
+from daq.live.live import LiveView
+from daq.live.viewfile import open_view
+from daq.store.run import open_run
 from tests.look.browser import Browser
 from tests.look.synthetic import SyntheticTest
 
@@ -86,12 +86,12 @@ def look_at_bench(
     height: int = 1000,
 ) -> npt.NDArray[np.uint8]:
     """Photograph the live view of a real run on the virtual bench, held after some points."""
-    from rigs.config import load_rig
-    from rigs.interrupt import StopFlag
-    from rigs.livefeed import LiveFeed
+    from daq.interrupt import StopFlag
+    from rigs.execution.session import run_protocol
+    from rigs.live.feed import LiveFeed
     from rigs.protocols.names import default_rig
     from rigs.protocols.registry import procedure
-    from rigs.session import run_protocol
+    from rigs.rigfile.config import load_rig
 
     config = load_rig(default_rig(protocol))
     kind = procedure(protocol)

@@ -7,8 +7,8 @@ import itertools
 import cv2
 import numpy as np
 
-from daq.live import LiveView
-from rigs import liveview as names
+from analysis.layouts import layouts as names
+from daq.live.live import LiveView
 
 LENGTHS_MM = (55.0, 60.0, 65.0, 70.0)
 PRESSURES_KPA = (100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0, 450.0, 500.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from daq.layout import GREEN, ORANGE, SKY, VERMILLION, YELLOW
+from daq.live.layout import GREEN, ORANGE, SKY, VERMILLION, YELLOW
 from tests.look.browser import find_browser
 from tests.look.live import look_at_live, look_at_run, pixels_of
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from analysis.formats.importer import import_thesis
+from analysis.reporting.derived import derive_all
 from daq.clock import RealClock
 from protocol_runs import run_short
-from rigs.importer import import_thesis
-from rigs.products import derive_all
 from rigs.protocols.names import PROTOCOLS
 from tests.look.browser import find_browser
 from tests.look.report import look_at_report

@@ -1,0 +1,1 @@
+"""Data of other programs in, and runs out to other programs."""

@@ -1,0 +1,164 @@
+"""A run for other programs: table and samples as CSV, Parquet or MAT, with units in the names."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.errors import ConfigError, RecordError
+from daq.record.disk import disk_error
+from daq.store.run import Run
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMATS = ("csv", "parquet", "mat")
+SUFFIX = {
+    "share of 1 ms": "share",
+    "s": "s",
+    "ns": "ns",
+    "us": "us",
+    "kPa": "kpa",
+    "N": "n",
+    "mm": "mm",
+    "degC": "c",
+    "V": "v",
+    "A": "a",
+    "m/s": "m_s",
+    "g": "g",
+    "%": "percent",
+    "count": "counts",
+    "counts": "counts",
+    "ms": "ms",
+}
+"""How a unit ends the name of its column."""
+LONGEST = 63
+"""MATLAB cuts names beyond this."""
+
+
+def with_unit(name: str, unit: str) -> str:
+    """A column's name with its unit at the end, unless it is there."""
+    suffix = SUFFIX.get(unit, re.sub(r"[^a-z0-9]+", "_", unit.lower()).strip("_"))
+    if not suffix or name == suffix or name.endswith(f"_{suffix}"):
+        return name
+    return f"{name}_{suffix}"
+
+
+def tables_of(run: Run) -> dict[str, pd.DataFrame]:
+    """Everything that a run exports: ``table`` (its points) and each stream in units.
+
+    Raises:
+        RecordError: run.json is damaged.
+    """
+    import pandas as pd
+
+    from daq.store.derive import engineering
+    from rigs.execution.resume import reduce_run
+
+    out = {"table": reduce_run(run).table}
+    for stream in run.streams:
+        columns, units = engineering(run, stream)
+        if columns:
+            named = {with_unit(k, units.get(k, "")): v for k, v in columns.items()}
+            out["samples" if stream == "valve" else stream] = pd.DataFrame(named)
+    return out
+
+
+def export_run(run: Run, kind: str, out: Path | None = None, what: str = "all") -> list[Path]:
+    """Write a run for other programs.
+
+    Args:
+        run: an opened run.
+        kind: "csv", "parquet" or "mat".
+        out: folder; ``<run>-<kind>`` in the present one if not given.
+        what: "table", "samples" or "all".
+
+    Returns:
+        the files written; a ``README.json`` beside them tells run, calibrations and notes.
+
+    Raises:
+        ConfigError: no such format.
+        RecordError: the run is damaged, or the folder cannot be written.
+    """
+    if kind not in FORMATS:
+        raise ConfigError("--to", f"{kind!r} is not one of {', '.join(FORMATS)}")
+    tables = tables_of(run)
+    if what != "all":
+        keep = {"table"} if what == "table" else set(tables) - {"table"}
+        tables = {name: table for name, table in tables.items() if name in keep}
+    folder = out or Path(f"{run.run_id}-{kind}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        written = _write(run, tables, kind, folder)
+        about = folder / "README.json"
+        about.write_text(json.dumps(_about(run, tables), indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise disk_error(folder, "export cannot be written", error) from error
+    return [*written, about]
+
+
+def _write(run: Run, tables: dict[str, pd.DataFrame], kind: str, folder: Path) -> list[Path]:
+    if kind == "mat":
+        path = folder / f"{run.run_id}.mat"
+        _write_mat(run, tables, path)
+        return [path]
+    written = []
+    for name, table in tables.items():
+        path = folder / f"{name}.{kind}"
+        if kind == "csv":
+            table.to_csv(path, index=False, lineterminator="\n")
+        else:
+            table.to_parquet(path, index=False)
+        written.append(path)
+    return written
+
+
+def _write_mat(run: Run, tables: dict[str, pd.DataFrame], path: Path) -> None:
+    """One struct a table, one field a column; words are cell arrays of char."""
+    from scipy.io import savemat
+
+    content: dict[str, Any] = {"run_id": run.run_id, "protocol": str(run.manifest["protocol"])}
+    for name, table in tables.items():
+        struct: dict[str, Any] = {}
+        for column in table:
+            field = re.sub(r"\W", "_", str(column))
+            if len(field) > LONGEST:
+                raise RecordError(str(column), f"is longer than MATLAB's {LONGEST} characters")
+            values = table[column].to_numpy()
+            if values.dtype == object or values.dtype.kind in "USO":
+                cells = np.empty((len(values), 1), dtype=object)
+                cells[:, 0] = [str(v) for v in values]
+                struct[field] = cells
+            else:
+                struct[field] = values.reshape(-1, 1)
+        content[name] = struct
+    savemat(path, content, long_field_names=True, do_compression=True, oned_as="column")
+
+
+def _about(run: Run, tables: dict[str, pd.DataFrame]) -> dict[str, Any]:
+    from analysis.reporting.report import record_hash
+    from daq.record.sealed import plain
+
+    manifest = run.manifest
+    about: dict[str, Any] = plain(
+        {
+            "run_id": run.run_id,
+            "outcome": run.outcome,
+            "protocol": manifest.get("protocol"),
+            "specimen": manifest.get("specimen"),
+            "started_utc": (manifest.get("started") or {}).get("utc"),
+            "labels": manifest.get("labels") or [],
+            "record_sha256": record_hash(run.folder),
+            "tables": {
+                name: {"rows": len(table), "columns": [str(c) for c in table]}
+                for name, table in tables.items()
+            },
+            "units": "each column's name ends with its unit; u_X is the standard uncertainty of X",
+            "calibrations": [c.to_dict() for c in run.calibrations.values()],
+        }
+    )
+    return about

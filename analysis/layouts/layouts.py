@@ -1,0 +1,236 @@
+"""What the live view shows during each protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.live.layout import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    YELLOW,
+    Axis,
+    Channel,
+    EventFeed,
+    Feed,
+    LiveLayout,
+    Panel,
+    PointFeed,
+)
+
+if TYPE_CHECKING:
+    from daq.live.scene import Line
+    from daq.store.run import Run
+    from vision.marker.edge import GapMeasurement
+
+Box = tuple[int, int, int, int]
+PROFILE_POINTS = 120
+
+SET_POINT = "pressure/set_point_kpa"
+PRESSURE = "pressure/measured_kpa"
+FORCE = "force/measured_n"
+LENGTH = "length/measured_mm"
+SET_LENGTH = "length/set_mm"
+INLET = "valves/inlet_percent"
+OUTLET = "valves/outlet_percent"
+STATE = "state/protocol"
+FAULT = "state/fault"
+CAMERA = "camera"
+LOG = "log"
+POINTS = "points/force_n"
+
+# States that look the same on every protocol's lane; others get colours of the viewer.
+STATE_COLOURS = (
+    ("precondition", PURPLE),
+    ("zero", GREY),
+    ("move", YELLOW),
+    ("settle", ORANGE),
+    ("point", GREEN),
+    ("measure", GREEN),
+    ("vent", SKY),
+    ("done", BLUE),
+    ("none", (60, 64, 68)),
+    ("fault", VERMILLION),
+)
+
+
+def isometric_layout(
+    pressure_max_kpa: float = 500.0,
+    force_max_n: float = 100.0,
+    window_s: float = 60.0,
+    frame_px: tuple[int, int] = (640, 480),
+) -> LiveLayout:
+    """The screen of an isometric test: curves left; points, camera and figures right.
+
+    Args:
+        pressure_max_kpa: highest pressure of the protocol, for the axis of the points.
+        force_max_n: highest force expected; the axis grows if more comes.
+        window_s: how much of the past the curves show.
+        frame_px: width and height of the camera's frames.
+    """
+    pressure = Panel(
+        "Pressure (kPa)",
+        "series",
+        "pressure",
+        (
+            Channel(SET_POINT, "set-point", "kPa", ORANGE, step=True),
+            Channel(PRESSURE, "measured", "kPa", SKY),
+        ),
+        share=1.6,
+    )
+    force = Panel(
+        "Force (N)",
+        "series",
+        "force",
+        (Channel(FORCE, "measured", "N", GREEN, digits=2),),
+        share=1.5,
+    )
+    length = Panel(
+        "Length (mm)",
+        "series",
+        "length",
+        (
+            Channel(SET_LENGTH, "set", "mm", ORANGE, step=True, digits=2),
+            Channel(LENGTH, "measured by camera", "mm", YELLOW, digits=3),
+        ),
+    )
+    valves = Panel(
+        "Valves, share of time commanded open (%)",
+        "series",
+        "valves",
+        (
+            Channel(INLET, "inlet", "%", SKY, reduce="mean", digits=0),
+            Channel(OUTLET, "outlet", "%", VERMILLION, reduce="mean", digits=0),
+        ),
+        y_range=(-5.0, 105.0),
+    )
+    states = Panel(
+        "Protocol",
+        "states",
+        "state",
+        (Channel(STATE, "state"), Channel(FAULT, "fault", colour=VERMILLION)),
+        share=0.8,
+        state_colours=STATE_COLOURS,
+    )
+    points = Panel(
+        "Settled points: force (N) against pressure (kPa), one colour per length",
+        "points",
+        "points",
+        (Channel(POINTS, "force", "N"),),
+        share=1.5,
+        x_axis=Axis("pressure (kPa)", 0.0, pressure_max_kpa),
+        y_axis=Axis("force (N)", 0.0, force_max_n),
+    )
+    camera = Panel(
+        "Camera with measured edges",
+        "camera",
+        CAMERA,
+        x_axis=Axis("x (px)", 0.0, frame_px[0]),
+        y_axis=Axis("y (px)", 0.0, frame_px[1]),
+    )
+    now = Panel("Now", "readout", "readout", share=0.85)
+    log = Panel("Messages", "log", LOG, share=0.6)
+    return LiveLayout(
+        title="Isometric test",
+        columns=((pressure, force, length, valves, states), (points, (camera, now), log)),
+        shares=(1.0, 1.0),
+        window_s=window_s,
+        feeds=(
+            Feed(SET_POINT, "valve", "setpoint_kpa"),
+            Feed(PRESSURE, "valve", "pressure_kpa"),
+            Feed(INLET, "valve", "inlet_cmd", scale=100.0),
+            Feed(OUTLET, "valve", "vent_cmd", scale=100.0),
+            Feed(FORCE, "balance", "force_n"),
+        ),
+        event_feeds=(
+            EventFeed(SET_LENGTH, "command", "length_mm"),
+            EventFeed(LENGTH, "length", "pixels", quantity="length_mm", only="trusted"),
+            EventFeed(STATE, "state", "state"),
+            EventFeed(FAULT, "fault", "text"),
+        ),
+        points=(PointFeed(POINTS, x=("valve", "pressure_kpa"), y=("balance", "force_n")),),
+        camera=CAMERA,
+    )
+
+
+def edge_lines(gap: GapMeasurement, length_mm: float | None = None) -> list[Line]:
+    """What to draw over a frame: both measured edges and the gap with its length.
+
+    Empty where no gap was found; a gap that is not trusted says why instead of a length.
+    """
+    lines: list[Line] = []
+    for edge, name in ((gap.left, "left edge"), (gap.right, "right edge")):
+        if edge is None:
+            continue
+        ends = [
+            (edge.x_mid + edge.slope * (y - edge.y_mid), float(y)) for y in (edge.top, edge.bottom)
+        ]
+        lines.append((ends[0], ends[1], name))
+    if gap.left is not None and gap.right is not None:
+        if not gap.trusted:
+            text = f"not trusted: {gap.reason}"
+        elif length_mm is None:
+            text = f"{gap.pixels:.2f} px"
+        else:
+            text = f"{gap.pixels:.2f} px = {length_mm:.3f} mm"
+        y = (gap.left.y_mid + gap.right.y_mid) / 2.0
+        lines.append(((gap.left.x_mid, y), (gap.right.x_mid, y), text))
+    return lines
+
+
+def profile_lines(gray: npt.NDArray[np.uint8], region: Box) -> list[Line]:
+    """Region, column profile and the columns the macro's threshold marks, as nameless lines.
+
+    The profile stands on the region's lower border, a quarter of its height for the whole
+    grey scale; a bar below it runs under marked columns. Nothing where nothing was looked at.
+    """
+    left, top, width, height = region
+    if width == 0:
+        return []
+    right, bottom = left + width, top + height
+    box = [(left, top), (right, top), (right, bottom), (left, bottom)]
+    lines: list[Line] = [(_point(box[k]), _point(box[(k + 1) % 4]), "") for k in range(4)]
+    levels = gray[top:bottom, left:right].mean(axis=0)
+    step = max(1, width // PROFILE_POINTS)
+    x = left + np.arange(0, width, step)
+    y = bottom - 4 - levels[::step] * (height / 4 / 255)
+    lines += [
+        ((float(x[k]), float(y[k])), (float(x[k + 1]), float(y[k + 1])), "")
+        for k in range(len(x) - 1)
+    ]
+    marked = np.flatnonzero(np.diff(np.concatenate(([0], 255 - levels >= 130, [0]))))
+    for first, last in zip(marked[::2], marked[1::2], strict=True):
+        lines.append(((float(left + first), bottom - 2.0), (float(left + last), bottom - 2.0), ""))
+    return lines
+
+
+def _point(corner: tuple[int, int]) -> tuple[float, float]:
+    return float(corner[0]), float(corner[1])
+
+
+def measured_edges(run: Run) -> Callable[[bytes], list[Line]]:
+    """Measures stored frames of a run again, for its view file.
+
+    Raises:
+        RecordError: run.json does not say how.
+    """
+    from rigs.execution.pictures import camera_of, decode, measure_stored
+
+    camera = camera_of(run)
+
+    def lines(jpeg: bytes) -> list[Line]:
+        gray = decode(jpeg)
+        if gray is None:
+            return []
+        gap = measure_stored(gray, camera)
+        return [*edge_lines(gap), *profile_lines(gray, gap.region)]
+
+    return lines

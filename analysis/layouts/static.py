@@ -1,0 +1,127 @@
+"""What the live view shows during each static test: what that test's operator looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from analysis.layouts.layouts import POINTS, isometric_layout
+from daq.live.layout import PURPLE, Axis, Channel, Feed, LiveLayout, Panel, PointFeed
+
+TEMPERATURE = "temperature/measured_c"
+LENGTH_POINTS = "lengths/length_mm"
+LENGTHS = Axis("length (mm)", 50.0, 73.0)
+
+
+def isobaric_layout(force_max_n: float = 100.0) -> LiveLayout:
+    """Force against length, one colour for each pressure; the length moves, the pressure holds."""
+    base = isometric_layout(force_max_n=force_max_n)
+    points = replace(
+        _panel(base, "points"),
+        title="Settled points: force (N) against length (mm), one colour per pressure",
+        x_axis=LENGTHS,
+    )
+    feed = PointFeed(
+        POINTS, x=("camera", "length_mm"), y=("balance", "force_n"),
+        label="{set_pressure_kpa:g} kPa",
+    )  # fmt: skip
+    pressure, force, length, valves, states = base.columns[0]
+    left = (_grown(length, 1.4), force, pressure, valves, states)
+    return replace(
+        base, title="Isobaric test", columns=(left, (points, *base.columns[1][1:])), points=(feed,)
+    )
+
+
+def isotonic_layout(
+    pressure_max_kpa: float = 600.0, label: str = "{mass_kg:g} kg", title: str = "Isotonic test"
+) -> LiveLayout:
+    """The camera's picture and the length, which is the result; no balance is looked at."""
+    base = isometric_layout(pressure_max_kpa=pressure_max_kpa)
+    pressure, _, length, valves, states = base.columns[0]
+    camera, now = base.columns[1][1]  # type: ignore[misc]
+    points = _length_points(pressure_max_kpa)
+    return replace(
+        base,
+        title=title,
+        columns=(
+            (_grown(length, 1.7), pressure, valves, states),
+            (points, (replace(camera, share=1.2), now), base.columns[1][2]),
+        ),
+        feeds=tuple(feed for feed in base.feeds if feed.stream != "balance"),
+        points=(_length_feed(label),),
+    )
+
+
+def hysteresis_layout(
+    lengths: Iterable[float], masses: Iterable[float], pressure_max_kpa: float = 600.0
+) -> LiveLayout:
+    """Loops as they grow: force against pressure, length against pressure, or both."""
+    label = " to {cycle_max_kpa:g} kPa"
+    if not list(lengths):
+        title = "Hysteresis test under a load"
+        return isotonic_layout(pressure_max_kpa, "{mass_kg:g} kg" + label, title)
+    base = isometric_layout(pressure_max_kpa=pressure_max_kpa)
+    points = replace(
+        _panel(base, "points"),
+        title="Loops: force (N) against pressure (kPa), one colour per length and cycle",
+    )
+    feed = replace(base.points[0], label="{set_length_mm:g} mm" + label, needs="set_length_mm")
+    right: tuple[Panel | tuple[Panel, ...], ...] = (points, *base.columns[1][1:])
+    feeds: tuple[PointFeed, ...] = (feed,)
+    if list(masses):
+        right = ((points, _length_points(pressure_max_kpa)), *base.columns[1][1:])
+        feeds = (feed, _length_feed("{mass_kg:g} kg" + label))
+    return replace(base, title="Hysteresis test", columns=(base.columns[0], right), points=feeds)
+
+
+def isothermal_layout(pressure_max_kpa: float = 600.0) -> LiveLayout:
+    """The isometric screen with the thermometer; points by length and temperature."""
+    base = isometric_layout(pressure_max_kpa=pressure_max_kpa)
+    warm = Panel(
+        "Temperature (°C)", "series", "temperature",
+        (Channel(TEMPERATURE, "thermometer", "°C", PURPLE, digits=2),),
+    )  # fmt: skip
+    points = replace(
+        _panel(base, "points"),
+        title="Settled points: force (N) against pressure (kPa), one colour per length and °C",
+    )
+    pressure, force, length, _, states = base.columns[0]
+    feed = replace(base.points[0], label="{set_length_mm:g} mm, {set_temperature_c:g} °C")
+    return replace(
+        base,
+        title="Isothermal test",
+        columns=((warm, pressure, force, length, states), (points, *base.columns[1][1:])),
+        feeds=(
+            *(f for f in base.feeds if not f.path.startswith("valves/")),
+            Feed(TEMPERATURE, "thermometer", "temperature_c"),
+        ),
+        points=(feed,),
+    )
+
+
+def _panel(layout: LiveLayout, kind: str) -> Panel:
+    return next(panel for panel in layout.panels if panel.kind == kind)
+
+
+def _grown(panel: Panel | tuple[Panel, ...], share: float) -> Panel:
+    assert isinstance(panel, Panel)
+    return replace(panel, share=share)
+
+
+def _length_points(pressure_max_kpa: float) -> Panel:
+    return Panel(
+        "Settled points: length (mm) against pressure (kPa), one colour per load",
+        "points",
+        LENGTH_POINTS.partition("/")[0],
+        (Channel(LENGTH_POINTS, "length", "mm"),),
+        share=1.5,
+        x_axis=Axis("pressure (kPa)", 0.0, pressure_max_kpa),
+        y_axis=LENGTHS,
+    )
+
+
+def _length_feed(label: str) -> PointFeed:
+    return PointFeed(
+        LENGTH_POINTS, x=("valve", "pressure_kpa"), y=("camera", "length_mm"),
+        label=label, needs="mass_kg",
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Points for model fits, and fits as text and figures."""

@@ -1,0 +1,130 @@
+"""What fits and comparisons found, as text for people and JSON for machines."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from plant.fitting.compare import Comparison
+    from plant.fitting.data import Points
+    from plant.fitting.fit import Fit
+    from plant.models.model import Model
+
+
+def fit_text(found: Fit, points: Points) -> str:
+    """What a fit found, for people."""
+    lines = [f"{found.model.name} on {points.source}, {len(points)} points"]
+    lines.append(f"{'parameter':22}{'value':>13}  {'unit':18}{'95 % interval':>28}")
+    for e in found.estimates:
+        interval = (
+            e.state if e.state in ("fixed", "dead", "flat") else f"{e.low:.6g} to {e.high:.6g}"
+        )
+        mark = "  at its bound" if e.state == "at bound" else ""
+        lines.append(f"{e.name:22}{e.value:>13.6g}  {e.unit:18}{interval:>28}{mark}")
+    lines.append(f"rmse {found.rmse_n:.4g} N, s {found.sd_n:.4g} N")
+    if math.isfinite(found.noise_scale):
+        lines.append(
+            f"scatter is {found.noise_scale:.2f} times the stated noise; zero and gain of the "
+            "sensors are in the intervals"
+        )
+    else:
+        lines.append("no sensor errors are stated: intervals are from the scatter alone")
+    lines += found.identifiability.lines()
+    return "\n".join(lines)
+
+
+def comparison_text(found: Comparison) -> str:
+    """The ranking, for people."""
+    regions = list(found.scores[0].regions)
+    lines = [
+        f"{found.points} points of {found.source}; groups: {len(found.groups)} {found.holdout}s "
+        f"({found.groups[0]} to {found.groups[-1]}), never seen by the fit that is scored on them",
+        f"{'model':20}{'par':>4}{'rmse N':>8}{'95 % interval':>16}{'bias':>7}{'worst':>8}"
+        + "".join(f"{r:>13}" for r in regions) + f"{'above best':>18}{'p':>7}",
+    ]  # fmt: skip
+    for k, s in enumerate(found.scores):
+        if not math.isfinite(s.rmse_n):
+            lines.append(f"{s.model:20}{s.parameters:>4}  {s.trouble}")
+            continue
+        line = f"{s.model:20}{s.parameters:>4}{s.rmse_n:>8.3f}"
+        line += f"{s.rmse_low_n:>9.2f} to {s.rmse_high_n:.2f}{s.bias_n:>7.2f}{s.worst_n:>8.2f}"
+        line += "".join(f"{s.regions[r]:>13.3f}" for r in regions)
+        if k:
+            line += f"{s.excess_low_n:>10.2f} to {s.excess_high_n:.2f}{s.p:>7.3f}"
+            line += "  worse" if s.real else "  not told from the best"
+        lines.append(line)
+    f = found.floors
+    floor = f"floors: {f.between_lengths_n:.3f} N scatter between neighbouring lengths"
+    if math.isfinite(f.repeat_n):
+        floor += f"; {f.repeat_n:.3f} N repeatability ({f.repeats} repeats)"
+    lines.append(floor)
+    if math.isfinite(found.nested_rmse_n):
+        chosen = ", ".join(
+            f"{n} {found.nested_choices.count(n)} times"
+            for n in dict.fromkeys(found.nested_choices)
+        )
+        lines.append(
+            f"choosing the model by training groups alone: {found.nested_rmse_n:.3f} N ({chosen})"
+        )
+    lines.append(
+        "'worse': the difference to the best is real at 5 % (signs of the groups' differences "
+        "changed at random, Holm's correction)"
+    )
+    return "\n".join(lines)
+
+
+def fit_json(found: Fit, points: Points) -> dict[str, Any]:
+    """What a fit found, for machines; infinite bounds are null."""
+    return {
+        "model": model_json(found.model),
+        "source": points.source,
+        "points": len(points),
+        "estimates": [dataclasses.asdict(e) for e in found.estimates],
+        "free": list(found.free),
+        "covariance": found.covariance.tolist(),
+        "rmse_n": found.rmse_n,
+        "s_n": found.sd_n,
+        "noise_scale": found.noise_scale,
+        "robust": found.robust,
+        "confidence": found.confidence,
+        "condition": found.identifiability.condition,
+        "identifiability": found.identifiability.lines(),
+    }
+
+
+def comparison_json(found: Comparison) -> dict[str, Any]:
+    """The ranking, for machines."""
+    value = dataclasses.asdict(found)
+    for score in value["scores"]:
+        del score["residual_n"]
+    return value
+
+
+def model_json(model: Model) -> dict[str, Any]:
+    """A model, for machines."""
+    value = {f.name: getattr(model, f.name) for f in dataclasses.fields(model) if f.name != "law"}
+    value["parameters"] = [dataclasses.asdict(p) for p in model.parameters]
+    value["domain"] = dataclasses.asdict(model.domain)
+    return value
+
+
+def emit(value: Any) -> None:
+    """Print one JSON value; JSON has no infinity, such numbers become null."""
+    typer.echo(json.dumps(_finite(value), indent=2, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(v) for v in value]
+    if hasattr(value, "item"):
+        return _finite(value.item())
+    return value

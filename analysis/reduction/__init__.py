@@ -1,0 +1,1 @@
+"""Raw records to one table of points per run, with type A uncertainties."""

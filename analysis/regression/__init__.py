@@ -1,0 +1,1 @@
+"""Straight lines through points, with the uncertainty of their coefficients."""

@@ -1,0 +1,247 @@
+"""The report of a run: one HTML file that stands alone, or the same as JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from analysis.findings.isometric import isometric_figures, isometric_json, timeline
+from analysis.reduction.points import Reduction
+from analysis.regression.force_lines import THESIS_REGION_KPA
+from analysis.reporting.sections import figure_address, section_parts
+from analysis.reporting.wording import outcome_sentence, signed, value_cell, with_u
+from daq.store.annotations import ANNOTATIONS, read_annotations
+from rigs.execution.procedure import Findings, Section
+from rigs.execution.resume import reduce_run
+from rigs.protocols.registry import procedure_of
+
+if TYPE_CHECKING:
+    from daq.store.run import Run
+
+SCHEMA = "pamrig-report/1"
+QUIET_EVENTS = (
+    "point",
+    "zero",
+    "length",
+    "state",
+    "command",
+    "tare",
+    "clockfit",
+    "armed",
+    "controller",
+    "trial",
+    "marker",
+    "manual",
+    "load",
+    "mounted",
+    "leak",
+    "try",
+)
+"""Events of a run as it should be; any other kind is shown among faults and gaps."""
+BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")
+
+
+def report_json(
+    run: Run,
+    reduction: Reduction | None = None,
+    region_kpa: tuple[float, float] = THESIS_REGION_KPA,
+    findings: Findings | None = None,
+) -> dict[str, Any]:
+    """Everything the report says, as plain values: null for what is unknown, never NaN.
+
+    Args:
+        run: an opened run, finished or not.
+        reduction: its reduction if already made.
+        region_kpa: pressures over which the straight lines of an isometric test are fitted.
+        findings: what its protocol finds in the table, if already made.
+    """
+    kind = procedure_of(run.manifest.get("protocol"))
+    reduction = reduction or reduce_run(run)
+    if findings is None and kind.findings is not None:
+        findings = kind.findings(run, reduction)
+    if findings is not None:
+        parts = {
+            "headline": findings.headline,
+            "results": findings.data,
+            "sections": [_section_json(section) for section in findings.sections],
+        }
+    else:
+        parts = isometric_json(run, reduction, region_kpa)
+    plain: dict[str, Any] = _plain(
+        {**_common(run, reduction), "title": kind.title, "results": None, **parts}
+    )
+    return plain
+
+
+def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
+    """What a report says of any run: who, when, on what, how it went, and its points."""
+    manifest, final = run.manifest, run.final or {}
+    return {
+        "schema": SCHEMA,
+        "run_id": manifest.get("run_id"),
+        "protocol": manifest.get("protocol"),
+        "specimen": manifest.get("specimen"),
+        "operator": manifest.get("operator") or None,
+        "note": manifest.get("note") or None,
+        "started_utc": (manifest.get("started") or {}).get("utc"),
+        "ended_utc": (final.get("ended") or {}).get("utc"),
+        "duration_s": final.get("duration_s"),
+        "imported": bool(manifest.get("imported")),
+        "labels": list(manifest.get("labels") or []),
+        "continues": manifest.get("continues"),
+        "outcome": run.outcome,
+        "reason": final.get("reason") or None,
+        "outcome_sentence": outcome_sentence(run.outcome, final.get("reason") or ""),
+        "notes": list(reduction.notes),
+        "points": reduction.table.to_dict("records"),
+        "excluded": list(reduction.excluded),
+        "annotations": [vars(a) for a in read_annotations(run.folder)],
+        "markers": [
+            {"t_s": event["t_ns"] / 1e9, "text": event["text"], "state": event.get("state")}
+            for event in run.events
+            if event.get("kind") == "marker"
+        ],
+        "zeros": list(reduction.zeros),
+        "calibrations": [
+            {"quantity": name, **calibration.to_dict()}
+            for name, calibration in reduction.calibrations.items()
+        ],
+        "faults": [
+            {
+                "t_s": event["t_ns"] / 1e9,
+                **{k: v for k, v in event.items() if k not in ("n", "t_ns")},
+            }
+            for event in run.events
+            if event.get("kind") not in QUIET_EVENTS
+            and not event.get("confirmed")
+            and not (event.get("kind") == "soaked" and event.get("settled"))
+            and not (event.get("kind") == "camera_sync" and event.get("found"))
+        ],
+        "counters": final.get("counters"),
+        "problems": [f"{p.file} at byte {p.offset}: {p.what}" for p in run.problems],
+        "clock_fit": final.get("clock_fit") or _last(run, "clockfit"),
+        "camera_sync": _last(run, "camera_sync"),
+        "rig": {k: v for k, v in (manifest.get("rig") or {}).items() if k != "text"} or None,
+        "devices": manifest.get("devices"),
+        "conditions": manifest.get("conditions"),
+        "source": manifest.get("source"),
+        "parameters": manifest.get("parameters"),
+        "provenance": {
+            "software": manifest.get("software"),
+            "rig_config_crc32": (manifest.get("rig") or {}).get("crc32"),
+            "record_sha256": record_hash(Path(run.folder)),
+        },
+    }
+
+
+def write_report(
+    run: Run,
+    out: Path | None = None,
+    reduction: Reduction | None = None,
+    region_kpa: tuple[float, float] = THESIS_REGION_KPA,
+) -> Path:
+    """Write the report; it needs no other file and no network.
+
+    Args:
+        run: an opened run, finished or not.
+        out: the HTML file; ``derived/report.html`` of the run if not given.
+        reduction: its reduction if already made.
+        region_kpa: pressures over which the straight lines of an isometric test are fitted.
+    """
+    out = out or Path(run.folder) / "derived" / "report.html"
+    kind = procedure_of(run.manifest.get("protocol"))
+    reduction = reduction or reduce_run(run)
+    findings = kind.findings(run, reduction) if kind.findings is not None else None
+    data = report_json(run, reduction, region_kpa, findings)
+    figures = {"timeline": timeline(run)}
+    if findings is None:
+        figures = {**isometric_figures(reduction, data, region_kpa), **figures}
+    html = (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            r=data,
+            figures={name: figure_address(figure) for name, figure in figures.items()},
+            sections=None if findings is None else [section_parts(s) for s in findings.sections],
+            provenance=_flat({k: data[k] for k in _APPENDIX if data.get(k) is not None}),
+        )
+    )
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(html, encoding="utf-8")
+    return out
+
+
+def _section_json(section: Section) -> dict[str, Any]:
+    """A section as plain values: title, words and the rows of its table."""
+    rows = [] if section.table is None else section.table.to_dict("records")
+    return {"title": section.title, "text": list(section.words), "rows": rows}
+
+
+_APPENDIX = ("rig", "devices", "conditions", "source", "parameters", "provenance")
+
+
+def record_hash(folder: Path) -> str:
+    """SHA-256 over names and contents of the record; what is derived or said later is left out."""
+    total = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and not name.startswith("derived/") and name != ANNOTATIONS:
+            with open(path, "rb") as file:
+                digest = hashlib.file_digest(file, "sha256")
+            total.update(f"{name}\n{digest.hexdigest()}\n".encode())
+    return total.hexdigest()
+
+
+def _last(run: Run, kind: str) -> dict[str, Any] | None:
+    found = [event for event in run.events if event.get("kind") == kind]
+    return {k: v for k, v in found[-1].items() if k not in ("n", "kind")} if found else None
+
+
+def _environment() -> Any:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("analysis.reporting"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(with_u=with_u, cell=value_cell, signed=signed)
+    environment.filters["fixed"] = partial(_fixed)
+    return environment
+
+
+def _fixed(value: float | None, decimals: int) -> str:
+    return "–" if value is None else f"{value:.{decimals}f}".replace("-", "−")
+
+
+def _flat(values: Any, path: str = "") -> list[tuple[str, str]]:
+    """Nested values as (path, text) rows; bulky texts are left to the record itself."""
+    if isinstance(values, dict):
+        rows = []
+        for key, value in values.items():
+            if key not in BULKY:
+                rows += _flat(value, f"{path}.{key}" if path else str(key))
+        return rows
+    if isinstance(values, list) and any(isinstance(value, dict) for value in values):
+        return [row for i, value in enumerate(values) for row in _flat(value, f"{path}[{i}]")]
+    if isinstance(values, list):
+        return [(path, ", ".join(value_cell(value) for value in values))]
+    return [(path, value_cell(values))]
+
+
+def _plain(value: Any) -> Any:
+    """Python's own types only, with None for NaN, as JSON wants it."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,66 @@
+"""A protocol's own sections of a report, as the page's template wants them."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from analysis.reporting.wording import value_cell, with_u
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from rigs.execution.procedure import Section
+
+
+SHADED = ("same", "settled")
+"""A row in which one of these is false is shaded."""
+
+
+def section_parts(section: Section) -> dict[str, Any]:
+    """A section with its figure drawn and its cells written out."""
+    rows = []
+    if section.table is not None:
+        for record in section.table.to_dict("records"):
+            rows.append(
+                {
+                    "off": any(name in record and not record[name] for name in SHADED),
+                    "cells": [_cell(record, name) for name, _ in section.columns],
+                }
+            )
+    return {
+        "title": section.title,
+        "words": section.words,
+        "heads": [heading.rsplit(", ", 1) for _, heading in section.columns],
+        "rows": rows,
+        "image": figure_address(section.figure() if section.figure is not None else None),
+        "caption": section.caption,
+    }
+
+
+def figure_address(figure: Figure | None) -> str:
+    """A figure as an address that holds it; empty for none."""
+    if figure is None:
+        return ""
+    from analysis.reporting.drawing import as_svg
+
+    return "data:image/svg+xml;base64," + base64.b64encode(as_svg(figure)).decode()
+
+
+def _cell(record: Mapping[Any, Any], name: str) -> dict[str, Any]:
+    """A value as text, with its expanded uncertainty where there is one."""
+    value: Any = record[name]
+    if hasattr(value, "item"):
+        value = value.item()
+    text = isinstance(value, str)
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return {"text": "–", "left": False}
+        u = record.get(f"u_{name}")
+        if u is not None:
+            return {"text": with_u(value, float(u)), "left": False}
+        if abs(value) < 1e5:  # without a stated uncertainty five digits say more than enough
+            return {"text": with_u(value, None), "left": False}
+    return {"text": value_cell(value), "left": text}

@@ -1,0 +1,1 @@
+"""The second bench: its own physics, forms and numbers."""

@@ -1,0 +1,1 @@
+"""The command line, and what joins a rig to a diagnosis."""

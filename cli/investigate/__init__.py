@@ -1,0 +1,1 @@
+"""Tests and diagnosis in turn, until the effect is named."""

@@ -1,0 +1,345 @@
+"""Closes the loop: run a test, diagnose, run what the diagnosis asks for, until it is named.
+
+Top floor: here a rig and a diagnosis meet. Each round records an ordinary run; all runs so far are
+diagnosed together. What to run next is what the diagnosis advises, where this rig can run it, and
+otherwise the next test that shows something no test so far has shown. Each test is a trial of what
+the tests before it were explained by: an explanation that foretells it, as no other does, may be
+named though the diagnosis alone, which sees no order in its data, would not go so far.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cli.investigate.survey import BEFORE_NAMING, Test, battery, protocol_text
+from daq.errors import PamrigError
+from daq.interrupt import StopFlag
+from daq.store.run import Run, open_run
+from gap.data.dataset import DataSet
+from gap.data.from_runs import export_runs, stated_plant
+from gap.data.reader import read_dataset
+from gap.decision.at_bound import leaning
+from gap.decision.diagnose import searched
+from gap.decision.standing import Standing, joint
+from gap.errors import GapError
+from gap.estimation.fit_problem import Inquiry
+from gap.selection.forward import Naming
+from gap.validation.prediction import SHOWN, families, foretell, margins, rivals_of
+from gap.verdict import Verdict
+from rigs.execution.session import run_protocol
+from rigs.protocols.registry import procedure
+from rigs.rigfile.config import RigConfig
+
+if TYPE_CHECKING:
+    from rigs.virtual.bench import VirtualBench
+
+VALVE_TESTS = ("step",)
+"""Tests whose valve commands are diagnosed: elsewhere a loop only holds a pressure."""
+LIKELY = 0.7
+"""Belief in one family from which it is put to the proof before anything else is looked at."""
+FAILED = 2
+"""Tests that did not come out as foretold after which no more are made for that."""
+Array = npt.NDArray[np.float64]
+Told = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Round:
+    """One test and what was known after it; `status` is empty where nothing was diagnosed yet."""
+
+    protocol: str
+    why: str
+    run: str
+    outcome: str
+    minutes: float
+    status: str
+    effects: tuple[str, ...]
+    headline: str
+    foretold: Mapping[str, Any] | None = None
+    """How what was found before fared on this test, where the test shows it."""
+
+
+@dataclass(frozen=True)
+class Investigation:
+    """What came of it: the last verdict, how it was reached, and what is still needed.
+
+    `conclusion` is "named", "needs reference", "no gap" or "open", and `why` says it in a sentence.
+    `family` is what was named: a family of the catalogue, or several that act together.
+    """
+
+    conclusion: str
+    why: str
+    family: str | None
+    verdict: Verdict
+    rounds: tuple[Round, ...]
+    references: Mapping[str, str]
+    folder: Path
+    ended: str | None = None
+    """The fault that ended it, if one did: the conclusion is that of the tests before."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "schema": 1,
+            "conclusion": self.conclusion,
+            "why": self.why,
+            "family": self.family,
+            "references": dict(self.references),
+            "rounds": [{**vars(r), "effects": list(r.effects)} for r in self.rounds],
+            "minutes": sum(r.minutes for r in self.rounds),
+            "data": str(self.folder),
+            "ended": self.ended,
+            "verdict": self.verdict.as_dict(),
+        }
+
+
+def investigate(
+    config: RigConfig,
+    out: Path,
+    *,
+    budget_min: float = 60.0,
+    plant: Path | None = None,
+    stop: StopFlag | None = None,
+    tell: Told = lambda text: None,
+    bench: VirtualBench | None = None,
+    derive: bool = True,
+) -> Investigation:
+    """Run tests on a rig until the gap is named, or nothing more can be had for the budget.
+
+    Args:
+        config: the rig.
+        out: folder of runs; protocol files and the joint data set go to `investigation` in it (or
+            `investigation-2` and so on, where there is one).
+        budget_min: bench time; no test is begun once it is used up.
+        plant: what is known of the bench's plant, as bench.toml states it.
+        stop: set from outside to end in good order: what was measured is diagnosed.
+        tell: takes a line after each step.
+        bench: a virtual bench on a virtual clock; all tests are run on it, one after another. By
+            default one is made of a rig that states a virtual bench.
+        derive: also make table, figures and report of each run.
+
+    Raises:
+        PamrigError: the first test did not come to its end, or data cannot be used. A later fault
+            ends the investigation, with what the tests before it allow to say.
+    """
+    if not budget_min > 0.0:
+        raise GapError("--budget", f"expected minutes above 0, got {budget_min:g}")
+    if plant is not None:
+        stated_plant(plant)  # refused now, not after the first hour of tests
+    stop = stop or StopFlag()
+    folder = _own_folder(out)
+    if bench is None and config.is_virtual:
+        from daq.clock import VirtualClock
+        from rigs.virtual.bench import VirtualBench
+
+        bench = VirtualBench(config, VirtualClock())
+    begun = _Begun(config, folder, plant)
+    left, again = battery(config), battery(config, again=True)
+    used_min = 0.0
+    while used_min < budget_min and not stop.reason:
+        chosen = begun.next(left, again)
+        if chosen is None:
+            break
+        test, why = chosen
+        name = test.protocol
+        tell(f"round {len(begun.rounds) + 1}: {name}, {test.what} ({why})")
+        path = folder / f"{len(begun.rounds) + 1:02d}-{name}.toml"
+        path.write_text(protocol_text(test, config), encoding="utf-8")
+        kind = procedure(name)
+        plan = kind.read(str(path), config)
+        result = run_protocol(kind, config, plan, out, stop=stop, derive=derive, bench=bench)
+        run = open_run(result.folder)
+        if result.outcome == "stopped":
+            tell(f"  stopped; {run.run_id} is left out")
+            break
+        if result.outcome != "clean":
+            error = PamrigError(
+                str(result.folder), f"the test ended {result.outcome}: {result.error}",
+                "find the cause and begin again; what was recorded is safe",
+            )  # fmt: skip
+            if not begun.runs:
+                raise error
+            # No machine goes on by itself after a fault; what was measured before it is diagnosed.
+            begun.ended = str(error)
+            tell(f"  {error}")
+            break
+        begun.take(test, why, run, result.outcome)
+        used_min += begun.rounds[-1].minutes
+        tell(f"  {begun.rounds[-1].headline}")
+        if begun.settled and not (begun.doubtful and left):
+            break
+    return begun.concluded()
+
+
+@dataclass
+class _Begun(Standing):
+    """An investigation under way: the tests so far, and what is known after them."""
+
+    config: RigConfig
+    folder: Path
+    plant: Path | None
+    runs: list[Run] = field(default_factory=list)
+    tests: list[Test] = field(default_factory=list)
+    rounds: list[Round] = field(default_factory=list)
+    inquiry: Inquiry | None = None
+    naming: Naming | None = None
+    ended: str | None = None
+    _margins: Array | None = None
+
+    def next(self, left: list[Test], again: list[Test]) -> tuple[Test, str] | None:
+        """The next test, taken from those left or to be made again, and why; None at the end."""
+        verdict = self.verdict
+        telling = None
+        if self._of_valves_alone(left):
+            telling = self._telling([t for t in again if t.protocol in VALVE_TESTS], -np.inf)
+        if telling is None and self._likely:
+            telling = self._telling(again)
+        if telling is not None:
+            again.remove(telling)
+            return telling, self._to_see
+        if verdict is not None and verdict.next_experiment is not None:
+            advised = verdict.next_experiment
+            for tests in (left, again):
+                for test in tests:
+                    if test.answers(advised.protocol, advised.why):
+                        tests.remove(test)
+                        between = " and ".join(advised.between)
+                        return test, "advised" + (f", to tell {between} apart" if between else "")
+        if left:
+            why = "to begin with" if verdict is None else "nothing so far has shown what it shows"
+            return left.pop(0), why
+        telling = self._telling(again)
+        if telling is None:
+            return None
+        again.remove(telling)
+        return telling, self._to_see
+
+    @property
+    def _likely(self) -> bool:
+        """Whether one family is left, all but named, and no test has put it to the proof yet."""
+        if self.family is None or self.family in self.foretold or self.verdict is None:
+            return False
+        belief = self.verdict.evidence.get("belief", {})
+        return float(belief.get("right", 0.0) + belief.get("part", 0.0)) >= LIKELY
+
+    def _of_valves_alone(self, left: list[Test]) -> bool:
+        """Whether what was found shows where valves act, and no test left looks there."""
+        if self.naming is None or any(test.protocol in VALVE_TESTS for test in left):
+            return False
+        blocks = {b for suspect in self.naming.chosen.state.suspects for b in suspect.blocks}
+        return blocks == {"pressure"}
+
+    def _telling(self, again: list[Test], least: float = SHOWN) -> Test | None:
+        """The test to be made again: where the explanation and its nearest rival part most.
+
+        None where no test parts them by more than `least`, or two have failed already.
+        """
+        if self.naming is None or self.inquiry is None or self.family is None:
+            return None
+        if sum(not found.confirmed for _, found in self.foretold.get(self.family, [])) >= FAILED:
+            return None
+        if self._margins is None:
+            others = [self.inquiry.base, *rivals_of(self.inquiry, self.naming, self._entry_ids)]
+            self._margins = margins(self.inquiry, self.naming.chosen.state, others)
+        best: tuple[float, Test | None] = (least, None)
+        for run, made in zip(self.runs, self.tests, strict=True):
+            apart = float(self._margins[:, _trials_of(self.inquiry, run)].sum(axis=1).min())
+            for test in again:
+                if test.what == made.what and apart > best[0]:
+                    best = (apart, test)
+        return best[1]
+
+    @property
+    def _to_see(self) -> str:
+        assert self.naming is not None
+        names = " and ".join(self.naming.chosen.state.ids)
+        return f"at other settings, to see whether {names} foretells it"
+
+    def take(self, test: Test, why: str, run: Run, outcome: str) -> None:
+        """Join a run to those before it and diagnose all of them."""
+        self.runs.append(run)
+        self.tests.append(test)
+        minutes = float((run.final or {}).get("duration_s") or 0.0) / 60.0
+        known: tuple[str, tuple[str, ...], str] = ("", (), "the survey is not whole yet")
+        told: dict[str, Any] | None = None
+        if len(self.runs) >= BEFORE_NAMING:
+            told = self._diagnose()
+            assert self.verdict is not None
+            ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)
+            known = (self.verdict.status, ids, self.why)
+        self.rounds.append(
+            Round(test.protocol, why, run.run_id, outcome, minutes, *known, foretold=told)
+        )
+
+    def _diagnose(self) -> dict[str, Any] | None:
+        """Diagnose all runs; how what was found before fared on the last of them."""
+        before, known, entries = self.naming, self.inquiry, self._entry_ids
+        data = joined(self.runs, self.folder / f"data-{len(self.runs):02d}", self.plant)
+        self.verdict, self.inquiry, self.naming = searched(data)
+        self._margins = None
+        self.leaning = {}
+        if self.inquiry is not None and self.verdict.status == "no_gap_above_floor":
+            self.leaning = leaning(self.inquiry)
+        if before is None or known is None or not before.chosen.keys or self.inquiry is None:
+            return None
+        state = before.chosen.state
+        new = _trials_of(self.inquiry, self.runs[-1])
+        found = foretell(self.inquiry, new, state, rivals_of(known, before, entries))
+        if not found.shown:
+            return None
+        self.foretold.setdefault(joint(families(state.ids)), []).append(
+            (self.tests[-1].protocol, found)
+        )
+        return {
+            "by": list(state.ids), "share": found.share, "confirmed": found.confirmed,
+            "rows": found.rows, "without": found.without, "left": found.left,
+            "rivals": {" + ".join(ids): left for ids, left in found.rivals.items()},
+        }  # fmt: skip
+
+    def concluded(self) -> Investigation:
+        """The outcome, also written to the investigation's folder."""
+        if not self.runs:
+            raise PamrigError(self.config.source, "no test was run to its end", "begin again")
+        if self.verdict is None:
+            self._diagnose()
+        assert self.verdict is not None
+        found = Investigation(
+            self.conclusion, self.why, self.named, self.verdict, tuple(self.rounds),
+            self.references, self.folder, self.ended,
+        )  # fmt: skip
+        text = json.dumps(found.as_dict(), indent=2, allow_nan=False)
+        (self.folder / "investigation.json").write_text(text + "\n", encoding="utf-8")
+        return found
+
+
+def _trials_of(q: Inquiry, run: Run) -> list[int]:
+    return [k for k, trial in enumerate(q.data.trials) if trial.name.startswith(f"{run.run_id}:")]
+
+
+def _own_folder(out: Path) -> Path:
+    """A folder that no investigation has used yet."""
+    number = 1
+    while True:
+        folder = out / ("investigation" if number == 1 else f"investigation-{number}")
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            number += 1
+        except OSError as error:
+            raise GapError(str(folder), f"cannot be made: {error.strerror}") from None
+        else:
+            return folder
+
+
+def joined(runs: list[Run], folder: Path, plant: Path | None) -> DataSet:
+    """All runs so far as one data set, written to `folder`."""
+    export_runs(runs, folder, plant=plant, commands_of=VALVE_TESTS)
+    return dataclasses.replace(read_dataset(folder), origin=str(folder))

@@ -1,0 +1,1 @@
+"""Commands that fit and compare muscle models, and derive equations of motion."""

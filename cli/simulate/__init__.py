@@ -1,0 +1,1 @@
+"""Commands that simulate benches, fingers and controllers."""

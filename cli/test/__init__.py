@@ -1,0 +1,1 @@
+"""Commands that run tests, plans of tests, and requests to a running test."""

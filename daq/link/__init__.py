@@ -1,0 +1,1 @@
+"""Bytes in and out: transport, framer, codec, telemetry, clock fit."""

@@ -1,0 +1,137 @@
+"""Geometry of an x-y chart drawn in a picture view, which is what the viewer offers for x-y.
+
+The viewer plots against time only. A points panel is therefore a drawing of WIDTH x HEIGHT
+units with y pointing down: frame, grid, tick labels, points, and a label at the end of each
+curve instead of a legend. This module computes; it draws nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.live.layout import PALETTE, Axis, Colour
+
+Floats = npt.NDArray[np.float64]
+
+WIDTH, HEIGHT = 1000.0, 440.0
+LABEL_GAP = 34.0  # least vertical distance between curve labels
+POINTS_A_LABEL = 5_000  # bound on what one curve may hold
+LETTER = 10.5  # about the width of one letter of a title, which stands centred
+TITLE_LEFT = -85.0  # where a title of the y axis may begin
+OVERSHOOT = 0.03  # how far outside the frame a point may lie before the axis grows
+
+
+def nice_ticks(low: float, high: float, about: int = 6) -> Floats:
+    """Round tick values covering [low, high], steps of 1, 2 or 5 times a power of ten."""
+    span = high - low
+    if not (math.isfinite(span) and span > 0):
+        return np.array([low, low + 1.0]) if math.isfinite(low) else np.array([0.0, 1.0])
+    raw = span / about
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * 0.999)
+    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+    return np.arange(first, last + 1, dtype=np.float64) * step
+
+
+@dataclass
+class Curve:
+    """Points under one label, in the order in which they came."""
+
+    colour: Colour
+    x: list[float] = field(default_factory=list)
+    y: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Everything to draw, in drawing units."""
+
+    strips: list[Floats]  # frame first, then grid lines
+    tick_at: Floats  # (n, 2)
+    tick_text: list[str]
+    title_at: Floats  # (2, 2): x title, y title
+    title_text: list[str]
+
+
+class Chart:
+    """An x-y chart whose axes grow with its points.
+
+    Args:
+        x_axis, y_axis: titles and the ranges always covered.
+    """
+
+    def __init__(self, x_axis: Axis, y_axis: Axis) -> None:
+        self.axes = (x_axis, y_axis)
+        self.curves: dict[str, Curve] = {}
+        self._ticks = [nice_ticks(a.low, a.high) for a in self.axes]
+
+    def add(self, label: str, x: Floats, y: Floats) -> bool:
+        """Add points; True if an axis had to grow (everything must be drawn again)."""
+        if label not in self.curves:
+            self.curves[label] = Curve(PALETTE[len(self.curves) % len(PALETTE)])
+        curve = self.curves[label]
+        good = np.isfinite(x) & np.isfinite(y)
+        curve.x.extend(x[good].tolist())
+        curve.y.extend(y[good].tolist())
+        del curve.x[:-POINTS_A_LABEL], curve.y[:-POINTS_A_LABEL]
+        grown = False
+        for k, values in enumerate((x[good], y[good])):
+            ticks = self._ticks[k]
+            slack = OVERSHOOT * (ticks[-1] - ticks[0])
+            if len(values) and (
+                values.min() < ticks[0] - slack or values.max() > ticks[-1] + slack
+            ):
+                low, high = min(ticks[0], values.min()), max(ticks[-1], values.max())
+                self._ticks[k] = nice_ticks(low, high)
+                grown = True
+        return grown
+
+    def place(self, x: Floats, y: Floats) -> Floats:
+        """(n, 2) positions in the drawing."""
+        tx, ty = self._ticks
+        px = (np.asarray(x) - tx[0]) / (tx[-1] - tx[0]) * WIDTH
+        py = HEIGHT - (np.asarray(y) - ty[0]) / (ty[-1] - ty[0]) * HEIGHT
+        return np.column_stack((px, py))
+
+    def line(self, label: str) -> Floats:
+        """(n, 2) positions of the curve's line: means of points that share an x."""
+        curve = self.curves[label]
+        order = np.argsort(curve.x, kind="stable")
+        x, y = np.asarray(curve.x)[order], np.asarray(curve.y)[order]
+        near = 0.015 * (self._ticks[0][-1] - self._ticks[0][0])
+        group = np.concatenate(([0], np.cumsum(np.diff(x) > near)))
+        count = np.bincount(group)
+        mean_x, mean_y = np.bincount(group, x) / count, np.bincount(group, y) / count
+        return self.place(mean_x, mean_y)
+
+    def label_positions(self) -> tuple[list[str], Floats]:
+        """Labels and where they stand: right of each curve's end, pushed apart."""
+        ends = {name: self.line(name)[-1] for name, c in self.curves.items() if c.x}
+        names = sorted(ends, key=lambda name: float(ends[name][1]))
+        at = np.array([[ends[n][0] + 50.0, ends[n][1] - 15.0] for n in names]).reshape(-1, 2)
+        for k in range(1, len(at)):
+            at[k, 1] = max(at[k, 1], at[k - 1, 1] + LABEL_GAP)
+        return names, at
+
+    def drawing(self) -> Drawing:
+        """Frame, grid and texts for the present axes."""
+        frame = np.array([[0, 0], [0, HEIGHT], [WIDTH, HEIGHT], [WIDTH, 0], [0, 0]], dtype=float)
+        tx, ty = self._ticks
+        at_x = self.place(tx, np.full(len(tx), ty[0]))
+        at_y = self.place(np.full(len(ty), tx[0]), ty)
+        strips = [frame]
+        strips += [np.array([[p[0], 0.0], [p[0], HEIGHT]]) for p in at_x[1:-1]]
+        strips += [np.array([[0.0, p[1]], [WIDTH, p[1]]]) for p in at_y[1:-1]]
+        tick_at = np.concatenate((at_x + np.array([0.0, 18.0]), at_y - np.array([34.0, 15.0])))
+        title_x = max(20.0, TITLE_LEFT + LETTER * len(self.axes[1].title) / 2)
+        return Drawing(
+            strips=strips,
+            tick_at=tick_at,
+            tick_text=[f"{v:g}" for v in np.concatenate((tx, ty)).round(9)],
+            title_at=np.array([[WIDTH / 2, HEIGHT + 56.0], [title_x, -34.0]]),
+            title_text=[a.title for a in self.axes],
+        )

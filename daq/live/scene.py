@@ -1,0 +1,303 @@
+"""What the live view and the view file share: a layout drawn into one Rerun recording.
+
+Rerun is imported when a ``Scene`` is made, never at import of this module. Calls here may
+block or raise; ``LiveView`` keeps them on its own thread.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.live.blueprint import TIMELINE, blueprint
+from daq.live.chart import Chart
+from daq.live.layout import GREY, ORANGE, PALETTE, VERMILLION, Channel, Colour, LiveLayout, Panel
+
+Floats = npt.NDArray[np.float64]
+Line = tuple[tuple[float, float], tuple[float, float], str]
+
+FRAME_COLOUR = (130, 135, 140)
+GRID_COLOUR = (45, 49, 53)
+TEXT_COLOUR = (215, 215, 215)
+MOST_STATES = 200  # texts of a lane that get a colour of their own
+
+
+def _label_place(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+    """Above the upper end of an upright line, below the middle of a level one."""
+    if abs(b[1] - a[1]) > abs(b[0] - a[0]):
+        top = min(a, b, key=lambda end: end[1])
+        return top[0], top[1] - 28.0
+    return (a[0] + b[0]) / 2.0, max(a[1], b[1]) + 6.0
+
+
+class Scene:
+    """Draws series, points, pictures, states and messages of a ``LiveLayout``.
+
+    Args:
+        rec: a ``rerun.RecordingStream``.
+        layout: the panels.
+    """
+
+    def __init__(self, rec: Any, layout: LiveLayout) -> None:
+        import rerun as rr
+
+        self._rr, self._rec = rr, rec
+        self._layout = layout
+        self._known = set(layout.channels)
+        self._charts: dict[str, Chart] = {}
+        self._extra = False
+        self._state_colours: dict[str, dict[str, Colour]] = {}
+        self.newest: dict[str, float] = {}
+        self._last_s: dict[str, float] = {}
+        self.states: dict[str, str] = {}
+        self.newest_s = 0.0
+
+    # ------------------------------------------------------------------ set-up
+
+    def start(self) -> None:
+        """Send the blueprint, the style of every known channel and empty charts."""
+        self._rec.send_blueprint(blueprint(self._layout, extra=self._extra))
+        for index, (path, channel) in enumerate(self._layout.channels.items()):
+            panel = self._layout.panel_of(path)
+            if panel is not None and panel.kind == "series":
+                self._style(channel, PALETTE[index % len(PALETTE)])
+        for panel in self._layout.panels:
+            if panel.kind == "points":
+                self._axes(panel, self._chart(panel))
+            if panel.kind == "states":
+                self._state_styles(panel)
+
+    def _style(self, channel: Channel, colour: Colour) -> None:
+        self._rec.log(
+            channel.path,
+            self._rr.SeriesLines(
+                names=channel.label,
+                colors=[channel.colour or colour],
+                widths=1.2 if channel.step else 2.2,
+                interpolation_mode="StepAfter" if channel.step else "Linear",
+            ),
+            static=True,
+        )
+
+    def _state_styles(self, panel: Panel) -> None:
+        for channel in panel.channels:
+            self._state_colours[channel.path] = dict(panel.state_colours)
+            self._state_style(channel.path)
+
+    def _state_style(self, path: str) -> None:
+        colours = self._state_colours[path]
+        if colours:
+            texts = list(colours)
+            style = self._rr.StateConfiguration(
+                values=texts, labels=texts, colors=list(colours.values())
+            )
+            self._rec.log(path, style, static=True)
+
+    # ------------------------------------------------------------------- drawing
+
+    def series(self, path: str, time_s: Floats, values: Floats) -> None:
+        """One chunk of a curve; an unknown path gets a style and, if need be, a panel."""
+        if len(time_s) == 0:
+            return
+        if path not in self._known:
+            self._meet(path)
+        time_ns = np.round(np.asarray(time_s) * 1e9).astype("timedelta64[ns]")
+        self._rec.send_columns(
+            path,
+            indexes=[self._rr.TimeColumn(TIMELINE, duration=time_ns)],
+            columns=self._rr.Scalars.columns(scalars=values),
+        )
+        self.newest[path] = float(values[-1])
+        self._last_s[path] = float(time_s[-1])
+        self.newest_s = max(self.newest_s, float(time_s[-1]))
+
+    def _meet(self, path: str) -> None:
+        self._known.add(path)
+        label = path.split("/", 1)[-1].replace("_", " ").replace("/", " ")
+        self._style(Channel(path, label), PALETTE[(len(self._known) - 1) % len(PALETTE)])
+        if self._layout.panel_of(path) is None and not self._extra:
+            self._extra = True
+            self._rec.send_blueprint(blueprint(self._layout, extra=self._extra))
+
+    def points(self, path: str, time_s: float, label: str, x: Floats, y: Floats) -> None:
+        """Add points to a chart; paths without a points panel are drawn nowhere."""
+        panel = self._layout.panel_of(path)
+        if panel is None or panel.kind != "points":
+            return
+        self._at(time_s)
+        chart = self._chart(panel)
+        if chart.add(label, x, y):
+            self._axes(panel, chart)
+            for name in chart.curves:
+                self._curve(panel, chart, name)
+        else:
+            self._curve(panel, chart, label)
+        names, at = chart.label_positions()
+        self._rec.log(
+            f"{panel.origin}/legend",
+            self._rr.Points2D(
+                at,
+                radii=0.1,
+                colors=[chart.curves[n].colour for n in names],
+                labels=names,
+                show_labels=True,
+            ),
+        )
+
+    def _chart(self, panel: Panel) -> Chart:
+        if panel.origin not in self._charts:
+            assert panel.x_axis is not None
+            assert panel.y_axis is not None
+            self._charts[panel.origin] = Chart(panel.x_axis, panel.y_axis)
+        return self._charts[panel.origin]
+
+    def _curve(self, panel: Panel, chart: Chart, label: str) -> None:
+        curve = chart.curves[label]
+        if not curve.x:
+            return
+        name = self._rr.escape_entity_path_part(label)
+        rr, base = self._rr, f"{panel.origin}/curves/{name}"
+        at = chart.place(np.asarray(curve.x), np.asarray(curve.y))
+        self._rec.log(
+            f"{base}/line",
+            rr.LineStrips2D(
+                [chart.line(label)], colors=[curve.colour], radii=rr.Radius.ui_points(0.8)
+            ),
+        )
+        self._rec.log(
+            f"{base}/points",
+            rr.Points2D(at, colors=[curve.colour], radii=rr.Radius.ui_points(3.0), draw_order=40.0),
+        )
+
+    def _axes(self, panel: Panel, chart: Chart) -> None:
+        rr, drawing = self._rr, chart.drawing()
+        colours = [FRAME_COLOUR] + [GRID_COLOUR] * (len(drawing.strips) - 1)
+        self._rec.log(
+            f"{panel.origin}/axes/grid",
+            rr.LineStrips2D(
+                drawing.strips, colors=colours, radii=rr.Radius.ui_points(0.5), draw_order=1.0
+            ),
+            static=True,
+        )
+        for part, at, texts in (
+            ("ticks", drawing.tick_at, drawing.tick_text),
+            ("titles", drawing.title_at, drawing.title_text),
+        ):
+            self._rec.log(
+                f"{panel.origin}/axes/{part}",
+                rr.Points2D(at, radii=0.1, colors=[TEXT_COLOUR], labels=texts, show_labels=True),
+                static=True,
+            )
+
+    def image(self, path: str, time_s: float, jpeg: bytes, lines: list[Line]) -> None:
+        """A camera frame as it was stored, with what was measured drawn over it.
+
+        Lines with a name come first and stand out; nameless ones (a profile, a region) are
+        drawn thin.
+        """
+        rr = self._rr
+        self._at(time_s)
+        self._rec.log(f"{path}/frame", rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+        if not lines:
+            self._rec.log(f"{path}/edges", rr.Clear(recursive=True))
+            return
+        named = [line for line in lines if line[2]]
+        plain = [line for line in lines if not line[2]]
+        colours = [(ORANGE, PALETTE[0], GREY)[min(k, 2)] for k in range(len(named))]
+        self._rec.log(
+            f"{path}/profile",
+            rr.LineStrips2D(
+                [np.array([a, b], dtype=float) for a, b, _ in plain],
+                colors=[PALETTE[2]],
+                radii=rr.Radius.ui_points(0.6),
+                draw_order=49.0,
+            ),
+        )
+        self._rec.log(
+            f"{path}/edges",
+            rr.LineStrips2D(
+                [np.array([a, b], dtype=float) for a, b, _ in named],
+                colors=colours,
+                radii=rr.Radius.ui_points(1.2),
+                draw_order=50.0,
+            ),
+        )
+        self._rec.log(
+            f"{path}/edges/names",
+            rr.Points2D(
+                [_label_place(a, b) for a, b, _ in named],
+                radii=0.1,
+                colors=colours,
+                labels=[text for _, _, text in named],
+                show_labels=True,
+                draw_order=51.0,
+            ),
+        )
+
+    def state(self, path: str, time_s: float, text: str) -> None:
+        """A change of state, drawn as a lane; empty text ends the lane."""
+        channel, colours = self._layout.channels.get(path), self._state_colours.get(path)
+        colour = channel.colour if channel is not None else None
+        if text and colour and colours is not None and text not in colours:
+            if len(colours) >= MOST_STATES:
+                colours.pop(next(iter(colours)))
+            colours[text] = colour
+            self._state_style(path)
+        self._at(time_s)
+        self._rec.log(path, self._rr.StateChange(state=text or None))
+        self.states[path] = text
+
+    def text(self, path: str, time_s: float, text: str, level: str) -> None:
+        """A line in the log."""
+        self._at(time_s)
+        colour = {"ERROR": VERMILLION, "WARN": ORANGE}.get(level, TEXT_COLOUR)
+        self._rec.log(path, self._rr.TextLog(f"{time_s:.1f} s   {text}", level=level, color=colour))
+
+    def hold_steps(self, behind_s: float = 0.0) -> None:
+        """Carry the last value of every staircase on to ``behind_s`` before the newest time.
+
+        Live, batches of different devices arrive up to some tens of ms apart; a staircase
+        carried all the way could overtake its own next step.
+        """
+        until_s = self.newest_s - behind_s
+        for path, value in list(self.newest.items()):
+            channel = self._layout.channels.get(path)
+            if channel is not None and channel.step and self._last_s[path] < until_s:
+                self.series(path, np.array([until_s]), np.array([value]))
+
+    def finish(self) -> None:
+        """For a view file: staircases to the end, and all of the test on the screen."""
+        self.hold_steps()
+        self.readout()
+        self._rec.send_blueprint(
+            blueprint(self._layout, extra=self._extra, whole_s=max(self.newest_s, 1e-3))
+        )
+
+    def readout(self, note: str = "") -> None:
+        """Newest values in figures, in every read-out panel."""
+        panels = [panel for panel in self._layout.panels if panel.kind == "readout"]
+        if not panels:
+            return
+        rows = []
+        for panel in self._layout.panels:
+            for channel in panel.channels:
+                if panel.kind == "states":
+                    rows.append((channel.label, self.states.get(channel.path, "")))
+                elif panel.kind == "series" and channel.readout:
+                    value = self.newest.get(channel.path)
+                    text = "" if value is None else f"{value:.{channel.digits}f} {channel.unit}"
+                    rows.append((f"{panel.origin} {channel.label}", text))
+        body = "\n".join(f"| {name} | **{value or '-'}** |" for name, value in rows)
+        head = f"| {self._layout.title} | {self.newest_s:.1f} s |\n|:--|:--|\n"
+        self._at(self.newest_s)
+        for panel in panels:
+            self._rec.log(
+                f"{panel.origin}/now",
+                self._rr.TextDocument(head + body + f"\n\n{note}", media_type="text/markdown"),
+            )
+
+    def _at(self, time_s: float) -> None:
+        self.newest_s = max(self.newest_s, time_s)
+        self._rec.set_time(TIMELINE, duration=time_s)

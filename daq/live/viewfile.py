@@ -1,0 +1,310 @@
+"""A view of a recorded run: the live view's panels over the whole record, in one file.
+
+``view.rrd`` is derived: it may be deleted and made again. Runs that were interrupted give
+one too, of as much as their CRCs vouch for.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.errors import RecordError
+from daq.live.decimate import decimate
+from daq.live.layout import Channel, EventFeed, Feed, LiveLayout, Panel, PointFeed
+from daq.live.live import APPLICATION
+from daq.live.scene import Line, Scene
+from daq.live.web import NativeViewer, WebViewer, has_screen
+from daq.record.disk import disk_error
+from daq.record.segments import Columns
+from daq.store.derive import Maker, engineering
+from daq.store.run import Run
+
+Floats = npt.NDArray[np.float64]
+Edges = Callable[[bytes], list[Line]]
+
+FILE = "view.rrd"
+CHUNK_ROWS = 65_536
+MOST_ROWS = 1_000_000
+MOST_FRAMES = 1_000
+_QUIET = {"state", "point", "length", "command", "clockfit", "zero"}
+_LEVELS = {"fault": "ERROR", "vent_unconfirmed": "ERROR", "gap": "WARN", "end": "WARN"}
+
+
+def view_maker(layout: LiveLayout | None = None, edges: Edges | None = None) -> Maker:
+    """For ``daq.store.derive.derive``: makes ``view.rrd`` in the folder of derived files."""
+
+    def make(run: Run, folder: Path) -> Path:
+        return build_view(run, folder / FILE, layout, edges)
+
+    return make
+
+
+def build_view(
+    run: Run,
+    path: Path,
+    layout: LiveLayout | None = None,
+    edges: Edges | None = None,
+    most_rows: int = MOST_ROWS,
+) -> Path:
+    """Write the view file of a run.
+
+    Args:
+        run: finished or interrupted.
+        path: the file to write; a partial one is never left under its name.
+        layout: the panels; a plain one with every column of every stream if None.
+        edges: finds the lines to draw over a stored frame; None draws none.
+        most_rows: a longer series is thinned to its extremes per bin so that the file stays
+            in proportion; the record keeps every sample.
+
+    Raises:
+        RecordError: run.json is damaged, or the file cannot be written.
+    """
+    import rerun as rr
+
+    layout = layout or plain_layout(run)
+    partial = path.with_name(path.name + ".partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        rec = rr.RecordingStream(APPLICATION, recording_id=run.run_id)
+        rec.save(partial)
+        try:
+            _fill(Scene(rec, layout), run, layout, edges, most_rows)
+        finally:
+            rec.flush(timeout_sec=60.0)
+            rec.disconnect()
+        os.replace(partial, path)
+    except OSError as error:
+        raise disk_error(path, "the view cannot be written", error) from error
+    except RuntimeError as error:  # what rerun raises when its writer has failed
+        raise RecordError(
+            str(path), f"the view cannot be written: {error}", "make room, then rebuild the run"
+        ) from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return path
+
+
+def plain_layout(run: Run) -> LiveLayout:
+    """A layout for a run nobody described: one panel a stream, every column drawn."""
+    panels: list[Panel] = []
+    feeds: list[Feed] = []
+    for stream in run.streams:
+        columns, units = engineering(run, stream)
+        names = [n for n in columns if n not in ("time_s", "seq", "row")] if columns else []
+        if "time_s" not in columns or not names:
+            continue
+        channels = tuple(
+            Channel(f"{stream}/{n}", f"{n} ({units[n]})" if n in units else n) for n in names
+        )
+        panels.append(Panel(stream, "series", stream, channels))
+        feeds += [Feed(f"{stream}/{n}", stream, n) for n in names]
+    states = Panel("State", "states", "state", (Channel("state/protocol", "state"),), share=0.4)
+    return LiveLayout(
+        title=str(run.manifest.get("protocol", "run")),
+        columns=((*panels, states), (Panel("Camera", "camera", "camera"),
+                                     Panel("Messages", "log", "log"))),
+        shares=(2.0, 1.0),
+        feeds=tuple(feeds),
+        event_feeds=(EventFeed("state/protocol", "state", "state"),),
+    )  # fmt: skip
+
+
+def _fill(scene: Scene, run: Run, layout: LiveLayout, edges: Edges | None, most_rows: int) -> None:
+    scene.start()
+    start_ns = int(run.manifest["started"]["monotonic_ns"])
+    tables = {name: engineering(run, name)[0] for name in run.streams}
+    frame_ns = {int(f["frame"]): int(f["host_ns"]) for f in run.frames}
+    for feed in layout.feeds:
+        _series(scene, tables.get(feed.stream, {}), feed, layout, most_rows)
+    for events in layout.event_feeds:
+        _event_series(scene, run, events, frame_ns, start_ns, layout)
+    for points in layout.points:
+        _points(scene, run, tables, points)
+    _frames(scene, run, layout.camera, frame_ns, start_ns, edges)
+    for event in run.events:
+        if event["kind"] not in _QUIET:
+            level = _LEVELS.get(event["kind"], "INFO")
+            scene.text("log", event["t_ns"] / 1e9, _sentence(event), level)
+    for problem in run.problems:
+        scene.text("log", 0.0, f"record: {problem}", "ERROR")
+    scene.text("log", scene.newest_s, f"outcome: {run.outcome}", "INFO")
+    scene.finish()
+
+
+def _series(scene: Scene, table: Columns, feed: Feed, layout: LiveLayout, most_rows: int) -> None:
+    if feed.column not in table or "time_s" not in table:
+        return
+    time_s = np.asarray(table["time_s"], dtype=np.float64)
+    values = np.asarray(table[feed.column], dtype=np.float64) * feed.scale
+    channel = layout.channels.get(feed.path)
+    if channel is not None and channel.step and len(values):  # a staircase needs its steps only
+        changes = np.flatnonzero(values[1:] != values[:-1]) + 1
+        keep = np.unique(np.concatenate(([0], changes, [len(values) - 1])))
+        time_s, values = time_s[keep], values[keep]
+    if len(time_s) > most_rows:
+        span = float(time_s[-1] - time_s[0])
+        time_s, values = decimate(time_s, values, 2.0 * span / most_rows)
+    for first in range(0, len(time_s), CHUNK_ROWS):
+        part = slice(first, first + CHUNK_ROWS)
+        scene.series(feed.path, time_s[part], values[part])
+
+
+def _event_series(
+    scene: Scene,
+    run: Run,
+    feed: EventFeed,
+    frame_ns: dict[int, int],
+    start_ns: int,
+    layout: LiveLayout,
+) -> None:
+    panel = layout.panel_of(feed.path)
+    calibration = run.calibrations.get(feed.quantity) if feed.quantity else None
+    if feed.quantity and calibration is None:
+        return
+    times, values = [], []
+    for event in run.events:
+        if event["kind"] != feed.kind or event.get(feed.field) is None:
+            continue
+        if feed.only and not event.get(feed.only):
+            continue
+        frame = event.get("frame")
+        at_s = (frame_ns[frame] - start_ns if frame in frame_ns else event["t_ns"]) / 1e9
+        if panel is not None and panel.kind == "states":
+            scene.state(feed.path, at_s, str(event[feed.field]))
+        else:
+            raw = float(event[feed.field])
+            values.append(float(calibration.apply(raw)) if calibration else raw)
+            times.append(at_s)
+    scene.series(feed.path, np.array(times), np.array(values))
+
+
+def _points(scene: Scene, run: Run, tables: dict[str, Columns], feed: PointFeed) -> None:
+    lengths = _frame_lengths(run) if "camera" in (feed.x[0], feed.y[0]) else {}
+    for event in run.events:
+        if event["kind"] != feed.kind or (feed.needs and event.get(feed.needs) is None):
+            continue
+        x = _mean(tables, feed.x, event, lengths)
+        y = _mean(tables, feed.y, event, lengths)
+        if x is None or y is None:
+            continue
+        try:
+            label = feed.label.format(**event)
+        except (KeyError, ValueError, TypeError):  # an imported row may lack the field
+            label = str(event.get("slot") or f"trial {event.get('trial', '?')}")
+        scene.points(feed.path, event["t_ns"] / 1e9, label, np.array([x]), np.array([y]))
+
+
+def _frame_lengths(run: Run) -> dict[int, float]:
+    """Length in each picture that gave one, as it was measured during the test."""
+    calibration = run.calibrations.get("length_mm")
+    if calibration is None:
+        return {}
+    return {
+        event["frame"]: float(calibration.apply(event["pixels"]))
+        for event in run.events
+        if event["kind"] == "length" and event.get("trusted")
+    }
+
+
+def _mean(
+    tables: dict[str, Columns],
+    where: tuple[str, str],
+    event: dict[str, Any],
+    lengths: dict[int, float],
+) -> float | None:
+    """Mean of a column over the rows that ``event`` names; None if they are not there."""
+    stream, column = where
+    span: Any
+    if stream == "camera" and "row" not in event:
+        seen = [lengths[n] for n in event.get("frames", ()) if n in lengths]
+        return float(np.mean(seen)) if seen else None
+    if stream not in tables and "points" in tables and "row" in event:
+        stream, key, span = "points", "row", [event["row"], event["row"] + 1]
+    else:
+        key = "seq" if "seq" in tables.get(stream, {}) else "row"
+        span = event.get(f"{stream}_seq") or event.get(f"{stream}_rows")
+    table = tables.get(stream, {})
+    if column not in table or key not in table or span is None:
+        return None
+    use = (table[key] >= span[0]) & (table[key] < span[1])
+    return float(np.mean(table[column][use])) if use.any() else None
+
+
+def _frames(
+    scene: Scene,
+    run: Run,
+    path: str,
+    frame_ns: dict[int, int],
+    start_ns: int,
+    edges: Edges | None,
+) -> None:
+    numbers = sorted(frame_ns)
+    for number in numbers[:: max(1, -(-len(numbers) // MOST_FRAMES))]:
+        try:
+            jpeg = run.frame_bytes(number)
+            lines = edges(jpeg) if edges else []
+        except RecordError:
+            continue  # noted in run.problems, which the messages show
+        except ValueError:  # a frame that cannot be measured is still worth showing
+            lines = []
+        scene.image(path, (frame_ns[number] - start_ns) / 1e9, jpeg, lines)
+
+
+def _sentence(event: dict[str, Any]) -> str:
+    skip = ("n", "t_ns", "kind", "crc")
+    rest = ", ".join(
+        f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}"
+        for k, v in event.items()
+        if k not in skip
+    )
+    return f"{event['kind']}: {rest}"[:200]
+
+
+def open_view(
+    run: Run,
+    layout: LiveLayout | None = None,
+    edges: Edges | None = None,
+    *,
+    web: bool | None = None,
+    port: int = 9090,
+) -> WebViewer | NativeViewer:
+    """Show a run: in a window where there is a screen, else as a page on loopback.
+
+    A run without a sound view file gets a temporary one. The caller prints ``.message``, calls
+    ``.wait()`` and in the end ``.close()``.
+
+    Args:
+        run: finished or interrupted.
+        layout, edges: see :func:`build_view`.
+        web: True for the page, False for the window, None to choose.
+        port: of the page.
+
+    Raises:
+        RecordError: no view file can be made.
+        ViewerError: the viewer cannot start.
+    """
+    made: tempfile.TemporaryDirectory[str] | None = None
+    try:
+        path = run.derived(FILE)
+    except RecordError:  # interrupted, or not made yet; derived/ is not ours to add to
+        made = tempfile.TemporaryDirectory(prefix="pamrig-view-")
+        path = build_view(run, Path(made.name) / FILE, layout, edges)
+    viewer: WebViewer | NativeViewer
+    try:
+        if web or (web is None and not has_screen()):
+            viewer = WebViewer([str(path)], port=port)
+        else:
+            viewer = NativeViewer([str(path)])
+    except BaseException:
+        if made is not None:
+            made.cleanup()
+        raise
+    viewer.owned = made
+    return viewer

@@ -1,0 +1,1 @@
+"""Recorded runs: opened, indexed, verified, annotated, derived again."""

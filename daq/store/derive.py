@@ -1,0 +1,186 @@
+"""What can be made from a record again at any time: engineering units and more.
+
+``samples.parquet`` holds the valve stream, ``<stream>.parquet`` each other one. Nothing
+here is ever the truth; ``derived/`` may be deleted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import zlib
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.calibration import Calibration
+from daq.link.clockfit import ClockMap
+from daq.record.disk import disk_error
+from daq.record.sealed import write_sealed
+from daq.record.segments import Columns
+from daq.store.run import Run, time_s
+from valvefw import wire
+
+Maker = Callable[[Run, Path], object]
+"""Makes further derived files of a run in the folder it is given."""
+
+# column of a stream -> quantity of the calibration that turns it into engineering units
+CALIBRATED = {
+    ("valve", "counts"): "pressure_kpa",
+    ("valve", "setpoint_x16"): "pressure_kpa",
+    ("balance", "grams"): "force_n",
+}
+VALVE_STREAM = "valve"
+_TICK_U5 = wire.TICK_US / wire.PULSE_UNIT_US
+
+
+def derive(run: Run, makers: Iterable[Maker] = ()) -> Path:
+    """Make ``derived/`` anew: samples in engineering units, then what ``makers`` add.
+
+    The old folder is replaced in one step at the end; until then it stays as it was.
+
+    Returns:
+        the folder.
+
+    Raises:
+        RecordError: run.json is damaged, or the folder cannot be written.
+    """
+    fresh = run.folder / "derived.partial"
+    target = run.folder / "derived"
+    try:
+        shutil.rmtree(fresh, ignore_errors=True)
+        fresh.mkdir()
+        for stream in run.streams:
+            name = "samples" if stream == VALVE_STREAM else stream
+            write_samples(run, stream, fresh / f"{name}.parquet")
+        for make in makers:
+            make(run, fresh)
+        seal_folder(run, fresh)
+        if target.exists():
+            shutil.rmtree(target)
+        fresh.rename(target)
+    except OSError as error:
+        raise disk_error(target, "derived files cannot be written", error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            shutil.rmtree(fresh, ignore_errors=True)
+    return target
+
+
+def seal_folder(run: Run, folder: Path) -> None:
+    """Write ``manifest.json`` with size and CRC of every file in ``folder``."""
+    files = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name != "manifest.json":
+            data = path.read_bytes()
+            files[name] = {"size": len(data), "crc32": f"{zlib.crc32(data):08x}"}
+    write_sealed(
+        folder / "manifest.json",
+        {"schema": "pamrig-derived/1", "run_id": run.run_id, "files": files},
+        durable=False,
+    )
+
+
+def engineering(run: Run, stream: str) -> tuple[Columns, dict[str, str]]:
+    """Columns of a stream in engineering units, and the unit of each that has one.
+
+    ``time_s`` counts from the run's start on the host's clock. A raw column whose
+    calibration the run does not have stays raw.
+    """
+    raw = run.samples(stream)
+    columns: Columns = {}
+    units: dict[str, str] = {}
+    if raw and ("host_ns" in raw or "device_us" in raw):
+        start_ns = int(run.manifest["started"]["monotonic_ns"])
+        columns["time_s"] = time_s(sample_host_ns(run, stream, raw), start_ns)
+        units["time_s"] = "s"
+    calibrations = {**run.calibrations, **run.instrument_calibrations}
+    more, more_units = scaled(stream, raw, calibrations, run.schema(stream).units)
+    return {**columns, **more}, {**units, **more_units}
+
+
+def scaled(
+    stream: str,
+    raw: Columns,
+    calibrations: Mapping[str, Calibration],
+    raw_units: Mapping[str, str],
+) -> tuple[Columns, dict[str, str]]:
+    """A stream's raw columns in engineering units, without their times; units by column.
+
+    The live view and the derived files go through here, so they cannot disagree. The column
+    ``reading`` of an instrument's own stream takes the calibration of the stream's name.
+    """
+    columns: Columns = {}
+    units: dict[str, str] = {}
+    for name, values in raw.items():
+        quantity = stream if name == "reading" else CALIBRATED.get((stream, name))
+        calibration = calibrations.get(quantity) if quantity else None
+        if name in ("host_ns", "device_us"):
+            continue
+        if calibration is not None and name == "setpoint_x16":
+            columns["setpoint_kpa"] = calibration.apply(values / 16.0)
+            units["setpoint_kpa"] = calibration.unit
+        elif calibration is not None:
+            columns[calibration.quantity] = calibration.apply(values)
+            units[calibration.quantity] = calibration.unit
+        elif stream == VALVE_STREAM and name in ("inlet_u5", "vent_u5"):
+            columns[name.replace("_u5", "_cmd")] = values / _TICK_U5
+            units[name.replace("_u5", "_cmd")] = "share of 1 ms"
+        else:
+            columns[name] = values
+            if name in raw_units:
+                units[name] = raw_units[name]
+    return columns, units
+
+
+def sample_host_ns(run: Run, stream: str, raw: Columns) -> npt.NDArray[np.int64]:
+    """Host monotonic time of each sample, through the run's clock fit if there is one.
+
+    The fit is that of ``final.json``, else of the last ``clockfit`` event. It holds for
+    the boot that most samples are from; other samples keep their time of arrival.
+    """
+    arrival = raw.get("host_ns")
+    fit = clock_map(run, stream) if "device_us" in raw else None
+    if fit is None or not len(raw["device_us"]):
+        return np.asarray(arrival if arrival is not None else raw["device_us"] * 1000)
+    fitted = fit.to_host_ns(raw["device_us"])
+    if "boot" in raw and arrival is not None:
+        boots, counts = np.unique(raw["boot"], return_counts=True)
+        fitted = np.where(raw["boot"] == boots[counts.argmax()], fitted, arrival)
+    return np.asarray(fitted)
+
+
+def clock_map(run: Run, stream: str) -> ClockMap | None:
+    """The clock fit of the device behind ``stream``; None if the run has none."""
+    found: Any = (run.final or {}).get("clock_fit")
+    if isinstance(found, dict) and "knots" not in found:
+        found = found.get(stream)
+    if found is None:
+        for event in run.events:
+            if event["kind"] == "clockfit" and event.get("device", stream) == stream:
+                found = event if "knots" in event else event.get("fit")
+    return ClockMap.from_dict(found) if found else None
+
+
+def write_samples(run: Run, stream: str, path: Path) -> None:
+    """Write :func:`engineering` columns as Parquet; units and run id in its metadata."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns, units = engineering(run, stream)
+    fields = [
+        pa.field(
+            name,
+            pa.from_numpy_dtype(values.dtype),
+            nullable=False,
+            metadata={"unit": units[name]} if name in units else None,
+        )
+        for name, values in columns.items()
+    ]
+    schema = pa.schema(fields, metadata={"pamrig.run_id": run.run_id, "pamrig.stream": stream})
+    table = pa.Table.from_arrays([pa.array(v) for v in columns.values()], schema=schema)
+    pq.write_table(table, path, compression="zstd")

@@ -1,0 +1,144 @@
+"""An index of the runs in a folder, for quick lists: SQLite, rebuilt from the folders at will.
+
+The folders are the truth. Of each run the index keeps what a list shows, together with size and
+time of the files it was read from; a run whose files have changed since is read anew, a run that
+is gone is left out. A damaged or missing index costs time, nothing else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.errors import RecordError
+from daq.record.runname import by_start
+from daq.store.annotations import ANNOTATIONS
+
+if TYPE_CHECKING:
+    from daq.store.store import RunInfo
+
+INDEX = "index.sqlite"
+LAYOUT = 2
+"""Changes with the columns below; an index of another layout is made anew."""
+FILES = ("run.json", "final.json", ANNOTATIONS)
+COLUMNS = (
+    "run_id TEXT PRIMARY KEY",
+    "started_utc TEXT",
+    "protocol TEXT",
+    "specimen TEXT",
+    "outcome TEXT",
+    "duration_s REAL",
+    "operator TEXT",
+    "rig TEXT",
+    "excluded INTEGER",
+    "continues TEXT",
+    "stamp TEXT",
+)
+CREATE = f"CREATE TABLE runs ({', '.join(COLUMNS)})"
+NAMES = tuple(column.split()[0] for column in COLUMNS)
+
+
+def index_path(root: Path | str) -> Path:
+    """Where the index of a folder of runs lies."""
+    return Path(root) / INDEX
+
+
+def rebuild_index(root: Path | str) -> list[RunInfo]:
+    """Make the index anew from the folders; returns what it holds, oldest first.
+
+    Raises:
+        RecordError: there is no such folder, or it cannot be written.
+    """
+    folder = Path(root)
+    if not folder.is_dir():
+        raise RecordError(str(root), "no such folder", "give the folder of runs with --runs")
+    path = index_path(root)
+    try:
+        for old in folder.glob(f"{INDEX}*"):
+            old.unlink()
+        with _open(path) as db:
+            db.execute(CREATE)
+            db.execute(f"PRAGMA user_version = {LAYOUT}")
+    except (sqlite3.Error, OSError) as error:
+        raise RecordError(
+            str(path), f"cannot be written: {error}", "check disk and permissions"
+        ) from error
+    return update_index(root)
+
+
+def update_index(root: Path | str) -> list[RunInfo]:
+    """All runs of a folder, oldest first; what has changed is read anew and noted in the index.
+
+    Raises:
+        RecordError: the index is damaged; `pamrig runs index` makes it anew.
+    """
+    from daq.store.run import Run
+    from daq.store.store import run_info
+
+    folder = Path(root)
+    path = index_path(root)
+    try:
+        with _open(path) as db:
+            (layout,) = db.execute("PRAGMA user_version").fetchone()
+            if layout != LAYOUT:
+                raise sqlite3.DatabaseError(f"layout {layout}, not {LAYOUT}")
+            holds = db.execute("SELECT type, name, sql FROM sqlite_schema").fetchall()
+            if [row for row in holds if row[2] is not None] != [("table", "runs", CREATE)]:
+                # A view may count without end, a trigger change what is asked for.
+                raise sqlite3.DatabaseError("it holds something else than the list of runs")
+            known = {row[0]: row for row in db.execute(f"SELECT {', '.join(NAMES)} FROM runs")}
+            found: list[RunInfo] = []
+            fresh = []
+            folders = (manifest.parent for manifest in folder.glob("*/run.json"))
+            for run_folder in sorted(folders, key=by_start):
+                name, stamp = run_folder.name, _stamp(run_folder)
+                row = known.pop(name, None)
+                if row is None or row[-1] != stamp:
+                    info = run_info(Run(run_folder))
+                    values = asdict(info)
+                    fresh.append(tuple(stamp if n == "stamp" else values[n] for n in NAMES))
+                else:
+                    info = _info(dict(zip(NAMES, row, strict=True)), run_folder)
+                found.append(info)
+            places = ", ".join("?" * len(NAMES))
+            with contextlib.suppress(sqlite3.OperationalError):  # read-only, or busy: no harm
+                db.executemany(f"INSERT OR REPLACE INTO runs VALUES ({places})", fresh)
+                db.executemany("DELETE FROM runs WHERE run_id = ?", [(gone,) for gone in known])
+            return found
+    except sqlite3.Error as error:
+        raise RecordError(
+            str(path), f"is damaged: {error}", "`pamrig runs index` makes it anew"
+        ) from error
+
+
+@contextlib.contextmanager
+def _open(path: Path) -> Iterator[sqlite3.Connection]:
+    if path.is_symlink():
+        raise RecordError(str(path), "is a link", "remove it; the index is made anew then")
+    db = sqlite3.connect(path, timeout=5.0)
+    try:
+        with db:
+            yield db
+    finally:
+        db.close()
+
+
+def _stamp(folder: Path) -> str:
+    """Size and time of the files that a list is read from."""
+    parts = []
+    for name in FILES:
+        with contextlib.suppress(OSError):
+            status = (folder / name).stat()
+            parts.append(f"{name}:{status.st_size}:{status.st_mtime_ns}")
+    return " ".join(parts)
+
+
+def _info(row: dict[str, Any], folder: Path) -> RunInfo:
+    from daq.store.store import RunInfo
+
+    names = {field.name for field in fields(RunInfo)}
+    return RunInfo(**{k: v for k, v in row.items() if k in names}, folder=str(folder))

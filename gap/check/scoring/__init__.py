@@ -1,0 +1,1 @@
+"""Scores of blind sets and their totals."""

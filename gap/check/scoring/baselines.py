@@ -1,0 +1,155 @@
+"""What one would use instead, on the same data: naive selection without a noise model or a null.
+
+Each gets the same features, nominal constants and signatures as the diagnosis, and does with
+them what is usually done: independent errors and BIC, random cross-validation, sequentially
+thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016) 3932), or a fixed guess.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gap.data.reader import read_dataset
+from gap.estimation.fit_problem import Inquiry
+from gap.model.sensitivities import suspect_columns
+from plant.effects.catalogue import CATALOGUE
+
+Floats = np.ndarray
+BIC_GAIN = 10.0
+FOLDS = 5
+THRESHOLD = 0.15
+
+
+@dataclass(frozen=True)
+class Features:
+    """Rows of one data set: residual of the plain plant, constants and suspects as columns.
+
+    Every block of rows (pressure, force, ...) is divided by the scatter it has after the
+    constants are fitted freely, so that units do not decide. `keys` is (id, family) a suspect.
+    """
+
+    residual: Floats
+    constants: Floats
+    suspects: Floats
+    keys: tuple[tuple[str, str], ...]
+
+
+def features(folder: Path, without: Sequence[str]) -> Features:
+    """Read a folder into rows; what the diagnosis itself compares, before any weighting."""
+    inquiry = Inquiry(read_dataset(folder))
+    chosen = [s for s in inquiry.suspects if not s.defect and s.id not in without]
+    columns = suspect_columns(inquiry.model, inquiry.data.constants, inquiry.given, chosen)
+    residual, constants = inquiry.untouched.copy(), inquiry.columns.copy()
+    left = residual - constants @ np.linalg.lstsq(constants, residual, rcond=None)[0]
+    scale = np.ones(len(residual))
+    for block in np.unique(inquiry.rows.block):
+        here = inquiry.rows.block == block
+        scale[here] = max(float(np.sqrt(np.mean(left[here] ** 2))), 1e-9)
+    seen = np.linalg.norm(columns, axis=0) > 1e-9
+    keys = tuple((s.id, s.family) for s, ok in zip(chosen, seen, strict=True) if ok)
+    return Features(
+        residual / scale, constants / scale[:, None], columns[:, seen] / scale[:, None], keys
+    )
+
+
+def left_over(y: Floats, columns: Floats) -> float:
+    """Sum of squares that ordinary least squares leaves."""
+    fit = columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+    return float(np.sum((y - fit) ** 2))
+
+
+def by_bic(f: Features) -> int | None:
+    """The suspect with the lowest BIC under independent errors, if it gains more than 10."""
+    rows = len(f.residual)
+    plain = left_over(f.residual, f.constants)
+    gains = []
+    for j in range(len(f.keys)):
+        one = left_over(f.residual, np.column_stack([f.constants, f.suspects[:, j]]))
+        gains.append(rows * np.log(plain / max(one, 1e-12)) - np.log(rows))
+    best = int(np.argmax(gains))
+    return best if gains[best] > BIC_GAIN else None
+
+
+def by_random_folds(f: Features) -> int | None:
+    """The suspect with the lowest error over random folds, if it gains more than its error."""
+    rng = np.random.default_rng(0)
+    fold = rng.permutation(len(f.residual)) % FOLDS
+
+    def errors(columns: Floats) -> Floats:
+        out = []
+        for k in range(FOLDS):
+            train, test = fold != k, fold == k
+            fit = np.linalg.lstsq(columns[train], f.residual[train], rcond=None)[0]
+            out.append(float(np.mean((f.residual[test] - columns[test] @ fit) ** 2)))
+        return np.array(out)
+
+    plain = errors(f.constants)
+    best, gain = None, 0.0
+    for j in range(len(f.keys)):
+        drop = plain - errors(np.column_stack([f.constants, f.suspects[:, j]]))
+        if drop.mean() > max(gain, float(drop.std(ddof=1) / np.sqrt(FOLDS))):
+            best, gain = j, float(drop.mean())
+    return best
+
+
+def by_sparse_regression(f: Features) -> list[int]:
+    """Suspects that survive thresholding of standardised coefficients, largest first."""
+    basis, _ = np.linalg.qr(f.constants)
+    clear = f.suspects - basis @ (basis.T @ f.suspects)
+    norm = np.linalg.norm(clear, axis=0)
+    usable = norm > 1e-6 * np.linalg.norm(f.suspects, axis=0)
+    y = f.residual - basis @ (basis.T @ f.residual)
+    size = float(np.linalg.norm(y))
+    active = np.flatnonzero(usable)
+    weight = np.zeros(len(f.keys))
+    for _ in range(10):
+        if not len(active):
+            return []
+        scaled = clear[:, active] / norm[active]
+        ridge = scaled.T @ scaled + 1e-3 * np.eye(len(active))
+        coefficient = np.linalg.solve(ridge, scaled.T @ y) / max(size, 1e-12)
+        kept = np.abs(coefficient) >= THRESHOLD
+        weight[:] = 0.0
+        weight[active[kept]] = coefficient[kept]
+        if kept.all():
+            break
+        active = active[kept]
+    order = np.argsort(-np.abs(weight))
+    return [int(j) for j in order if weight[j] != 0.0]
+
+
+def verdict_of(keys: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """A naive method's word in the exchange form: it is always sure."""
+    if not keys:
+        return {"status": "no_gap_above_floor", "stage": None, "effects": [],
+                "probability_none": 1.0, "probability_unknown": 0.0}  # fmt: skip
+    ids = list(dict.fromkeys(k for k, _ in keys))
+    explanation = {"ids": ids, "family": keys[0][1], "probability": 1.0, "parameters": {}}
+    return {"status": "named", "stage": stage_of(ids[0]), "effects": [explanation],
+            "probability_none": 0.0, "probability_unknown": 0.0}  # fmt: skip
+
+
+def stage_of(name: str) -> str:
+    """Stage of a catalogue entry."""
+    return str(CATALOGUE[name].stage)
+
+
+def baseline_verdicts(folder: Path, without: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Verdicts of all baselines on one folder; empty where the features cannot be had."""
+    always = verdict_of([("braid_friction", "friction")])
+    try:
+        f = features(folder, without)
+    except Exception:  # a baseline that cannot read the data has nothing to say
+        return {"always friction": always}
+    bic, folds, sparse = by_bic(f), by_random_folds(f), by_sparse_regression(f)
+    return {
+        "BIC, independent errors": verdict_of([] if bic is None else [f.keys[bic]]),
+        "random cross-validation": verdict_of([] if folds is None else [f.keys[folds]]),
+        "sparse regression": verdict_of([f.keys[j] for j in sparse]),
+        "always friction": always,
+    }

@@ -1,0 +1,1 @@
+"""The dataset format, its readers, and checks of data quality."""

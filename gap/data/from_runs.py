@@ -1,0 +1,235 @@
+"""Recorded runs as a data set in the dataset format: trials.csv, samples.parquet, bench.toml; and
+calibration.toml, what the sensors may be off by in all trials alike.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from daq.errors import RecordError
+from daq.store.run import Run
+from gap.data.reader import read_bench
+from gap.data.run_tables import table_trials
+from gap.data.run_trials import RunTrial, run_trials, tares
+from gap.errors import GapError
+from plant import tomlfile
+from plant.constants import CHOICES, KEYS
+
+COLUMNS = ("trial", "slot", "replicate", "protocol", "mounting", "order", "held_length_mm",
+           "load_kg", "temperature_c", "start_s", "tare_length_mm", "note")  # fmt: skip
+FORMS = ("time", "points")
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an export wrote."""
+
+    folder: Path
+    trials: int
+    slots: int
+    rows: int
+    runs: tuple[str, ...]
+
+
+def export_runs(
+    runs: Sequence[Run],
+    folder: Path,
+    *,
+    plant: Path | None = None,
+    form: str = "time",
+    commands_of: Collection[str] | None = None,
+) -> Exported:
+    """Write runs as one data set; trials keep the order in which they were measured.
+
+    Args:
+        runs: of any protocols, of one bench.
+        folder: made if need be; it must hold no data set yet.
+        plant: what of the bench differs from the nominal plant (a `bench.toml`); by
+            default the file of that name beside the rig file, or what a virtual rig states.
+        form: "time" for channels against time, "points" for the settled points alone. A run of
+            settled points from elsewhere has no other form.
+
+    Raises:
+        GapError: the folder is taken, the plant file cannot be read, or runs contradict each other.
+        RecordError: a run holds no trial, or is damaged.
+    """
+    if not runs:
+        raise GapError("export", "no run given")
+    bench = _bench(runs, plant)
+    calibration = _calibration(runs)
+    trials: list[RunTrial] = []
+    known: dict[str, list[str]] = {}
+    tared_mm: float | None = None
+    # Whole runs follow each other: on a simulated bench the clock of a run does not go as ours.
+    for run in sorted(runs, key=lambda run: int(run.manifest["started"].get("wall_ns", 0))):
+        own = list(_trials(run, form, commands_of, tared_mm))
+        tared_mm = tares(run, tared_mm)[-1][1]  # a balance keeps its tare from run to run
+        for trial in own:
+            trial.row["slot"] += _told_apart(run, known)
+        trials += sorted(own, key=lambda trial: float(trial.row["start_s"]))
+    return _write(folder, trials, bench, calibration, tuple(run.run_id for run in runs))
+
+
+def _trials(
+    run: Run, form: str, commands_of: Collection[str] | None, tared_mm: float | None
+) -> Iterable[RunTrial]:
+    _refuse_mechanism(run)
+    if form == "points" or run.manifest.get("imported"):
+        return table_trials(run)
+    wanted = commands_of is None or run.manifest.get("protocol") in commands_of
+    return run_trials(run, wanted, tared_mm)
+
+
+NO_SETTING = (
+    "name", "source", "repeats", "mountings", "mounting", "order", "seed", "leak", "frames",
+)  # fmt: skip
+
+
+def _told_apart(run: Run, known: dict[str, list[str]]) -> str:
+    """What tells a run's slots from those of a run of its protocol with other settings: a number.
+
+    Trials of one slot are replicates, and those of other settings are none.
+    """
+    seen = known.setdefault(str(run.manifest.get("protocol")), [])
+    text = json.dumps(_settings(run.manifest.get("parameters") or {}), sort_keys=True)
+    if text not in seen:
+        seen.append(text)
+    number = seen.index(text) + 1
+    return f" ({number})" if number > 1 else ""
+
+
+def _settings(parameters: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: _settings(value) if isinstance(value, dict) else value
+        for key, value in parameters.items()
+        if key not in NO_SETTING
+    }
+
+
+def _refuse_mechanism(run: Run) -> None:
+    """A simulation of joints or of the ram is no trial of one muscle."""
+    load = (run.manifest.get("parameters") or {}).get("load")
+    if run.manifest.get("protocol") == "simulate" and load not in ("held", "hung"):
+        raise RecordError(
+            str(run.folder),
+            f"simulates a load of kind {load!r}; a data set holds trials of one muscle",
+            "export a scenario whose load is held or hung",
+        )
+
+
+def _write(
+    folder: Path, trials: Sequence[RunTrial], bench: dict[str, Any],
+    calibration: dict[str, float], runs: tuple[str, ...],
+) -> Exported:  # fmt: skip
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GapError(str(folder), f"cannot be made: {error.strerror}") from None
+    for name in ("trials.csv", "samples.csv", "samples.parquet"):
+        if (folder / name).exists():
+            raise GapError(str(folder / name), "is there already", "choose another folder")
+    rows = [{**trial.row, "order": number} for number, trial in enumerate(trials, start=1)]
+    frames = []
+    for trial in trials:
+        frame = trial.samples.copy()
+        frame.insert(0, "trial", trial.row["trial"])
+        frames.append(frame)
+    samples = pd.concat(frames, ignore_index=True)
+    try:
+        pd.DataFrame(rows, columns=list(COLUMNS)).to_csv(folder / "trials.csv", index=False)
+        samples.to_parquet(folder / "samples.parquet", index=False)
+        for name, table in (("bench.toml", bench), ("calibration.toml", calibration)):
+            if table:
+                (folder / name).write_text(_toml_text(table), encoding="utf-8")
+    except OSError as error:
+        raise GapError(str(folder), f"cannot be written: {error.strerror}") from None
+    slots = len({row["slot"] for row in rows})
+    return Exported(folder, len(rows), slots, len(samples), runs)
+
+
+def _bench(runs: Sequence[Run], plant: Path | None) -> dict[str, Any]:
+    """Constants that differ from the nominal plant: of a file, or of the virtual rig's own text."""
+    if plant is not None:
+        return stated_plant(plant)
+    stated = [(run, _stated(run)) for run in runs]
+    for run, table in stated:
+        if table != stated[0][1]:
+            raise GapError(
+                str(run.folder),
+                f"was recorded on another bench than {stated[0][0].run_id}",
+                "export runs of one bench at a time, or name its constants with --plant",
+            )
+    return stated[0][1]
+
+
+def stated_plant(path: Path) -> dict[str, Any]:
+    """What a plant file states, `[effects.<id>]` included.
+
+    Raises:
+        GapError: it cannot be read, or states what the plant does not have.
+    """
+    read_bench(path)
+    return tomlfile.loads(tomlfile.read_text(path))
+
+
+def _calibration(runs: Sequence[Run]) -> dict[str, float]:
+    """What each sensor's zero and gain may be off by in all trials alike, the largest of the runs.
+
+    A force zero is left anew by each tare, so its trials tell; what they share is no calibration.
+    """
+    found: dict[str, float] = {}
+    for run in runs:
+        for quantity, known in run.calibrations.items():
+            name, _, unit = quantity.rpartition("_")
+            zero, gain = f"{name}_zero_{unit}", f"{name}_gain_percent"
+            if quantity in ("pressure_kpa", "length_mm"):
+                found[zero] = max(found.get(zero, 0.0), float(known.u_offset))
+            elif quantity != "force_n":
+                continue
+            found[gain] = max(found.get(gain, 0.0), 100.0 * float(known.u_gain))
+    return {key: value for key, value in found.items() if value > 0.0}
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        table = tomlfile.loads(tomlfile.read_text(path))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise GapError(str(path), f"cannot be read as TOML ({error})") from None
+    return {key: value for key, value in table.items() if key in KEYS or key in CHOICES}
+
+
+def _stated(run: Run) -> dict[str, Any]:
+    """The plant that a simulation or a virtual rig's file states, or the rig's `bench.toml`."""
+    if run.manifest.get("protocol") == "simulate":
+        return dict((run.manifest.get("virtual") or {}).get("plant") or {})
+    beside = Path(str(run.manifest.get("rig", {}).get("source", ""))).parent / "bench.toml"
+    if beside.is_file():
+        return _read(beside)
+    text = run.manifest.get("rig", {}).get("text", "")
+    try:
+        table = tomlfile.loads(text)
+    except tomllib.TOMLDecodeError:
+        return {}
+    stated = table.get("virtual", {}).get("plant", {})
+    return {key: value for key, value in stated.items() if key in KEYS or key in CHOICES}
+
+
+def _toml_text(table: dict[str, Any]) -> str:
+    """A plant file: constants, then a table for each effect."""
+    lines = [f"{key} = {_toml(value)}" for key, value in table.items() if key != "effects"]
+    for name, effect in table.get("effects", {}).items():
+        lines += ["", f"[effects.{name}]", *(f"{k} = {_toml(v)}" for k, v in effect.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, str):
+        return f'"{value}"'
+    return repr(float(value))

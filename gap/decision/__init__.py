@@ -1,0 +1,1 @@
+"""From a fitted explanation to a verdict with its reliability."""

@@ -1,0 +1,115 @@
+"""From a data set to a verdict: the public entry of the diagnosis.
+
+verdict = diagnose(read_dataset("folder"))
+verdict.status, [effect.ids for effect in verdict.effects]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from gap.data.dataset import DataSet
+from gap.data.quality import Unfit, unfit_channels
+from gap.decision.classify import judge
+from gap.effects.candidates import SUSPECTS
+from gap.errors import GapError
+from gap.estimation.fit_problem import Inquiry, State
+from gap.selection.forward import Naming, name_effects
+from gap.selection.inclusion import excess
+from gap.selection.timing import mistimed_channel
+from gap.verdict import Verdict
+from plant.effects.catalogue import CATALOGUE
+
+_PLAIN = 0.2
+"""Gap, in noise squared a row, from which a channel out of time would not pass unseen."""
+
+
+def diagnose(data: DataSet, without: Iterable[str] = ()) -> Verdict:
+    """Name the effect behind the gap of a data set, or say why it cannot be named.
+
+    `without` strikes effects from the catalogue, as a check of how the rest takes their place.
+
+    Raises:
+        GapError: an unknown effect in `without`, or a data set in which nothing can be compared.
+    """
+    return examine(data, without)[0]
+
+
+def examine(
+    data: DataSet, without: Iterable[str] = ()
+) -> tuple[Verdict, Inquiry | None, State | None]:
+    """Diagnose, and hand back the fits behind the verdict as well; see `diagnose`.
+
+    The state holds what the verdict speaks of: without what the search could not prove.
+    """
+    verdict, inquiry, naming = searched(data, without)
+    return verdict, inquiry, naming.chosen.state if naming is not None else None
+
+
+def searched(
+    data: DataSet, without: Iterable[str] = ()
+) -> tuple[Verdict, Inquiry | None, Naming | None]:
+    """Diagnose, and hand back the search behind the verdict as well; see `diagnose`.
+
+    Inquiry and search are None where the data are unfit or nothing can be compared.
+    """
+    struck = frozenset(without)
+    for name in struck:
+        if name not in CATALOGUE:
+            raise GapError(
+                "--without", f"unknown effect {name!r}", f"known: {', '.join(CATALOGUE)}"
+            )
+    unfit = unfit_channels(data)
+    if unfit:
+        return _unfit(unfit), None, None
+    inquiry = Inquiry(data, [suspect for suspect in SUSPECTS if suspect.id not in struck])
+    if not len(inquiry.rows):
+        return nothing_to_compare(data), None, None
+    if excess(inquiry, inquiry.base) > _PLAIN * len(inquiry.rows):
+        mistimed = mistimed_channel(inquiry)
+        if mistimed is not None:
+            return _unfit([Unfit(mistimed.channel, str(mistimed).partition(" ")[2])]), None, None
+    verdict, naming = judge(inquiry, name_effects(inquiry))
+    return verdict, inquiry, naming
+
+
+def _unfit(found: list[Unfit]) -> Verdict:
+    first = found[0]
+    return Verdict(
+        status="data_unfit",
+        reason="; ".join(str(unfit) for unfit in found[:3]),
+        stage=None,
+        effects=(),
+        probability_none=0.0,
+        probability_unknown=1.0,
+        gap=None,
+        stages=(),
+        contrasts=(),
+        limits={},
+        next_experiment=None,
+        why_not={},
+        evidence={
+            "unfit": [{"channel": u.channel, "defect": u.defect} for u in found],
+            "first": first.trial,
+        },
+    )
+
+
+def nothing_to_compare(data: DataSet) -> Verdict:
+    """The verdict on data without any two channels that the plant relates."""
+    return Verdict(
+        status="below_resolution",
+        reason="no trial has channels that the plant relates: pressure with force, pressure with "
+        "valve commands, or pressure with a hung load and its length, each with a length",
+        stage=None,
+        effects=(),
+        probability_none=0.5,
+        probability_unknown=0.5,
+        gap=None,
+        stages=(),
+        contrasts=(),
+        limits={},
+        next_experiment=None,
+        why_not={},
+        notes=data.notes,
+    )

@@ -1,0 +1,184 @@
+"""Where an investigation stands: what its last diagnosis and the proofs so far allow it to say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from gap.decision.classify import HALF
+from gap.design.advise import reference_for
+from gap.reporting.text import headline, sentence
+from gap.validation.prediction import FORETOLD, SHOWN, Foretelling, families
+from gap.verdict import Explanation, Verdict
+
+SETTLED = ("named", "named_form_inadequate", "data_unfit")
+UNSETTLED = ("indistinguishable", "mimicable", "unknown")
+"""Verdicts that a test which came out as foretold makes a name of."""
+LEAST = 0.03
+"""Belief in an entry below which nothing need tell it from the one that leads."""
+
+
+@dataclass(kw_only=True)
+class Standing:
+    """The last verdict, and how what was found before fared on the tests after it."""
+
+    verdict: Verdict | None = None
+    leaning: dict[str, float] = field(default_factory=dict)
+    """Where there is no gap: effects that would relieve what is stated at the end of its tolerance
+    (`gap.decision.at_bound`), with the gain."""
+    foretold: dict[str, list[tuple[str, Foretelling]]] = field(default_factory=dict)
+    """By family, tests that show what was found before them, and how it fared on each."""
+
+    @property
+    def family(self) -> str | None:
+        """The family of the entry that leads, where the diagnosis stops short of a name.
+
+        None where the entry that leads is not of one family.
+        """
+        if self.verdict is None or self.verdict.status not in UNSETTLED:
+            return None
+        leading = families(self.verdict.effects[0].ids) if self.verdict.effects else frozenset()
+        return next(iter(leading)) if len(leading) == 1 else None
+
+    @property
+    def _others(self) -> list[frozenset[str]]:
+        """Families of the entries left in which that of the leading one is not."""
+        left = [families(ids) for ids in self._entry_ids]
+        return [found for found in left if self.family not in found]
+
+    @property
+    def _entry_ids(self) -> list[tuple[str, ...]]:
+        """Ids of the entries left that are not to be neglected."""
+        if self.verdict is None:
+            return []
+        return [e.ids for e in self.verdict.effects if e.probability > LEAST]
+
+    @property
+    def confirmed(self) -> tuple[str, Foretelling] | None:
+        """The last test that came out as foretold, if it and those before it prove it.
+
+        They were held against each entry left, or one that shares a family with it, no later one
+        spoke against it, and together they take what a proof asks for.
+        """
+        last: tuple[str, Foretelling] | None = None
+        gained = 0.0
+        for protocol, found in reversed(self.foretold.get(self.family or "", [])):
+            if found.refuted:
+                break
+            against = [families(ids) for ids in found.rivals]
+            held = all(any(other & one for one in against) for other in self._others)
+            if found.share < FORETOLD or not held:
+                continue
+            last = last or (protocol, found)
+            gained += found.gained
+            if gained > SHOWN:
+                return last
+        return None
+
+    @property
+    def _of_family(self) -> list[Explanation]:
+        """The entries left in which the leading family is."""
+        left = self.verdict.effects if self.verdict else ()
+        return [effect for effect in left if self.family in families(effect.ids)]
+
+    @property
+    def settled(self) -> bool:
+        """Whether there is nothing more to find out.
+
+        A name of several families is not settled before a test needed every one of them.
+        """
+        if self.verdict is None:
+            return False
+        if self.verdict.status not in SETTLED:
+            return self.confirmed is not None
+        named = families(self.verdict.effects[0].ids) if self.verdict.effects else frozenset()
+        return len(named) < 2 or any(f.confirmed for _, f in self.foretold.get(joint(named), []))
+
+    @property
+    def named(self) -> str | None:
+        """The family that is named, or the families that act together; None without a name.
+
+        Of several, those that some test needed: a test that is foretold as well without a family
+        is no reason to name it. All of them where no test has told them apart.
+        """
+        if self.conclusion != "named" or self.verdict is None or not self.verdict.effects:
+            return None
+        if self.confirmed is not None:
+            return self.family
+        several = families(self.verdict.effects[0].ids)
+        needed = {
+            gone
+            for _, found in self.foretold.get(joint(several), [])
+            for ids, left in found.rivals.items()
+            for gone in several - families(ids)
+            if families(ids) == several - {gone} and left - found.left > SHOWN
+        }
+        if len(several) < 2 or not needed or self.settled:
+            return self.verdict.effects[0].family
+        return joint(frozenset(needed))
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether a name stands that is not certain to close half of the gap.
+
+        Tests that were not made yet may then show another effect, or none. So it is where nobody
+        can say how much of the gap is closed.
+        """
+        if self.verdict is None or self.confirmed is not None:
+            return False
+        if self.verdict.status not in ("named", "named_form_inadequate"):
+            return False
+        low = None if self.verdict.gap is None else self.verdict.gap.closed_low
+        return low is None or low <= HALF
+
+    @property
+    def conclusion(self) -> str:
+        """What a lab is told, in a word or two."""
+        assert self.verdict is not None
+        status = self.verdict.status
+        if status in ("named", "named_form_inadequate") or self.confirmed is not None:
+            return "named"
+        if status in ("indistinguishable", "mimicable") and len(self.verdict.effects) > 1:
+            return "needs reference"
+        if status == "no_gap_above_floor":
+            return "needs reference" if self.leaning else "no gap"
+        return "open"
+
+    @property
+    def why(self) -> str:
+        """The same in a sentence."""
+        assert self.verdict is not None
+        if self.verdict.status == "no_gap_above_floor" and self.leaning:
+            return sentence(
+                "model and bench agree to within the floor only with something that is stated led "
+                f"to the end of its tolerance; {' or '.join(self.leaning)} in its place would do "
+                "as well"
+            )
+        if self.confirmed is None:
+            return headline(self.verdict)
+        protocol, found = self.confirmed
+        ids = [" + ".join(effect.ids) for effect in self._of_family]
+        return sentence(
+            f"It is {' or '.join(ids)}, found on the tests before and confirmed by the {protocol} "
+            f"test, of whose gap it foretold {100 * found.share:.0f} % and no other explanation "
+            "as much"
+        )
+
+    @property
+    def references(self) -> dict[str, str]:
+        """What would tell the entries left apart, or prove the only one, where no test did."""
+        assert self.verdict is not None
+        if self.verdict.status == "no_gap_above_floor":
+            return {name: reference_for(name) for name in self.leaning}
+        proven = self.confirmed is not None
+        left = self._of_family if proven else self.verdict.effects
+        names = dict.fromkeys(name for effect in left for name in effect.ids)
+        if proven and len(names) == 1:
+            return {}
+        if not proven and self.verdict.status not in ("indistinguishable", "mimicable"):
+            return {}
+        return {name: reference_for(name) for name in names}
+
+
+def joint(several: frozenset[str]) -> str:
+    """One word for families that act together."""
+    return "+".join(sorted(several))

@@ -1,0 +1,69 @@
+"""What an explanation looks like, in a few plain numbers on which belief in it can rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gap.effects.candidates import Suspect
+from gap.estimation.agreement import repeated
+from gap.estimation.fit_problem import Inquiry
+from gap.selection.forward import Naming
+from gap.validation.shrink import Held
+from plant.effects.catalogue import CATALOGUE
+
+_MOST = 1e9
+"""Stands for a margin over rivals where none was near enough to be fitted."""
+
+
+def traits_of(q: Inquiry, naming: Naming, held: Mapping[str, Held]) -> dict[str, float]:
+    """Traits of what a search found, all plain numbers.
+
+    `excess` and `left` are whitened sums of squares beyond noise before and after, `repeated` and
+    `repeated_left` what of them the replicates share, `rows` the number of features; `margin` is
+    how much more the best explanation by other effects leaves, `more` what one further effect
+    would take of what is left; `bent` and `bent_base` the largest shift of a constant in sd, with
+    the effects and without; `closed` the best held-out closed fraction of any channel; `next_seen`
+    and `next_gain` how far over the floor, and in whitened squares, the best further effect showed
+    that did not count; `first_gain` and `last_gain` what the first and the last effect took away;
+    `at_an_end` how many amounts and numbers of shapes stand at an end of their range; `settled`
+    whether the data are a table of settled points.
+    """
+    state = naming.remaining
+    others = [c.cost for c in naming.rivals if set(c.state.ids) != set(state.ids)]
+    closed = [c[0] for c in (h.closed() for h in held.values()) if c is not None]
+    families = {CATALOGUE[name].family if name in CATALOGUE else name for name in state.ids}
+    refused = naming.tried[-1] if naming.tried and not naming.tried[-1]["counted"] else {}
+    return {
+        "rows": float(len(q.rows)),
+        "excess": naming.excess,
+        "left": naming.left,
+        "repeated": repeated(q, q.base.residual),
+        "repeated_left": repeated(q, state.residual),
+        "effects": float(len(naming.chosen.keys)),
+        "same_family": float(len(families) < len(state.ids)),
+        "margin": float(min(min(others, default=np.inf) - naming.chosen.cost, _MOST)),
+        "more": max(naming.last_gain.values(), default=0.0),
+        "bent": float(np.abs(state.shift).max(initial=0.0)),
+        "bent_base": float(np.abs(q.base.shift).max(initial=0.0)),
+        "closed": max(closed, default=0.0),
+        "next_seen": float(refused.get("seen", 0.0)),
+        "next_gain": float(refused.get("gain", 0.0)),
+        "first_gain": naming.steps[0][1],
+        "last_gain": naming.steps[-1][1],
+        "at_an_end": float(
+            sum(at_an_end(s, a) for s, a in zip(state.suspects, state.amounts, strict=True))
+        ),
+        "settled": float(q.data.settled),
+    }
+
+
+def at_an_end(suspect: Suspect, amount: float) -> bool:
+    """Whether an amount, or a number of its shape, could not go further."""
+    low, high = suspect.bounds
+    shapes = [(suspect.shape[key], ends) for key, ends in suspect.free.items()]
+    return bool(
+        amount >= 0.98 * high or (low < 0.0 and amount <= 0.98 * low)
+        or any(not 1.02 * a < number < 0.98 * b for number, (a, b) in shapes)
+    )  # fmt: skip

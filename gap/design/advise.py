@@ -1,0 +1,258 @@
+"""What to measure next: the experiment, or the reference standard, that separates the rivals left.
+
+Every experiment of the library (`gap.design.library`), of a kind that the data hold or not, is
+foreseen (`gap.design.foresight`): how far it would move the best explanation and its nearest rival
+apart. The one that gets there in the least bench time is advised; where no number of trials on
+this bench would do, a reference standard is named instead.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from gap.design.foresight import Products, by_trial, foreseen, products, separation, sum_of
+from gap.design.library import Candidate, candidates
+from gap.estimation.fit_problem import Inquiry, State
+from gap.verdict import Experiment
+from plant.effects.catalogue import CATALOGUE
+from plant.errors import PlantError
+
+ENOUGH = 3.3
+MOST_TRIALS = 24
+LEAST_REPEATS = 2
+BEGIN_MIN = 3.0
+
+
+@dataclass(frozen=True)
+class Standard:
+    """A reference standard: what is done with it, and how long that takes."""
+
+    name: str
+    what: str
+    minutes: float
+
+
+VENT = Standard("vent", "vent to the atmosphere and read the pressure", 2.0)
+GAUGE = Standard("gauge", "read a reference gauge beside the sensor at three pressures", 6.0)
+WEIGHTS = Standard("dead weights", "hang known weights on the force sensor, and none", 6.0)
+BLOCK = Standard("gauge block", "hold a gauge block before the camera at three places", 6.0)
+HOLDERS = Standard("gauge block", "set a gauge block between the holders", 6.0)
+LAMP = Standard("sync lamp", "show the camera a lamp that the controller switches", 4.0)
+SCALES = Standard("scales", "weigh the load", 2.0)
+LOCKED = Standard("locked decay", "shut both valves at pressure and watch for a minute", 4.0)
+SYRINGE = Standard("bypass volume", "connect a known volume and fill once more", 10.0)
+
+REFERENCES: dict[str, tuple[Standard, float]] = {
+    "pressure_zero": (VENT, 0.15),
+    "pressure_gain": (GAUGE, 0.15),
+    "force_zero": (WEIGHTS, 0.05),
+    "force_gain": (WEIGHTS, 0.1),
+    "length_label": (HOLDERS, 0.05),
+    "camera_scale": (BLOCK, 0.05),
+    "camera_distortion": (BLOCK, 0.02),
+    "camera_delay": (LAMP, 0.5),
+    "payload": (SCALES, 0.005),
+    "leak": (LOCKED, 2e-13),
+    "dead_volume": (SYRINGE, 0.05),
+}
+"""For an effect its standard, and how well that gives the headline parameter (one sd, its unit)."""
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """An experiment with as many repeats as it needs, and where that leads."""
+
+    candidate: Candidate
+    repeats: int
+    after: float
+
+    @property
+    def minutes(self) -> float:
+        """Bench time with what it takes to begin a run."""
+        return BEGIN_MIN + self.repeats * self.candidate.minutes
+
+
+def advise(q: Inquiry, best: State | None, rivals: Sequence[State]) -> Experiment | None:
+    """Return the experiment that best separates `best` from its nearest rival."""
+    if best is None or not best.suspects or not rivals:
+        return None
+    found = [by_trial(q, best, rival) for rival in rivals]
+    apart = [separation(sum_of(f), best, r) for f, r in zip(found, rivals, strict=True)]
+    nearest = int(np.argmin(apart))
+    rival, now = rivals[nearest], apart[nearest]
+    present = sum_of(found[nearest])
+    between = ("+".join(best.ids), "+".join(rival.ids))
+    # Where forms that are never exact have kept two apart in name only, it takes an experiment
+    # that would be enough by itself.
+    enough = ENOUGH if now < ENOUGH else float(np.hypot(now, ENOUGH))
+    plans = [
+        plan
+        for plan in (_plan(q, best, rival, c, present, enough) for c in _library(q, best))
+        if plan is not None
+    ]
+    reference = _reference(best, rival, present, enough, now, between)
+    if reference is not None and reference[0] < min((p.minutes for p in plans), default=np.inf):
+        return reference[1]
+    if plans:
+        plan = min(plans, key=lambda p: p.minutes)
+        return Experiment(
+            plan.candidate.protocol,
+            {**plan.candidate.settings, "repeats": plan.repeats},
+            now, plan.after, plan.repeats * len(plan.candidate.trials), between,
+            f"{plan.candidate.what}: tells {between[0]} from {between[1]} in about "
+            f"{max(plan.minutes, 1.0):.0f} min",
+        )  # fmt: skip
+    again = _same_again(q, best, rival, found[nearest], present, enough, now, between)
+    return again if again is not None else _standard(best, between, now)
+
+
+def _library(q: Inquiry, best: State) -> list[Candidate]:
+    """The library, or nothing where the plant as known cannot be simulated."""
+    try:
+        return candidates(q, best)
+    except PlantError:
+        return []
+
+
+def _plan(
+    q: Inquiry, best: State, rival: State, candidate: Candidate, present: Products, enough: float
+) -> _Plan | None:
+    """Repeats that an experiment needs; None where it would take too many."""
+    one = products(foreseen(q, candidate), best, rival)
+    for repeats in range(LEAST_REPEATS, MOST_TRIALS // len(candidate.trials) + 1):
+        after = separation(present + one.times(repeats), best, rival)
+        if after >= enough:
+            return _Plan(candidate, repeats, after)
+    return None
+
+
+def _same_again(
+    q: Inquiry, best: State, rival: State, parts: Sequence[Products], present: Products,
+    enough: float, now: float, between: tuple[str, str],
+) -> Experiment | None:  # fmt: skip
+    """More trials of the slot that separates best, where that does; else None."""
+    found: tuple[int, float, int] | None = None
+    for slot, members in enumerate(q.data.slots.values()):
+        one = sum_of([parts[t] for t in members]).times(1)
+        for rounds in range(1, MOST_TRIALS // len(members) + 1):
+            after = separation(present + one.times(rounds), best, rival)
+            if after >= enough:
+                count = rounds * len(members)
+                if found is None or count < found[0]:
+                    found = (count, after, slot)
+                break
+    if found is None:
+        return None
+    count, after, slot = found
+    name = list(q.data.slots)[slot]
+    trial = q.data.trials[q.data.slots[name][0]]
+    settings: dict[str, Any] = {"like_slot": name, "repeats": count}
+    for key, value in (("held_length_mm", trial.held_length_mm), ("load_kg", trial.load_kg)):
+        if np.isfinite(value):
+            settings[key] = value
+    return Experiment(
+        trial.protocol, settings, now, after, count, between,
+        f"trials like slot {name} tell {between[0]} from {between[1]} best",
+    )  # fmt: skip
+
+
+def _reference(
+    best: State, rival: State, present: Products, enough: float, now: float,
+    between: tuple[str, str],
+) -> tuple[float, Experiment] | None:  # fmt: skip
+    """Quickest standard that tells the two apart, with its minutes; None where none does."""
+    found: list[tuple[float, float, Standard, str]] = []
+    for name in dict.fromkeys([*best.ids, *rival.ids]):
+        if name not in REFERENCES:
+            continue
+        standard, error = REFERENCES[name]
+        after = separation(present + _measured(best, rival, name, error), best, rival)
+        if after >= enough:
+            found.append((standard.minutes, after, standard, name))
+    if not found:
+        return None
+    minutes, after, standard, name = min(found, key=lambda f: f[0])
+    why = f"{standard.what}: gives {name} by itself, whatever the muscle does"
+    settings = {"standard": standard.name, "procedure": standard.what}
+    return minutes, Experiment("reference", settings, now, after, 1, between, why)
+
+
+def _measured(best: State, rival: State, name: str, error: float) -> Products:
+    """What a direct measurement of one effect's amount adds."""
+    n = len(rival.shift)
+    column = np.r_[np.zeros(n), [float(s.id == name) for s in rival.suspects]] / error
+    apart = (_amount(rival, name) - _amount(best, name)) / error
+    return Products(apart**2, apart * column, np.outer(column, column))
+
+
+def _amount(state: State, name: str) -> float:
+    return float(sum(a for s, a in zip(state.suspects, state.amounts, strict=True) if s.id == name))
+
+
+def _standard(best: State, between: tuple[str, str], now: float) -> Experiment:
+    """What the catalogue says would tell the best entry apart, where no figure can be promised."""
+    name = next((n for n in best.ids if n in REFERENCES), best.ids[0])
+    told = CATALOGUE[name].told_apart_by if name in CATALOGUE else ""
+    standard = REFERENCES[name][0] if name in REFERENCES else None
+    settings = {
+        "standard": standard.name if standard else "see why",
+        "procedure": standard.what if standard else told,
+    }
+    return Experiment("reference", settings, now, now, 1, between, told)
+
+
+def reference_for(name: str) -> str:
+    """What gives an effect by itself: a standard, or what the catalogue says tells it apart."""
+    if name in REFERENCES:
+        standard = REFERENCES[name][0]
+        return f"{standard.name}: {standard.what}"
+    return CATALOGUE[name].told_apart_by
+
+
+def protocol_text(experiment: Experiment) -> str | None:
+    """A protocol file for the experiment, after the shipped one of its name; None without one."""
+    folder = resources.files("configs").joinpath("protocols")
+    source = folder.joinpath(f"{experiment.protocol}.toml")
+    if not source.is_file():
+        return None
+    table = tomllib.loads(source.read_text(encoding="utf-8"))
+    table["name"] = f"advised-{experiment.protocol}"
+    for key, value in experiment.settings.items():
+        if key == "held_length_mm" and "lengths_mm" in table:
+            table["lengths_mm"] = [value]
+        elif key == "load_kg" and "masses_kg" in table:
+            table["masses_kg"] = [value]
+        elif value is None:
+            table.pop(key, None)
+        elif isinstance(value, Mapping):
+            table[key] = {**table.get(key, {}), **value}
+        elif key in table:
+            table[key] = value
+    lines = [
+        f"# Advised: {experiment.why}.",
+        f"# {experiment.trials} trials; separation {experiment.separation_now:.1f} now, "
+        f"{experiment.separation_after:.1f} afterwards (3.3 is right 95 times in 100).",
+    ]
+    lines += [f"{k} = {_toml(v)}" for k, v in table.items() if not isinstance(v, dict)]
+    for key, value in table.items():
+        if isinstance(value, dict):
+            lines += ["", f"[{key}]", *(f"{k} = {_toml(v)}" for k, v in value.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """A value as TOML writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return repr(value.item() if hasattr(value, "item") else value)

@@ -1,0 +1,1 @@
+"""Candidate effects: catalogue entries in several forms, and recording defects."""

@@ -1,0 +1,1 @@
+"""Noise from replicates, fits of constants and effects, intervals."""

@@ -1,0 +1,102 @@
+"""Whether replicates agree: on an amount, and on what is left without a name.
+
+An effect does the same to all replicates of a slot. What differs between them is noise, however
+large and whatever its law, so both questions can be asked without trusting the noise's model.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from gap.estimation.fit_problem import Inquiry
+from gap.estimation.information import gather
+
+Array = npt.NDArray[np.float64]
+
+_TRUST = 4.0
+"""Replicates that the noise's model is worth beside what the replicates show of the amount."""
+
+
+def inflation(q: Inquiry, key: str) -> float:
+    """How much more the replicates differ in the amount of `key` than the noise's model says.
+
+    Of the best suspect of that key, linearised at the recalibrated plant. Each trial asks for an
+    amount of its own; the spread within slots, weighed as the trials weigh in the amount, over the
+    spread expected. The model counts as much as a few replicates, and a smaller spread than
+    expected earns nothing.
+
+    Returns:
+        Factor of variance, at least 1.
+    """
+    columns = q.signatures(q.base)
+    n = len(q.names)
+    own = [n + 1 + j for j, suspect in enumerate(q.suspects) if suspect.key == key]
+    trials = np.arange(len(q.noise.trial_rows))
+    evidence = gather(
+        q.noise, columns[:, :n], q.base.residual, columns[:, own], q.rows.block, q.rows.span_s,
+        trials, q.base.shift,
+    )  # fmt: skip
+    total = evidence.total
+    inner = total[:n, :n] + np.diag(evidence.stiffness)
+    best = (-np.inf, 1.0)
+    for at in range(n + 1, n + 1 + len(own)):
+        taken = np.linalg.solve(inner, total[:n, at]) if n else np.empty(0)
+        pull = evidence.gram[:, at, n] - evidence.gram[:, :n, n] @ taken
+        size = evidence.gram[:, at, at] - 2.0 * evidence.gram[:, :n, at] @ taken
+        size = size + np.einsum("tij,i,j->t", evidence.gram[:, :n, :n], taken, taken)
+        gain = float(pull.sum() ** 2 / max(size.sum(), 1e-12))
+        if gain > best[0]:
+            best = (gain, _spread(q.units, pull, np.maximum(size, 0.0)))
+    return best[1]
+
+
+def _spread(units: npt.NDArray[np.int64], pull: Array, size: Array) -> float:
+    """Spread of the pulls within units over the one expected, shrunk towards one."""
+    found, expected = 0.0, []
+    for unit in np.unique(units).tolist():
+        at = np.flatnonzero((units == unit) & (size > 1e-9 * size.max(initial=0.0)))
+        if len(at) < 2:
+            continue
+        amount = pull[at].sum() / size[at].sum()
+        found += float(np.sum((pull[at] - size[at] * amount) ** 2))
+        expected += (size[at] * (1.0 - size[at] / size[at].sum())).tolist()
+    weights = np.array(expected)
+    if not weights.sum():
+        return 1.0
+    freedom = float(weights.sum() ** 2 / np.sum(weights**2))
+    ratio = found / float(weights.sum())
+    return max(1.0, (freedom * ratio + _TRUST) / (freedom + _TRUST))
+
+
+def repeated(q: Inquiry, residual: Array) -> float:
+    """What replicates share of a residual, as whitened squares; that of noise is zero on average.
+
+    Products of different replicates of a slot over the features both have, for each trial the mean
+    over its partners.
+
+    Args:
+        residual: shape (rows,).
+    """
+    total = 0.0
+    for members in q.data.slots.values():
+        if len(members) < 2:
+            continue
+        parts = [_by_bin(q, trial, residual) for trial in members]
+        products = []
+        for a, b in combinations(parts, 2):
+            common = a.keys() & b.keys()
+            products.append(sum(a[bin_] * b[bin_] for bin_ in common))
+        total += float(np.mean(products)) * len(members)
+    return total
+
+
+def _by_bin(q: Inquiry, trial: int, residual: Array) -> dict[tuple[int, int], float]:
+    rows = q.noise.trial_rows[trial]
+    if not len(rows):
+        return {}
+    white = q.noise.whiten(trial, residual[rows][:, None])[:, 0]
+    places = zip(q.rows.block[rows].tolist(), q.rows.bin[rows].tolist(), strict=True)
+    return dict(zip(places, white.tolist(), strict=True))

@@ -1,0 +1,139 @@
+"""Headline parameters of fitted effects with intervals, and the smallest that would be seen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gap.decision.reliability import learnt
+from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.information import projected
+from gap.estimation.normal_equations import covariance, solved
+from gap.verdict import Estimate
+from plant.effects.catalogue import CATALOGUE
+
+_Z95 = 1.96
+_FORM = 0.1
+
+
+def settled(q: Inquiry, state: State) -> State:
+    """The state after one last step of Gauss and Newton that nothing damps.
+
+    Damping holds back just those directions in which the data say little, such as an effect against
+    the constant that could do the same. There the prior decides, and it is asked here: without this
+    step a constant may stay at the edge of its tolerance while the effect takes the rest.
+    """
+    if not state.suspects:
+        return state
+    n = len(q.names)
+    columns = q.columns_of(state)
+    matrix, right = q.normal(columns, state.residual, state.shift)
+    beta = solved(matrix, right, 0.0)
+    best = state
+    for share in (1.0, 0.5):
+        shift = state.shift + share * beta[:n]
+        moved = q.state(shift, state.suspects, state.amounts + share * beta[n:], state)
+        if moved.cost < best.cost:
+            best = moved
+            break
+    cover = covariance(matrix)
+    return State(best.shift, best.suspects, best.amounts, best.residual, best.cost, cover)
+
+
+def headline_estimates(q: Inquiry, state: State, whole: bool = True) -> dict[str, Estimate]:
+    """Headline parameters of all effects in force, keyed by parameter name.
+
+    Shapes of one effect add up. With two effects of the same parameter name the later gets its
+    id in front. With `whole`, what a constant of the same meaning took over beyond its tolerance
+    counts to the effect, and the state is settled first; without it the parameters go with the
+    constants of the state as it stands.
+    """
+    made: dict[str, Estimate] = {}
+    n = len(q.names)
+    if whole:
+        state = settled(q, state)
+    spread = max(1.0, np.sqrt(state.cost / max(len(q.rows), 1)))
+    for name in state.ids:
+        entry = CATALOGUE[name]
+        at = [j for j, suspect in enumerate(state.suspects) if suspect.id == name]
+        if entry.headline is None:
+            continue
+        amount = float(state.amounts[at].sum())
+        index = [n + j for j in at]
+        sd = float(np.sqrt(max(state.cover[np.ix_(index, index)].sum(), 0.0))) * spread
+        if name == "supply_droop":
+            active = q.found(state.shift, state.suspects, state.amounts)
+            q.model.residual(q.constants(state.shift), active, ["pressure"])
+            fall = q.model.fall_pa * 1e-3
+            sd = sd * fall / max(abs(amount), 1e-9)
+            amount = fall
+        if whole:
+            taken = _taken_over(q, state, name, state.suspects[at[0]].option)
+            amount, sd = amount + taken, float(np.hypot(sd, 0.5 * taken))
+        low, high = interval(amount, _Z95 * sd, _Z95 * learnt().form.get(name, _FORM))
+        shift = _offset(q, name)
+        key = entry.headline if entry.headline not in made else f"{name}_{entry.headline}"
+        made[key] = Estimate(amount + shift, low + shift, high + shift)
+        option = state.suspects[at[0]].option
+        if option:
+            word = "side" if name == "flow_area" else "edge"
+            made[word if word not in made else f"{name}_{word}"] = Estimate(option)
+    return made
+
+
+def interval(amount: float, noise: float, form: float) -> tuple[float, float]:
+    """Interval of a headline with two errors: `noise` adds to it, `form` to its logarithm.
+
+    Each side's reaches are added in squares (Zou and Donner, Stat. Med. 27 (2008) 1693). The form
+    behind a headline is never exact, and makes it wrong by a factor, up or down alike.
+    """
+    ends = np.array([amount * np.exp(-form), amount * np.exp(form)])
+    low, high = amount - ends.min(), ends.max() - amount
+    return float(amount - np.hypot(noise, low)), float(amount + np.hypot(noise, high))
+
+
+BEYOND = 2.0
+"""Shift of a constant, in sd, that its tolerance hardly explains."""
+
+
+def _taken_over(q: Inquiry, state: State, name: str, option: str) -> float:
+    """What the constant of an effect's own meaning took of it, in the headline's unit."""
+    key = {
+        "dead_volume": "dead_volume_ml", "critical_ratio": "critical_ratio",
+        "flow_area": f"{option}_conductance_m3_s_pa", "valve_delay": f"{option}_ms",
+        "valve_delay_pressure": f"{option}_ms_per_kpa",
+    }.get(name)  # fmt: skip
+    if key not in q.names:
+        return 0.0
+    shift = float(state.shift[q.names.index(key)])
+    if abs(shift) <= BEYOND:
+        return 0.0
+    stated, moved = q.data.constants.value(key), q.constants(state.shift).value(key)
+    if name == "flow_area":
+        at = next(j for j, s in enumerate(state.suspects) if s.id == name)
+        return (1.0 + float(state.amounts[at])) * (moved / stated - 1.0)
+    return moved - stated
+
+
+def _offset(q: Inquiry, name: str) -> float:
+    """What the headline is at zero effect: ratios and exponents are stated from 1 up."""
+    if name in ("flow_area", "polytropic"):
+        return 1.0
+    if name == "critical_ratio":
+        return float(q.data.constants.critical_ratio)
+    return 0.0
+
+
+def limits_of(q: Inquiry, alarm: float) -> dict[str, float]:
+    """Smallest headline parameter of each effect that these data would have shown."""
+    evidence = q.evidence(q.base)
+    p = projected(evidence, evidence.total)
+    made: dict[str, float] = {}
+    for j, suspect in enumerate(q.suspects):
+        if suspect.defect or CATALOGUE[suspect.id].headline is None:
+            continue
+        strength = float(p[1 + j, 1 + j])
+        if strength <= 1e-12:
+            continue
+        least = float(np.sqrt(alarm / strength))
+        made[suspect.id] = min(made.get(suspect.id, np.inf), least)
+    return made

@@ -1,0 +1,125 @@
+"""What chance alone would give: gains of the best suspect on data without any gap.
+
+Each draw is a data set in which only the noise is at work, projected on the suspects as the search
+does. The noise's own size is uncertain too: sensor zeros and gains are drawn once a trial, and few
+replicates say little about their spread. So each draw first draws how large each kind of noise
+really is, given what the replicates showed. Chi-square tables know neither this nor that many
+suspects were asked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gap.estimation.fit_problem import Inquiry
+from gap.estimation.information import Evidence
+
+Array = npt.NDArray[np.float64]
+
+DRAWS = 1000
+_PRIOR_DRAWS = 4.0
+"""Draws that the stated size of a noise is worth, as in `gap.estimation.noise`."""
+
+
+@dataclass(frozen=True)
+class Null:
+    """Best gains of data sets without a gap, ascending, shape (draws,)."""
+
+    best: Array
+
+    def threshold(self, rate: float) -> float:
+        """Gain that chance reaches in `rate` of such data sets."""
+        return float(np.quantile(self.best, 1.0 - rate))
+
+    def chance(self, gain: float) -> float:
+        """Share of such data sets with a best gain of at least `gain`, never quite zero."""
+        over = len(self.best) - int(np.searchsorted(self.best, gain))
+        return (over + 1.0) / (len(self.best) + 1.0)
+
+
+def simulated_null(q: Inquiry, seed: int = 1) -> Null:
+    """Null of the search's first step; the same seed, the same verdict, from call to call."""
+    rng = np.random.default_rng(seed)
+    evidence = q.evidence(q.base)
+    columns = q.signatures(q.base)
+    n = evidence.constants
+    rest = [*range(n), *range(n + 1, columns.shape[1])]
+    kinds: list[str] = []
+    loads: list[Array] = []
+    for trial, rows in enumerate(q.noise.trial_rows):
+        if not len(rows):
+            continue
+        a = q.noise.whiten(trial, columns[np.ix_(rows, rest)])
+        sd = np.array([q.noise.scales[kind] for kind in q.noise.kinds[trial]])
+        b = q.noise.whiten(trial, q.noise.columns[trial] * sd[None, :])
+        loads.append(b.T @ a)
+        kinds += q.noise.kinds[trial]
+    whole = evidence.total[np.ix_(rest, rest)]
+    # Columns come in units of their own, twelve decades apart.
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    unit[np.diag(whole) <= 0.0] = 0.0
+    load = np.vstack(loads) * unit
+    whole = whole * unit * unit[:, None]
+    size, turn = np.linalg.eigh(whole - load.T @ load)
+    root = turn * np.sqrt(np.maximum(size, 0.0))
+    known = _PRIOR_DRAWS + q.noise.freedom
+    names = sorted(set(kinds))
+    at = np.array([names.index(kind) for kind in kinds], dtype=np.int64)
+    scale = np.sqrt(known / rng.chisquare(known, (DRAWS, len(names))))
+    draws = (rng.standard_normal((DRAWS, len(at))) * scale[:, at]) @ load
+    draws += rng.standard_normal((DRAWS, len(root))) @ root.T
+    prior = np.diag(np.where(unit[:n] > 0.0, evidence.stiffness * unit[:n] ** 2, 1.0))
+    lever = np.linalg.solve(whole[:n, :n] + prior, whole[:n, n:])
+    # The constants' own errors, drawn from their tolerances, pull on the fit as well.
+    own = rng.standard_normal((DRAWS, n)) * np.sqrt(np.diag(prior))
+    left = draws[:, n:] - (draws[:, :n] + own) @ lever
+    norm = np.diag(whole)[n:] - np.einsum("ij,ij->j", whole[:n, n:], lever)
+    positive = np.array([s.sign > 0 for s in q.suspects])
+    gains = np.where(positive & (left < 0.0), 0.0, left**2 / np.maximum(norm, 1e-9))
+    gains[:, norm < 1e-7] = 0.0
+    return Null(np.sort(gains.max(axis=1, initial=0.0)))
+
+
+def carried(q: Inquiry, key: str) -> tuple[float, float]:
+    """Gain of the best suspect of `key` on slots that it was not fitted to, and its t-value.
+
+    A linear fit at the recalibrated plant: each slot in turn is predicted by what the others say
+    about the constants and the amount. Chance, and a fault of a few trials, do not carry over.
+    """
+    evidence = q.evidence(q.base)
+    n = evidence.constants
+    best = (-np.inf, 0.0)
+    for j, suspect in enumerate(q.suspects):
+        if suspect.key != key:
+            continue
+        gains = []
+        for unit in range(len(evidence.gram)):
+            gains.append(
+                _left_by(evidence, unit, [*range(n)])
+                - _left_by(evidence, unit, [*range(n), n + 1 + j])
+            )
+        gain = np.array(gains)
+        if len(gain) < 3:
+            return float(gain.sum()), 0.0
+        error = float(gain.std(ddof=1) * np.sqrt(len(gain)))
+        best = max(best, (float(gain.sum()), float(gain.sum()) / max(error, 1e-9)))
+    return best
+
+
+def _left_by(evidence: Evidence, unit: int, columns: list[int]) -> float:
+    """Whitened squares that a fit of `columns` to all other units leaves in one unit."""
+    n = evidence.constants
+    others = evidence.total - evidence.gram[unit]
+    matrix = others[np.ix_(columns, columns)].copy()
+    right = others[columns, n].copy()
+    matrix[range(n), range(n)] += evidence.stiffness
+    right[:n] += evidence.prior
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    even = matrix / scale / scale[:, None] + 1e-12 * np.eye(len(right))
+    beta = np.linalg.solve(even, right / scale) / scale
+    own = evidence.gram[unit]
+    inner = own[np.ix_(columns, columns)]
+    return float(own[n, n] - 2.0 * beta @ own[columns, n] + beta @ inner @ beta)

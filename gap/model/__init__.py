@@ -1,0 +1,1 @@
+"""Predicted channels and residual features for any constants and effects."""

@@ -1,0 +1,370 @@
+"""A data set made ready: every stage's inputs and outputs at the instants where they are compared.
+
+Measured signals are fed into each block. Force is compared where it was read, with pressure and
+length taken there; a hung load where the camera saw it; pressure at its own samples near valve
+edges and at means over 20 ms elsewhere. No channel is filtered more than another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gap.data.dataset import Array, Channel, DataSet, Trial
+from gap.model import bins
+from gap.model.features import BLOCKS, Mean, Points, Rows, Whole, stacked
+from gap.model.signals import Signal, edges_of, moving, smooth_slope
+from gap.model.unobserved_flow import passing, unknown_gas
+from plant.constants import PlantConstants
+from plant.physics.muscle import braid_force_slope, braid_volume, braid_volume_slope
+
+MOST_POINTS = 2400
+QUIET_S = 0.02
+# What no replicate shows because all share it: interpolation, integration, edges in time.
+_FORCE_FLOOR_N = 0.015
+_LENGTH_FLOOR_M = 0.008e-3
+_EDGE_FLOOR_S = 0.03e-3
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Points of every block, their rows, and the valve edges; see `make_grid`."""
+
+    data: DataSet
+    points: dict[str, Points]
+    rows: Rows
+    offset: dict[str, int]
+    first_edge: Whole
+    edge_s: Array
+    edge_to: Array
+    edge_of: Whole
+    supply: Array
+    regulated: tuple[bool, ...]
+
+
+def make_grid(data: DataSet) -> Grid:
+    """Points and feature rows of a data set. Trials without what a block needs are absent in it."""
+    edges = [edges_of(trial) for trial in data.trials]
+    ends: dict[tuple[str, str], Array] = {}
+    gathered: dict[str, list[_Piece]] = {name: [] for name in BLOCKS}
+    supply: list[Array] = []
+    regulated: list[bool] = []
+    for index, trial in enumerate(data.trials):
+        signal = Signal.of(trial, data.constants)
+        marks = np.unique(edges[index][0]) if len(edges[index][0]) else np.empty(0)
+        regulated.append(signal.regulated)
+        for block, piece in _pieces(trial, signal, marks, data):
+            piece.trial = index
+            if block == "pressure":
+                supply.append(piece.extra)
+            _assign(piece, block, trial, marks, ends)
+            gathered[block].append(piece)
+    points: dict[str, Points] = {}
+    rows: list[Rows] = []
+    offset: dict[str, int] = {}
+    count = 0
+    for number, block in enumerate(BLOCKS):
+        if not gathered[block]:
+            continue
+        made, made_rows = _joined(gathered[block], number, data.mountings)
+        points[block] = made
+        rows.append(made_rows)
+        offset[block] = count
+        count += len(made_rows)
+    whole = stacked(rows)
+    lengths = np.array([len(e[0]) for e in edges], dtype=np.int64)
+    return Grid(
+        data=data,
+        points=points,
+        rows=whole,
+        offset=offset,
+        first_edge=np.r_[0, np.cumsum(lengths)].astype(np.int64),
+        edge_s=np.concatenate([e[0] for e in edges]) if edges else np.empty(0),
+        edge_to=np.concatenate([e[1] for e in edges]) if edges else np.empty(0),
+        edge_of=np.concatenate([e[2] for e in edges]) if edges else np.empty(0, dtype=np.int64),
+        supply=np.concatenate(supply) if supply else np.empty(0),
+        regulated=tuple(regulated),
+    )
+
+
+@dataclass
+class _Piece:
+    """The points of one trial in one block, before its rows are numbered."""
+
+    time_s: Array
+    weight: Array
+    pressure: Array
+    pressure_slope: Array
+    path: Array
+    length: Array
+    rate: Array
+    acceleration: Array
+    held: bool
+    temperature: Array
+    mass: float
+    reading: Array
+    direction: Array
+    extra: Array
+    settled: bool
+    doubt: Array
+    floor: Array
+    trial: int = 0
+    bin: Whole | None = None
+    adrift: Array | None = None
+
+
+def _pieces(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> list[tuple[str, _Piece]]:
+    made: list[tuple[str, _Piece]] = []
+    c = data.constants
+    if "pressure_kpa" in trial and not signal.regulated and signal.has_length:
+        made.append(("pressure", _chamber(trial, signal, marks, data)))
+    if "force_n" in trial and "pressure_kpa" in trial and signal.has_length:
+        made.append(("force", _piece(trial, signal, trial["force_n"], 1.0, c)))
+    if signal.loaded and "length_mm" in trial and ("pressure_kpa" in trial or "force_n" in trial):
+        piece = _piece(trial, signal, trial["length_mm"], 1e-3, c)
+        # A load without a force reading is compared with the force of the muscle model.
+        force = trial.get("force_n")
+        piece.reading = (
+            _at(force, piece.time_s) if len(force) else np.full_like(piece.time_s, np.nan)
+        )
+        piece.mass = trial.load_kg
+        piece.doubt = piece.doubt + trial.load_kg * signal.acceleration_doubt_at(piece.time_s)
+        # What the load's inertia makes of a swing is what the muscle's stiffness makes of it.
+        piece.doubt = piece.doubt + _stiffness(signal, piece.time_s, c) * _hidden_swing(
+            signal, piece.time_s, c
+        )
+        free = signal.free_of_stops(piece.time_s)
+        if free.sum() >= 3 or trial.settled:
+            made.append(("load", _kept(piece, free)))
+    if signal.held and "length_mm" in trial:
+        piece = _piece(trial, signal, trial["length_mm"], 1e-3, c)
+        piece.floor = np.zeros(len(piece.time_s))
+        made.append(("camera", piece))
+    return [(block, piece) for block, piece in made if len(piece.time_s)]
+
+
+_FOLLOWED = 0.4
+"""Share of the frame rate up to which frames follow a swing."""
+
+
+def _kept(piece: _Piece, keep: npt.NDArray[np.bool_]) -> _Piece:
+    for name in _ARRAYS:
+        setattr(piece, name, getattr(piece, name)[keep])
+    return piece
+
+
+_ARRAYS = (
+    "time_s", "weight", "pressure", "pressure_slope", "path", "length", "rate", "acceleration",
+    "temperature", "reading", "direction", "doubt", "floor",
+)  # fmt: skip
+
+
+def _at(channel: Channel, time_s: Array) -> Array:
+    return np.interp(time_s, channel.time_s, channel.value)
+
+
+def _piece(
+    trial: Trial, signal: Signal, output: Channel, scale: float, c: PlantConstants
+) -> _Piece:
+    """Points at the samples of `output`, neighbours averaged where there are very many."""
+    time_s = output.time_s
+    inside = signal.covered(time_s)
+    time_s = time_s[inside]
+    columns = [
+        time_s,
+        signal.pressure_at(time_s),
+        signal.pressure_slope_at(time_s),
+        signal.path_at(time_s),
+        signal.length_at(time_s),
+        signal.rate_at(time_s),
+        signal.acceleration_at(time_s),
+        signal.temperature_at(time_s),
+        output.value[inside] * scale,
+        signal.direction_at(time_s),
+        _stiffness(signal, time_s, c)
+        * (signal.length_doubt_at(time_s) + _hidden_swing(signal, time_s, c)),
+        _FORCE_FLOOR_N + _stiffness(signal, time_s, c) * _sync(signal),
+    ]
+    block = 1 if trial.settled else -(-len(time_s) // MOST_POINTS)
+    weight = np.full(len(time_s), 1.0)
+    if block > 1:
+        starts = np.arange(0, len(time_s), block)
+        count = np.diff(np.r_[starts, len(time_s)]).astype(np.float64)
+        columns = [np.add.reduceat(column, starts) / count for column in columns]
+        weight = count
+    t, p, slope, path, length, rate, acceleration, temperature, reading, direction, doubt, floor = (
+        columns
+    )
+    return _Piece(
+        t, weight, p, slope, path, length, rate, acceleration, signal.held, temperature, np.nan,
+        reading, direction, np.empty(0), trial.settled, doubt, floor,
+    )  # fmt: skip
+
+
+def _hidden_swing(signal: Signal, time_s: Array, c: PlantConstants) -> Array:
+    """Swing in m of a hung load where frames are too few to follow it, else zero.
+
+    A load bounces on its muscle at its own frequency; frames slower than twice that show it at a
+    wrong one, and what they show between them means nothing.
+    """
+    if not signal.loaded or signal.trial.settled:
+        return np.zeros(len(time_s))
+    own_hz = np.sqrt(_stiffness(signal, time_s, c) / signal.trial.load_kg) / (2.0 * np.pi)
+    hidden = own_hz > _FOLLOWED * signal.frame_rate_hz
+    return np.where(hidden, signal.swing_at(time_s), 0.0)
+
+
+def _sync(signal: Signal) -> float:
+    """Least error in m of a moving length between frames."""
+    return 0.0 if signal.held or signal.trial.settled else _LENGTH_FLOOR_M
+
+
+def _stiffness(signal: Signal, time_s: Array, c: PlantConstants) -> Array:
+    """Force per length at constant pressure, N/m."""
+    slope = braid_force_slope(signal.pressure_at(time_s), signal.length_at(time_s), c.turns)
+    return np.abs(np.nan_to_num(slope))
+
+
+def _chamber(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> _Piece:
+    """Nodes of the pressure stage: dense while valves act, means over 20 ms elsewhere."""
+    channel = trial["pressure_kpa"]
+    time_s = channel.time_s
+    spacing = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
+    dense = np.zeros(len(time_s), dtype=bool)
+    for mark in marks:
+        a, b = np.searchsorted(time_s, [mark - 0.005, mark + 0.4])
+        dense[a:b] = True
+    dense |= smooth_slope(channel, 0.01) > 300.0
+    block = max(1, round(QUIET_S / spacing))
+    starts: list[int] = []
+    i = 0
+    while i < len(time_s):
+        starts.append(i)
+        j = i + 1
+        if not dense[i]:
+            while j < len(time_s) and j - i < block and not dense[j]:
+                if time_s[j] - time_s[j - 1] > 3.0 * spacing:
+                    break
+                j += 1
+        i = j
+    first = np.array(starts, dtype=np.int64)
+    count = np.diff(np.r_[first, len(time_s)]).astype(np.float64)
+    t = np.add.reduceat(time_s, first) / count
+    p = np.add.reduceat(channel.value, first) / count * 1e3
+    supply = trial.get("supply_kpa")
+    feed = (
+        _at(supply, t) * 1e3 if len(supply) else np.full(len(t), data.constants.supply_pa)
+    )  # fmt: skip
+    zero = np.zeros(len(t))
+    length = signal.length_at(t)
+    c = data.constants
+    volume = braid_volume(length, c.braid_length_m, c.turns) + c.dead_volume_m3
+    squeeze = braid_volume_slope(length, c.braid_length_m, c.turns) / volume
+    share = np.abs(squeeze) * signal.length_doubt_at(t)
+    kpa = (p + c.atmosphere_pa) * 1e-3
+    adrift = unknown_gas(share, volume * kpa, passing(trial, t)) * kpa
+    doubt = np.hypot(share * kpa, _SHAPE * adrift)
+    floor = 0.02 + np.minimum(np.abs(np.gradient(p, t)), 1e7) * _EDGE_FLOOR_S * 1e-3
+    return _Piece(
+        t, count, p, zero, p, length, signal.rate_at(t), signal.acceleration_at(t),
+        signal.held, signal.temperature_at(t), np.nan, p, zero, feed, False, doubt, floor,
+        adrift=adrift,
+    )  # fmt: skip
+
+
+_SHAPE = 0.3
+"""Part of the doubt about unseen gas that need not be the same throughout a trial."""
+_MOST = {"pressure": 320, "force": 240, "load": 160, "camera": 12}
+
+
+def _assign(
+    piece: _Piece, block: str, trial: Trial, marks: Array, ends: dict[tuple[str, str], Array]
+) -> None:
+    """Give every point of a piece its bin; replicates share the bins of their slot."""
+    t = piece.time_s
+    if piece.settled:
+        piece.bin = np.round(t).astype(np.int64)
+        return
+    key = (trial.slot, block)
+    turns = np.empty(0)
+    swing = piece.length if moving(piece.length) else piece.pressure
+    if block in ("force", "load"):
+        turns = bins.turning_points(t, swing, 0.1 * float(np.ptp(swing)) + 1e-9)
+        if len(turns) > _MOST[block] / 4:
+            piece.bin = bins.fold(t, swing, turns, 8)
+            return
+    if key not in ends:
+        spacing = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+        if block == "pressure":
+            spacing = min(spacing, 0.002)
+        ends[key] = bins.bin_ends(
+            float(t[0]), float(t[-1]), spacing, marks if block != "camera" else np.empty(0),
+            turns, _MOST[block],
+        )  # fmt: skip
+    piece.bin = np.searchsorted(ends[key], t, side="right")
+
+
+def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points, Rows]:
+    """All pieces of a block as one set of points, with its rows."""
+    columns: dict[str, list[Array]] = {
+        name: [] for name in _ARRAYS if name not in ("doubt", "floor")
+    }
+    row: list[Whole] = []
+    sizes = np.zeros(len(mountings), dtype=np.int64)
+    held: list[Array] = []
+    settled: list[Array] = []
+    mass: list[Array] = []
+    made: list[Rows] = []
+    count = 0
+    for piece in pieces:
+        assert piece.bin is not None
+        found, inverse = np.unique(piece.bin, return_inverse=True)
+        n = len(piece.time_s)
+        sizes[piece.trial] = n
+        for name in columns:
+            columns[name].append(getattr(piece, name))
+        row.append(inverse.astype(np.int64) + count)
+        held.append(np.full(n, piece.held))
+        settled.append(np.full(n, piece.settled))
+        mass.append(np.full(n, piece.mass))
+        samples = np.asarray(np.bincount(inverse, weights=piece.weight), dtype=np.float64)
+
+        mean = Mean(inverse, piece.weight, samples)
+        made.append(
+            Rows(
+                block=np.full(len(found), number),
+                trial=np.full(len(found), piece.trial),
+                time_s=mean(piece.time_s),
+                samples=samples,
+                span_s=np.ones(len(found)) if piece.settled else _spans(piece, inverse, len(found)),
+                bin=found,
+                pressure=mean(piece.pressure),
+                length=mean(piece.length),
+                rate=mean(piece.rate),
+                doubt=mean(piece.doubt),
+                adrift=np.zeros(len(found)) if piece.adrift is None else mean(piece.adrift),
+                floor=mean(piece.floor),
+            )
+        )
+        count += len(found)
+    joined = {name: np.ascontiguousarray(np.concatenate(parts)) for name, parts in columns.items()}
+    points = Points(
+        first=np.r_[0, np.cumsum(sizes)].astype(np.int64),
+        trial=np.repeat(np.arange(len(mountings)), sizes),
+        mounting=np.repeat(mountings, sizes),
+        row=np.concatenate(row),
+        held=np.concatenate(held).astype(bool),
+        settled=np.concatenate(settled).astype(bool),
+        mass=np.concatenate(mass),
+        **joined,
+    )
+    return points, stacked(made)
+
+
+def _spans(piece: _Piece, inverse: Whole, count: int) -> Array:
+    """Seconds of the trial that each row stands for."""
+    t = piece.time_s
+    step = np.gradient(t) if len(t) > 1 else np.ones(1)
+    return np.asarray(np.bincount(inverse, weights=np.abs(step), minlength=count))

@@ -1,0 +1,137 @@
+"""A data set with its verdict and with what the verdict rests on, for whoever writes about it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gap.data.dataset import DataSet
+from gap.decision.diagnose import searched
+from gap.estimation.fit_problem import Inquiry, State
+from gap.model.features import BLOCKS, UNITS
+from gap.selection.forward import Naming
+from gap.validation.maps import Course, residual_maps
+from gap.validation.shrink import held_out
+from gap.verdict import Verdict
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One step of the ladder: error held out by slot, in the gap's unit."""
+
+    label: str
+    rms: float
+
+
+@dataclass(frozen=True)
+class Field:
+    """Residuals of the gap's block before and after, one value a row, shape (rows,).
+
+    Pressures in kPa, lengths in mm, `order` counts the trials, residuals in the gap's unit.
+    """
+
+    block: str
+    unit: str
+    pressure_kpa: Array
+    length_mm: Array
+    order: Array
+    time_s: Array
+    before: Array
+    after: Array
+    weight: Array
+
+
+@dataclass(frozen=True)
+class Examination:
+    """Verdict, ladder, residuals and their courses; only the verdict where nothing compares."""
+
+    data: DataSet
+    verdict: Verdict
+    ladder: tuple[Rung, ...]
+    field: Field | None
+    digest: str
+    courses: tuple[Course, ...] = ()
+
+
+def examine(data: DataSet, without: Iterable[str] = ()) -> Examination:
+    """Diagnose a data set and keep what a report needs.
+
+    Raises:
+        GapError: as `gap.decision.diagnose.diagnose`.
+    """
+    digest = fingerprint(data)
+    verdict, inquiry, naming = searched(data, without)
+    if inquiry is None or naming is None:
+        return Examination(data, verdict, (), None, digest)
+    block = _block(inquiry, naming, verdict)
+    if block is None:
+        return Examination(data, verdict, (), None, digest)
+    return Examination(
+        data, verdict, _ladder(inquiry, naming, block), _field(inquiry, naming, block), digest,
+        tuple(residual_maps(inquiry, naming.chosen.state)),
+    )  # fmt: skip
+
+
+def fingerprint(data: DataSet) -> str:
+    """SHA-256 of every number of a data set: which data a report is about."""
+    crc = hashlib.sha256()
+    for trial in data.trials:
+        crc.update(f"{trial.name}\0{trial.slot}\0{trial.mounting}\0".encode())
+        for name in sorted(trial.channels):
+            crc.update(name.encode())
+            crc.update(np.ascontiguousarray(trial.channels[name].time_s).tobytes())
+            crc.update(np.ascontiguousarray(trial.channels[name].value).tobytes())
+    return crc.hexdigest()
+
+
+def _block(q: Inquiry, naming: Naming, verdict: Verdict) -> str | None:
+    """The block that the verdict's gap is about: of its unit, and of its recalibrated error."""
+    gap = verdict.gap
+    if gap is None:
+        return None
+    held = held_out(q, naming.chosen.state)
+    there = [block for block in held if UNITS[block] == gap.unit]
+    if not there:
+        return None
+    return min(there, key=lambda b: abs(held[b].rms("recalibrated") - gap.recalibrated))
+
+
+def _ladder(q: Inquiry, naming: Naming, block: str) -> tuple[Rung, ...]:
+    chosen = naming.chosen.state
+    base = held_out(q, q.base)[block]
+    rungs = [Rung("as stated", base.rms("before")), Rung("recalibrated", base.rms("recalibrated"))]
+    ids = list(dict.fromkeys(suspect.id for suspect in chosen.suspects))
+    for count in range(1, len(ids) + 1):
+        state = chosen if count == len(ids) else _part(q, chosen, ids[:count])
+        rungs.append(Rung(f"+ {ids[count - 1]}", held_out(q, state)[block].rms("after")))
+    return tuple(rungs)
+
+
+def _part(q: Inquiry, state: State, ids: list[str]) -> State:
+    """The first of the effects alone, fitted anew."""
+    pairs = zip(state.suspects, state.amounts, strict=True)
+    kept = [(suspect, float(amount)) for suspect, amount in pairs if suspect.id in ids]
+    return q.fit([suspect for suspect, _ in kept], [amount for _, amount in kept])
+
+
+def _field(q: Inquiry, naming: Naming, block: str) -> Field:
+    here = q.rows.block == BLOCKS.index(block)
+    rows = q.rows
+    orders = np.array([trial.order for trial in q.data.trials])
+    return Field(
+        block=block,
+        unit=UNITS[block],
+        pressure_kpa=rows.pressure[here] * 1e-3,
+        length_mm=rows.length[here] * 1e3,
+        order=orders[rows.trial[here]],
+        time_s=rows.time_s[here],
+        before=q.base.residual[here],
+        after=naming.chosen.state.residual[here],
+        weight=rows.span_s[here],
+    )

@@ -1,0 +1,203 @@
+"""Figures of a diagnosis: how far the gap falls, where the residual lies before and after."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gap.reporting.examination import Examination, Field
+from gap.reporting.map_figures import courses_figure
+from gap.verdict import Share
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = npt.NDArray[np.float64]
+
+INK, QUIET = "#222222", "#8a8a8a"
+BLUE, ORANGE, GREEN = "#0072B2", "#E69F00", "#009E73"  # Okabe and Ito
+STYLE: dict[str, Any] = {
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": QUIET,
+    "axes.labelcolor": INK,
+    "axes.axisbelow": True,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.frameon": False,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "pamrig",
+}
+CELLS = 14
+
+
+def figures(examined: Examination) -> dict[str, str]:
+    """Figures by name as data addresses to embed; "" where there is nothing to draw."""
+    from matplotlib import rc_context
+
+    with rc_context(STYLE):
+        made: dict[str, Figure | None] = {
+            "ladder": ladder(examined),
+            "stages": stages(examined.verdict.stages),
+            "maps": maps(examined.field) if examined.field is not None else None,
+            "courses": courses_figure(examined.courses, bool(examined.verdict.effects)),
+            "order": course(examined.field) if examined.field is not None else None,
+        }
+        return {name: _embedded(figure) if figure else "" for name, figure in made.items()}
+
+
+def ladder(examined: Examination) -> Figure | None:
+    """Held-out error at each step, with the floor as a line."""
+    gap = examined.verdict.gap
+    if gap is None or len(examined.ladder) < 2:
+        return None
+    figure, axes = _figure(6.4, 0.42 * len(examined.ladder) + 1.0)
+    labels = [rung.label for rung in examined.ladder]
+    values = [rung.rms for rung in examined.ladder]
+    colours = [QUIET, BLUE, *[GREEN] * (len(values) - 2)]
+    axes.barh(range(len(values)), values, color=colours, height=0.62)
+    for at, value in enumerate(values):
+        axes.text(value, at, f" {value:.3g}", va="center", fontsize=8.5)
+    axes.set_yticks(range(len(labels)), labels)
+    axes.invert_yaxis()
+    if gap.floor is not None:
+        axes.axvline(gap.floor, color=ORANGE, lw=1.4)
+        axes.text(
+            gap.floor,
+            len(values) - 0.42,
+            f" floor {gap.floor:.3g}",
+            color=INK,
+            va="top",
+            fontsize=8.5,
+        )
+        axes.set_ylim(len(values) - 0.1, -0.6)
+    axes.set_xlabel(f"error held out by {gap.held_out or 'slot'}, {gap.unit} (rms)")
+    axes.set_xlim(0.0, 1.14 * max(values))
+    return figure
+
+
+def stages(shares: tuple[Share, ...]) -> Figure | None:
+    """Share of the end-to-end gap by stage, with intervals, as a waterfall to the whole."""
+    if not shares:
+        return None
+    figure, axes = _figure(6.4, 0.42 * len(shares) + 1.0)
+    start = 0.0
+    for at, share in enumerate(shares):
+        value = 100.0 * share.share
+        axes.barh(at, value, left=start, color=BLUE if value >= 0 else ORANGE, height=0.62)
+        low, high = 100.0 * (share.low - share.share), 100.0 * (share.high - share.share)
+        axes.errorbar(
+            start + value,
+            at,
+            xerr=[[max(-low, 0.0)], [max(high, 0.0)]],
+            color=INK,
+            lw=1.0,
+            capsize=3,
+        )
+        axes.text(
+            start + value + max(high, 0.0),
+            at,
+            f"  {round(value) + 0:d} %",
+            va="center",
+            fontsize=8.5,
+        )
+        start += value
+    axes.set_yticks(range(len(shares)), [share.stage for share in shares])
+    axes.invert_yaxis()
+    axes.axvline(0.0, color=QUIET, lw=0.8)
+    axes.set_xlabel("share of the gap, % (bars: 95 % interval)")
+    axes.margins(x=0.15)
+    return figure
+
+
+def maps(field: Field) -> Figure | None:
+    """Mean residual over pressure and length, before and after, on one scale of colour."""
+    before, after = (_cells(field, values) for values in (field.before, field.after))
+    if before is None or after is None:
+        return None
+    from matplotlib import pyplot
+
+    most = float(np.nanpercentile(np.abs(before[2]), 98)) or 1.0
+    made = pyplot.subplots(1, 2, figsize=(7.2, 3.1), sharey=True, layout="constrained")
+    figure: Figure = made[0]
+    axes: Sequence[Axes] = made[1]
+    pyplot.close(figure)
+    for axis, (edges, heights, mean), title in zip(
+        axes, (before, after), ("recalibrated", "with what was found"), strict=True
+    ):
+        image = axis.pcolormesh(edges, heights, mean.T, cmap="RdBu_r", vmin=-most, vmax=most)
+        axis.set_title(title, fontsize=9.5)
+        axis.set_xlabel("pressure, kPa")
+        axis.set_facecolor("#f2f2f2")
+    axes[0].set_ylabel("length, mm")
+    bar = figure.colorbar(image, ax=axes, shrink=0.9)
+    bar.set_label(f"measured - predicted, {field.unit}")
+    return figure
+
+
+def course(field: Field) -> Figure | None:
+    """Mean and spread of the residual in each trial, in the order of measurement."""
+    orders = np.unique(field.order)
+    if len(orders) < 3:
+        return None
+    figure, axes = _figure(6.9, 2.4)
+    for values, colour, marker, label, shift in (
+        (field.before, BLUE, "o", "recalibrated", -0.12),
+        (field.after, GREEN, "s", "with what was found", 0.12),
+    ):
+        mean, spread = [], []
+        for order in orders:
+            here = field.order == order
+            middle = float(np.average(values[here], weights=field.weight[here]))
+            rest = np.average((values[here] - middle) ** 2, weights=field.weight[here])
+            mean.append(middle)
+            spread.append(float(np.sqrt(rest)))
+        axes.errorbar(
+            orders + shift, mean, yerr=spread, fmt=marker, ms=4, lw=0.9, color=colour, label=label
+        )
+    axes.axhline(0.0, color=QUIET, lw=0.8)
+    axes.set_xlabel("trial, in order of measurement")
+    axes.set_ylabel(f"residual, {field.unit}")
+    axes.legend(loc="best", fontsize=8, ncols=2)
+    return figure
+
+
+def _cells(field: Field, values: Array) -> tuple[Array, Array, Array] | None:
+    """Edges over pressure and length and the mean in each cell, NaN where nothing was measured."""
+    use = np.isfinite(field.pressure_kpa) & np.isfinite(field.length_mm) & np.isfinite(values)
+    if use.sum() < 8:
+        return None
+    p, length, v, w = (a[use] for a in (field.pressure_kpa, field.length_mm, values, field.weight))
+    across, up = _edges(p), _edges(length)
+    total, _, _ = np.histogram2d(p, length, [across, up], weights=w * v)
+    weight, _, _ = np.histogram2d(p, length, [across, up], weights=w)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return across, up, np.where(weight > 0.0, total / weight, np.nan)
+
+
+def _edges(x: Array) -> Array:
+    low, high = float(x.min()), float(x.max())
+    if high - low < 1e-9:
+        low, high = low - 0.5, high + 0.5
+    return np.linspace(low, high, CELLS + 1)
+
+
+def _figure(width: float, height: float) -> tuple[Figure, Axes]:
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(width, height), layout="constrained")
+    pyplot.close(figure)
+    return figure, axes
+
+
+def _embedded(figure: Figure) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

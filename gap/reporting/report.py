@@ -1,0 +1,120 @@
+"""The report of a diagnosis: one HTML file that stands alone and can be printed."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from gap.output import write_text
+from gap.reporting.examination import Examination
+from gap.reporting.figures import figures
+from gap.reporting.text import (
+    CAREFUL,
+    HEADS,
+    experiment_sentence,
+    gap_sentences,
+    headline,
+    limits,
+    parameter_text,
+    rivals,
+    sentence,
+    told_apart,
+)
+from gap.verdict import Verdict
+
+NEAREST = 8
+"""Rivals that are named one by one; the others stand in a fold."""
+
+
+def render_report(examined: Examination) -> str:
+    """HTML of a diagnosis; everything that came from data is escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("gap.reporting"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    return environment.get_template("letter.html.j2").render(**context(examined))
+
+
+def write_report(examined: Examination, path: Path) -> None:
+    """Write the report to `path`. Raises `GapError` where it cannot be written."""
+    write_text(path, render_report(examined))
+
+
+def context(examined: Examination) -> dict[str, Any]:
+    """Everything the page shows, as plain values."""
+    verdict, data = examined.verdict, examined.data
+    near = rivals(verdict)
+    return {
+        "head": HEADS.get(verdict.status, verdict.status),
+        "status": verdict.status,
+        "headline": headline(verdict),
+        "reason": verdict.reason,
+        "careful": CAREFUL if verdict.effects else "",
+        "gap": gap_sentences(verdict),
+        "explanations": _explanations(verdict),
+        "figures": figures(examined),
+        "contrasts": sorted(verdict.contrasts, key=lambda c: -abs(c.z)),
+        "near": near[:NEAREST],
+        "far": near[NEAREST:],
+        "next": experiment_sentence(verdict.next_experiment) if verdict.next_experiment else "",
+        "next_why": sentence(verdict.next_experiment.why) if verdict.next_experiment else "",
+        "told_apart": told_apart(verdict.effects),
+        "limits": limits(verdict),
+        "mimics": _mimics(verdict),
+        "origin": data.origin,
+        "trials": len(data.trials),
+        "slots": len(data.slots),
+        "mountings": len({trial.mounting for trial in data.trials}),
+        "protocols": ", ".join(sorted({trial.protocol for trial in data.trials})),
+        "notes": data.notes,
+        "digest": examined.digest,
+        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "version": _version(),
+    }
+
+
+def _explanations(verdict: Verdict) -> list[dict[str, str]]:
+    rows = [
+        {
+            "what": " + ".join(effect.ids),
+            "family": effect.family.replace("_", " "),
+            "probability": _percent(effect.probability),
+            "parameters": "; ".join(
+                parameter_text(name, e) for name, e in effect.parameters.items()
+            ),
+        }
+        for effect in verdict.effects
+    ]
+    for name, value in (
+        ("no gap above the floor", verdict.probability_none),
+        ("something else", verdict.probability_unknown),
+    ):
+        rows.append({"what": name, "family": "", "probability": _percent(value), "parameters": ""})
+    return rows
+
+
+def _percent(value: float) -> str:
+    """A probability that is never said to be certain."""
+    if value > 0.99:
+        return "> 99 %"
+    return f"{100 * value:.0f} %" if value >= 0.01 else "< 1 %"
+
+
+def _mimics(verdict: Verdict) -> list[str]:
+    """What could stand in for the best entry, and how well."""
+    found = verdict.evidence.get("mimics", [])
+    return [
+        f"{' and '.join(mimic['ids'])} could take {100 * float(mimic['share']):.0f} % of its effect"
+        for mimic in found
+    ]
+
+
+def _version() -> str:
+    try:
+        return version("pamrig")
+    except PackageNotFoundError:
+        return ""

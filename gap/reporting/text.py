@@ -1,0 +1,196 @@
+"""What a diagnosis says, in the words of a colleague: one sentence first, then the reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from gap.design.advise import ENOUGH
+from gap.verdict import Estimate, Experiment, Explanation, Verdict
+from plant.effects.catalogue import CATALOGUE
+
+HEADS = {
+    "named": "Found",
+    "named_form_inadequate": "Found, but not in full",
+    "indistinguishable": "One of several",
+    "mimicable": "One, or others acting together",
+    "unknown": "Something that the catalogue does not hold",
+    "no_gap_above_floor": "No gap above the floor",
+    "below_resolution": "Too few replicates to say",
+    "data_unfit": "The data are not fit to be diagnosed",
+}
+CAREFUL = (
+    "These data are consistent with it; that it is the cause is shown by taking it away, or by the "
+    "reference named below."
+)
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An entry that was not chosen, how much of the gap it would close, and why not."""
+
+    id: str
+    why: str
+    rank: float
+
+
+def headline(verdict: Verdict) -> str:
+    """The verdict in one sentence."""
+    if not verdict.effects:
+        return sentence(verdict.reason)
+    best = verdict.effects[0]
+    what = " and ".join(f"{name} ({CATALOGUE[name].summary})" for name in best.ids)
+    values = ", ".join(parameter_text(name, e) for name, e in best.parameters.items())
+    closed = _closed(verdict)
+    match verdict.status:
+        case "named":
+            return sentence(f"It is {what}{_in_brackets(values)}{closed}")
+        case "named_form_inadequate":
+            return sentence(
+                f"It is {what}{_in_brackets(values)}{closed}; "
+                "the form in the catalogue leaves a pattern"
+            )
+    others = ", ".join(" + ".join(effect.ids) for effect in verdict.effects[1:4])
+    if not others:
+        return sentence(verdict.reason)
+    return sentence(f"It is {what}, or {others}: these data fit all of them")
+
+
+def _closed(verdict: Verdict) -> str:
+    gap = verdict.gap
+    if gap is None or gap.closed is None:
+        return ""
+    interval = ""
+    if gap.closed_low is not None and gap.closed_high is not None:
+        low, high = (f"{100 * min(x, 1.0):.0f}" for x in (gap.closed_low, gap.closed_high))
+        interval = f" ({low} to {high} %)" if low != high else ""
+    return (
+        f" and closes {100 * min(gap.closed, 1.0):.0f} %{interval} of the gap above the floor, "
+        f"on data held out by {gap.held_out}"
+    )
+
+
+def _in_brackets(values: str) -> str:
+    return f", {values}," if values else ""
+
+
+def sentence(text: str) -> str:
+    """Text with a capital and a full stop."""
+    text = text.strip().rstrip(".,").replace(",; ", "; ")
+    return text[:1].upper() + text[1:] + "."
+
+
+def parameter_text(name: str, estimate: Estimate) -> str:
+    """A parameter as a person says it: threshold 33 kPa (29.2 to 36.7)."""
+    units = {p.name: p.unit for entry in CATALOGUE.values() for p in entry.parameters}
+    base = next((known for known in units if name == known or name.endswith(f"_{known}")), name)
+    unit = units.get(base, "")
+    tail = "_" + unit.lower().replace("/", "_").replace(" ", "_")
+    said = base.removesuffix(tail) if unit else base
+    if said == "percent":
+        said = ""
+    value = (
+        estimate.value
+        if isinstance(estimate.value, str)
+        else f"{estimate.value:.3g} {unit}".strip()
+    )
+    if estimate.low is not None and estimate.high is not None:
+        value += f" ({estimate.low:.3g} to {estimate.high:.3g})"
+    return f"{said.replace('_', ' ')} {value}".strip()
+
+
+def gap_sentences(verdict: Verdict) -> list[str]:
+    """How large the gap was and what became of it."""
+    gap = verdict.gap
+    if gap is None:
+        return []
+    said = [
+        f"As stated, the plant is off by {gap.before:.3g} {gap.unit}; recalibrated within the "
+        f"tolerances of its constants by {gap.recalibrated:.3g} {gap.unit}."
+    ]
+    if gap.after is not None and verdict.effects:
+        said.append(f"With what was found {gap.after:.3g} {gap.unit} remain.")
+    if gap.floor is not None:
+        source = {
+            "replicates": "replicates of the same setting differ by",
+            "stated": "the stated noise is",
+            "smoothness": "neighbouring points differ from a smooth course by",
+        }.get(gap.floor_source or "", "the floor is")
+        said.append(
+            f"No model could do better than the floor: {source} {gap.floor:.3g} {gap.unit}."
+        )
+    return said
+
+
+def told_apart(effects: tuple[Explanation, ...]) -> list[tuple[str, str]]:
+    """For each entry of the set, what experiment or reference would settle it."""
+    names = dict.fromkeys(name for effect in effects for name in effect.ids)
+    return [(name, CATALOGUE[name].told_apart_by) for name in names]
+
+
+def experiment_sentence(experiment: Experiment) -> str:
+    """The next experiment, with the separation it promises."""
+    if not experiment.trials:
+        return sentence(experiment.protocol)
+    settings = ", ".join(_setting(k, v) for k, v in experiment.settings.items())
+    between = f" between {' and '.join(experiment.between)}" if experiment.between else ""
+    what = experiment.protocol + (f" ({settings})" if settings else "")
+    count = f"{experiment.trials} trial{'s' if experiment.trials != 1 else ''} of {what}"
+    already = (
+        "These data tell them apart already, as far as the forms of the catalogue go. To be surer: "
+        if experiment.separation_now >= ENOUGH
+        else ""
+    )
+    return already + sentence(
+        f"{count}: the separation{between} would rise from {experiment.separation_now:.1f} to "
+        f"{experiment.separation_after:.1f} standard deviations ({ENOUGH:g} are right 95 times in "
+        "100)"
+    )
+
+
+UNITS = ("kpa", "mm_s", "mm", "kg", "s", "c")
+SAID = {"kpa": "kPa", "mm_s": "mm/s", "c": "degC"}
+
+
+def _setting(key: str, value: object) -> str:
+    """A setting of a protocol as a person says it: pressures 80, 150 kPa."""
+    unit = next((u for u in UNITS if key.endswith(f"_{u}")), "")
+    name = key.removesuffix(f"_{unit}") if unit else key
+    if isinstance(value, Mapping):
+        return f"{name} ({', '.join(_setting(k, v) for k, v in value.items())})"
+    if value is None:
+        return f"without {name.replace('_', ' ')}"
+    many = value if isinstance(value, (list, tuple)) else [value]
+    said = ", ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in many)
+    return f"{name.replace('_', ' ')} {said} {SAID.get(unit, unit)}".strip()
+
+
+def rivals(verdict: Verdict) -> list[Rival]:
+    """Entries that were not chosen, those that came nearest first."""
+    named = {name for effect in verdict.effects for name in effect.ids}
+    found = [
+        Rival(name, why, _rank(why)) for name, why in verdict.why_not.items() if name not in named
+    ]
+    return sorted(found, key=lambda rival: (-rival.rank, rival.id))
+
+
+def _rank(why: str) -> float:
+    """Orders reasons: fits that were refined first, then by the share they close."""
+    words = why.split()
+    numbers = [float(w) for w in words if w.replace(".", "", 1).isdigit()]
+    if not numbers:
+        return -1.0
+    if why.startswith("fits worse"):
+        return 1000.0 - min(numbers[0], 900.0) * 1e-3
+    return numbers[0]
+
+
+def limits(verdict: Verdict) -> list[tuple[str, str]]:
+    """Smallest headline parameter of each effect that these data would have shown."""
+    rows = []
+    for name, value in sorted(verdict.limits.items()):
+        entry = CATALOGUE.get(name)
+        if entry is not None:
+            unit = f" {entry.unit}" if entry.unit else ""
+            rows.append((name, f"{(entry.headline or '').replace('_', ' ')}: {value:.3g}{unit}"))
+    return rows

@@ -1,0 +1,1 @@
+"""Search for the effects that explain the gap."""

@@ -1,0 +1,1 @@
+"""How far the gap shrinks on held-out data, and where it lies."""

@@ -1,0 +1,79 @@
+"""Errors of the model run free, end to end, on held-out units: before, recalibrated, after, floor.
+
+Stage by stage every block is fed with what was measured; here nothing measured is fed in but
+commands, settings and the first pressure. A small error at each step may add up here, and a large
+one may average out, so both are told.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from gap.estimation.fit_problem import Inquiry, State
+from gap.model.chain import Chain
+from gap.validation.shapley import replicate_tables
+from gap.validation.shrink import Held, left_out
+
+Array = npt.NDArray[np.float64]
+
+
+def free_running(q: Inquiry, state: State) -> dict[str, Held]:
+    """Squared errors by kind of end on held-out slots; see `gap.validation.shrink.Held`.
+
+    Constants and amounts are those fitted to all other slots. The floor is what replicates of a
+    slot differ by at the same end.
+    """
+    chain = Chain(q, state)
+    named = bool(state.suspects)
+    n = len(q.names)
+    base = left_out(q, q.base, q.units).change
+    fits = left_out(q, state, q.units).change if named else base
+    count = int(q.units.max(initial=-1)) + 1
+    untouched = chain.free(np.zeros(n), None)
+    made = {
+        end: {name: np.zeros(count) for name in ("before", "recalibrated", "after", "weight")}
+        for end in untouched
+    }
+    for unit in range(count):
+        recalibrated = chain.free(q.base.shift + base[unit], None)
+        after = recalibrated
+        if named:
+            amounts = state.amounts + fits[unit, n:]
+            bounds = np.array([s.bounds for s in state.suspects])
+            amounts = np.clip(amounts, bounds[:, 0], bounds[:, 1])
+            after = chain.free(state.shift + fits[unit, :n], amounts)
+        for end, table in made.items():
+            at = chain.rows_of(end)
+            own = q.units[q.rows.trial[at]] == unit
+            span = q.rows.span_s[at][own]
+            table["weight"][unit] = span.sum()
+            for name, ran in (
+                ("before", untouched), ("recalibrated", recalibrated), ("after", after),
+            ):  # fmt: skip
+                table[name][unit] = span @ chain.of_rows(end, ran[end])[own] ** 2
+    return {
+        end: Held(
+            table["before"], table["recalibrated"], table["after"],
+            _floor(chain, end, untouched[end], table["weight"]), table["weight"],
+        )
+        for end, table in made.items()
+    }  # fmt: skip
+
+
+def _floor(chain: Chain, end: str, values: Array, weight: Array) -> Array:
+    """What replicates differ by at an end, as squared errors of each slot.
+
+    Slots without replicates get the mean of the others; without any, the noise model's variance.
+    """
+    made = np.full(len(weight), np.nan)
+    for slot, table, span in replicate_tables(chain, end, values):
+        if len(table) > 1:
+            variance = float(span @ table.var(axis=0, ddof=1)) / max(float(span.sum()), 1e-12)
+            made[slot] = variance * weight[slot]
+    known = np.isfinite(made)
+    if known.any():
+        usual = float(made[known].sum() / max(float(weight[known].sum()), 1e-12))
+    else:
+        usual = float(np.mean(chain.q.floor_variance[chain.rows_of(end)]))
+    return np.where(known, made, usual * weight)

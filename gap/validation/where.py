@@ -1,0 +1,246 @@
+"""Where the gap lies: shares of the stages, and designed comparisons of residuals.
+
+Shares are exact Shapley values of the chain run end to end (`gap.model.chain`,
+`gap.validation.shapley`). The comparisons are of the recalibrated residual with measured signals
+fed into each block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from gap.data.dataset import Trial
+from gap.estimation.fit_problem import Inquiry, State
+from gap.model.chain import Chain
+from gap.model.features import BLOCKS, UNITS
+from gap.validation.shapley import waterfall
+from gap.validation.shrink import Held, held_out
+from gap.verdict import Contrast, Share
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+_FAMILY_WISE = 0.01
+
+MEANING = (
+    "Each stage is real (it gives the measured output for the measured input, and answers another "
+    "input as its model does) or modelled (the recalibrated plant). A share is what modelling the "
+    "stage adds to the squared end-to-end gap, averaged over all orders of doing so: recorded "
+    "valve commands replayed, all subsets of stages run, noise taken out by products of "
+    "replicates, pressure and pull added in units of their floors squared. Shares add up to one; "
+    "a negative one makes up for another stage's error. Without a flow meter, what arises while a "
+    "valve may be open counts to the valve, what arises while both are shut to the chamber, and "
+    "what a named effect takes away to that effect's stage."
+)
+"""What a share means, in the words that the JSON carries."""
+
+
+def stage_shares(q: Inquiry, state: State, held: Mapping[str, Held]) -> tuple[Share, ...]:
+    """Share of the end-to-end gap by stage, largest first; none where there is no gap for sure."""
+    if not held:
+        return ()
+    return waterfall(Chain(q, state)).shares(known=bool(state.suspects))
+
+
+def whereabouts(q: Inquiry, state: State) -> dict[str, list[dict[str, object]]]:
+    """Free-running errors at the chain's ends and stage by stage with measured inputs, as plain
+    tables: `end_to_end` and `stage_by_stage`, each with its floor.
+    """
+    flow = waterfall(Chain(q, state))
+    return {
+        "end_to_end": [
+            {"end": name, "unit": UNITS[name], "rms": rms, "floor": floor}
+            for name, (rms, floor) in flow.ends.items()
+        ],
+        "stage_by_stage": [
+            {
+                "block": block, "unit": UNITS[block], "untouched": part.rms("before"),
+                "recalibrated": part.rms("recalibrated"), "after": part.rms("after"),
+                "floor": part.rms("floor"),
+            }
+            for block, part in held_out(q, state).items()
+        ],
+    }  # fmt: skip
+
+
+DRIFT = "early-late trials"
+"""Name of the contrast that a slow change over the trials shows in."""
+DRIFT_SURE = 3.6
+"""Sd from which a drift that an explanation leaves is no chance: the explanation was chosen among
+many, and none of them for it."""
+
+
+def contrasts_of(q: Inquiry, state: State | None = None) -> tuple[Contrast, ...]:
+    """Designed comparisons of the recalibrated residual, each with its own z over slots.
+
+    A contrast is the difference of two means within a trial (or between trials), averaged over
+    the replicates of a slot; slots are the independent units. `alarm` controls the family-wise
+    rate at 1 % over the whole table. With `state` the residual is what that state leaves.
+    """
+    residual = (q.base if state is None else state).residual
+    made: list[tuple[str, float]] = []
+    for block in ("force", "load", "pressure"):
+        here = q.rows.block == BLOCKS.index(block)
+        if here.sum() < 8:
+            continue
+        for name, first, second in _designs(q, block):
+            z = _within(q, residual, here & first, here & second)
+            if z is not None:
+                made.append((f"{name} ({block})", z))
+        z = _warmth(q, residual, here)
+        if z is not None:
+            made.append((f"hot-cold ({block})", z))
+        z = _order(q, residual, here)
+        if z is not None:
+            made.append((f"{DRIFT} ({block})", z))
+    least = float(norm.isf(_FAMILY_WISE / 2.0 / max(len(made), 1)))
+    made.sort(key=lambda item: -abs(item[1]))
+    return tuple(Contrast(name, z, abs(z) > least) for name, z in made)
+
+
+def drifting(q: Inquiry, state: State) -> Contrast | None:
+    """The drift over the trials that an explanation leaves, if it leaves one."""
+    return next(
+        (
+            c for c in contrasts_of(q, state)
+            if c.alarm and c.name.startswith(DRIFT) and abs(c.z) > DRIFT_SURE
+        ),
+        None,
+    )  # fmt: skip
+
+
+def _designs(q: Inquiry, block: str) -> list[tuple[str, Mask, Mask]]:
+    rows = q.rows
+    low, high = np.quantile(rows.pressure, [0.33, 0.67])
+    short, long = np.quantile(rows.length, [0.33, 0.67])
+    speed = np.abs(rows.rate)
+    moving = speed > 0.5e-3
+    quick = speed > np.median(speed[moving]) if moving.any() else moving
+    start = np.zeros(len(rows))
+    end = np.ones(len(rows))
+    for trial_rows in q.noise.trial_rows:
+        if len(trial_rows):
+            start[trial_rows] = rows.time_s[trial_rows].min()
+            end[trial_rows] = rows.time_s[trial_rows].max()
+    part = (rows.time_s - start) / np.maximum(end - start, 1e-9)
+    rise = pressure_rise(q)
+    quiet = np.abs(rise) < 1.5e6
+    designs = [
+        (
+            "fill-vent" if block == "pressure" else "up-down",
+            (rise > 1e3) & (quiet | (block == "pressure")),
+            (rise < -1e3) & (quiet | (block == "pressure")),
+        ),
+        ("low-high pressure", rows.pressure < low, rows.pressure > high),
+        ("vented-pressurised", rows.pressure < 8e3, rows.pressure > 50e3),
+        ("first-last third", part < 0.33, part > 0.67),
+    ]
+    if block != "pressure":
+        designs += [
+            ("lengthening-shortening", rows.rate > 0.5e-3, rows.rate < -0.5e-3),
+            ("fast-slow", quick, ~quick),
+            ("short-long", rows.length < short, rows.length > long),
+        ]
+    return designs
+
+
+def pressure_rise(q: Inquiry) -> Array:
+    """Slope of the pressure at every row, Pa/s, from its neighbours in the trial."""
+    rows = q.rows
+    made = np.zeros(len(rows))
+    for at in q.noise.trial_rows:
+        for number in np.unique(rows.block[at]):
+            own = at[rows.block[at] == number]
+            own = own[np.argsort(rows.time_s[own], kind="stable")]
+            if len(own) > 2 and np.all(np.diff(rows.time_s[own]) > 0.0):
+                made[own] = np.gradient(rows.pressure[own], rows.time_s[own])
+    return made
+
+
+def _within(q: Inquiry, residual: Array, first: Mask, second: Mask) -> float | None:
+    """Z of the difference of two means, over slots."""
+    values: list[float] = []
+    for members in q.data.slots.values():
+        here: list[float] = []
+        for trial in members:
+            rows = q.noise.trial_rows[trial]
+            a, b = rows[first[rows]], rows[second[rows]]
+            if len(a) and len(b):
+                here.append(float(residual[a].mean() - residual[b].mean()))
+        if here:
+            values.append(float(np.mean(here)))
+    return _z(np.array(values))
+
+
+def _order(q: Inquiry, residual: Array, here: Mask) -> float | None:
+    """Z of the trend of trial means over the order of trials, slots' own means taken out."""
+    x: list[float] = []
+    y: list[float] = []
+    for members in q.data.slots.values():
+        means = []
+        for trial in members:
+            rows = q.noise.trial_rows[trial]
+            rows = rows[here[rows]]
+            if len(rows):
+                means.append((q.data.trials[trial].order, float(residual[rows].mean())))
+        if len(means) > 1:
+            table = np.array(means)
+            table -= table.mean(axis=0)
+            x += table[:, 0].tolist()
+            y += table[:, 1].tolist()
+    if len(x) < 6 or not np.any(x):
+        return None
+    a, b = np.array(x), np.array(y)
+    slope = float(a @ b / (a @ a))
+    rest = b - slope * a
+    freedom = max(len(a) // 2 - 1, 1)
+    error = float(np.sqrt(rest @ rest / freedom / (a @ a)))
+    return _normal(slope / error, freedom) if error > 0.0 else None
+
+
+_WARMER_K = 3.0
+
+
+def _warmth(q: Inquiry, residual: Array, here: Mask) -> float | None:
+    """Z of hot against cold trials that are otherwise set alike, over such settings."""
+    groups: dict[object, list[tuple[float, float]]] = {}
+    for members in q.data.slots.values():
+        first = q.data.trials[members[0]]
+        alike = (first.protocol, str(first.held_length_mm), str(first.load_kg))
+        for trial in members:
+            rows = q.noise.trial_rows[trial]
+            rows = rows[here[rows]]
+            warm = _temperature(q.data.trials[trial])
+            if len(rows) and np.isfinite(warm):
+                own = (warm, float(residual[rows].mean()))
+                groups.setdefault(alike, []).append(own)
+    values = []
+    for pairs in groups.values():
+        table = np.array(pairs)
+        middle = 0.5 * (table[:, 0].min() + table[:, 0].max())
+        if np.ptp(table[:, 0]) > _WARMER_K:
+            hot = table[:, 0] > middle
+            values.append(float(table[hot, 1].mean() - table[~hot, 1].mean()))
+    return _z(np.array(values))
+
+
+def _temperature(trial: Trial) -> float:
+    channel = trial.get("temperature_c")
+    return float(np.mean(channel.value)) if len(channel) else trial.temperature_c
+
+
+def _z(values: Array) -> float | None:
+    if len(values) < 3:
+        return None
+    error = float(values.std(ddof=1) / np.sqrt(len(values)))
+    return _normal(float(values.mean()) / error, len(values) - 1) if error > 0.0 else None
+
+
+def _normal(t: float, freedom: int) -> float:
+    """The z that is as unlikely as t with few degrees of freedom."""
+    return float(np.sign(t) * norm.isf(max(student.sf(abs(t), freedom), 1e-300)))

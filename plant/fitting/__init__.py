@@ -1,0 +1,1 @@
+"""Muscle models fitted to data and compared."""

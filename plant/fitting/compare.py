@@ -1,0 +1,318 @@
+"""Which model is better, on data that none of them has seen, and which differences are real.
+
+Whole groups are held out (lengths, temperatures or mountings), never single rows: neighbouring rows
+share their length's error, so a random row is no unseen data. A group, not a row, is therefore also
+what intervals and tests resample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from plant.errors import PlantError
+from plant.fitting.data import Points
+from plant.fitting.fit import fit
+from plant.models.law import Array
+from plant.models.model import Model
+
+HOLDOUTS = ("length", "temperature", "mounting", "load")
+LEAST_GROUP = 2.0
+"""Points a group has on average at least; below, holding out groups is holding out rows."""
+REGIONS = {"0-125 kPa": (0.0, 125.5e3), "150-600 kPa": (149.5e3, np.inf)}
+RESAMPLES = 4000
+EXACT_GROUPS = 14
+"""Up to so many groups all sign changes are tried; beyond, a fixed random sample of them."""
+SIGNIFICANCE = 0.05
+
+
+@dataclass(frozen=True)
+class Score:
+    """One model on the held-out points, in N; residuals are measured less modelled.
+
+    Attributes:
+        model: name; `parameters` counts those that were fitted.
+        rmse_n, bias_n, worst_n: over all points; `worst_n` keeps its sign.
+        rmse_low_n, rmse_high_n: 95 % interval of the rmse, groups resampled.
+        regions: rmse by pressure region, NaN where there are no points.
+        train_rmse_n: of the fit to all points, for comparison.
+        excess_n: rmse above the best model's, with its 95 % interval (`excess_low_n`, ...).
+        p: that a difference this large comes by chance (sign changes over groups, Holm).
+        real: p below 5 %; False for the best model itself.
+        residual_n: held-out residuals, shape (n,).
+        trouble: what went wrong in a fold; such a model is ranked last.
+    """
+
+    model: str
+    parameters: int
+    rmse_n: float
+    bias_n: float
+    worst_n: float
+    rmse_low_n: float
+    rmse_high_n: float
+    regions: dict[str, float]
+    train_rmse_n: float
+    excess_n: float
+    excess_low_n: float
+    excess_high_n: float
+    p: float
+    real: bool
+    residual_n: Array
+    trouble: str = ""
+
+
+@dataclass(frozen=True)
+class Floors:
+    """What no model can beat, in N.
+
+    `repeat_n`: standard deviation of repeated cells (NaN without any), `repeats` how many.
+    `between_lengths_n`: rms error of each length interpolated from its neighbours at the same
+    pressure and temperature: the scatter from length to length that no smooth model follows.
+    """
+
+    repeat_n: float
+    repeats: int
+    between_lengths_n: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Models ranked by held-out rmse, best first.
+
+    `nested_rmse_n` is the rmse of choosing the best model anew within each fold's training data:
+    what the choice itself costs is in it. NaN if it was not asked for.
+    """
+
+    scores: tuple[Score, ...]
+    holdout: str
+    groups: tuple[str, ...]
+    points: int
+    floors: Floors
+    nested_rmse_n: float
+    nested_choices: tuple[str, ...]
+    source: str
+
+
+def compare(
+    models: Sequence[Model],
+    points: Points,
+    holdout: str = "length",
+    nested: bool = False,
+    train: Points | None = None,
+) -> Comparison:
+    """Fit each model to all groups but one, score it on that one, and so on round.
+
+    Args:
+        models: their free parameters are fitted anew in every fold.
+        points: at least three groups.
+        holdout: "length", "temperature", "mounting" or "load".
+        nested: also measure what choosing the best of the models costs.
+        train: fit to these instead, once, and score on all of `points`: another day, another
+            test. The groups then only say what is resampled.
+
+    Raises:
+        PlantError: too few groups, an unknown way to hold out, or no models.
+    """
+    labels = points.labels(holdout)
+    groups = _ordered(labels, points, holdout)
+    if len(groups) < 3:
+        raise PlantError(
+            f"{points.source}: {len(groups)} {holdout} group(s); whole groups are held out, so at "
+            "least three are needed: measure more, or hold out something else"
+        )
+    if len(points) / len(groups) < LEAST_GROUP:
+        raise PlantError(
+            f"{points.source}: {len(points)} points in {len(groups)} {holdout} groups: that would "
+            "hold out single rows; hold out loads (isotonic tests) or mountings instead"
+        )
+    if not models:
+        raise PlantError("no model to compare; name at least one")
+    found = [_held_out(m, points, labels, groups, train) for m in models]
+    order = sorted(range(len(models)), key=lambda k: _rms(found[k][0]))
+    squares = np.array([_by_group(found[k][0], labels, groups) for k in order])
+    sizes = np.array([np.sum(labels == g) for g in groups], dtype=np.float64)
+    tests = _tests(squares)
+    rng = np.random.default_rng(1996)
+    drawn = rng.integers(0, len(groups), (RESAMPLES, len(groups)))
+    means = np.sqrt(squares[:, drawn].sum(axis=2) / sizes[drawn].sum(axis=1))
+    scores = []
+    for rank, k in enumerate(order):
+        residual, train_rmse, trouble = found[k]
+        low, high = _interval(means[rank])
+        excess = _interval(means[rank] - means[0])
+        scores.append(
+            Score(
+                model=models[k].name,
+                parameters=sum(not p.fixed for p in models[k].parameters),
+                rmse_n=_rms(residual),
+                bias_n=float(np.mean(residual)),
+                worst_n=float(residual[np.argmax(np.abs(residual))]),
+                rmse_low_n=low,
+                rmse_high_n=high,
+                regions=_regions(residual, points),
+                train_rmse_n=train_rmse,
+                excess_n=_rms(residual) - _rms(found[order[0]][0]),
+                excess_low_n=excess[0],
+                excess_high_n=excess[1],
+                p=tests[rank],
+                real=rank > 0 and tests[rank] < SIGNIFICANCE,
+                residual_n=residual,
+                trouble=trouble,
+            )
+        )
+    nested_rmse, choices = (
+        (np.nan, ()) if not nested or train else _nested(models, points, labels, groups)
+    )
+    return Comparison(
+        tuple(scores), holdout, groups, len(points), floors(points), nested_rmse, choices,
+        points.source if train is None else f"{points.source}, fitted to {train.source}",
+    )  # fmt: skip
+
+
+def floors(points: Points) -> Floors:
+    """Repeatability and length scatter of the data themselves."""
+    repeat, count = np.nan, 0
+    if points.cell is not None:
+        square, dof = 0.0, 0
+        for cell in np.unique(points.cell):
+            force = points.force_n[points.cell == cell]
+            square += float(np.sum((force - force.mean()) ** 2))
+            dof += force.size - 1
+        if dof:
+            repeat, count = float(np.sqrt(square / dof)), dof
+    misses = []
+    for p, t in sorted(set(zip(points.pressure_pa.round(-3), points.temperature_c, strict=True))):
+        here = (points.pressure_pa.round(-3) == p) & (points.temperature_c == t)
+        lengths = np.unique(points.length_m[here].round(5))
+        force = np.array(
+            [np.mean(points.force_n[here & (points.length_m.round(5) == x)]) for x in lengths]
+        )
+        for k in range(1, lengths.size - 1):
+            between = np.interp(lengths[k], lengths[[k - 1, k + 1]], force[[k - 1, k + 1]])
+            misses.append(force[k] - between)
+    scatter = float(np.sqrt(np.mean(np.square(misses)))) if misses else np.nan
+    return Floors(repeat, count, scatter)
+
+
+def _held_out(
+    model: Model,
+    points: Points,
+    labels: npt.NDArray[np.str_],
+    groups: tuple[str, ...],
+    train: Points | None,
+) -> tuple[Array, float, str]:
+    """Held-out residuals, rmse of the fit to everything, and what went wrong."""
+    residual = np.full(len(points), np.inf)
+    trouble = ""
+    try:
+        whole = fit(model, points if train is None else train)
+        if train is not None:
+            residual = _residual(whole.model, points)
+        for group in groups if train is None else ():
+            out = labels == group
+            fitted = fit(model, points.take(~out)).model
+            residual[out] = _residual(fitted, points.take(out))
+    except PlantError as error:
+        return np.full(len(points), np.inf), np.nan, str(error)
+    if not np.all(np.isfinite(residual)):
+        trouble = "no value for some held-out points: the fitted geometry does not reach them"
+        residual = np.where(np.isfinite(residual), residual, np.inf)
+    return residual, whole.rmse_n, trouble
+
+
+def _residual(model: Model, points: Points) -> Array:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        modelled = model.law.force(
+            model.q, points.pressure_pa, points.length_m, points.temperature_c, points.path
+        )
+    return np.asarray(points.force_n - modelled)
+
+
+def _nested(
+    models: Sequence[Model],
+    points: Points,
+    labels: npt.NDArray[np.str_],
+    groups: tuple[str, ...],
+) -> tuple[float, tuple[str, ...]]:
+    """In each fold, choose the model by the other groups alone."""
+    squares = np.zeros((len(models), len(groups), len(groups)))
+    for m, model in enumerate(models):
+        for a, b in product(range(len(groups)), repeat=2):
+            if a > b:
+                continue
+            out = (labels == groups[a]) | (labels == groups[b])
+            try:
+                fitted = fit(model, points.take(~out)).model
+            except PlantError:
+                squares[m, a, b] = squares[m, b, a] = np.inf
+                continue
+            for held, other in ((a, b), (b, a)):
+                rest = points.take(labels == groups[other])
+                squares[m, held, other] = float(np.sum(_residual(fitted, rest) ** 2))
+    total, choices = 0.0, []
+    for k in range(len(groups)):
+        inner = [np.sum(np.delete(squares[m, k], k)) for m in range(len(models))]
+        best = int(np.argmin(inner))
+        choices.append(models[best].name)
+        total += squares[best, k, k]
+    return float(np.sqrt(total / len(points))), tuple(choices)
+
+
+def _tests(squares: Array) -> list[float]:
+    """Holm-corrected p of each model against the first: signs of group differences changed."""
+    count = squares.shape[1]
+    if count <= EXACT_GROUPS:
+        signs = np.array(list(product((1.0, -1.0), repeat=count)))
+    else:
+        signs = np.random.default_rng(1996).choice((1.0, -1.0), (20000, count))
+        signs[0] = 1.0
+    raw = [1.0]
+    for row in squares[1:]:
+        difference = row - squares[0]
+        if not np.all(np.isfinite(difference)):
+            raw.append(0.0)
+            continue
+        totals = np.abs(signs @ difference)
+        raw.append(float(np.mean(totals >= totals[0] * (1 - 1e-12))))
+    corrected, running = [1.0] * len(raw), 0.0
+    order = sorted(range(1, len(raw)), key=lambda k: raw[k])
+    for place, k in enumerate(order):
+        running = max(running, min(1.0, raw[k] * (len(order) - place)))
+        corrected[k] = running
+    return corrected
+
+
+def _by_group(residual: Array, labels: npt.NDArray[np.str_], groups: tuple[str, ...]) -> Array:
+    return np.array([float(np.sum(residual[labels == g] ** 2)) for g in groups])
+
+
+def _regions(residual: Array, points: Points) -> dict[str, float]:
+    found = {}
+    for name, (low, high) in REGIONS.items():
+        use = (points.pressure_pa >= low) & (points.pressure_pa <= high)
+        found[name] = _rms(residual[use]) if np.any(use) else np.nan
+    return found
+
+
+def _ordered(labels: npt.NDArray[np.str_], points: Points, holdout: str) -> tuple[str, ...]:
+    known = {"length": points.length_m, "temperature": points.temperature_c}
+    by = (known | {"load": points.force_n}).get(holdout)
+    names = np.unique(labels)
+    if by is None:
+        return tuple(str(n) for n in names)
+    return tuple(str(n) for n in sorted(names, key=lambda n: float(np.mean(by[labels == n]))))
+
+
+def _interval(values: Array) -> tuple[float, float]:
+    if not np.all(np.isfinite(values)):
+        return np.inf, np.inf
+    low, high = np.percentile(values, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(x))))

@@ -1,0 +1,1 @@
+"""Equations of motion in symbols, printed or as source text."""

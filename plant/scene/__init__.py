@@ -1,0 +1,1 @@
+"""Several muscles on a mechanism, simulated as one scene."""

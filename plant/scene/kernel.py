@@ -1,0 +1,247 @@
+"""A scene in compiled code: valve commands of many units, their delays, and the mechanism.
+
+The valves are those of the single bench (`plant.simulator.kernel`): the same queue, the same
+delays, row by row. Importing this module loads numba and, the first time after an installation,
+compiles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from plant.compiled import called, entry_point, fingerprint, inlined
+from plant.physics import layout as at
+from plant.scene import layout as sc
+from plant.scene.events import cut, log, pass_switches, settle
+from plant.scene.layout import Array, Ints, World
+from plant.scene.rates import gas_volume, remember, unit_force
+from plant.scene.stepping import length_at, substep, touches, trial
+from plant.simulator.kernel import SAME_INSTANT_S, _act, _command, _due
+from plant.simulator.rates import lagged, lasting, power
+from plant.simulator.stepping import _accept, _book_regulated, _remember
+
+_TRIES = 12
+_SHORTEST = 1e-9
+_A2 = "float64[:,::1]"
+_WORLD = (
+    f"{_A2},{_A2},int64[::1],{_A2},{_A2},{_A2},{_A2},{_A2},float64[::1],float64[:,:,:,::1],"
+    f"float64[:,:,::1],{_A2},{_A2},{_A2},float64[::1],{_A2},{_A2},{_A2}"
+)
+
+
+@inlined
+def _take(w: World, begin: float, step: float) -> None:
+    """Accept the substep that was tried last."""
+    pass_switches(w, begin, step)
+    n = w.coords.shape[0]
+    for k in range(w.units.shape[0]):
+        state, params = w.units[k], w.params[k]
+        length = length_at(w, k, sc.Q)
+        how = w.work[sc.OPEN, k]
+        if how == sc.REGULATED:
+            p = lagged(state, params, state[at.PRESSURE], step)
+            _book_regulated(state, params, p, length)
+        elif how == sc.LEVEL:
+            p = state[at.PRESSURE]
+            _book_regulated(state, params, p, length)
+        else:
+            volume = gas_volume(w, k, length)
+            p = w.work[sc.Y, k] / power(volume, params[at.EXPONENT]) - params[at.ATMOSPHERE]
+            state[at.MASS_IN] += w.work[sc.IN, k]
+            state[at.MASS_OUT] += w.work[sc.OUT, k]
+        if w.shape[k, sc.MEMORY_KIND] != sc.NO_MEMORY:
+            remember(w, k, p, length, step)
+        follows = params[at.REMEMBERS] != 0.0
+        p0 = state[at.PRESSURE]
+        pull0 = lasting(state, params, p0, state[at.LENGTH]) if follows else 0.0
+        _accept(state, params, p, length)
+        if follows:
+            _remember(state, params, p0, pull0, step)
+    for j in range(n):
+        w.motion[sc.PLACE, j] = w.work[sc.Q, j]
+        w.motion[sc.RATE, j] = w.work[sc.QD, j]
+        w.motion[sc.PUSH, j] = w.work[sc.TORQUE, j]
+    settle(w, begin + step)
+
+
+@called
+def _integrate(w: World, begin: float, duration: float) -> None:
+    """Advance gas and mechanism by `duration` seconds with the valves as they stand."""
+    done = 0.0
+    while done < duration:
+        now = begin + done
+        # Even parts of what is left, so that none is a sliver.
+        left = duration - done
+        step = left / max(1, math.ceil(left / substep(w, now, touches(w)) - 1e-9))
+        if w.coords.shape[0] == 0:
+            idle = True
+            for k in range(w.units.shape[0]):
+                how = w.work[sc.OPEN, k]
+                still = how == sc.SEALED or how == sc.LEVEL
+                follows = w.params[k, at.REMEMBERS] != 0.0
+                follows = follows or w.shape[k, sc.MEMORY_KIND] == sc.LATE
+                idle = idle and still and not follows
+            if idle:
+                return
+        for _ in range(_TRIES):
+            trial(w, now, step)
+            w.clock[sc.SUBSTEPS] += 1.0
+            share = cut(w)
+            if share >= 1.0 or step < _SHORTEST:
+                break
+            step = max(step * share, 0.5 * _SHORTEST)
+        _take(w, now, step)
+        done = duration if step == left else done + step
+
+
+@called
+def _run_until(w: World, end: float) -> None:
+    """Advance to `end` with no new command; pending valve edges act exactly when due."""
+    while True:
+        due = math.inf
+        unit = solenoid = 0
+        for k in range(w.units.shape[0]):
+            for which in range(2):
+                own = _due(w.units[k], which)
+                if own < due:
+                    due, unit, solenoid = own, k, which
+        # An edge due at `end` itself waits: a command given there may still withdraw it.
+        acts = due < end - SAME_INSTANT_S
+        until = due if acts else end
+        now = w.units[0, at.TIME]
+        if until > now:
+            _integrate(w, now, until - now)
+            for k in range(w.units.shape[0]):
+                w.units[k, at.TIME] = until
+        if not acts:
+            break
+        _act(w.units[unit], solenoid)
+        opened = w.units[unit, at.INLET_OPEN + solenoid]
+        log(w, due, float(sc.LOG_INLET + solenoid), float(unit), opened)
+
+
+@inlined
+def _measure(w: World) -> None:
+    """Bring each unit's force and speed up to date."""
+    for k in range(w.units.shape[0]):
+        state = w.units[k]
+        speed = 0.0
+        for j in range(w.coords.shape[0]):
+            speed += w.reach[k, j] * w.motion[sc.RATE, j]
+        state[at.LENGTH_RATE] = speed
+        state[at.FORCE] = unit_force(w, k, state[at.PRESSURE], state[at.LENGTH], speed)
+
+
+@inlined
+def _tick(w: World, dt_s: float, inlet_on_s: Array, vent_on_s: Array) -> None:
+    """One control tick of every unit; see `plant.scene.scene.Scene.advance`."""
+    units = w.units.shape[0]
+    begin = w.units[0, at.TIME]
+    for k in range(units):
+        _command(w.units[k], w.params[k], 0, 1.0 if inlet_on_s[k] > 0.0 else 0.0)
+        _command(w.units[k], w.params[k], 1, 1.0 if vent_on_s[k] > 0.0 else 0.0)
+    last = 0.0
+    while True:
+        ends = math.inf
+        for k in range(units):
+            for on_s in (inlet_on_s[k], vent_on_s[k]):
+                if last < on_s < dt_s - SAME_INSTANT_S:
+                    ends = min(ends, on_s)
+        if ends == math.inf:
+            break
+        _run_until(w, begin + ends)
+        for k in range(units):
+            if inlet_on_s[k] == ends:
+                _command(w.units[k], w.params[k], 0, 0.0)
+            if vent_on_s[k] == ends:
+                _command(w.units[k], w.params[k], 1, 0.0)
+        last = ends
+    _run_until(w, begin + dt_s)
+    _measure(w)
+
+
+@inlined
+def _replay(
+    w: World, event_s: Array, unit: Ints, channel: Ints, value: Array, sample_s: Array, out: Array
+) -> None:
+    """Apply timed inputs and fill a row of `out` per sample time.
+
+    Columns: each unit's pressure, length, force, inlet and outlet, then places and rates of the
+    coordinates.
+    """
+    event = 0
+    units, n = w.units.shape[0], w.coords.shape[0]
+    for row in range(sample_s.shape[0]):
+        while event < event_s.shape[0] and event_s[event] <= sample_s[row]:
+            _run_until(w, event_s[event])
+            k = unit[event]
+            if channel[event] <= at.CHANNEL_OUTLET:
+                _command(w.units[k], w.params[k], channel[event], value[event])
+            elif channel[event] == at.CHANNEL_REGULATOR:
+                w.units[k, at.REGULATOR_SET] = value[event]
+            elif channel[event] == at.CHANNEL_SUPPLY:
+                w.units[k, at.SUPPLY] = value[event]
+            else:
+                w.coords[k, sc.PULL] = value[event]
+            event += 1
+        _run_until(w, sample_s[row])
+        _measure(w)
+        for k in range(units):
+            out[row, 5 * k] = w.units[k, at.PRESSURE]
+            out[row, 5 * k + 1] = w.units[k, at.LENGTH]
+            out[row, 5 * k + 2] = w.units[k, at.FORCE]
+            out[row, 5 * k + 3] = w.units[k, at.INLET_OPEN]
+            out[row, 5 * k + 4] = w.units[k, at.OUTLET_OPEN]
+        for j in range(n):
+            out[row, 5 * units + j] = w.motion[sc.PLACE, j]
+            out[row, 5 * units + n + j] = w.motion[sc.RATE, j]
+
+
+def _build(sources: int) -> Callable[..., None]:
+    # One entry point for both uses: a second would compile the whole scene once more.
+    @entry_point(
+        f"void({_WORLD},float64,float64[::1],float64[::1],"
+        f"float64[::1],int64[::1],int64[::1],float64[::1],float64[::1],{_A2})"
+    )
+    def drive(
+        a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, i: Any, j: Any,
+        k: Any, m: Any, n: Any, o: Any, p: Any, q: Any, r: Any, s: Any,
+        dt_s: float, inlet_on_s: Any, vent_on_s: Any,
+        event_s: Any, unit: Any, channel: Any, value: Any, sample_s: Any, out: Any,
+    ) -> None:  # fmt: skip
+        if sources >= 0:
+            world = World(a, b, c, d, e, f, g, h, i, j, k, m, n, o, p, q, r, s)
+            if dt_s >= 0.0:
+                _tick(world, dt_s, inlet_on_s, vent_on_s)
+            else:
+                _replay(world, event_s, unit, channel, value, sample_s, out)
+
+    return drive
+
+
+_drive = _build(fingerprint("simulator", "scene", "links/kernel.py"))
+_NONE = np.zeros(0)
+_NO_ROWS = (np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), *np.zeros((2, 0)),
+            np.zeros((0, 0)))  # fmt: skip
+
+
+def advance(world: World, dt_s: float, inlet_on_s: Array, vent_on_s: Array) -> None:
+    """One control tick, in place: unit k fills for the first `inlet_on_s[k]`; arrays (M,)."""
+    _drive(*world, dt_s, inlet_on_s, vent_on_s, *_NO_ROWS)
+
+
+def replay(
+    world: World,
+    event_s: Array,
+    unit: Ints,
+    channel: Ints,
+    value: Array,
+    sample_s: Array,
+    out: Array,
+) -> None:
+    """A whole recording of timed inputs, in place; see `_replay` for the columns of `out`."""
+    _drive(*world, -1.0, _NONE, _NONE, event_s, unit, channel, value, sample_s, out)

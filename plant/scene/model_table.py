@@ -1,0 +1,133 @@
+"""A model of `plant.models` as a table that compiled code can read.
+
+Pressure and length are cut into cells; in each the force is the polynomial of third degree in both
+that agrees with the model's own formula in sixteen points. Laws that are cubic or less in both
+(Chou and Hannaford, Tondu and Lopez, the thesis's polynomials) come out exact but for rounding,
+and cells end at 125 and 150 kPa, where the thesis's two-region models have a kink.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from plant.constants import PlantConstants
+from plant.errors import PlantError
+from plant.models.memory import CREEP_S, PLAY_KPA, SLIP_UM, Creep, MaxwellSlip, PrandtlIshlinskii
+from plant.models.model import Model
+from plant.physics.muscle import braid_volume
+from plant.scene import layout as sc
+
+Array = npt.NDArray[np.float64]
+
+CELL_PA = 12.5e3
+CELL_M = 1e-3
+LOWEST_PA = -25e3
+HIGHEST_PA = 800e3
+MARGIN_M = 3e-3
+"""How far beyond the stops the table reaches."""
+_INSIDE = np.array([0.0, 1.0, 2.0, 3.0]) / 3.0
+# Values in four points of a cell to the coefficients of the cubic through them.
+_TO_COEFFICIENTS = np.linalg.inv(np.vander(_INSIDE, 4, increasing=True))
+
+
+@dataclass(frozen=True)
+class ModelTable:
+    """`force` (cells in pressure, cells in length, 16), `volume` (cells in length, 4), `axes` (6).
+
+    `error_n` is the largest difference from the model's own formula in points off the grid;
+    `memory` holds what goes into a unit's shape for a model with memory.
+    """
+
+    name: str
+    force: Array
+    volume: Array
+    axes: Array
+    error_n: float
+    memory: Array
+
+
+def model_table(model: Model, c: PlantConstants, temperature_c: float = 21.0) -> ModelTable:
+    """Tabulate a model over the pressures and lengths of a bench.
+
+    The gas volume is the model's own where it has one (of the form p f(L) + g(L)), with the braid's
+    volume in the middle of the range; else that of the bench's braid.
+
+    Raises:
+        PlantError: the model has no value somewhere in the range.
+    """
+    low, high = c.length_min_m - MARGIN_M, min(c.length_max_m + MARGIN_M, c.braid_length_m)
+    rows = round((HIGHEST_PA - LOWEST_PA) / CELL_PA)
+    columns = max(4, round((high - low) / CELL_M))
+    width = (high - low) / columns
+    base, memory = _without_memory(model)
+
+    def force(p: Array, length: Array) -> Array:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            t = np.full(p.size, temperature_c)
+            out = base(p.ravel(), length.ravel(), t).reshape(p.shape)
+        if not np.isfinite(out).all():
+            at = int(np.flatnonzero(~np.isfinite(out.ravel()))[0])
+            raise PlantError(
+                f"model {model.name} has no value at {p.ravel()[at] / 1e3:g} kPa and "
+                f"{length.ravel()[at] * 1e3:g} mm, within what this bench can reach; narrow "
+                "length_min_mm and length_max_mm, or take another model"
+            )
+        return np.asarray(out)
+
+    p_nodes = (LOWEST_PA + CELL_PA * (np.arange(rows)[:, None] + _INSIDE)).ravel()
+    l_nodes = (low + width * (np.arange(columns)[:, None] + _INSIDE)).ravel()
+    values = force(*np.meshgrid(p_nodes, l_nodes, indexing="ij")).reshape(rows, 4, columns, 4)
+    to = _TO_COEFFICIENTS
+    cells = np.einsum("ap,ipjl,bl->ijab", to, values, to).reshape(rows, columns, 16)
+    volume = _volume(model, c, l_nodes).reshape(columns, 4) @ to.T
+    axes = np.array([LOWEST_PA, CELL_PA, low, width, 0.0, 0.0])
+    table = np.ascontiguousarray(cells)
+    off_p = LOWEST_PA + CELL_PA * (np.arange(0, rows, 3)[:, None] + np.array([0.21, 0.83])).ravel()
+    off_l = low + width * (np.arange(columns)[:, None] + np.array([0.13, 0.55])).ravel()
+    grid = np.meshgrid(off_p, off_l, indexing="ij")
+    error = float(np.abs(table_force(table, axes, *grid) - force(*grid)).max())
+    return ModelTable(model.name, table, np.ascontiguousarray(volume), axes, error, memory)
+
+
+def table_force(table: Array, axes: Array, p: Array, length: Array) -> Array:
+    """The table's answer in plain numpy, as the kernel works it out."""
+    i = np.clip(((p - axes[0]) / axes[1]).astype(int), 0, table.shape[0] - 1)
+    j = np.clip(((length - axes[2]) / axes[3]).astype(int), 0, table.shape[1] - 1)
+    u, v = (p - axes[0]) / axes[1] - i, (length - axes[2]) / axes[3] - j
+    cells = table[i, j].reshape(*i.shape, 4, 4)
+    powers_u, powers_v = (np.stack([x**k for k in range(4)], -1) for x in (u, v))
+    return np.asarray(np.einsum("...a,...ab,...b", powers_u, cells, powers_v))
+
+
+def _without_memory(model: Model):  # type: ignore[no-untyped-def]
+    """The static force law of a model, and its operators as they stand in a unit's shape."""
+    law, q = model.law, model.q
+    shape = np.zeros(sc.SHAPE_SIZE)
+    if not isinstance(law, (PrandtlIshlinskii, MaxwellSlip, Creep)):
+        if law.memory:
+            raise PlantError(f"model {model.name}: its kind of memory cannot be simulated")
+        return (lambda p, length, t: law.force(q, p, length, t)), shape
+    count = len(law.base.parameters)
+    if isinstance(law, PrandtlIshlinskii):
+        kind, widths = sc.PLAY, np.array(PLAY_KPA) * 1e3
+    elif isinstance(law, MaxwellSlip):
+        kind, widths = sc.STOP, np.array(SLIP_UM) * 1e-6
+    else:
+        kind, widths = sc.LATE, np.array(CREEP_S)
+    weights = q[count:]
+    shape[sc.MEMORY_KIND] = kind
+    shape[sc.MEMORY_WEIGHT : sc.MEMORY_WEIGHT + len(weights)] = weights
+    shape[sc.MEMORY_WIDTH : sc.MEMORY_WIDTH + len(widths)] = widths
+    base = law.base
+    return (lambda p, length, t: base.force(q[:count], p, length, t)), shape
+
+
+def _volume(model: Model, c: PlantConstants, length: Array) -> Array:
+    middle = 0.5 * (c.length_min_m + c.length_max_m)
+    if model.law.separable:
+        anchor = float(braid_volume(middle, c.braid_length_m, c.turns))
+        return model.volume(length, middle, anchor)
+    return np.asarray(braid_volume(length, c.braid_length_m, c.turns))

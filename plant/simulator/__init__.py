@@ -1,0 +1,1 @@
+"""The compiled simulator of one muscle, its valve and its load."""

@@ -1,0 +1,168 @@
+"""The bench in compiled code: valve commands and their delays, one state array stepped in place.
+
+Importing this module loads numba and, the first time after an installation, compiles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from plant.compiled import Slots, called, entry_point, fingerprint, inlined
+from plant.physics import layout as at
+from plant.simulator.rates import slip_after, tension
+from plant.simulator.stepping import integrate
+
+SAME_INSTANT_S = 1e-9
+"""A command withdrawn within this time of the valve acting on it is withdrawn in time."""
+
+_STATE = "float64[::1]"
+
+
+@called
+def _command(state: Slots, params: Slots, which: int, value: float) -> None:
+    """Give solenoid `which` (0 inlet, 1 outlet) a command at the present time.
+
+    The delay is taken from the pressure upstream of that solenoid at this moment.
+    """
+    if state[at.INLET_COMMAND + which] == value:
+        return
+    state[at.INLET_COMMAND + which] = value
+    count = int(state[at.QUEUE_COUNT + which])
+    if params[at.DELAY_MODE] == 0.0 and count > 0:
+        # Inertial: the valve had not yet acted on the command that is now withdrawn.
+        state[at.QUEUE_COUNT + which] = 0.0
+        return
+    if count == at.QUEUE_LENGTH:
+        state[at.QUEUE_COUNT + which] = count - 1.0
+        state[at.EDGES_MERGED] += 1.0
+        return
+    upstream = state[at.SUPPLY] if which == 0 else state[at.PRESSURE]
+    edge = 2 * which + (0 if value > 0.0 else 1)
+    delay = params[at.DELAY + edge] + params[at.DELAY_SLOPE + edge] * upstream
+    due = state[at.TIME] + max(0.0, delay)
+    ring = at.QUEUE + which * at.QUEUE_LENGTH
+    head = int(state[at.QUEUE_HEAD + which])
+    if count > 0:
+        # Edges act in the order they were given; one never overtakes the edge before it.
+        due = max(due, state[ring + (head + count - 1) % at.QUEUE_LENGTH])
+    state[ring + (head + count) % at.QUEUE_LENGTH] = due
+    state[at.QUEUE_COUNT + which] = count + 1.0
+
+
+@inlined
+def _due(state: Slots, which: int) -> float:
+    """Time at which the oldest pending edge of a solenoid acts; inf if none is pending."""
+    if state[at.QUEUE_COUNT + which] == 0.0:
+        return math.inf
+    head = int(state[at.QUEUE_HEAD + which])
+    return state[at.QUEUE + which * at.QUEUE_LENGTH + head]
+
+
+@inlined
+def _act(state: Slots, which: int) -> None:
+    """Let the oldest pending edge of a solenoid act: edges alternate, so the valve toggles."""
+    state[at.INLET_OPEN + which] = 1.0 - state[at.INLET_OPEN + which]
+    state[at.QUEUE_HEAD + which] = (int(state[at.QUEUE_HEAD + which]) + 1) % at.QUEUE_LENGTH
+    state[at.QUEUE_COUNT + which] -= 1.0
+
+
+@called
+def _run_until(state: Slots, params: Slots, end: float) -> None:
+    """Advance to time `end` with no new command; pending valve edges act exactly when due."""
+    while True:
+        inlet_due = _due(state, 0)
+        outlet_due = _due(state, 1)
+        due = min(inlet_due, outlet_due)
+        # An edge due at `end` itself waits: a command given there may still withdraw it.
+        if due >= end - SAME_INSTANT_S:
+            break
+        if due > state[at.TIME]:
+            integrate(state, params, due - state[at.TIME])
+            state[at.TIME] = due
+        _act(state, 0 if inlet_due <= outlet_due else 1)
+    if end > state[at.TIME]:
+        integrate(state, params, end - state[at.TIME])
+        state[at.TIME] = end
+
+
+@inlined
+def _measure(state: Slots, params: Slots) -> None:
+    slip = slip_after(state, params, 0.0, 0.0)
+    rate = state[at.LENGTH_RATE]
+    state[at.FORCE] = tension(state, params, state[at.PRESSURE], state[at.LENGTH], rate, slip)
+
+
+@inlined
+def _tick(state: Slots, params: Slots, dt_s: float, inlet_on_s: float, vent_on_s: float) -> None:
+    """One control tick; see `plant.simulator.bench.advance`."""
+    begin = state[at.TIME]
+    _command(state, params, 0, 1.0 if inlet_on_s > 0.0 else 0.0)
+    _command(state, params, 1, 1.0 if vent_on_s > 0.0 else 0.0)
+    for turn in range(2):
+        on_s = min(inlet_on_s, vent_on_s) if turn == 0 else max(inlet_on_s, vent_on_s)
+        if 0.0 < on_s < dt_s - SAME_INSTANT_S:
+            _run_until(state, params, begin + on_s)
+            if inlet_on_s == on_s:
+                _command(state, params, 0, 0.0)
+            if vent_on_s == on_s:
+                _command(state, params, 1, 0.0)
+    _run_until(state, params, begin + dt_s)
+    _measure(state, params)
+
+
+@inlined
+def _replay(
+    state: Slots, params: Slots, event_s: Any, channel: Any, value: Any, sample_s: Any, traces: Any
+) -> None:
+    """Apply timed inputs and fill one row of `traces` per sample time; both times ascending."""
+    event = 0
+    for row in range(sample_s.shape[0]):
+        while event < event_s.shape[0] and event_s[event] <= sample_s[row]:
+            _run_until(state, params, event_s[event])
+            if channel[event] <= at.CHANNEL_OUTLET:
+                _command(state, params, channel[event], value[event])
+            elif channel[event] == at.CHANNEL_LENGTH_RATE:
+                state[at.LENGTH_RATE] = value[event]
+            elif channel[event] == at.CHANNEL_REGULATOR:
+                state[at.REGULATOR_SET] = value[event]
+            else:
+                state[at.SUPPLY] = value[event]
+            event += 1
+        _run_until(state, params, sample_s[row])
+        _measure(state, params)
+        for column in range(traces.shape[1]):
+            traces[row, column] = state[column]
+
+
+def _build(sources: int) -> tuple[Callable[..., None], Callable[..., None]]:
+    # `sources` is used so that it becomes a closure variable; it is never negative.
+    @entry_point(f"void({_STATE}, {_STATE}, float64, float64, float64)")
+    def advance(
+        state: Slots, params: Slots, dt_s: float, inlet_on_s: float, vent_on_s: float
+    ) -> None:
+        if sources >= 0:
+            _tick(state, params, dt_s, inlet_on_s, vent_on_s)
+
+    @entry_point(
+        f"void({_STATE}, {_STATE}, {_STATE}, int64[::1], {_STATE}, {_STATE}, float64[:, ::1])"
+    )
+    def run(
+        state: Slots,
+        params: Slots,
+        event_s: Any,
+        channel: Any,
+        value: Any,
+        sample_s: Any,
+        traces: Any,
+    ) -> None:
+        if sources >= 0:
+            _replay(state, params, event_s, channel, value, sample_s, traces)
+
+    return advance, run
+
+
+advance, run = _build(fingerprint("simulator"))
+"""The two compiled entry points: one control tick, and a whole recording (see
+`plant.simulator.simulate`)."""

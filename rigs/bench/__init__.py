@@ -1,0 +1,1 @@
+"""A rig opened, checked, locked and made safe."""

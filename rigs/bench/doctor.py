@@ -1,0 +1,180 @@
+"""What would stop a run: every part of a rig looked at, one line each."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import typer
+
+from daq.clock import Clock
+from daq.errors import PamrigError
+from rigs.bench.rig import Rig, open_rig
+from rigs.execution.runner import ALIVE_S
+from rigs.rigfile.config import RigConfig, load_rig
+
+MARKS = {"ok": "ok  ", "warn": "WARN", "stop": "STOP"}
+LISTEN_S = 2.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at. ``status`` is ok, warn (a run is possible) or stop."""
+
+    what: str
+    status: str
+    detail: str
+
+
+def examine(name: str, out: Path, clock: Clock | None = None) -> list[Finding]:
+    """Look at a rig as a run would use it, without arming it.
+
+    Args:
+        name: rig file or shipped name.
+        out: folder of runs, for the disk.
+        clock: only for tests.
+    """
+    try:
+        config = load_rig(name)
+    except PamrigError as error:
+        return [Finding("rig file", "stop", str(error))]
+    findings = [Finding("rig file", "ok", f"{config.source}, CRC {config.crc32}"), _disk(out)]
+    findings += list(_config(config))
+    try:
+        with open_rig(config, clock) as rig:
+            findings += list(_devices(rig))
+    except PamrigError as error:
+        findings.append(Finding("devices", "stop", str(error)))
+    return findings
+
+
+def _disk(out: Path) -> Finding:
+    here = out
+    while not here.exists():
+        here = here.parent
+    free = shutil.disk_usage(here).free
+    hours = free / 250e6
+    status = "ok" if free > 1e9 else "warn" if free > 1e8 else "stop"
+    return Finding(
+        "disk", status, f"{free / 1e9:.1f} GB free in {here}, about {hours:.0f} h of test"
+    )
+
+
+def _config(config: RigConfig) -> Iterator[Finding]:
+    if config.valve.outlet_normally == "closed":
+        yield Finding(
+            "outlet",
+            "warn",
+            "normally closed: when power fails the air stays in the muscle "
+            "(a normally open outlet vents by itself)",
+        )
+    for quantity, cal in config.calibrations.items():
+        yield Finding(
+            f"calibration {quantity}",
+            "ok",
+            f"{cal.id} of {cal.date}, {cal.domain[0]:g} to {cal.domain[1]:g} {cal.unit}, "
+            f"u = {cal.u_offset:g} {cal.unit} + {cal.u_gain * 100:g} %",
+        )
+
+
+def _devices(rig: Rig) -> Iterator[Finding]:
+    """Identities, then a short listen to every sensor."""
+    config = rig.config
+    v = rig.identities["valve"]
+    yield Finding(
+        "valve controller",
+        "ok",
+        f"{v.get('board')} {v.get('serial')}, firmware {v.get('fw')}, config CRC {v.get('conf')}, "
+        f"boot {v.get('boot')} ({v.get('cause')})",
+    )
+    for name in [n for n in rig.identities if n != "valve"]:
+        words = ", ".join(f"{k} {x}" for k, x in rig.identities[name].items())
+        yield Finding(name, "ok", words)
+    rig.valve.progress(LISTEN_S + ALIVE_S)
+    rig.pump.for_seconds(LISTEN_S)
+    counts = rig.valve.recent_counts(1000)
+    if len(counts) < 500:
+        yield Finding("telemetry", "stop", f"only {len(counts)} samples in {LISTEN_S:g} s")
+        return
+    cal = config.calibrations["pressure_kpa"]
+    p = cal.apply(counts)
+    noise, mean = float(np.std(p)), float(np.mean(p))
+    distinct = len(np.unique(counts))
+    detail = f"reads {mean:.2f} kPa vented, noise {noise:.2f} kPa, {distinct} distinct values"
+    if abs(mean) > max(5.0, 5 * cal.u_offset):
+        yield Finding("pressure", "stop", detail + ": not near zero; vent, check sensor and wiring")
+    elif distinct == 1 and not rig.clock.virtual:
+        yield Finding("pressure", "warn", detail + ": a stuck sensor looks like this")
+    else:
+        yield Finding("pressure", "ok", detail)
+    grams, stable = rig.balance.recent(10)
+    if not len(grams):
+        yield Finding("balance readings", "stop", rig.balance.last_problem or "none came")
+    else:
+        newton = abs(config.calibrations["force_n"].scale)
+        spread = float(np.std(grams)) * newton
+        mark = "ok" if stable.all() else "warn"
+        yield Finding("balance readings", mark, f"noise {spread:.3f} N, stable {stable.mean():.0%}")
+    yield from _instruments(rig)
+    fit = rig.valve.clock_fit
+    if fit.ready:
+        mark = "ok" if fit.error_ns < 2e6 else "warn"
+        yield Finding(
+            "clock fit", mark, f"error {fit.error_ns / 1e6:.3f} ms, drift {fit.drift_ppm:+.0f} ppm"
+        )
+    yield _camera(rig)
+    if rig.valve.fault_latched:
+        yield Finding(
+            "fault", "warn", f"latched: {', '.join(rig.valve.faults) or 'see pamrig vent'}"
+        )
+
+
+def _instruments(rig: Rig) -> Iterator[Finding]:
+    """The optional instruments after the listen: what they read and what went wrong."""
+    for name, instrument in rig.instruments.items():
+        readings, _ = instrument.recent(20)
+        if not len(readings):
+            yield Finding(f"{name} readings", "stop", instrument.last_problem or "none came")
+            continue
+        values = instrument.apply(readings)
+        cal = instrument.calibration
+        detail = f"{instrument.quantity} {values.mean():.4g}, noise {values.std():.2g}"
+        if cal is not None and bool(cal.outside(values).any()):
+            low, high = cal.domain
+            detail += f": outside the calibrated {low:g} to {high:g} {cal.unit}"
+            yield Finding(f"{name} readings", "warn", detail)
+        elif instrument.faults.total:
+            words = f"{instrument.faults.total} faults, last: {instrument.faults.last}"
+            yield Finding(f"{name} readings", "warn", f"{detail}; {words}")
+        else:
+            yield Finding(f"{name} readings", "ok", detail)
+    if rig.supply is not None:
+        volts, amps = rig.supply.measure()
+        mark = "ok" if abs(volts - rig.supply.set_v) <= rig.supply.settle_v else "warn"
+        yield Finding("supply", mark, f"gives {volts:.3f} V, {amps:.3f} A to the solenoids")
+    for name, axis in rig.config.instruments.manual.items():
+        looked = f"checked by {axis.check}" if axis.check else "not checked by any sensor"
+        yield Finding(f"manual {name}", "ok", f"set by hand in {axis.unit}, {looked}")
+
+
+def _camera(rig: Rig) -> Finding:
+    from vision.marker.edge import measure_gap
+
+    gap = measure_gap(rig.camera.trigger().gray)
+    if not gap.trusted:
+        return Finding("camera", "stop", f"no trusted length: {gap.reason}")
+    cal = rig.config.calibrations["length_mm"]
+    length = float(cal.apply(gap.pixels))
+    u = gap.u_pixels * abs(cal.scale)
+    return Finding("camera length", "ok", f"{length:.3f} mm, repeatability {u * 1000:.1f} um")
+
+
+def print_findings(findings: list[Finding]) -> None:
+    """For a person: one line each, and a verdict."""
+    for f in findings:
+        typer.echo(f"{MARKS[f.status]}  {f.what}: {f.detail}")
+    stops = sum(f.status == "stop" for f in findings)
+    typer.echo(f"{stops} thing(s) would stop a run" if stops else "ready to run")

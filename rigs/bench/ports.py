@@ -1,0 +1,227 @@
+"""Opens what a rig file names beside valve, balance, stage and camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from daq.clock import Clock
+from daq.errors import ConfigError, DeviceError, PamrigError
+from daq.link.transport import Link, SerialLink
+from rigs.devices.camera import Camera
+from rigs.devices.event_loop import Pump
+from rigs.devices.hung_mass import HungMass
+from rigs.devices.instruments.instrument import Instrument
+from rigs.devices.instruments.modbus import ModbusInstrument
+from rigs.devices.instruments.supply import Supply
+from rigs.devices.instruments.text import TextInstrument
+from rigs.devices.operator import ConsoleOperator, ManualAxis, ManualStage, Operator
+from rigs.devices.operator_port import RemoteOperator
+from rigs.rigfile.config import Device, RigConfig
+from rigs.rigfile.instruments import ModbusDevice, TextDevice
+
+if TYPE_CHECKING:
+    from rigs.virtual.bench import VirtualBench
+
+CHECK_READINGS = 3
+CHECK_FRAMES = 3
+TERMINAL = "terminal"
+"""Address of the person at the terminal."""
+
+
+class Ports:
+    """Where links come from: serial ports, or the virtual bench of this process.
+
+    Args:
+        config: for messages.
+        clock: stamps what comes.
+        stack: closes what was opened.
+        bench: the virtual bench, or None.
+    """
+
+    def __init__(
+        self, config: RigConfig, clock: Clock, stack: ExitStack, bench: VirtualBench | None = None
+    ) -> None:
+        self.config = config
+        self._clock = clock
+        self._stack = stack
+        self._bench = bench
+
+    def open(self, name: str, device: Device) -> Link:
+        """Open a device's port.
+
+        Raises:
+            PortError: names the key that the port came from.
+        """
+        if self._bench is not None:
+            return self._bench.links[name]
+        link = self._serial(name, device)
+        self._stack.callback(link.close)
+        return link
+
+    def reopener(self, name: str, device: Device) -> Callable[[], Link]:
+        """What opens the port again after it was lost."""
+
+        def reopen() -> Link:
+            if self._bench is not None:
+                return self._bench.reopen(name)
+            return self.open(name, device)
+
+        return reopen
+
+    def person(self, address: str) -> RemoteOperator:
+        """A simulated person at an address."""
+        person = RemoteOperator(address, f"operator ({self.config.source}: operator.port)")
+        self._stack.callback(person.close)
+        return person
+
+    def _serial(self, name: str, device: Device) -> SerialLink:
+        try:
+            return SerialLink(device.port, device.baud, self._clock)
+        except PamrigError as error:
+            where = f"{name} ({self.config.source}: {name}.port = {device.port!r})"
+            raise type(error)(where, error.what, error.remedy) from None
+
+
+def open_supply(ports: Ports, pump: Pump, identities: dict[str, dict[str, str]]) -> Supply | None:
+    """The bench supply, checked, with the solenoids at their normal voltage; None without one."""
+    device = ports.config.instruments.supply
+    if device is None:
+        return None
+    supply = Supply(
+        ports.open("supply", device),
+        pump,
+        device.voltage_v,
+        device.max_v,
+        reopen=ports.reopener("supply", device),
+    )
+    pump.add(supply.poll)
+    identities["supply"] = supply.connect(device.serial)
+    supply.safe()
+    return supply
+
+
+def open_readers(ports: Ports, pump: Pump) -> dict[str, Instrument]:
+    """Every instrument that gives readings, opened but not yet checked.
+
+    The source of force may not come back by itself when its link was lost: a test cannot do
+    without it, and what a load cell reads after it was without power is another zero.
+    """
+    config = ports.config
+    out: dict[str, Instrument] = {}
+    for name, device in config.instruments.readers().items():
+        link = ports.open(name, device)
+        needed = name == config.force_source
+        reopen = None if needed else ports.reopener(name, device)
+        if isinstance(device, TextDevice):
+            out[name] = TextInstrument(
+                link, pump, name, device.form,
+                rate_hz=device.rate_hz, calibration=device.calibration, reopen=reopen,
+            )  # fmt: skip
+        else:
+            out[name] = _modbus(link, pump, name, device, reopen)
+    return out
+
+
+def _modbus(
+    link: Link,
+    pump: Pump,
+    name: str,
+    device: ModbusDevice,
+    reopen: Callable[[], Link] | None,
+) -> ModbusInstrument:
+    return ModbusInstrument(
+        link, pump, name, device.form,
+        baud=device.baud, calibration=device.calibration, reopen=reopen,
+    )  # fmt: skip
+
+
+def default_operator(ports: Ports, bench: VirtualBench | None) -> Operator:
+    """The person at the terminal, or a simulated one on a virtual bench.
+
+    With "terminal" for its address the person at the terminal works on the virtual bench, too.
+
+    Raises:
+        PortError: nobody answers at the address of ``[operator]``.
+    """
+    address = ports.config.instruments.operator
+    if address not in ("", TERMINAL):
+        return ports.person(address)
+    simulated = bench.extras.operator() if bench is not None else None
+    if address == TERMINAL and simulated is not None:
+        from rigs.virtual.emulators.hands_on import HandsOn
+
+        return HandsOn(simulated)
+    return simulated or ConsoleOperator()
+
+
+def camera_length(config: RigConfig, camera: Camera) -> float:
+    """Length by the camera in mm, mean of some frames.
+
+    Raises:
+        DeviceError: no trusted length in any of them.
+    """
+    from rigs.execution.pictures import measure_stored
+    from rigs.execution.session import camera_values
+
+    how = camera_values(config)
+    gaps = [measure_stored(camera.trigger().gray, how) for _ in range(CHECK_FRAMES)]
+    pixels = [g.pixels for g in gaps if g.trusted]
+    if not pixels:
+        raise DeviceError("camera", f"no length: {gaps[-1].reason}", "check marks, light and lens")
+    return float(config.calibrations["length_mm"].apply(np.mean(pixels)))
+
+
+def manual_stage(config: RigConfig, person: Operator, pump: Pump, camera: Camera) -> ManualStage:
+    """A length set by hand and looked after by the camera."""
+    axis = ManualAxis(
+        "length", "mm", person, pump,
+        check=lambda: camera_length(config, camera), checked_by="camera",
+        tolerance=config.stage.tolerance_mm,
+    )  # fmt: skip
+    return ManualStage(axis)
+
+
+def open_axes(
+    config: RigConfig,
+    person: Operator,
+    pump: Pump,
+    instruments: dict[str, Instrument],
+    pressure_kpa: Callable[[], float],
+) -> dict[str, ManualAxis]:
+    """The axes of [manual]: each with the sensor that looks after it.
+
+    Raises:
+        ConfigError: ``check`` names no sensor of this rig.
+    """
+    out = {}
+    for name, axis in config.instruments.manual.items():
+        check: Callable[[], float] | None = None
+        before: Callable[[], None] | None = None
+        if axis.check == "pressure":
+            check = pressure_kpa
+        elif axis.check in instruments:
+            reader = instruments[axis.check]
+            check = _mean_of(reader)
+            if name == "mass" and reader.quantity == "force_n":
+                check = hung = HungMass(reader, config.conditions.gravity_m_s2)
+                before = hung.look
+        elif axis.check:
+            raise ConfigError(
+                f"{config.source}: manual.{name}.check",
+                f"{axis.check!r} is no sensor of this rig",
+                f"one of: pressure, {', '.join(instruments)}; leave it out to believe the operator",
+            )
+        out[name] = ManualAxis(
+            name, axis.unit, person, pump,
+            check=check, checked_by=axis.check, tolerance=axis.tolerance,
+            marked=name == "mass", before=before,
+        )  # fmt: skip
+    return out
+
+
+def _mean_of(reader: Instrument) -> Callable[[], float]:
+    return lambda: reader.next_mean(CHECK_READINGS)

@@ -1,0 +1,239 @@
+"""A rig: the opened instruments of one bench, and how it is made safe."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from math import nan
+from typing import TYPE_CHECKING
+
+from daq.clock import Clock, RealClock, VirtualClock
+from daq.deadline import Deadline
+from daq.errors import ConfigError, PamrigError
+from daq.link.transport import Link
+from rigs.bench.locks import rig_lock
+from rigs.bench.ports import (
+    Ports,
+    default_operator,
+    manual_stage,
+    open_axes,
+    open_readers,
+    open_supply,
+)
+from rigs.devices.balance import Balance
+from rigs.devices.camera import CallCamera, open_camera
+from rigs.devices.event_loop import Pump
+from rigs.devices.fresh_camera import FreshCamera
+from rigs.devices.instruments.instrument import Instrument
+from rigs.devices.instruments.load_cell import LoadCell
+from rigs.devices.instruments.supply import Supply
+from rigs.devices.instruments.text import TextInstrument
+from rigs.devices.operator import ManualAxis, ManualStage, Operator
+from rigs.devices.stage import Stage
+from rigs.devices.valve_controller import ValveController
+from rigs.rigfile.config import RigConfig
+
+if TYPE_CHECKING:
+    from rigs.virtual.bench import VirtualBench
+
+REAL_PERIOD_S = 0.005
+VIRTUAL_PERIOD_S = 0.02
+SAFE_KPA = 10.0
+VENT_S = 5.0
+"""A vent is given up when the pressure has not fallen for so long,"""
+VENT_LONGEST_S = 60.0
+"""or after so long in all."""
+VENT_LOOK_S = 1.0
+FALLING_KPA = 1.0
+"""From look to look a pressure that falls at all falls by more."""
+
+
+@dataclass
+class Rig:
+    """The open instruments of one bench."""
+
+    config: RigConfig
+    clock: Clock
+    pump: Pump
+    valve: ValveController
+    balance: Balance | LoadCell
+    stage: Stage | ManualStage
+    camera: FreshCamera
+    bench: VirtualBench | None
+    identities: dict[str, dict[str, str]]
+    operator: Operator
+    instruments: dict[str, Instrument] = field(default_factory=dict)
+    supply: Supply | None = None
+    axes: dict[str, ManualAxis] = field(default_factory=dict)
+
+    @property
+    def pressure_kpa(self) -> float:
+        """Mean of the last 50 ms of pressure readings; nan before the first."""
+        return pressure_kpa(self.valve, self.config)
+
+    def vent(self) -> float:
+        """Vent and confirm it; see :func:`vent`. The solenoids get their normal voltage back."""
+        return vent(self.valve, self.pump, self.config, self.supply)
+
+
+def pressure_kpa(valve: ValveController, config: RigConfig) -> float:
+    """Mean of the last 50 ms of pressure readings in kPa; nan before the first."""
+    counts = valve.recent_counts(50)
+    return float(config.calibrations["pressure_kpa"].apply(counts.mean())) if len(counts) else nan
+
+
+def vent(
+    valve: ValveController, pump: Pump, config: RigConfig, supply: Supply | None = None
+) -> float:
+    """Vent, disarm and wait until the pressure reading confirms it.
+
+    It goes on for as long as the pressure falls. The solenoids' supply, where there is one, is
+    switched on again at each look: without it an outlet that is shut at rest keeps the air in.
+
+    Returns:
+        The pressure in kPa when it was confirmed, or when it did not fall any more.
+    """
+
+    def feed() -> None:
+        if supply is not None:
+            with contextlib.suppress(PamrigError):  # the valve is told to vent in any case
+                supply.safe()
+
+    try:
+        valve.stop()
+    finally:  # a controller that does not hear vents by itself, if it can
+        feed()
+    longest, standing = Deadline(pump.clock, VENT_LONGEST_S), Deadline(pump.clock, VENT_S)
+    before = pressure_kpa(valve, config)
+    while not pump.until(lambda: pressure_kpa(valve, config) < SAFE_KPA, VENT_LOOK_S):
+        now = pressure_kpa(valve, config)
+        if now < before - FALLING_KPA:
+            standing = Deadline(pump.clock, VENT_S)
+        if standing.expired or longest.expired:
+            break
+        before = now
+        feed()
+    return pressure_kpa(valve, config)
+
+
+def firmware_parameters(config: RigConfig) -> dict[str, int]:
+    """What the firmware is told before arming: the rig's own, and the limits in raw counts."""
+    pressure = config.calibrations["pressure_kpa"]
+    return {
+        "trip": int(pressure.raw(config.limits.trip_kpa)),
+        "sp_max": int(pressure.raw(config.limits.pressure_kpa)) + 1,
+        **config.valve.parameters,
+    }
+
+
+@contextmanager
+def open_valve(
+    config: RigConfig, clock: Clock | None = None, bench: VirtualBench | None = None
+) -> Iterator[tuple[ValveController, Pump, ExitStack, VirtualBench | None]]:
+    """Open the valve controller alone, check who it is; vent and close on the way out.
+
+    On a virtual rig the whole bench is made, because its parts share one plant; `bench` is one
+    that is there already, as it stands after other tests.
+
+    Raises:
+        PortError, DeviceError, ConfigError: names device, key and remedy.
+    """
+    with ExitStack() as stack:
+        link: Link
+        if bench is not None:
+            clock = bench.plug_in()
+            link = bench.links["valve"]
+        elif config.is_virtual:
+            from rigs.virtual.bench import VirtualBench
+
+            clock = VirtualClock() if clock is None else clock
+            if not isinstance(clock, VirtualClock):
+                raise ConfigError(
+                    config.source,
+                    "an in-process virtual rig runs on the virtual clock only",
+                    "use `pamrig virtual` for real time",
+                )
+            bench = VirtualBench(config, clock)
+            link = bench.links["valve"]
+        else:
+            clock = RealClock() if clock is None else clock
+            stack.enter_context(rig_lock(config))
+            link = Ports(config, clock, stack).open("valve", config.valve)
+        pump = Pump(clock, VIRTUAL_PERIOD_S if clock.virtual else REAL_PERIOD_S)
+        valve = ValveController(link, clock, pump)
+        pump.add(valve.poll)
+        stack.callback(_last_words, valve)
+        valve.connect(config.valve.serial, config.valve.firmware)
+        yield valve, pump, stack, bench
+
+
+@contextmanager
+def open_rig(
+    config: RigConfig,
+    clock: Clock | None = None,
+    operator: Operator | None = None,
+    bench: VirtualBench | None = None,
+) -> Iterator[Rig]:
+    """Open every instrument of a rig and check who they are; vent and close on the way out.
+
+    Args:
+        config: the rig file.
+        clock: time; made to fit the rig when none is given.
+        operator: who sets manual axes; the person at the terminal, or a simulated one on a
+            virtual rig, when none is given.
+        bench: a virtual bench that other tests were run on; a new one when none is given.
+
+    Raises:
+        PortError, DeviceError, ConfigError: names device, key and remedy; whatever had been
+            opened is vented and closed.
+    """
+    with open_valve(config, clock, bench) as (valve, pump, stack, bench):
+        clock = pump.clock
+        valve.configure(firmware_parameters(config))
+        ports = Ports(config, clock, stack, bench)
+        identities = {"valve": valve.identity}
+        supply = open_supply(ports, pump, identities)
+        if bench is not None:
+            eye = CallCamera(bench.expose, config.camera.serial)
+            camera = FreshCamera(eye, clock, bench.camera_model.noise > 0.0)
+        else:
+            camera = FreshCamera(open_camera(config.camera, pump), clock)
+            stack.callback(camera.close)
+        person = operator or default_operator(ports, bench)
+        instruments = open_readers(ports, pump)
+        balance: Balance | LoadCell
+        if config.force_source == "load_cell":
+            cell = instruments["load_cell"]
+            assert isinstance(cell, TextInstrument)
+            balance = LoadCell(cell)
+        else:
+            balance = Balance(ports.open("balance", config.balance), pump)
+            pump.add(balance.poll)
+            identities["balance"] = balance.connect(config.balance.serial)
+        for name, reader in instruments.items():
+            identities[name] = reader.connect(config.instruments.readers()[name].serial)
+        stage: Stage | ManualStage
+        if config.stage.kind == "manual":
+            stage = manual_stage(config, person, pump, camera)
+            identities["stage"] = stage.identity
+        else:
+            stage = Stage(ports.open("stage", config.stage), pump, config.stage.speed_mm_s)
+            pump.add(stage.poll)
+            identities["stage"] = stage.connect(config.stage.serial)
+        identities["camera"] = camera.identity
+        axes = open_axes(config, person, pump, instruments, lambda: pressure_kpa(valve, config))
+        yield Rig(
+            config, clock, pump, valve, balance, stage, camera, bench, identities, person,
+            instruments, supply, axes,
+        )  # fmt: skip
+
+
+def _last_words(valve: ValveController) -> None:
+    """Tell the valve to vent on the way out: it would anyway when the heartbeat stays away."""
+    try:
+        valve.still()
+        valve.stop()
+    except PamrigError:
+        pass  # the link is gone or deaf; the heartbeat's deadline does the venting

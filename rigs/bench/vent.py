@@ -1,0 +1,31 @@
+"""Make a bench safe by hand: vent, disarm, and say what the pressure reading says."""
+
+from __future__ import annotations
+
+import contextlib
+
+from daq.errors import DeviceError, PamrigError
+from rigs.bench.ports import Ports, open_supply
+from rigs.bench.rig import SAFE_KPA, open_valve, vent
+from rigs.rigfile.config import RigConfig
+
+
+def vent_rig(config: RigConfig) -> float:
+    """Vent a rig and confirm it by its pressure reading; returns the pressure in kPa.
+
+    Raises:
+        DeviceError: the pressure did not fall: the operator must act.
+    """
+    with open_valve(config) as (valve, pump, stack, bench):
+        valve.stop()  # first of all; an outlet that is shut at rest opens once it has its supply
+        supply = None
+        with contextlib.suppress(PamrigError):
+            supply = open_supply(Ports(config, pump.clock, stack, bench), pump, {})
+        pressure = vent(valve, pump, config, supply)
+        if not pressure < SAFE_KPA:
+            raise DeviceError(
+                valve.name,
+                f"was told to vent, pressure still reads {pressure:.0f} kPa",
+                "shut the supply by hand, open the relief, check the valve",
+            )
+        return pressure

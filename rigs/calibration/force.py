@@ -1,0 +1,152 @@
+"""Calibrating the source of force with dead weights: the laboratory method, top to bottom.
+
+On a load cell they are hung one after the other, up and down; on a balance they all stand on the
+pan, are tared away, and are taken off one after the other, as the muscle takes weight off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from analysis.regression.calibration_line import LEAST_POINTS, Reference
+from daq.errors import ConfigError, PamrigError
+from daq.interrupt import StopFlag
+from rigs.bench.rig import Rig, open_rig
+from rigs.calibration.run import (
+    Calibrated,
+    Point,
+    add_point,
+    block_mean,
+    carry_out,
+    finish,
+    open_record,
+    up_and_down,
+)
+from rigs.devices.balance import Balance
+from rigs.devices.instruments.load_cell import LoadCell
+from rigs.devices.operator import Operator, Request, ask
+from rigs.execution.runner import Watch
+from rigs.rigfile.config import RigConfig
+
+TARES = 6
+"""So many tares after the weights tell what a tare leaves."""
+
+
+def calibrate_force(
+    config: RigConfig,
+    masses_kg: Sequence[float],
+    root: Path,
+    *,
+    weights: Reference,
+    seconds: float = 4.0,
+    who: str = "",
+    operator: Operator | None = None,
+    stop: StopFlag | None = None,
+    watch: Watch | None = None,
+) -> Calibrated:
+    """Calibrate the source of force with dead weights.
+
+    Args:
+        config: the rig; the load cell or the balance, whichever is its force_source.
+        masses_kg: of the weights, each once going up and once going down; 0 is hung empty.
+        root: folder for the record.
+        weights: the set's identity; ``u_gain`` its relative uncertainty (class of the
+            weights, local g), ``u_each`` of a single one in N.
+        seconds: how long each weight is measured, after it has come to rest.
+        who, operator, stop, watch: as for the pressure.
+
+    Raises:
+        ConfigError: too few weights, or one beyond the rig's limit.
+        DeviceTimeout: the load would not come to rest.
+    """
+    gravity = config.conditions.gravity_m_s2
+    if len(set(masses_kg)) < LEAST_POINTS:
+        raise ConfigError(
+            "masses", f"at least {LEAST_POINTS} different ones are needed", "add some"
+        )
+    for mass in masses_kg:
+        if not 0.0 <= mass * gravity <= config.limits.force_n:
+            raise ConfigError(
+                "masses",
+                f"{mass:g} kg is {mass * gravity:.4g} N, limits.force_n is "
+                f"{config.limits.force_n:g} N ({config.source})",
+                "correct the list or the limit",
+            )
+    stop, watch = stop or StopFlag(), watch or Watch()
+    parameters = {"masses_kg": list(masses_kg), "seconds": seconds, "gravity_m_s2": gravity}
+    with open_rig(config, operator=operator) as rig:
+        record = open_record(rig, root, "calibrate-force", weights, parameters, who)
+        points: list[Point] = []
+        zeros: list[float] = []
+
+        def method() -> None:
+            _say(rig, "muscle off", 0.0, "take the muscle off the force sensor")
+            most = max(masses_kg)
+            hangs = isinstance(rig.balance, LoadCell)
+            _hang(rig, 0.0 if hangs else most)
+            _at_rest(rig)
+            if isinstance(rig.balance, Balance):
+                record.event("tare", grams=rig.balance.tare())
+            for mass in up_and_down(masses_kg):
+                stop.check()
+                watch.state(f"calibrate force: {mass:g} kg")
+                _hang(rig, mass if hangs else most - mass)
+                raw, u_raw = _weigh(rig, seconds)
+                add_point(record, points, Point(raw, u_raw, mass * gravity))
+            for _ in range(TARES):
+                stop.check()
+                rig.balance.tare()
+                zeros.append(_weigh_net(rig, min(seconds, 1.0)))
+                record.event("tare_left", reading=zeros[-1])
+            _hang(rig, 0.0)
+            _say(rig, "muscle", 0.0, "mount the muscle again")
+
+        carry_out(rig, record, method)
+        if isinstance(rig.balance, LoadCell):
+            raw_unit, device = (
+                rig.balance.indicator.unit,
+                config.instruments.text["load_cell"].serial,
+            )
+        else:
+            raw_unit, device = "g", rig.identities["balance"].get("serial", "")
+        old = replace(config.calibrations["force_n"], raw_unit=raw_unit)
+        return finish(record, rig, old, device, points, weights, zeros)
+
+
+def _say(rig: Rig, axis: str, value: float, text: str) -> None:
+    ask(rig.operator, rig.pump, Request(axis, value, "kg", f"{text}, then press Enter"))
+
+
+def _hang(rig: Rig, mass_kg: float) -> None:
+    text = f"load the force sensor with {mass_kg:g} kg" if mass_kg else "take all weights off"
+    _say(rig, "dead weight", mass_kg, text)
+
+
+def _at_rest(rig: Rig, seconds: float = 20.0) -> None:
+    """Wait for readings that all say that they are stable."""
+    source = rig.balance
+    start, n = source.rows, 5
+    rig.pump.until(lambda: source.rows >= start + n and bool(source.recent(n)[1].all()), seconds)
+
+
+def _weigh_net(rig: Rig, seconds: float) -> float:
+    """What a tare has left, in the unit of :func:`_weigh`."""
+    raw, _ = _weigh(rig, seconds)
+    source = rig.balance
+    return float(source.grams(raw)) / source.factor if isinstance(source, LoadCell) else raw
+
+
+def _weigh(rig: Rig, seconds: float) -> tuple[float, float]:
+    """Mean raw reading (g of a balance, the indicator's unit of a load cell) and its u."""
+    source = rig.balance
+    _at_rest(rig)
+    rate_hz = source.indicator.rate_hz if isinstance(source, LoadCell) else 10.0
+    n = max(3, round(seconds * rate_hz))
+    start = source.rows
+    if not rig.pump.until(lambda: source.rows >= start + n, 3 * seconds + 2.0):
+        raise PamrigError(source.name, "sent too few readings", source.last_problem)
+    if isinstance(source, LoadCell):
+        return block_mean(source.indicator.recent(n)[0], 0.001)
+    return block_mean(source.recent(n)[0], 0.001)

@@ -1,0 +1,155 @@
+"""What calibrations of a sensor share: points, their record, and the line through them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.regression.calibration_line import Reference, fit_line
+from daq.calibration import Calibration
+from daq.clock import NS_PER_S
+from daq.errors import PamrigError
+from daq.record.writer import RecordWriter
+from rigs.bench.rig import Rig
+from rigs.execution.runner import outcome_of
+from rigs.execution.session import software
+from rigs.rigfile.calibration_file import CalibrationFile
+
+BLOCKS = 10
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of a calibration: mean reading, its standard uncertainty, the reference."""
+
+    raw: float
+    u_raw: float
+    reference: float
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """The result, its points (reading, reference, residual) and the record's folder."""
+
+    file: CalibrationFile
+    points: tuple[tuple[float, float, float], ...]
+    folder: Path
+
+
+def up_and_down(values: Sequence[float]) -> list[float]:
+    """Rising, then falling, the highest once: what a reference meets it meets from both sides."""
+    rising = sorted(set(values))
+    return rising + rising[-2::-1]
+
+
+def block_mean(values: npt.ArrayLike, resolution: float = 0.0) -> tuple[float, float]:
+    """(mean, its standard uncertainty) of readings that follow each other closely.
+
+    From the scatter of block means, because neighbours are not independent; never below what
+    the resolution leaves open.
+    """
+    v = np.asarray(values, dtype=np.float64)
+    blocks = [b.mean() for b in np.array_split(v, min(BLOCKS, len(v))) if len(b)]
+    spread = float(np.std(blocks, ddof=1) / np.sqrt(len(blocks))) if len(blocks) > 1 else 0.0
+    return float(v.mean()), float(np.hypot(spread, resolution / np.sqrt(12 * len(v))))
+
+
+def middle(counts: npt.ArrayLike) -> float:
+    """Median of whole counts, interpolated within its count."""
+    v = np.asarray(counts, dtype=np.float64)
+    median = float(np.floor(np.median(v)))
+    below, at = float(np.mean(v < median)), float(np.mean(v == median))
+    return median - 0.5 + (0.5 - below) / at if at else median
+
+
+def open_record(
+    rig: Rig, root: Path, protocol: str, known: Reference, parameters: dict[str, Any], who: str
+) -> RecordWriter:
+    """The record of a calibration: rig, reference, devices, what was in force before."""
+    config = rig.config
+    manifest = {
+        "protocol": protocol,
+        "parameters": {**parameters, "reference": dict(vars(known))},
+        "specimen": "sensor",
+        "operator": who,
+        "rig": {"name": config.name, "description": config.description, "source": config.source,
+                "crc32": config.crc32, "text": config.text},
+        "calibrations": {k: c.to_dict() for k, c in config.calibrations.items()},
+        "devices": rig.identities,
+        "software": software(),
+    }  # fmt: skip
+    virtual = rig.clock.virtual
+    return RecordWriter(root, manifest, rig.clock, durable=not virtual, threaded=not virtual)
+
+
+def carry_out(rig: Rig, record: RecordWriter, method: Callable[[], None]) -> None:
+    """Run the method and close the record however it ends."""
+    error: BaseException | None = None
+    try:
+        method()
+    except BaseException as caught:
+        error = caught
+        raise
+    finally:
+        with contextlib.suppress(PamrigError):
+            record.finalize(
+                outcome_of(error),
+                reason=str(error) if error is not None else "",
+                duration_s=(rig.clock.now_ns() - record.start_ns) / NS_PER_S,
+            )
+
+
+def add_point(record: RecordWriter, points: list[Point], point: Point) -> None:
+    """Keep a point, also in the record."""
+    points.append(point)
+    record.event("calibration_point", **vars(point))
+
+
+def finish(
+    record: RecordWriter,
+    rig: Rig,
+    old: Calibration,
+    serial: str,
+    points: list[Point],
+    known: Reference,
+    zeros: Sequence[float] = (),
+) -> Calibrated:
+    """Fit and file. ``zeros`` is what repeated tares left: a test begins with a tare, so its
+    offset is their mean, and what they scatter belongs to its uncertainty.
+    """
+    reference = np.array([p.reference for p in points])
+    fit = fit_line(
+        [p.raw for p in points], [p.u_raw for p in points], reference, known,
+        f"calibration {old.quantity}",
+    )  # fmt: skip
+    offset, u_offset = fit.offset, fit.u_offset
+    if zeros:
+        left = np.asarray(zeros) * fit.scale
+        offset = -float(left.mean())
+        scatter = float(left.std(ddof=1)) * np.sqrt(1 + 1 / len(left))
+        u_offset = float(np.hypot(u_offset, scatter))
+    date = datetime.fromtimestamp(rig.clock.wall_ns() / NS_PER_S, tz=UTC).date().isoformat()
+    letter = old.quantity[0].upper()
+    calibration = Calibration(
+        quantity=old.quantity,
+        unit=old.unit,
+        raw_unit=old.raw_unit,
+        offset=offset,
+        scale=fit.scale,
+        u_offset=u_offset,
+        u_gain=fit.u_gain,
+        domain=(float(reference.min()), float(reference.max())),
+        id=f"{letter}-{serial or rig.config.name}-{date}",
+        date=date,
+        note=f"record {record.run_id}; {len(points)} points, up and down",
+    )
+    file = CalibrationFile(calibration, serial, fit.linearity, known.name)
+    rows = tuple((p.raw, p.reference, float(r)) for p, r in zip(points, fit.residuals, strict=True))
+    return Calibrated(file, rows, record.folder)

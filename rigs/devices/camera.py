@@ -1,0 +1,190 @@
+"""Cameras behind one face: a frame on trigger, with the time of its exposure."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.deadline import Deadline
+from daq.errors import DeviceError, DeviceTimeout, LinkLost
+from rigs.devices.event_loop import Pump
+from rigs.rigfile.config import CameraDevice
+
+if TYPE_CHECKING:
+    from rigs.devices.uvc import UvcCamera
+
+TRIGGER_S = 2.0
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture.
+
+    ``gray`` is (h, w) uint8; ``host_ns`` the host's monotonic time of mid-exposure as far
+    as the source can tell; ``seq`` the camera's own count.
+    """
+
+    seq: int
+    host_ns: int
+    gray: npt.NDArray[np.uint8]
+
+
+def is_lit(gray: npt.NDArray[np.uint8]) -> bool:
+    """Whether anything at all is in a picture, if only noise."""
+    return int(gray.max()) > int(gray.min())
+
+
+class Camera(Protocol):
+    """What a protocol needs of a camera."""
+
+    identity: dict[str, str]
+
+    def trigger(self) -> Frame:
+        """A frame exposed after this call. Raises DeviceError when none comes."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the device; may be called twice."""
+        ...
+
+
+class CallCamera:
+    """A camera that is a function: the virtual bench in the same process."""
+
+    def __init__(self, expose: Callable[[], tuple[int, int, npt.NDArray[np.uint8]]], serial: str):
+        self._expose = expose
+        self.identity = {"serial": serial, "source": "virtual"}
+
+    def trigger(self) -> Frame:
+        """Render the bench as it is now."""
+        return Frame(*self._expose())
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+class TcpCamera:
+    """The camera of `pamrig virtual`, on a loopback socket.
+
+    Request ``I`` answers ``ID serial``; request ``T`` answers
+    ``FRAME seq host_ns width height`` and the grey levels, row by row.
+    """
+
+    def __init__(self, source: str) -> None:
+        host, _, port = source.removeprefix("tcp://").rpartition(":")
+        self.name = f"camera on {source}"
+        try:
+            self._socket = socket.create_connection((host, int(port)), timeout=TRIGGER_S)
+        except (OSError, ValueError) as error:
+            raise DeviceError(
+                self.name,
+                f"cannot be opened: {error}",
+                "start `pamrig virtual`, check camera.source",
+            ) from None
+        self._file = self._socket.makefile("rwb")
+        answer = self._ask(b"I\n").split()
+        self.identity = {"serial": answer[1] if len(answer) > 1 else "", "source": source}
+
+    def _ask(self, request: bytes) -> str:
+        try:
+            self._file.write(request)
+            self._file.flush()
+            line = self._file.readline(200).decode("ascii", "replace").strip()
+        except TimeoutError:
+            raise DeviceTimeout(
+                self.name, f"no answer within {TRIGGER_S:g} s", "restart it"
+            ) from None
+        except OSError as error:
+            raise LinkLost(self.name, f"connection lost: {error}", "restart it") from None
+        if not line:
+            raise LinkLost(self.name, "connection closed by the other side", "restart it")
+        return line
+
+    def trigger(self) -> Frame:
+        """Ask for a frame and wait for it."""
+        words = self._ask(b"T\n").split()
+        if len(words) != 5 or words[0] != "FRAME":
+            raise DeviceError(self.name, f"expected FRAME ..., got {' '.join(words)!r}")
+        seq, host_ns, width, height = (int(w) for w in words[1:])
+        if not (0 < width <= 8192 and 0 < height <= 8192):
+            raise DeviceError(self.name, f"sent an impossible size {width} x {height}")
+        data = self._file.read(width * height)
+        if len(data) != width * height:
+            raise LinkLost(self.name, "connection closed in mid-frame", "restart it")
+        return Frame(seq, host_ns, np.frombuffer(data, dtype=np.uint8).reshape(height, width))
+
+    def close(self) -> None:
+        """Close the connection."""
+        for thing in (self._file, self._socket):
+            with contextlib.suppress(OSError):  # gone already, which is what we want
+                thing.close()
+
+
+class TriggeredUvc:
+    """A free-running UVC camera used on trigger: the first frame stamped after the call.
+
+    A frame that the driver hands out twice has a new stamp and is an old picture: it is passed
+    over, unless it is all black, which no old picture need be the reason for. The bench goes on
+    while it is waited for: a camera that hangs ends a test in good order.
+    """
+
+    def __init__(self, camera: UvcCamera, source: str, pump: Pump) -> None:
+        self._camera = camera
+        self._pump = pump
+        self.identity = {"source": source}
+
+    def trigger(self) -> Frame:
+        """Wait for the next whole frame."""
+        asked_ns = self._pump.clock.now_ns()
+        deadline = Deadline(self._pump.clock, TRIGGER_S)
+        while True:
+            frame = self._camera.latest()
+            if (
+                frame is not None
+                and frame.host_ns > asked_ns
+                and not (frame.repeated and is_lit(frame.gray))
+            ):
+                return Frame(frame.seq, frame.host_ns, frame.gray)
+            if deadline.expired:
+                raise DeviceTimeout(
+                    f"camera {self.identity['source']}",
+                    f"no new frame within {TRIGGER_S:g} s",
+                    "check its cable and that no other program uses it",
+                )
+            self._pump.step()
+
+    def close(self) -> None:
+        """Stop the grab thread and let go of the device."""
+        self._camera.close()
+
+
+def open_camera(config: CameraDevice, pump: Pump) -> Camera:
+    """Open a camera that is not part of an in-process bench; ``pump`` turns the bench over.
+
+    Raises:
+        DeviceError: it cannot be opened, or is another one than the rig file names.
+    """
+    camera: Camera
+    if config.source.startswith("tcp:"):
+        camera = TcpCamera(config.source)
+    else:
+        from rigs.devices.uvc import UvcCamera
+
+        index = config.source.removeprefix("uvc:")
+        uvc = UvcCamera(int(index) if index.isdigit() else index, pump.clock)
+        camera = TriggeredUvc(uvc, config.source, pump)
+    got = camera.identity.get("serial", "")
+    if config.serial and got and got != config.serial:
+        camera.close()
+        raise DeviceError(
+            f"camera on {config.source}",
+            f"key camera.serial: expected {config.serial}, got {got}",
+            "connect the right camera, or change camera.serial in the rig file",
+        )
+    return camera

@@ -1,0 +1,1 @@
+"""Steps that only some protocols need: loads, sweeps, temperatures, valves."""

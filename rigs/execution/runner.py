@@ -1,0 +1,399 @@
+"""Carries a protocol's steps out on a rig, and ends the run the same way whatever happens.
+
+One loop does everything: it lets time pass, reads every device, beats the heart and checks
+for faults. A protocol that hangs therefore stops the heartbeat by itself, and the firmware
+vents; so does a record that can no longer be written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from daq.clock import NS_PER_S
+from daq.errors import DeviceError, LinkLost, PamrigError, RecordError
+from daq.interrupt import StopFlag
+from daq.record.writer import RecordWriter
+from rigs.bench.rig import SAFE_KPA, Rig
+from rigs.devices.operator import ManualAxis, ManualSetting
+from rigs.execution.actions.hand_regulator import turn_by_hand
+from rigs.execution.actions.loads import lower_load
+from rigs.execution.control import RunControl
+from rigs.execution.recording import temperature
+from rigs.execution.schedule import cost_s
+from rigs.execution.settling import SAMPLE_S, has_settled
+from rigs.execution.steering import Steering
+from rigs.execution.steps import (
+    Act,
+    Answer,
+    Dwell,
+    EndTrial,
+    Measure,
+    SetLength,
+    SetPressure,
+    Settle,
+    State,
+    Step,
+    Steps,
+    Tare,
+    Trial,
+    Vent,
+    Zero,
+)
+from rigs.execution.watching import Progress as Progress
+from rigs.execution.watching import Watch as Watch
+
+ALIVE_S = 1.0
+"""A step must report progress at least so often, or the heartbeat stops."""
+BALANCE_SILENCE_S = 2.0
+TELEMETRY_SILENCE_S = 0.5
+
+
+class RunFault(PamrigError):
+    """The bench reported a fault, or went silent, while a protocol ran."""
+
+
+class Runner:
+    """Runs one protocol on one rig into one record.
+
+    Args:
+        rig: open instruments.
+        record: where everything goes.
+        stop: set by Ctrl-C and its kin; looked at in every round.
+        watch: hooks of the live view and the progress line.
+        camera: how pictures are measured, as run.json says it.
+        control: where pause, resume, skip, repeat and markers come from.
+
+    Attributes:
+        load_kg: mass that hangs on the muscle now; it is lowered before the muscle vents.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        record: RecordWriter,
+        stop: StopFlag,
+        watch: Watch,
+        camera: Mapping[str, Any],
+        control: RunControl | None = None,
+    ) -> None:
+        self.rig = rig
+        self.camera = camera
+        self.record = record
+        self.stop = stop
+        self.watch = watch
+        self.progress = Progress(0)
+        self.steering = Steering(self, control or RunControl())
+        self.load_kg = 0.0
+        self._armed = False
+        self._reboots = 0
+        self._scheme = "vent"
+        self._balance_speaks = True
+        self._last_seq = (0, 0)
+        self._last_row = (0, 0)
+
+    # ---- one round ------------------------------------------------------------------
+
+    def _alive(self) -> None:
+        """Report progress, then look for every reason to end the run."""
+        self.rig.valve.progress(ALIVE_S)
+        if self.record.failed is not None:
+            raise self.record.failed
+        self.steering.look()
+        self.stop.check()
+        valve = self.rig.valve
+        now_ns = self.rig.clock.now_ns()
+        if self._armed:
+            if valve.faults or valve.fault_latched:
+                words = valve.faults[-1] if valve.faults else "fault latched (telemetry flag)"
+                raise RunFault(
+                    valve.name,
+                    f"reported {words!r}",
+                    "find the cause, then `pamrig doctor`; the fault is cleared by the next run",
+                )
+            if valve.telemetry.reboots > self._reboots:
+                raise RunFault(
+                    valve.name,
+                    "restarted in mid-run (new boot id)",
+                    "check its power supply; the run up to here is kept",
+                )
+            if not valve.armed:
+                raise RunFault(valve.name, "disarmed itself", "see its fault list")
+        self._last_seq = self._silent("telemetry", valve.seq_end, self._last_seq, now_ns)
+        if self._balance_speaks:
+            rows = self.rig.balance.rows
+            self._last_row = self._silent("balance readings", rows, self._last_row, now_ns)
+
+    def _silent(self, what: str, count: int, last: tuple[int, int], now_ns: int) -> tuple[int, int]:
+        if count != last[0] or last[1] == 0:
+            return count, now_ns
+        limit = TELEMETRY_SILENCE_S if what == "telemetry" else BALANCE_SILENCE_S
+        if now_ns - last[1] > limit * NS_PER_S:
+            device = self.rig.valve if what == "telemetry" else self.rig.balance
+            detail = "" if what == "telemetry" else self.rig.balance.last_problem
+            raise RunFault(
+                device.name,
+                f"no {what} for {limit:g} s" + (f" (last: {detail})" if detail else ""),
+                "check its cable and power",
+            )
+        return last
+
+    # ---- the run --------------------------------------------------------------------
+
+    def arm(self) -> None:
+        """Start the heartbeat, wait for telemetry, clear an old fault and arm."""
+        valve = self.rig.valve
+        self.rig.pump.until(lambda: valve.seq_end > 0 and self.rig.balance.rows > 0, 3.0)
+        if not valve.seq_end:
+            raise DeviceError(valve.name, "sends no telemetry", "check firmware and baud rate")
+        if valve.fault_latched:
+            valve.request("clear")
+            valve.faults.clear()
+        self._reboots = valve.telemetry.reboots
+        valve.arm()
+        if not self.rig.pump.until(lambda: valve.armed, 2.0):
+            raise DeviceError(valve.name, "took `arm` but its telemetry does not say so")
+        self._armed = True
+        self.record.event("armed", identity=valve.identity)
+
+    def run(self, steps: Steps, points: int) -> None:
+        """Carry out every step. Ends the run venting, whatever is raised."""
+        self.progress.points = points
+        answer: Answer = None
+        pump = self.rig.pump
+        pump.add(self._alive)  # in every round, also while a driver waits for a reply
+        try:
+            self.arm()
+            while True:
+                try:
+                    step = steps.send(answer)
+                except StopIteration:
+                    break
+                self.steering.hold()
+                if isinstance(step, Measure) or (isinstance(step, Act) and step.points):
+                    answer = self.steering.point(step)
+                else:
+                    self.steering.note(step)
+                    answer = self.do(step)
+                self.progress.spent_s += cost_s(step, self.rig.config.stage.speed_mm_s)
+        finally:
+            pump.remove(self._alive)
+            steps.close()
+            self._safe()
+
+    def _safe(self) -> None:
+        """Vent and confirm; a link that is gone leaves it to the firmware's deadline."""
+        self._armed = False
+        valve = self.rig.valve
+        try:
+            if self.load_kg:
+                lower_load(self)
+            valve.still()
+            pressure = self.rig.vent()
+            self.record.event("vented", pressure_kpa=pressure, confirmed=bool(pressure < SAFE_KPA))
+            if not pressure < SAFE_KPA:
+                self.watch.log(f"WARNING: pressure still reads {pressure:.0f} kPa after venting")
+        except PamrigError as error:
+            self.record.event("vent_unconfirmed", reason=str(error))
+            self.watch.log(f"venting could not be confirmed: {error}")
+
+    def do(self, step: Step) -> Answer:
+        """One step that makes no point."""
+        match step:
+            case State(name):
+                self.say(name)
+            case Trial():
+                held = dict(step.held)
+                fields = {k: v for k, v in vars(step).items() if k != "held"}
+                self.record.event("trial", phase="begin", **fields, **held)
+            case EndTrial(trial):
+                self.record.event("trial", phase="end", trial=trial)
+            case Vent():
+                self._vent()
+            case SetLength(length_mm):
+                self._set_length(length_mm)
+            case Tare():
+                grams = self._tare()
+                self.record.event("tare", grams=grams)
+            case SetPressure(pressure_kpa):
+                self._set_pressure(pressure_kpa)
+            case Dwell(seconds):
+                self.rig.pump.for_seconds(seconds)
+            case Settle():
+                return self._settle(step)
+            case Zero():
+                self._zero(step)
+            case Act():
+                return step.perform(self)
+        return None
+
+    def make(self, step: Measure | Act) -> Answer:
+        """One step that makes a point."""
+        if isinstance(step, Measure):
+            return self._measure(step)
+        return step.perform(self)
+
+    def say(self, state: str) -> None:
+        """The test enters a state: record, live view and terminal."""
+        self.progress.state = state
+        self.record.event("state", state=state)
+        self.watch.state(state)
+
+    @property
+    def vented(self) -> bool:
+        """Whether the muscle is being vented, as far as it was told."""
+        return self._scheme == "vent"
+
+    def axis(self, name: str, unit: str) -> ManualAxis:
+        """What a person sets: the rig's axis of that name, or one that nothing looks after."""
+        axes = self.rig.axes
+        if name not in axes:
+            axes[name] = ManualAxis(name, unit, self.rig.operator, self.rig.pump)
+            axes[name].on_setting.append(self._was_set)
+        return axes[name]
+
+    def _was_set(self, setting: ManualSetting) -> None:
+        self.record.event("manual", **vars(setting))
+
+    def shut(self) -> None:
+        """Shut both valves; the next set-point takes the air up again."""
+        self._choose("open")
+
+    def _choose(self, scheme: str) -> None:
+        """Have the controller change its scheme, where it is another one."""
+        if scheme != self._scheme:
+            self.rig.valve.request("vent" if scheme == "vent" else f"scheme {scheme}")
+            self._scheme = scheme
+
+    def _vent(self) -> None:
+        self._choose("vent")
+        self.watch.set_point("pressure", 0.0)
+        if not self.rig.pump.until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
+            raise RunFault(
+                self.rig.valve.name,
+                f"told to vent, pressure still reads {self.rig.pressure_kpa:.0f} kPa after 10 s",
+                "shut the supply by hand; check the outlet and the pressure zero",
+            )
+        self.rig.pump.for_seconds(0.3)
+
+    def _set_length(self, length_mm: float) -> None:
+        """Move the stage and wait until it is there."""
+        self.record.event("command", device="stage", length_mm=length_mm)
+        self.watch.set_point("length", length_mm)
+        self.rig.stage.move(length_mm)
+
+    def _tare(self) -> float:
+        self._balance_speaks = False  # a balance that tares sends no readings meanwhile
+        try:
+            return self.rig.balance.tare()
+        finally:
+            self._balance_speaks = True
+            self._last_row = (0, 0)
+
+    def _set_pressure(self, pressure_kpa: float) -> None:
+        limit = self.rig.config.limits.pressure_kpa
+        if pressure_kpa > limit:
+            raise DeviceError(
+                self.rig.config.source,
+                f"set-point {pressure_kpa:g} kPa is above limits.pressure_kpa = {limit:g} kPa",
+                "correct the protocol or the limit",
+            )
+        counts = float(self.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
+        self.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
+        self._choose(self.rig.config.valve.static_scheme)
+        self.rig.valve.set_point(counts)
+        self.watch.set_point("pressure", pressure_kpa)
+        turn_by_hand(self, pressure_kpa)
+
+    def _settle(self, step: Settle) -> Answer:
+        start_ns = self.rig.clock.now_ns()
+        settled = has_settled(self.rig, self.camera, step)
+        done = self.rig.pump.until(
+            lambda: self.steering.skip or settled(), step.criterion.timeout_s
+        )
+        waited_s = (self.rig.clock.now_ns() - start_ns) / NS_PER_S
+        return done and not self.steering.skip, waited_s
+
+    def window(
+        self, seconds: float, pictures: int = 0, take: Callable[[], object] = lambda: None
+    ) -> tuple[list[int], list[int]]:
+        """Let ``seconds`` pass; half-open ranges of valve samples and balance rows in it.
+
+        ``take`` is called ``pictures`` times, evenly spread over the window.
+        """
+        valve, balance = self.rig.valve, self.rig.balance
+        seq, row = valve.seq_end, balance.rows
+        samples, rows = round(seconds / SAMPLE_S), max(1, round(seconds * 10))
+        for k in range(pictures):
+            due = seq + round(samples * (k + 0.5) / pictures)
+            self.rig.pump.until(lambda due=due: valve.seq_end >= due, seconds + 1.0)  # type: ignore[misc]
+            take()
+        came = self.rig.pump.until(
+            lambda: valve.seq_end >= seq + samples and balance.rows >= row + rows, seconds * 3 + 1.0
+        )
+        if not came:
+            raise RunFault(
+                balance.name if valve.seq_end >= seq + samples else valve.name,
+                f"sent too little during a window of {seconds:g} s",
+                "check rates, cable and baud rate",
+            )
+        return [seq, seq + samples], [row, balance.rows]
+
+    def _zero(self, step: Zero) -> None:
+        seq, rows = self.window(step.seconds)
+        self.record.event(
+            "zero", trial=step.trial, when=step.when, valve_seq=seq, balance_rows=rows
+        )
+
+    def _measure(self, step: Measure) -> None:
+        from rigs.execution.pictures import take_picture
+
+        frames, lengths = [], []
+
+        def look() -> None:
+            picture = take_picture(self.rig, self.record, self.camera)
+            frames.append(picture.number)
+            self.watch.picture(picture.host_ns, picture.jpeg, picture.gap)
+            if picture.gap.trusted:
+                lengths.append(picture.gap.pixels)
+
+        if step.mass_kg is None:  # a held length is looked at first, then left in peace
+            for _ in range(step.frames):
+                look()
+            seq, rows = self.window(step.seconds)
+        else:
+            seq, rows = self.window(step.seconds, step.frames, look)
+        if self.steering.skip:
+            return
+        take = self.steering.take
+        more: dict[str, Any] = {} if take == 1 else {"take": take}
+        if "thermometer" in self.rig.instruments:
+            at = temperature(self.rig)
+            more |= {k: at[k] for k in ("temperature_c", "u_temperature_c")}
+        self.record.event(
+            "point", **step.fields(), **more, valve_seq=seq, balance_rows=rows, frames=frames
+        )
+        self.progress.done += take == 1
+        cal = self.rig.config.calibrations
+        counts = self.rig.valve.recent_counts(seq[1] - seq[0])
+        grams, _ = self.rig.balance.recent(rows[1] - rows[0])
+        self.watch.point(
+            step,
+            float(cal["pressure_kpa"].apply(counts.mean())),
+            float(cal["force_n"].apply(grams.mean())),
+            float(cal["length_mm"].apply(np.mean(lengths))) if lengths else float("nan"),
+        )
+
+
+def outcome_of(error: BaseException | None) -> str:
+    """The word for how a run ended."""
+    from daq.interrupt import Stopped
+
+    if error is None:
+        return "clean"
+    if isinstance(error, Stopped):
+        return "stopped"
+    known = isinstance(error, (RunFault, LinkLost, DeviceError, RecordError))
+    return "faulted" if known else "aborted"

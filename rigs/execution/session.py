@@ -1,0 +1,376 @@
+"""One test from start to finish: open, check, record, run, finalise, derive."""
+
+from __future__ import annotations
+
+import contextlib
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.clock import NS_PER_S
+from daq.errors import DeviceError, PamrigError, RecordError
+from daq.interrupt import StopFlag, Stopped
+from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
+from daq.record.writer import RecordWriter
+from rigs.bench.rig import Rig, firmware_parameters, open_rig
+from rigs.devices.lines import LineDevice
+from rigs.devices.operator import ConsoleOperator
+from rigs.devices.stage import Stage
+from rigs.execution.control import RunControl, control_file
+from rigs.execution.procedure import Plan, Procedure
+from rigs.execution.recording import (
+    instrument_counters,
+    instrument_manifest,
+    record_instruments,
+    recorder,
+)
+from rigs.execution.resume import remaining
+from rigs.execution.runner import Runner, Watch, outcome_of
+from rigs.execution.schedule import outline
+from rigs.execution.steps import Steps
+from rigs.protocols.registry import procedure
+from rigs.rigfile.config import RigConfig
+
+if TYPE_CHECKING:
+    from rigs.live.feed import LiveFeed
+    from rigs.virtual.bench import VirtualBench
+
+BALANCE_SCHEMA = {"row": "int64", "host_ns": "int64", "grams": "float64", "stable": "uint8"}
+BALANCE_UNITS = {"host_ns": "ns", "grams": "g"}
+HEAR_OUT_S = 0.3
+"""So long a line, or an answer, may be on its way when all is done."""
+BYTES_PER_POINT = 400_000
+"""Record size of one settled point, generously: 1 kHz for some seconds, and a frame."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a test ended; ``not_derived`` says why table and report could not be made."""
+
+    folder: Path
+    outcome: str
+    error: BaseException | None
+    points: int
+    not_derived: str = ""
+    planned: int = 0
+
+
+def software() -> dict[str, Any]:
+    """Versions that a result depends on, and the revision of the source where it is a checkout."""
+    out: dict[str, Any] = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in ("pamrig", "numpy", "numba", "opencv-python-headless", "pyarrow"):
+        try:
+            out[name] = version(name)
+        except PackageNotFoundError:
+            out[name] = None
+    here = Path(__file__).resolve().parent.parent
+    out["git"] = None
+    if (here / ".git").exists() and shutil.which("git"):
+
+        def git(*words: str) -> str:
+            done = subprocess.run(
+                ["git", "-C", str(here), *words],
+                capture_output=True,
+                text=True,
+                timeout=10,
+                check=False,
+            )
+            return done.stdout.strip() if done.returncode == 0 else ""
+
+        out["git"] = {"revision": git("rev-parse", "HEAD") or None,
+                      "dirty": bool(git("status", "--porcelain"))}  # fmt: skip
+    return out
+
+
+def manifest(
+    rig: Rig, protocol: str, plan: Plan, specimen: str, operator: str, note: str
+) -> dict[str, Any]:
+    """What is known before the run; it goes to disk before anything is armed."""
+    config = rig.config
+    out: dict[str, Any] = {
+        "protocol": protocol,
+        "parameters": plan.as_dict(),
+        "specimen": specimen,
+        "operator": operator,
+        "note": note,
+        "rig": {"name": config.name, "description": config.description, "source": config.source,
+                "crc32": config.crc32, "text": config.text},
+        "limits": dict(vars(config.limits)),
+        "conditions": dict(vars(config.conditions)),
+        "camera": camera_values(config),
+        "calibrations": {k: c.to_dict() for k, c in config.calibrations.items()},
+        "devices": rig.identities,
+        "software": software(),
+    }  # fmt: skip
+    out.update(instrument_manifest(rig))
+    out["load"] = dict(vars(config.instruments.load))
+    if config.virtual is not None:
+        out["virtual"] = {"seed": config.virtual.seed}
+    return out
+
+
+def camera_values(config: RigConfig) -> dict[str, Any]:
+    """How pictures are to be measured: what a replay must know."""
+    camera = config.camera
+    return {
+        "region": list(camera.region) if camera.region else None,
+        "sync": {**vars(camera.sync), "patch": list(camera.sync.patch)} if camera.sync else None,
+        "lens": camera.lens,
+    }
+
+
+def check_disk(root: Path, points: int) -> None:
+    """Refuse to start a run that the disk cannot hold.
+
+    Raises:
+        RecordError: says what is needed and what is free.
+    """
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordError(
+            str(root), f"cannot hold runs: {error.strerror}", "choose another folder with --out"
+        ) from None
+    free = shutil.disk_usage(root).free
+    need = 20_000_000 + points * BYTES_PER_POINT
+    if free < need:
+        raise RecordError(
+            str(root),
+            f"{free / 1e6:.0f} MB free, this run may need {need / 1e6:.0f} MB",
+            "make room or choose another folder with --out",
+        )
+
+
+def run_isometric(config: RigConfig, protocol: Plan, root: Path, **how: Any) -> Result:
+    """Run an isometric test; see :func:`run_protocol`."""
+    return run_protocol(procedure("isometric"), config, protocol, root, **how)
+
+
+def run_protocol(
+    kind: Procedure,
+    config: RigConfig,
+    plan: Plan,
+    root: Path,
+    *,
+    specimen: str = "muscle",
+    operator: str = "",
+    note: str = "",
+    stop: StopFlag | None = None,
+    control: RunControl | None = None,
+    make_live: Callable[[str], LiveFeed] | None = None,
+    watch: Watch | None = None,
+    on_start: Callable[[Runner, RecordWriter], None] | None = None,
+    derive: bool = True,
+    wire: bool = False,
+    continues: dict[str, Any] | None = None,
+    bench: VirtualBench | None = None,
+) -> Result:
+    """Run a test and leave a finished record.
+
+    Args:
+        kind: the protocol.
+        config: the rig.
+        plan: the test's parameters.
+        root: folder of runs.
+        specimen, operator, note: go into the record.
+        stop: set from outside to end the run in good order.
+        control: takes pause, resume, skip, repeat and markers; the run's control file is
+            listened to in any case.
+        make_live: makes the live view once the run's id is known.
+        watch: hooks for a progress line.
+        on_start: called with the runner just before the first step.
+        derive: also make table, figures, report and view from the record.
+        wire: also record every byte that came in: a fixture, or evidence after a fault.
+        continues: the run that this one goes on with (``rigs.execution.resume.continuation``); its
+            whole trials are not made again.
+        bench: the virtual bench of earlier tests, where this one is to go on with it.
+
+    Raises:
+        PamrigError: nothing was recorded yet: device, key and remedy are named. Once a
+            record exists, errors come back in the result instead and the run is finalised.
+    """
+
+    def method() -> Steps:
+        return remaining(plan.steps(), continues["trials"]) if continues else plan.steps()
+
+    points, seconds = outline(method(), config.stage.speed_mm_s)
+    check_disk(root, points)
+    stop = stop or StopFlag()
+    watch = watch or Watch()
+    control = control or RunControl()
+    if not config.is_virtual:
+        # The record's encoder loads it with the first batch: half a second without a heartbeat.
+        import pyarrow  # noqa: F401
+    with open_rig(config, bench=bench) as rig:
+        virtual = rig.clock.virtual
+        if kind.firmware:
+            rig.valve.configure({**firmware_parameters(config), **kind.firmware})
+        known = manifest(rig, kind.name, plan, specimen, operator, note)
+        if continues:
+            known["continues"] = continues
+        record = RecordWriter(root, known, rig.clock, durable=not virtual, threaded=not virtual)
+        record.stream("valve", VALVE_COLUMNS, VALVE_UNITS)
+        record.stream("balance", BALANCE_SCHEMA, BALANCE_UNITS)
+        error: BaseException | None = None
+        live: LiveFeed | None = None
+        camera = camera_values(config)
+        runner = Runner(rig, record, stop, watch, camera, control)
+        try:
+            _connect(rig, record, watch)
+            if wire:
+                _record_bytes(rig, record)
+            if plan.frames:
+                _check_camera(rig, record, camera)
+            if make_live is not None:
+                live = make_live(record.run_id)
+                live.attach(rig, record, watch)
+            if on_start is not None:
+                on_start(runner, record)
+            control.listen(control_file(record.folder))
+            if isinstance(rig.operator, ConsoleOperator) and sys.stdin.isatty():
+                rig.operator.on_line = control.typed
+                rig.operator.listen()
+            runner.progress.seconds = seconds
+            runner.run(method(), points)
+        except (PamrigError, Stopped) as caught:
+            error = caught
+        except BaseException as caught:
+            error = caught
+            raise
+        finally:
+            outcome = outcome_of(error)
+            control.close()
+            if live is not None:
+                live.close()
+            if _finish(rig, record, outcome, error) != outcome:
+                # The last words did not reach the disk: the run is not what it seemed to be.
+                error = error or record.failed
+                outcome = outcome_of(error)
+    if isinstance(error, RecordError):
+        not_derived = "the disk would not take it"
+    else:
+        not_derived = _derive(record.folder) if derive else ""
+    return Result(record.folder, outcome, error, runner.progress.done, not_derived, points)
+
+
+def _derive(folder: Path) -> str:
+    """Make what is derived; why it could not be made, or "". The record is safe either way."""
+    from analysis.reporting.derived import derive_all
+
+    try:
+        derive_all(folder)
+    except PamrigError as error:
+        return str(error)
+    return ""
+
+
+def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> None:
+    """Take and measure one picture before anything is armed.
+
+    It tells a covered or displaced camera before the test, and loads all that measuring
+    needs, which would otherwise make the first point late.
+
+    Raises:
+        DeviceError: no length can be had of the picture.
+    """
+    from rigs.execution.camera_sync import measure_camera_delay
+    from rigs.execution.pictures import take_picture
+
+    gap = take_picture(rig, record, camera).gap
+    if not gap.trusted:
+        raise DeviceError(
+            f"camera ({rig.config.source}: camera.source = {rig.config.camera.source!r})",
+            f"no length can be measured in its picture: {gap.reason}",
+            "check lens, light and both marks; `pamrig length` shows what it sees",
+        )
+    if rig.config.camera.sync is not None:
+        rig.valve.progress(60.0)  # nothing is armed yet; the beats are the clock's pings
+        rig.pump.until(lambda: rig.valve.clock_fit.pings >= 5, 2.0)
+        measure_camera_delay(rig, record, rig.config.camera.sync)
+
+
+def _connect(rig: Rig, record: RecordWriter, watch: Watch) -> None:
+    """Everything that comes in goes to the record as it came."""
+
+    def event(text: str) -> None:
+        # A restart that nobody asked for is a fault, in the closing vent too.
+        kind = "fault" if text.startswith(("fault", "reboot")) else "controller"
+        record.event(kind, device="valve", text=text)
+        if text.startswith("reboot"):
+            watch.log("WARNING: the valve controller restarted; check its power supply")
+
+    def gap(found: Gap) -> None:
+        record.event("gap", stream="valve", seq=found.seq, missing=found.missing)
+
+    rig.valve.on_gap = gap
+    rig.valve.on_batch.append(recorder(record, "valve"))
+    if not rig.clock.virtual:  # on the virtual clock a killed run is simply run again
+        rig.valve.telemetry.on_ahead = lambda frame: record.ahead("valve", frame)
+    rig.balance.on_rows.append(recorder(record, "balance"))
+    rig.valve.on_event = event
+    record_instruments(rig, record)
+
+
+def _record_bytes(rig: Rig, record: RecordWriter) -> None:
+    """Every byte that comes in goes to the record, before anything has looked at it."""
+
+    def listener(name: str) -> Callable[[int, bytes], None]:
+        def listen(host_ns: int, data: bytes) -> None:
+            with contextlib.suppress(RecordError):  # see recorder
+                record.wire(name, host_ns, data)
+
+        return listen
+
+    rig.valve.on_bytes = listener("valve")
+    rig.balance.on_bytes = listener("balance")
+    rig.stage.on_bytes = listener("stage")
+    for name, instrument in rig.instruments.items():
+        instrument.on_bytes = listener(name)
+    if rig.supply is not None:
+        rig.supply.on_bytes = listener("supply")
+
+
+def _hear_out(rig: Rig) -> None:
+    """Let what is on its way come, so that all that came damaged is counted."""
+    devices: list[Any] = [rig.valve, *rig.instruments.values()]
+    devices += [d for d in (rig.balance, rig.stage, rig.supply) if isinstance(d, LineDevice)]
+    with contextlib.suppress(PamrigError):
+        rig.pump.until(lambda: not any(device.midway for device in devices), HEAR_OUT_S)
+    for device in devices:
+        device.finish()
+
+
+def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException | None) -> str:
+    """Flush what is held back, write the last events and close the record; how it ended then."""
+    _hear_out(rig)
+    with contextlib.suppress(RecordError):  # a failed record is the outcome already
+        rig.valve.telemetry.flush()
+    fit = rig.valve.clock_fit.final().as_dict() if rig.valve.clock_fit.ready else {}
+    record.event("clockfit", **fit)
+    if error is not None:
+        record.event("end", outcome=outcome, reason=str(error) or type(error).__name__)
+    try:
+        final = record.finalize(
+            outcome,
+            reason=str(error) if error is not None else "",
+            clock_fit=fit,
+            counters={
+                "valve": rig.valve.counters(),
+                "balance": rig.balance.counters(),
+                **({"stage": rig.stage.counters()} if isinstance(rig.stage, Stage) else {}),
+                "camera": rig.camera.counters(),
+                **instrument_counters(rig),
+            },
+            duration_s=(rig.clock.now_ns() - record.start_ns) / NS_PER_S,
+        )
+    except RecordError:
+        if error is None:
+            raise
+        return outcome
+    return str(final["outcome"])

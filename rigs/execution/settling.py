@@ -1,0 +1,85 @@
+"""When a point counts as settled: pressure, and with it force or length, at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from daq.clock import NS_PER_S
+from rigs.bench.rig import Rig
+from rigs.execution.steps import Settle
+
+SAMPLE_S = 1e-3
+
+
+def has_settled(rig: Rig, camera: Mapping[str, Any], step: Settle) -> Callable[[], bool]:
+    """Asked from now on, in every round: does the last window fulfil the criterion?
+
+    Args:
+        rig: open instruments.
+        camera: how pictures are measured, as run.json says it.
+        step: criterion and set-point.
+    """
+    c = step.criterion
+    samples = round(c.window_s / SAMPLE_S)
+    readings = max(4, round(c.window_s * 10))
+    first_seq = rig.valve.seq_end
+    first_row = rig.balance.rows
+    cal = rig.config.calibrations
+    newton = abs(cal["force_n"].scale)
+    tolerance = c.pressure_kpa
+    if rig.config.valve.static_scheme == "reg":
+        # The regulator is not closed on this sensor, so the two may differ by what the
+        # sensor's calibration allows.
+        tolerance += 3 * float(cal["pressure_kpa"].u(step.pressure_kpa))
+    length = _Length(rig, camera, c.window_s, c.drift_mm) if c.drift_mm is not None else None
+
+    def settled() -> bool:
+        if rig.valve.seq_end < first_seq + samples:
+            return False
+        if c.drift_n is not None and rig.balance.rows < first_row + readings:
+            return False
+        counts = rig.valve.recent_counts(samples)
+        half = len(counts) // 2
+        means = (counts[:half].mean(), counts[half:].mean())  # a calibration is a straight line
+        early, late = (float(cal["pressure_kpa"].apply(mean)) for mean in means)
+        if abs((early + late) / 2 - step.pressure_kpa) > tolerance:
+            return False
+        if abs(late - early) > c.drift_kpa:
+            return False
+        if c.drift_n is not None:
+            grams, stable = rig.balance.recent(readings)
+            half = len(grams) // 2
+            drift = abs(float(np.mean(grams[:half]) - np.mean(grams[half:]))) * newton
+            if not bool(stable.all()) or drift > c.drift_n:
+                return False
+        return length is None or length.rests()
+
+    return settled
+
+
+class _Length:
+    """The length by pictures that are looked at and thrown away, one each window."""
+
+    def __init__(
+        self, rig: Rig, camera: Mapping[str, Any], window_s: float, drift_mm: float
+    ) -> None:
+        self._rig = rig
+        self._camera = camera
+        self._window_ns = round(window_s * NS_PER_S)
+        self._pixels = drift_mm / abs(rig.config.calibrations["length_mm"].scale)
+        self._last: float | None = None
+        self._next_ns = 0
+
+    def rests(self) -> bool:
+        """Whether this picture and the one a window ago give the same length."""
+        from rigs.execution.pictures import measure_stored
+
+        if self._rig.clock.now_ns() < self._next_ns:
+            return False
+        gap = measure_stored(self._rig.camera.trigger().gray, self._camera)
+        self._next_ns = self._rig.clock.now_ns() + self._window_ns
+        last, self._last = self._last, gap.pixels if gap.trusted else None
+        return last is not None and gap.trusted and abs(gap.pixels - last) <= self._pixels

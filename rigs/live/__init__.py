@@ -1,0 +1,1 @@
+"""What a running test sends to the live view."""

@@ -1,0 +1,148 @@
+"""What a running test hands to the live view; the view may lose it, the test never waits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.layouts import layouts as paths
+from analysis.layouts.layouts import edge_lines, profile_lines
+from daq.clock import NS_PER_S
+from daq.live.layout import LiveLayout
+from daq.live.live import LiveView
+from daq.record.writer import RecordWriter
+from daq.store.derive import scaled
+from rigs.bench.rig import Rig
+from rigs.execution.pictures import decode
+from rigs.execution.runner import Watch
+from rigs.execution.steps import Measure
+
+if TYPE_CHECKING:
+    from vision.marker.edge import GapMeasurement
+
+Batch = dict[str, npt.NDArray[np.generic]]
+
+
+class LiveFeed:
+    """Joins a rig, its record and the runner's hooks to a live view.
+
+    Args:
+        view: where it goes.
+        layout: which column of which stream becomes which curve, and what its points are.
+    """
+
+    def __init__(self, view: LiveView, layout: LiveLayout) -> None:
+        self.view = view
+        self._layout = layout
+        self._feeds = layout.feeds
+        self._start_ns = 0
+
+    def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:
+        """Listen to everything; called once before the run."""
+        self._start_ns = record.start_ns
+        self._rig = rig
+        clock = rig.clock
+
+        def now_s() -> float:
+            return (clock.now_ns() - self._start_ns) / NS_PER_S
+
+        rig.valve.on_batch.append(lambda batch: self._batch("valve", batch))
+        rig.balance.on_rows.append(lambda batch: self._batch("balance", batch))
+        for name, instrument in rig.instruments.items():
+            if any(feed.stream == name for feed in self._feeds):
+                instrument.on_rows.append(self._listener(name))
+        self._calibrations = {
+            **rig.config.calibrations,
+            **{n: i.calibration for n, i in rig.instruments.items() if i.calibration is not None},
+        }
+        if rig.supply is not None and any(feed.stream == "supply" for feed in self._feeds):
+            rig.supply.on_rows.append(self._listener("supply"))
+        inner = replace(watch)
+        length = rig.config.calibrations["length_mm"]
+
+        def state(text: str) -> None:
+            inner.state(text)
+            self.view.state(paths.STATE, now_s(), text)
+
+        def log(text: str) -> None:
+            inner.log(text)
+            self.view.text(now_s(), text, "WARN")
+
+        def point(step: Measure, pressure_kpa: float, force_n: float, length_mm: float) -> None:
+            inner.point(step, pressure_kpa, force_n, length_mm)
+            values = {"pressure_kpa": pressure_kpa, "force_n": force_n, "length_mm": length_mm}
+            for feed in self._layout.points:
+                if (x := values.get(feed.x[1])) is None or (y := values.get(feed.y[1])) is None:
+                    continue
+                if feed.needs and getattr(step, feed.needs, None) is None:
+                    continue
+                label = feed.label.format(**vars(step))
+                self.view.points(feed.path, x, y, label, time_s=now_s())
+
+        def picture(host_ns: int, jpeg: bytes, gap: GapMeasurement) -> None:
+            inner.picture(host_ns, jpeg, gap)
+            time_s = (host_ns - self._start_ns) / NS_PER_S
+            length_mm = float(length.apply(gap.pixels)) if gap.trusted else None
+            lines = edge_lines(gap, length_mm)
+            gray = decode(jpeg)
+            if gray is not None:
+                lines += profile_lines(gray, gap.region)
+            self.view.image(paths.CAMERA, time_s, jpeg, lines=lines)
+            if length_mm is not None:
+                self.view.series(paths.LENGTH, [time_s], [length_mm])
+
+        def set_point(channel: str, value: float) -> None:
+            inner.set_point(channel, value)
+            # A test of the valve holds one length and has no panel for it.
+            if channel == "length" and self._layout.panel_of(paths.SET_LENGTH) is not None:
+                self.view.series(paths.SET_LENGTH, [now_s()], [value])
+
+        def result(x: float, y: float, label: str) -> None:
+            inner.result(x, y, label)
+            self.view.points(paths.POINTS, x, y, label, time_s=now_s())
+
+        on_event = rig.valve.on_event
+
+        def event(text: str) -> None:
+            if on_event is not None:
+                on_event(text)
+            fault = text.startswith("fault")
+            if fault:
+                self.view.state(paths.FAULT, now_s(), text)
+            self.view.text(now_s(), text, "ERROR" if fault else "INFO")
+
+        rig.valve.on_event = event
+        watch.state, watch.log, watch.point = state, log, point
+        watch.picture, watch.set_point, watch.result = picture, set_point, result
+
+    def _listener(self, stream: str) -> Callable[[Batch], None]:
+        return lambda batch: self._batch(stream, batch)
+
+    def _batch(self, stream: str, batch: Batch) -> None:
+        time_s = (self._host_ns(stream, batch) - self._start_ns) / NS_PER_S
+        columns, _ = scaled(stream, batch, self._calibrations, {})
+        for feed in self._feeds:
+            if feed.stream == stream:
+                values = np.asarray(columns[feed.column]).astype(np.float64) * feed.scale
+                self.view.series(feed.path, time_s, values)
+
+    def _host_ns(self, stream: str, batch: Batch) -> npt.NDArray[np.float64]:
+        """Host times of a batch; of telemetry by its spacing up to its arrival."""
+        host_ns = batch["host_ns"].astype(np.float64)
+        if stream != "valve":
+            return host_ns
+        device_us = batch["device_us"].astype(np.float64)
+        return np.asarray(host_ns[-1] - (device_us[-1] - device_us) * 1000.0)
+
+    def close(self) -> None:
+        """Close the view, within its own bound of time."""
+        self.view.close()
+
+
+def open_live(run_id: str, layout: LiveLayout, open_browser: bool) -> LiveFeed:
+    """Start the live view of a test on loopback."""
+    return LiveFeed(LiveView(run_id, layout, open_browser=open_browser), layout)

@@ -1,0 +1,1 @@
+"""A rig file as checked values: devices, limits, calibrations."""

@@ -1,0 +1,399 @@
+"""A rig file as values: which devices, where, with which calibrations and limits."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field, replace
+from math import hypot
+from pathlib import Path
+from typing import Any
+
+from daq.calibration import Calibration
+from daq.errors import ConfigError
+from rigs.devices.instruments.load_cell import GRAMS
+from rigs.rigfile.calibration_file import load_calibration, read_fields
+from rigs.rigfile.device import Device as Device
+from rigs.rigfile.instruments import InstrumentSettings, read_instruments
+from rigs.rigfile.toml_reader import Table, find_config, load_toml
+
+SENSORS = {"pressure_kpa": "valve", "force_n": "balance"}
+"""Whose serial number a calibration file of this quantity must be of."""
+TOP_COUNT = 4095
+"""The controller's converter has 12 bits; a calibration's domain may be narrower."""
+VIRTUAL = "virtual"
+"""The port of a device that is simulated in this process."""
+MOST_SEED = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the host will never ask of a rig; the firmware's trip stands behind it."""
+
+    pressure_kpa: float
+    trip_kpa: float
+    length_min_mm: float
+    length_max_mm: float
+    force_n: float
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What surrounds the test and is entered by hand until an instrument reads it."""
+
+    temperature_c: float
+    u_temperature_c: float
+    gravity_m_s2: float
+
+
+@dataclass(frozen=True)
+class ValveDevice(Device):
+    """The valve controller, its firmware settings and how it makes a static pressure."""
+
+    firmware: str
+    outlet_normally: str
+    static_scheme: str
+    parameters: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class StageDevice(Device):
+    """What sets the muscle's length: a GRBL stage, or a person (kind "manual")."""
+
+    speed_mm_s: float
+    kind: str = "grbl"
+    tolerance_mm: float = 0.2
+
+
+Box = tuple[int, int, int, int]
+"""Left, top, width, height in pixels."""
+
+
+@dataclass(frozen=True)
+class CameraSync:
+    """How the sync LED is seen: its patch of the picture, and the camera's timing.
+
+    ``exposure_ms`` is that of a row, ``readout_ms`` the time between the first and the last
+    row (0 for a global shutter), ``frames`` how many are taken at the start of a run.
+    """
+
+    patch: Box
+    exposure_ms: float
+    readout_ms: float
+    frames: int
+    bit_ms: int
+
+
+@dataclass(frozen=True)
+class CameraDevice:
+    """The camera: "virtual", "uvc:INDEX" or "tcp://host:port" of a virtual bench.
+
+    ``region`` is where the marks are looked for (None: the whole picture); ``lens`` the
+    distortion that the camera's calibration file holds, as its plain values.
+    """
+
+    source: str
+    serial: str
+    jpeg_quality: int
+    region: Box | None = None
+    sync: CameraSync | None = None
+    lens: dict[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class VirtualBenchConfig:
+    """How the simulated bench departs from the reference plant and how its sensors err."""
+
+    seed: int
+    draw_calibration_errors: bool
+    source: str
+    plant: dict[str, Any]
+    effects: dict[str, dict[str, Any]]
+    pressure_noise_kpa: float
+    force_noise_n: float
+    blur_px: float
+    frame_noise_levels: float
+    camera_delay_ms: float
+    load: str = "muscle"
+
+
+@dataclass(frozen=True)
+class RigConfig:
+    """A whole rig file, checked.
+
+    ``crc32`` is over the text of the file, so that a run tells which version it used.
+    ``force_source`` is "balance" or "load_cell"; ``balance`` is meaningless when there is none.
+    """
+
+    name: str
+    description: str
+    source: str
+    text: str
+    crc32: str
+    limits: Limits
+    conditions: Conditions
+    valve: ValveDevice
+    balance: Device
+    stage: StageDevice
+    camera: CameraDevice
+    calibrations: dict[str, Calibration]
+    virtual: VirtualBenchConfig | None
+    instruments: InstrumentSettings = field(default_factory=InstrumentSettings)
+    force_source: str = "balance"
+
+    @property
+    def is_virtual(self) -> bool:
+        """True when every device of this rig is simulated in this process."""
+        return self.valve.port == VIRTUAL
+
+
+def load_rig(name: str, seed: int | None = None) -> RigConfig:
+    """Read a rig file given as a path or as a shipped name ("virtual", "virtual-thesis").
+
+    Args:
+        name: path or shipped name.
+        seed: replaces the seed of the virtual bench.
+
+    Raises:
+        ConfigError: names file, key, what is wrong and what to do.
+    """
+    text, _ = find_config(name, "rigs")
+    root = load_toml(name, "rigs")
+    limits = _limits(root.table("limits"))
+    camera, length = _camera(root.table("camera"))
+    instruments = read_instruments(root)
+    known = "load_cell" if "load_cell" in root and "balance" not in root else "balance"
+    force_source = root.text("force_source", known, choices=("balance", "load_cell"))
+    if force_source not in root:
+        raise root.fail("force_source", f"there is no table [{force_source}]", "add it")
+    files = {"length_mm": length, "force_n": _cell(instruments, force_source)}
+    serials = {q: root.raw(t, {}).get("serial", "") for q, t in SENSORS.items()}
+    calibrations = _calibrations(root.table("calibrations"), files, serials)
+    rig = RigConfig(
+        name=root.text("name"),
+        description=root.text("description", ""),
+        source=root.source,
+        text=text,
+        crc32=f"{zlib.crc32(text.encode()):08x}",
+        limits=limits,
+        conditions=_conditions(root.table("conditions")),
+        valve=_valve(root.table("valve")),
+        balance=_device(root.table("balance")) if "balance" in root else Device("", 9600, ""),
+        stage=_stage(root.table("stage")),
+        camera=camera,
+        calibrations=calibrations,
+        virtual=_virtual(root, seed),
+        instruments=instruments,
+        force_source=force_source,
+    )
+    root.finish()
+    _check_whole(rig, root)
+    return rig
+
+
+def _check_whole(rig: RigConfig, root: Table) -> None:
+    """What no single key can tell: mixed rigs, and limits beyond a sensor's range."""
+    ports = {
+        "valve": rig.valve.port == VIRTUAL,
+        "camera": rig.camera.source == VIRTUAL,
+        **{k: d.port == VIRTUAL for k, d in rig.instruments.ports().items()},
+    }
+    if rig.balance.port:
+        ports["balance"] = rig.balance.port == VIRTUAL
+    if rig.stage.kind == "grbl":
+        ports["stage"] = rig.stage.port == VIRTUAL
+    if len(set(ports.values())) > 1:
+        real = sorted(k for k, virtual in ports.items() if not virtual)
+        raise root.fail(
+            f"{real[0]}.port",
+            "a rig is either wholly virtual or wholly on ports; this one mixes both",
+            'start `pamrig virtual` and use its ports, or set all to "virtual"',
+        )
+    if rig.is_virtual and rig.virtual is None:
+        raise root.fail("virtual", "a virtual rig needs a [virtual] table", "see configs/rigs")
+    high = float(rig.calibrations["pressure_kpa"].apply(TOP_COUNT))
+    if rig.limits.trip_kpa > high:
+        raise root.fail(
+            "limits.trip_kpa",
+            f"{rig.limits.trip_kpa:g} kPa is above the pressure sensor's range ({high:g} kPa)",
+            "a trip that the sensor cannot see protects nobody",
+        )
+
+
+def _limits(t: Table) -> Limits:
+    pressure = t.number("pressure_kpa", 1, 2000, unit="kPa")
+    low = t.number("length_min_mm", 1, 5000, unit="mm")
+    out = Limits(
+        pressure_kpa=pressure,
+        trip_kpa=t.number("trip_kpa", pressure, 2000, unit="kPa"),
+        length_min_mm=low,
+        length_max_mm=t.number("length_max_mm", low, 5000, unit="mm"),
+        force_n=t.number("force_n", 0.1, 1e5, unit="N"),
+    )
+    t.finish()
+    return out
+
+
+def _conditions(t: Table) -> Conditions:
+    out = Conditions(
+        temperature_c=t.number("temperature_c", -20, 80, unit="degC"),
+        u_temperature_c=t.number("u_temperature_c", 0, 20, unit="degC"),
+        gravity_m_s2=t.number("gravity_m_s2", 9.7, 9.9, 9.80665, unit="m/s2"),
+    )
+    t.finish()
+    return out
+
+
+def _port(t: Table) -> tuple[str, int, str]:
+    return t.text("port"), t.integer("baud", 300, 4_000_000), t.text("serial", "")
+
+
+def _device(t: Table) -> Device:
+    port, baud, serial = _port(t)
+    t.finish()
+    return Device(port, baud, serial)
+
+
+def _valve(t: Table) -> ValveDevice:
+    port, baud, serial = _port(t)
+    parameters = t.table("parameters", optional=True)
+    out = ValveDevice(
+        port,
+        baud,
+        serial,
+        firmware=t.text("firmware", "0.1"),
+        outlet_normally=t.text("outlet_normally", choices=("open", "closed")),
+        static_scheme=t.text("static_scheme", "pwm", choices=("pwm", "reg")),
+        parameters={k: parameters.integer(k, 0, 2**31 - 1) for k in parameters.keys()},  # noqa: SIM118
+    )
+    t.finish()
+    return out
+
+
+def _stage(t: Table) -> StageDevice:
+    kind = t.text("kind", "grbl", choices=("grbl", "manual"))
+    if kind == "manual":
+        tolerance = t.number("tolerance_mm", 0.001, 100, 0.2, unit="mm")
+        t.finish()
+        return StageDevice("", 0, "", 0.0, kind, tolerance)
+    port, baud, serial = _port(t)
+    out = StageDevice(port, baud, serial, t.number("speed_mm_s", 0.1, 100, 10.0, unit="mm/s"))
+    t.finish()
+    return out
+
+
+def _box(t: Table, key: str) -> Box:
+    values = t.numbers(key, 0, 65535, unit="pixel", least=4)
+    if len(values) != 4 or any(v != int(v) for v in values) or values[2] < 1 or values[3] < 1:
+        raise t.fail(key, f"expected [left, top, width, height], got {list(values)}")
+    left, top, width, height = (int(v) for v in values)
+    return left, top, width, height
+
+
+def _sync(t: Table) -> CameraSync:
+    out = CameraSync(
+        patch=_box(t, "patch"),
+        exposure_ms=t.number("exposure_ms", 0.01, 1000, unit="ms"),
+        readout_ms=t.number("readout_ms", 0, 1000, 0.0, unit="ms"),
+        frames=t.integer("frames", 30, 1000, 80),
+        bit_ms=t.integer("bit_ms", 5, 1000, 23),
+    )
+    t.finish()
+    return out
+
+
+def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
+    """The camera, and the calibration of lengths where it names a file of its own."""
+    length, lens = _camera_calibration(t) if "calibration" in t else (None, None)
+    out = CameraDevice(
+        source=t.text("source"),
+        serial=t.text("serial", ""),
+        jpeg_quality=t.integer("jpeg_quality", 50, 100, 95),
+        region=_box(t, "region") if "region" in t else None,
+        sync=_sync(t.table("sync")) if "sync" in t else None,
+        lens=lens,
+    )
+    scheme = out.source.split(":")[0]
+    if scheme not in (VIRTUAL, "uvc", "tcp"):
+        raise t.fail(
+            "source", f"{out.source!r} is no camera", 'use "virtual", "uvc:0" or "tcp://host:port"'
+        )
+    t.finish()
+    return out, length
+
+
+def _camera_calibration(t: Table) -> tuple[Calibration, dict[str, float] | None]:
+    """What ``pamrig calibrate camera`` wrote; leaving the plane widens the gain's part."""
+    from rigs.calibration.camera import load_camera_calibration
+
+    path = Path(t.source).parent / t.text("calibration")
+    found = load_camera_calibration(path)
+    straight = found.calibration
+    off = found.off_plane_per_mm * found.u_off_plane_mm
+    lens = None if found.lens is None else {k: float(v) for k, v in vars(found.lens).items()}
+    return replace(straight, u_gain=hypot(straight.u_gain, off)), lens
+
+
+def _cell(instruments: InstrumentSettings, force_source: str) -> Calibration | None:
+    """The load cell's calibration file in net grams, where the cell is the force source.
+
+    A test tares it, so that only its scale counts; what is uncertain about zero stays.
+    """
+    cell = instruments.text.get("load_cell") if force_source == "load_cell" else None
+    if cell is None or cell.form.unit not in GRAMS or not cell.calibration.date:
+        return None
+    scale = cell.calibration.scale / GRAMS[cell.form.unit]
+    return replace(cell.calibration, raw_unit="g", offset=0.0, scale=scale)
+
+
+def _calibrations(
+    t: Table, files: dict[str, Calibration | None], serials: dict[str, str]
+) -> dict[str, Calibration]:
+    """The three that every rig has; ``files`` are those that an instrument's table names."""
+    units = {"pressure_kpa": ("kPa", "count"), "force_n": ("N", "g"), "length_mm": ("mm", "pixel")}
+    out = {}
+    for quantity, (unit, raw_unit) in units.items():
+        named = files.get(quantity)
+        if named is not None:
+            if quantity in t:
+                table = "camera" if quantity == "length_mm" else "load_cell"
+                what = f"{table}.calibration names a file for it as well"
+                raise t.fail(quantity, what, "keep one")
+            out[quantity] = named
+            continue
+        c = t.table(quantity)
+        if "calibration" in c:
+            name = c.text("calibration")
+            serial = serials.get(quantity, "")
+            out[quantity] = load_calibration(name, t.source, quantity, raw_unit, serial).calibration
+        else:
+            out[quantity] = read_fields(c, quantity, unit, raw_unit)
+        c.finish()
+    t.finish()
+    return out
+
+
+def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
+    effects = root.raw("effects", {})
+    if "virtual" not in root:
+        return None
+    t = root.table("virtual")
+    sensors = t.table("sensors", optional=True)
+    stated = t.integer("seed", 0, MOST_SEED, 1)
+    if seed is not None and not 0 <= seed <= MOST_SEED:
+        raise ConfigError("--seed", f"expected a whole number from 0 to {MOST_SEED}, got {seed}")
+    out = VirtualBenchConfig(
+        seed=stated if seed is None else seed,
+        draw_calibration_errors=t.flag("draw_calibration_errors", True),
+        source=t.text("source", "valve", choices=("valve", "regulator")),
+        load=t.text("load", "muscle", choices=("muscle", "ram")),
+        plant=dict(t.raw("plant", {})),
+        effects=effects,
+        pressure_noise_kpa=sensors.number("pressure_noise_kpa", 0, 50, 0.5, unit="kPa"),
+        force_noise_n=sensors.number("force_noise_n", 0, 10, 0.005, unit="N"),
+        blur_px=sensors.number("blur_px", 0.3, 5, 0.8, unit="pixel"),
+        frame_noise_levels=sensors.number("frame_noise_levels", 0, 30, 2.0),
+        camera_delay_ms=sensors.number("camera_delay_ms", 0, 500, 12.0, unit="ms"),
+    )
+    sensors.finish()
+    t.finish()
+    return out

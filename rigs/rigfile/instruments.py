@@ -1,0 +1,256 @@
+"""The optional tables of a rig file that name further instruments."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from daq.calibration import Calibration
+from rigs.devices.instruments.modbus import KINDS, MOST_REGISTERS, ORDERS, ModbusForm
+from rigs.rigfile.calibration_file import load_calibration
+from rigs.rigfile.device import Device
+from rigs.rigfile.form import TextForm, load_form, read_form
+from rigs.rigfile.toml_reader import Table
+
+NAMED = ("thermometer", "load_cell", "flow")
+"""Tables of text instruments that the bench knows what to do with; others go below
+[instruments]."""
+QUANTITY = {
+    "thermometer": "temperature_c",
+    "load_cell": "force_n",
+    "flow": "velocity_m_s",
+    "pressure_transmitter": "pressure_kpa",
+}
+
+
+@dataclass(frozen=True)
+class TextDevice(Device):
+    """A line-based instrument: its description and its calibration.
+
+    ``virtual_value`` is what it reads on the virtual bench where the plant knows no such
+    quantity; ``bore_mm`` the bore of the pipe of a flow meter, 0 for others.
+    """
+
+    form: TextForm
+    rate_hz: float
+    calibration: Calibration
+    virtual_value: float = 0.0
+    bore_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class ModbusDevice(Device):
+    """A Modbus transmitter: its registers and its calibration."""
+
+    form: ModbusForm
+    calibration: Calibration
+
+
+@dataclass(frozen=True)
+class SupplyDevice(Device):
+    """The bench supply of the solenoids."""
+
+    voltage_v: float
+    max_v: float
+
+
+@dataclass(frozen=True)
+class ManualAxisSettings:
+    """Something that a person sets: which sensor looks after it, and how close is close."""
+
+    quantity: str
+    unit: str
+    check: str
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class LoadSettings:
+    """Masses that are hung on the muscle: how well they are known (relative, k = 1), how fast
+    the pressure is let down under them, in kPa/s, and how far below a load a catch is set, in mm
+    (0: there is none).
+    """
+
+    u_mass: float = 1e-4
+    lower_kpa_s: float = 150.0
+    catch_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class InstrumentSettings:
+    """All of them; empty for a rig file that names none.
+
+    ``operator`` is the address of a simulated person ("tcp://host:port", as `pamrig virtual`
+    writes it), or "terminal" for the one there, also on a virtual bench; where it is empty a
+    virtual bench has a person of its own.
+    """
+
+    text: dict[str, TextDevice] = field(default_factory=dict)
+    modbus: dict[str, ModbusDevice] = field(default_factory=dict)
+    supply: SupplyDevice | None = None
+    manual: dict[str, ManualAxisSettings] = field(default_factory=dict)
+    load: LoadSettings = field(default_factory=LoadSettings)
+    operator: str = ""
+
+    def ports(self) -> dict[str, Device]:
+        """Every device that has a port, by name."""
+        out: dict[str, Device] = {**self.text, **self.modbus}
+        if self.supply is not None:
+            out["supply"] = self.supply
+        return out
+
+    def readers(self) -> dict[str, TextDevice | ModbusDevice]:
+        """Every device that gives readings by itself, by name."""
+        return {**self.text, **self.modbus}
+
+
+def read_instruments(root: Table) -> InstrumentSettings:
+    """The optional tables of a rig file.
+
+    Raises:
+        ConfigError: names file, key, what is wrong and what to do.
+    """
+    text: dict[str, TextDevice] = {}
+    for name in NAMED:
+        if name in root:
+            text[name] = _text(root.table(name), name)
+    group = root.table("instruments", optional=True)
+    for name in group.keys():  # noqa: SIM118
+        if name in (*NAMED, "valve", "balance", "stage", "camera", "supply"):
+            raise group.fail(name, "is the name of a table of its own", f"write it as [{name}]")
+        if not name.isidentifier():
+            raise group.fail(name, "is no name for a stream", "use letters, digits and _")
+        text[name] = _text(group.table(name), name)
+    group.finish()
+    modbus = {}
+    if "pressure_transmitter" in root:
+        t = root.table("pressure_transmitter")
+        modbus["pressure_transmitter"] = _modbus(t, "pressure_transmitter")
+    supply = _supply(root.table("supply")) if "supply" in root else None
+    manual = {}
+    axes = root.table("manual", optional=True)
+    for name in axes.keys():  # noqa: SIM118
+        manual[name] = _manual(axes.table(name))
+    axes.finish()
+    load = root.table("load", optional=True)
+    person = root.table("operator", optional=True)
+    out = InstrumentSettings(
+        text, modbus, supply, manual,
+        LoadSettings(
+            u_mass=load.number("u_mass", 0, 1, 1e-4),
+            lower_kpa_s=load.number("lower_kpa_s", 1, 2000, 150.0, unit="kPa/s"),
+            catch_mm=load.number("catch_mm", 0, 500, 0.0, unit="mm"),
+        ),
+        person.text("port", ""),
+    )  # fmt: skip
+    load.finish()
+    person.finish()
+    return out
+
+
+def _port(t: Table) -> tuple[str, int, str]:
+    return t.text("port"), t.integer("baud", 300, 4_000_000, 9600), t.text("serial", "")
+
+
+def _text(t: Table, name: str) -> TextDevice:
+    port, baud, serial = _port(t)
+    # A description in a file of its own, or written out in the table.
+    form = load_form(t.text("form")) if "form" in t else read_form(t)
+    if name in QUANTITY and form.quantity != QUANTITY[name]:
+        raise t.fail("form", f"measures {form.quantity}, not {QUANTITY[name]}", "choose another")
+    # An indicator's reading in kg is compared with grams by the load cell's driver.
+    domain = (form.low, form.high)
+    out = TextDevice(
+        port,
+        baud,
+        serial,
+        form=form,
+        rate_hz=t.number("rate_hz", 0.001, 1000, form.rate_hz, unit="1/s"),
+        calibration=_calibration(t, form.quantity, form.unit, domain, serial),
+        virtual_value=t.number("virtual_value", -1e9, 1e9, 0.0),
+        bore_mm=t.number("bore_mm", 0.1, 1000, 4.0, unit="mm") if name == "flow" else 0.0,
+    )
+    t.finish()
+    return out
+
+
+def _modbus(t: Table, name: str) -> ModbusDevice:
+    port, baud, serial = _port(t)
+    form = ModbusForm(
+        quantity=QUANTITY[name],
+        unit=t.text("unit", "kPa", choices=("kPa",)),
+        device_id=t.integer("device_id", 1, 247, 1),
+        register=t.integer("register", 0, 65535),
+        function=t.text("function", "holding", choices=("holding", "input")),
+        kind=t.text("kind", "float32", choices=tuple(KINDS)),
+        word_order=t.text("word_order", "ABCD", choices=tuple(ORDERS)),
+        scale=t.number("scale", -1e6, 1e6, 1.0),
+        offset=t.number("offset", -1e6, 1e6, 0.0),
+        overload=t.number("overload", -4e38, 4e38, math.nan) if "overload" in t else math.nan,
+        underload=t.number("underload", -4e38, 4e38, math.nan) if "underload" in t else math.nan,
+        unit_register=t.integer("unit_register", 0, 65535) if "unit_register" in t else -1,
+        unit_code=t.integer("unit_code", 0, 65535, 0),
+        low=t.number("low", -1e9, 1e9, -101.0, unit="kPa"),
+        high=t.number("high", -1e9, 1e9, 2000.0, unit="kPa"),
+        rate_hz=t.number("rate_hz", 0.001, 100, 5.0, unit="1/s"),
+        timeout_s=t.number("timeout_s", 0.01, 10, 0.3, unit="s"),
+        loopback=t.flag("loopback", True),
+    )
+    if form.scale == 0:
+        raise t.fail("scale", "a scale of 0 makes every reading the same")
+    if form.count > MOST_REGISTERS:
+        raise t.fail(
+            "unit_register",
+            f"makes {form.count} registers to read, at most {MOST_REGISTERS} are read at once",
+            "leave it out",
+        )
+    out = ModbusDevice(
+        port, baud, serial, form, _calibration(t, form.quantity, "kPa", (form.low, form.high),
+                                               serial)
+    )  # fmt: skip
+    t.finish()
+    return out
+
+
+def _calibration(
+    t: Table, quantity: str, raw_unit: str, domain: tuple[float, float], serial: str
+) -> Calibration:
+    """Of a calibration file, or as the maker states it in the table itself."""
+    if "calibration" in t:
+        return load_calibration(
+            t.text("calibration"), t.source, quantity, raw_unit, serial
+        ).calibration
+    unit = quantity.rpartition("_")[2]
+    return Calibration(
+        quantity=quantity,
+        unit={"c": "degC", "n": "N", "kpa": "kPa", "s": "m/s"}.get(unit, raw_unit),
+        raw_unit=raw_unit,
+        offset=0.0,
+        scale={"kg": 9.80665, "g": 9.80665e-3}.get(raw_unit, 1.0) if quantity == "force_n" else 1.0,
+        u_offset=t.number("u_offset", 0, 1e6, 0.0),
+        u_gain=t.number("u_gain", 0, 1, 0.0),
+        domain=domain,
+        id=t.text("id", "as the maker states"),
+        date=t.text("date", ""),
+    )
+
+
+def _supply(t: Table) -> SupplyDevice:
+    port, baud, serial = _port(t)
+    most = t.number("max_v", 0.1, 60, 24.0, unit="V")
+    out = SupplyDevice(
+        port, baud, serial, voltage_v=t.number("voltage_v", 0.1, most, unit="V"), max_v=most
+    )
+    t.finish()
+    return out
+
+
+def _manual(t: Table) -> ManualAxisSettings:
+    out = ManualAxisSettings(
+        quantity=t.text("quantity"),
+        unit=t.text("unit"),
+        check=t.text("check", ""),
+        tolerance=t.number("tolerance", 0, 1e6, 0.0),
+    )
+    t.finish()
+    return out

@@ -1,0 +1,1 @@
+"""The emulated valve controller: the real firmware on simulated inputs and outputs."""

@@ -1,0 +1,1 @@
+"""Emulated instruments, one per device, each speaking the real bytes."""

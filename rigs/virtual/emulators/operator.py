@@ -1,0 +1,77 @@
+"""A person on the virtual bench: takes some seconds, and is not quite exact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from daq.clock import NS_PER_S, Clock
+from rigs.devices.operator import Request
+
+Act = Callable[[float], None]
+
+
+class VirtualOperator:
+    """Does what is asked, on the simulated bench.
+
+    Args:
+        clock: the bench's.
+        acts: by axis, what setting it to a value does.
+        reads: by axis, what a person reads there.
+        rng: how exact a person is.
+        spread: by axis, standard deviation of what is set (in the axis's unit).
+        seconds: how long everything takes.
+
+    Attributes:
+        asked: all requests so far.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        acts: dict[str, Act],
+        reads: dict[str, Callable[[], float]],
+        rng: np.random.Generator,
+        spread: dict[str, float] | None = None,
+        seconds: float = 5.0,
+    ) -> None:
+        self._clock = clock
+        self._acts = acts
+        self._reads = reads
+        self._rng = rng
+        self._spread = spread or {}
+        self._seconds = seconds
+        self._due_ns = 0
+        self._request: Request | None = None
+        self._done: str | None = None
+        self.asked: list[Request] = []
+
+    def begin(self, request: Request) -> None:
+        """Take the request."""
+        self.asked.append(request)
+        self._request, self._done = request, None
+        self._due_ns = self._clock.now_ns() + round(self._seconds * NS_PER_S)
+
+    def answer(self) -> str | None:
+        """Enter, or the number that was read: after some seconds, half of them to let it rest."""
+        request, now_ns = self._request, self._clock.now_ns()
+        if request is None:
+            return None
+        if self._done is None and now_ns >= self._due_ns - round(self._seconds / 2 * NS_PER_S):
+            self._done = self.perform(request)
+        if now_ns < self._due_ns:
+            return None
+        done, self._done, self._request = self._done, None, None
+        return done
+
+    def perform(self, request: Request) -> str:
+        """Do it now; what a person would answer: nothing, or the number that was read."""
+        if np.isnan(request.value):
+            return f"{self._reads[request.axis]():.4f}"
+        spread = self._spread.get(request.axis, 0.0)
+        value = request.value + (float(self._rng.normal(0.0, spread)) if spread else 0.0)
+        act = self._acts.get(request.axis)
+        if act is not None:
+            act(value)
+        return ""

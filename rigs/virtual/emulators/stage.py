@@ -1,0 +1,142 @@
+"""A linear stage at byte level: the part of GRBL 1.1 that a length axis uses."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from rigs.virtual.emulators.injected_fault import Wire
+
+_WORD = re.compile(r"([A-Z])(-?\d+(?:\.\d*)?)")
+
+
+class VirtualStage:
+    """Moves the muscle's end at constant speed; position is the muscle's length in mm.
+
+    Args:
+        set_motion: called with (length_mm, rate_mm_s) when a move starts or ends.
+        send: takes the bytes that go to the host.
+        serial: what $I answers.
+        start_mm: position at power-up.
+        low_mm, high_mm: soft limits; a target beyond them is refused (error:15).
+
+    Attributes:
+        comma: True prints decimal commas.
+        inches: True reports positions in inches, as after $13=1.
+        wire: arranges mishaps.
+    """
+
+    def __init__(
+        self,
+        set_motion: Callable[[float, float], None],
+        send: Callable[[bytes], None],
+        serial: str,
+        start_mm: float,
+        low_mm: float,
+        high_mm: float,
+    ) -> None:
+        self._set_motion = set_motion
+        self.comma = self.inches = False
+        self.wire = Wire(send)
+        self._serial = serial
+        self._low, self._high = low_mm, high_mm
+        self._position = self._from = self._target = start_mm
+        self._rate = 0.0
+        self._started_ns = 0
+        self._now_ns = 0
+        self._feed_mm_min = 600.0
+        self._buffer = bytearray()
+        self._end_ns: int | None = None
+        self._say("Grbl 1.1h ['$' for help]")
+
+    @property
+    def next_ns(self) -> int | None:
+        """When it next has something to do."""
+        times = [t for t in (self._end_ns, self.wire.next_ns) if t is not None]
+        return min(times) if times else None
+
+    def restart(self) -> None:
+        """A brown-out: it stops where it is and greets as after power-up."""
+        self._halt()
+        self._say("Grbl 1.1h ['$' for help]")
+
+    def feed(self, data: bytes) -> None:
+        """Bytes from the host; ``?`` and the reset byte act at once, as in GRBL."""
+        for byte in data:
+            if byte == ord("?"):
+                self._status()
+            elif byte == 0x18:
+                self._halt()
+                self._buffer.clear()
+                self._say("Grbl 1.1h ['$' for help]")
+            elif byte in b"\r\n":
+                line = self._buffer.decode("ascii", "replace").strip()
+                self._buffer.clear()
+                if line:
+                    self._line(line)
+            elif len(self._buffer) < 128:
+                self._buffer.append(byte)
+
+    def _say(self, line: str) -> None:
+        self.wire.send(line.encode("ascii") + b"\r\n", self._now_ns)
+
+    def _where(self) -> float:
+        if self._end_ns is None:
+            return self._position
+        return self._from + self._rate * (self._now_ns - self._started_ns) * 1e-9
+
+    def _status(self) -> None:
+        state = "Idle" if self._end_ns is None else "Run"
+        where = f"{self._where():.3f},0.000,0.000"
+        if self.inches:
+            where = f"{self._where() / 25.4:.4f},0.0000,0.0000"
+        if self.comma:
+            where = where.replace(".", ",")
+        self._say(f"<{state}|MPos:{where}|FS:{abs(self._rate) * 60:.0f},0>")
+
+    def _halt(self) -> None:
+        self._position = self._where()
+        self._end_ns = None
+        self._rate = 0.0
+        self._set_motion(self._position, 0.0)
+
+    def _line(self, line: str) -> None:
+        if line == "$I":
+            self._say(f"[VER:1.1h.20190825:{self._serial}]")
+            self._say("ok")
+            return
+        words = dict(_WORD.findall(line.upper()))
+        if "F" in words:
+            self._feed_mm_min = float(words["F"])
+        if "X" in words:
+            target = float(words["X"])
+            if not self._low <= target <= self._high:
+                self._say("error:15")
+                return
+            self._move(target)
+        elif "G" not in words:
+            self._say("error:20")
+            return
+        self._say("ok")
+
+    def _move(self, target: float) -> None:
+        self._from = self._where()
+        self._target = target
+        distance = target - self._from
+        speed = self._feed_mm_min / 60.0
+        if abs(distance) < 1e-9 or speed <= 0:
+            return
+        self._rate = speed if distance > 0 else -speed
+        self._started_ns = self._now_ns
+        self._end_ns = self._now_ns + round(abs(distance) / speed * 1e9)
+        self._set_motion(self._from, self._rate)
+
+    def advance(self, now_ns: int) -> None:
+        """Let time pass to ``now_ns``; a move that is due ends there exactly."""
+        if self._end_ns is not None and now_ns >= self._end_ns:
+            self._position = self._target
+            self._rate = 0.0
+            self._end_ns = None
+            self._set_motion(self._position, 0.0)
+        self._now_ns = now_ns
+        self.wire.advance(now_ns)

@@ -1,0 +1,1 @@
+"""A virtual bench whose effects are kept secret, for blind checks of investigations."""

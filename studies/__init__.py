@@ -1,0 +1,1 @@
+"""Simulations of whole benches and controllers, and the questions put to them."""

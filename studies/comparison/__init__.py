@@ -1,0 +1,1 @@
+"""Controllers compared: studies, spread, figures and reports."""

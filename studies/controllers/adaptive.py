@@ -1,0 +1,130 @@
+"""An adaptive law: payload and friction are learnt from the motion and go into the feed-forward.
+
+The desired compensation adaptation law (Sadegh and Horowitz 1990, Int. J. Robotics Research 9(3)),
+the form of Slotine and Li's adaptive manipulator control (1987, ibid. 6(3)) whose regressor is of
+the wanted motion, so that no noise enters it:
+
+    torque = Y0(q_d, q_d', q_d'') + m Y(q_d, q_d', q_d'') + f_j W_j(q_d) + bias
+    dm/dt  = gamma Y^T s,   df_j/dt = gamma_j W_j s_j,   s = e' + lambda e,   e = q_d - q
+
+Y is the torque a kilogram at the tip takes, exact, from the link equations; W_j what a newton of
+friction in the braids of joint j takes (`fibres`). m stays within 0 to 100 g, f within 0 to 20 N.
+The feedback part of the published law is the muscles' own stiffness and damping, which the
+pressures set. `bias` is the slow integral of `feedforward`, at a quarter of its rate, for what is
+neither; it begins with the reference's clock, when the payload has had the time of the approach
+to show: else both would share one static error for good. Friction is learnt from then on, for
+before nothing is wanted to move. Errors above 10 degrees teach nothing, for the finger is then
+falling, or at a stop.
+
+The rates gamma are set by what a constant error means: were all of it payload (or friction, with
+every fibre slipping) at the model's posture, m (or f) would approach it at half of the rate that
+`feedforward` gives its integral. lambda lies at twice the slowest oscillation's frequency, so that
+s does not feed that back as e'.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from plant.links import Arm
+from plant.links.dynamics import inverse_dynamics
+from plant.physics.friction import REFERENCE_PRESSURE_PA
+from studies.controllers.feedforward import FeedForward
+from studies.controllers.fibres import Fibres
+from studies.controllers.loop import HOST_MS
+from studies.controllers.model import Linear
+from studies.controllers.muscles import MEAN_KPA, Pairs
+from studies.controllers.reference import Reference
+
+Array = npt.NDArray[np.float64]
+
+MOST_KG = 0.1
+MOST_N = 20.0
+BIAS_SHARE = 0.25
+LEARNING_SHARE = 0.5
+TEACHING_RAD = np.radians(10.0)
+_PROBE_KG = 0.1
+
+
+def payload_regressor(arm: Arm, q: Array, qd: Array, qdd: Array) -> Array:
+    """Torque (n,) a kilogram at the tip takes in a motion, N m/kg; linear in the mass, so exact."""
+    with_it = inverse_dynamics(arm.with_payload(_PROBE_KG), q, qd, qdd)
+    return (with_it - inverse_dynamics(arm, q, qd, qdd)) / _PROBE_KG
+
+
+class Adaptive(FeedForward):
+    """Feed-forward that learns payload (kg) and friction of each joint's braids (N at 300 kPa)."""
+
+    def __init__(
+        self, pairs: Pairs, model: Linear, lead_s: float, rate: float, late_s: float = 0.002
+    ) -> None:
+        super().__init__(pairs, model, lead_s, BIAS_SHARE * rate, late_s)
+        self.mass_kg = 0.0
+        self.friction_n = np.zeros(model.degrees)
+        self._arm = pairs.finger.arm
+        self._carrying = self._arm.with_payload(_PROBE_KG)
+        still = np.zeros(model.degrees)
+        weight = payload_regressor(self._arm, model.q0, still, still)
+        self._lambda = 2.0 * 2.0 * np.pi / model.slowest_period_s
+        # A torque y bends the joints by K^-1 y; y^T K^-1 y is what a kilogram, or a newton, earns.
+        # s = e' + lambda e: the rate of learning is gamma lambda y^T K^-1 y.
+        earned = float(weight @ np.linalg.solve(model.stiffness, weight))
+        self._gamma = LEARNING_SHARE * rate / (self._lambda * earned)
+        slipping = pairs.radius * 2.0 * MEAN_KPA * 1e3 / REFERENCE_PRESSURE_PA
+        softness = np.diag(np.linalg.inv(model.stiffness))
+        self._gamma_friction = LEARNING_SHARE * rate / (self._lambda * slipping**2 * softness)
+        # One goes ahead with what is sent, one stays with what is measured.
+        self._sent, self._seen = Fibres(pairs), Fibres(pairs)
+        self._last: Array | None = None
+
+    @property
+    def note(self) -> Array:
+        """Estimated payload, kg, then friction of each joint, N."""
+        return np.array([self.mass_kg, *self.friction_n])
+
+    def start(self, reference: Reference, q: Array) -> None:
+        """Forget the past, payload and friction included."""
+        super().start(reference, q)
+        self.mass_kg = 0.0
+        self.friction_n = np.zeros_like(self.friction_n)
+        self._sent.start()
+        self._seen.start()
+        self._last = None
+
+    def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Nominal torque, and those of payload and friction as far as they are known."""
+        smooth = self._smooth(q, qd, qdd)
+        return np.asarray(smooth + self.friction_n * self._per_newton(self._sent, q, smooth))
+
+    def _smooth(self, q: Array, qd: Array, qdd: Array) -> Array:
+        bare = inverse_dynamics(self._arm, q, qd, qdd)
+        laden = inverse_dynamics(self._carrying, q, qd, qdd)
+        return np.asarray(bare + self.mass_kg / _PROBE_KG * (laden - bare))
+
+    def _per_newton(self, fibres: Fibres, q: Array, torque: Array) -> Array:
+        """What friction takes where a motion is and goes, by the pressures that move it."""
+        return fibres.torque(q, self.pairs.pressures(self.pairs.delta(q, torque)))
+
+    def delta(self, time_s: float, q: Array) -> Array:
+        """Learn from the error, then feed forward."""
+        assert self._reference is not None
+        step = HOST_MS * 1e-3
+        wanted, rate, push = self._reference.at(time_s - self._late_s)
+        error = wanted - q
+        slope = np.zeros_like(error) if self._last is None else (error - self._last) / step
+        self._last = error
+        per_kg = payload_regressor(self._arm, wanted, rate, push)
+        per_newton = self._per_newton(self._seen, wanted, self._smooth(wanted, rate, push))
+        s = slope + self._lambda * error
+        if np.abs(error).max() < TEACHING_RAD:
+            self.mass_kg += self._gamma * step * float(per_kg @ s)
+            self.mass_kg = min(max(self.mass_kg, 0.0), MOST_KG)
+            if time_s >= 0.0:
+                learnt = self.friction_n + self._gamma_friction * step * per_newton * s
+                self.friction_n = np.clip(learnt, 0.0, MOST_N)
+        out = super().delta(time_s, q)
+        if time_s < 0.0:
+            out = out - self._integral
+            self._integral = np.zeros_like(self._integral)
+        return np.asarray(out)

@@ -1,0 +1,95 @@
+"""Feed-forward from the link equations (section 1.6.2), with a slow integral behind it.
+
+The torques that the wanted motion takes (inverse dynamics, damping included) are turned into
+pressures by the muscle's law at the wanted angles, and sent ahead of time by the delay of the
+pressure loop. That is open loop; as section 1.6.2 asks, a feedback loop goes with it: an integral
+of the error, one rate for all joints, a third of the rate at which the nominal model would begin to
+oscillate (a gain margin of 3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from plant.links.dynamics import inverse_dynamics
+from studies.controllers.loop import HOST_MS
+from studies.controllers.model import Linear
+from studies.controllers.muscles import Pairs
+from studies.controllers.reference import Reference
+
+Array = npt.NDArray[np.float64]
+
+MARGIN = 3.0
+
+
+def critical_integral_rate(model: Linear, dead_s: float) -> float:
+    """Rate in 1/s at which integral action on all joints begins to oscillate (nominal model).
+
+    The integral's output is turned to pressures by the model's static gain, so that slowly
+    q' = rate (wanted - q) whatever the joint. Found by bisection on the sampled closed loop.
+    """
+    step = HOST_MS * 1e-3
+    n = model.degrees
+    a, b = model.sampled(step)
+    delay = max(1, round(dead_s / step))
+    size = 3 * n + delay * n + n
+    turn = np.linalg.solve(model.gain, model.stiffness)
+
+    def largest(rate: float) -> float:
+        whole = np.zeros((size, size))
+        whole[: 3 * n, : 3 * n] = a
+        whole[: 3 * n, 3 * n : 4 * n] = b
+        for k in range(delay - 1):
+            at = 3 * n + k * n
+            whole[at : at + n, at + n : at + 2 * n] = np.eye(n)
+        last = 3 * n + (delay - 1) * n
+        # The reading enters the integral before the integral is sent.
+        whole[last : last + n, size - n :] = turn
+        whole[last : last + n, :n] = -rate * step * turn
+        whole[size - n :, size - n :] = np.eye(n)
+        whole[size - n :, :n] = -rate * step * np.eye(n)
+        return float(np.abs(np.linalg.eigvals(whole)).max())
+
+    low, high = 0.01, 1000.0
+    for _ in range(60):
+        middle = np.sqrt(low * high)
+        if largest(middle) > 1.0:
+            high = middle
+        else:
+            low = middle
+    return float(np.sqrt(low * high))
+
+
+class FeedForward:
+    """Inverse dynamics sent `lead_s` ahead, and an integral of the error at `rate` (1/s)."""
+
+    def __init__(
+        self, pairs: Pairs, model: Linear, lead_s: float, rate: float, late_s: float = 0.002
+    ) -> None:
+        self.pairs = pairs
+        self.lead_s = lead_s
+        self.rate = rate
+        self._late_s = late_s
+        self._turn = np.linalg.solve(model.gain, model.stiffness)
+        self._integral = np.zeros(model.degrees)
+        self._reference: Reference | None = None
+
+    def start(self, reference: Reference, q: Array) -> None:
+        """Forget the past."""
+        self._reference = reference.gentle
+        self._integral = np.zeros(len(q))
+
+    def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """What the nominal finger needs for a motion, N m (n,)."""
+        return inverse_dynamics(self.pairs.finger.arm, q, qd, qdd)
+
+    def delta(self, time_s: float, q: Array) -> Array:
+        """Feed-forward for what will be wanted when it arrives, and the integral."""
+        assert self._reference is not None
+        wanted, rate, push = self._reference.at(time_s + self.lead_s)
+        ahead = self.pairs.delta(wanted, self.torque(wanted, rate, push))
+        due, _, _ = self._reference.at(time_s - self._late_s)
+        self._integral += self.rate * HOST_MS * 1e-3 * (self._turn @ (due - q))
+        self._integral = np.clip(self._integral, -self.pairs.mean_kpa, self.pairs.mean_kpa)
+        return np.asarray(ahead + self._integral)

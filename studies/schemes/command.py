@@ -1,0 +1,76 @@
+"""What `pamrig study NAME` does."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import TypeVar
+
+import typer
+
+from daq.errors import RecordError
+from daq.interrupt import StopFlag, Stopped, stop_on_signals
+from studies.first_use import tell_of_compiling
+
+T = TypeVar("T")
+Ticker = Callable[[Iterable[T], str], Iterator[T]]
+
+
+def study_command(name: str, full: bool, out: Path | None, as_json: bool) -> int:
+    """Run a study, print its answers, draw its figures; returns the exit status."""
+    with tell_of_compiling(quiet=as_json):
+        module = import_module(f"studies.schemes.{name}")
+    with stop_on_signals() as stop:
+        progress = Progress(stop, quiet=as_json or not sys.stderr.isatty())
+        try:
+            study = module.run(full, progress)
+        except Stopped as stopped:
+            typer.echo(f"study {name}: stopped ({stopped}), nothing is reported", err=True)
+            return 130
+        progress.close()
+    if as_json:
+        typer.echo(json.dumps(study.as_json(), indent=2, allow_nan=False))
+    else:
+        typer.echo(study.markdown())
+    if out is not None:
+        from analysis.reporting.drawing import as_png
+
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            for title, draw in study.figures.items():
+                path = out / f"study-{title}.png"
+                path.write_bytes(as_png(draw(), 130))
+                if not as_json:
+                    typer.echo(f"figure: {path}", err=True)
+        except OSError as error:
+            raise RecordError(str(out), f"cannot be written: {error.strerror}") from None
+    return 0
+
+
+class Progress:
+    """Counts through the parts of a study; a signal stops it between two."""
+
+    def __init__(self, stop: StopFlag | None = None, quiet: bool = True) -> None:
+        self._stop = stop
+        self._quiet = quiet
+        self._drawn = False
+
+    def over(self, items: Iterable[T], what: str) -> Iterator[T]:
+        """The items, one after the other, shown as they go."""
+        listed = list(items)
+        for index, item in enumerate(listed):
+            if self._stop is not None:
+                self._stop.check()
+            if not self._quiet:
+                typer.echo(f"\r{what}  {index + 1} of {len(listed)}   ", nl=False, err=True)
+                self._drawn = True
+            yield item
+
+    def close(self) -> None:
+        """Leave the terminal on a fresh line."""
+        if self._drawn:
+            typer.echo("", err=True)
+            self._drawn = False

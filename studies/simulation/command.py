@@ -1,0 +1,67 @@
+"""What `pamrig simulate` does."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+
+import typer
+
+STATUS = {"clean": 0, "stopped": 130}
+
+
+def simulate_command(
+    name: str, out: Path, seed: int | None, as_json: bool, plant: Path | None = None
+) -> int:
+    """Read, simulate, record, say what came of it; returns the exit status."""
+    from daq.interrupt import stop_on_signals
+    from studies.first_use import tell_of_compiling
+
+    with tell_of_compiling(quiet=as_json):
+        from studies.simulation.scenario import load_scenario
+        from studies.simulation.session import simulate
+
+    scenario = load_scenario(name, plant)
+    if seed is not None:
+        scenario = dataclasses.replace(scenario, seed=seed)
+    line = _Line(quiet=as_json or not sys.stderr.isatty())
+    with stop_on_signals() as stop:
+        result = simulate(scenario, out, stop=stop, progress=line.show)
+    line.close()
+    if as_json:
+        from analysis.reporting.report import report_json
+        from daq.store.run import open_run
+
+        typer.echo(json.dumps(report_json(open_run(result.folder)), indent=2, allow_nan=False))
+        return STATUS.get(result.outcome, 2)
+    speed = result.simulated_s / max(result.took_s, 1e-9)
+    typer.echo(
+        f"{result.outcome}: {result.simulated_s:g} of {scenario.duration_s:g} s simulated, "
+        f"{speed:.0f} times real time, in {result.folder}"
+    )
+    if result.reason:
+        typer.echo(f"  because: {result.reason}")
+    if result.not_derived:
+        typer.echo(f"  table and report could not be made: {result.not_derived}")
+    else:
+        typer.echo(f"  report: {result.folder / 'derived' / 'report.html'}")
+    return STATUS.get(result.outcome, 2)
+
+
+class _Line:
+    """One line on the terminal that is drawn over."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._quiet = quiet
+        self._drawn = False
+
+    def show(self, now_s: float, whole_s: float) -> None:
+        if not self._quiet:
+            typer.echo(f"\rsimulating  {now_s:.1f} of {whole_s:g} s", nl=False, err=True)
+            self._drawn = True
+
+    def close(self) -> None:
+        if self._drawn:
+            typer.echo("", err=True)

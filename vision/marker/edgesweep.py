@@ -1,0 +1,398 @@
+"""Joint robust fit of one straight blurred edge to all pixels near it.
+
+Model of the light at column x, row y, with d = x - a - b*(y - y_mid), for the group of four
+rows that y belongs to:
+
+    I = p (1 + gamma d) (1 - F(d)) + q (1 + gamma d) F(d) + kappa d (2 F(d) - 1)
+
+p and q are the levels left and right of the edge, free for every group (uneven light, glare
+and shutter bands cost nothing: the position takes its information from each row anyway);
+F is the step seen by a unit pixel through a Gaussian blur of sd sigma: the normal density
+integrated twice. (Motion blur is another symmetric kernel: it widens sigma and, by symmetry,
+leaves the position alone.) gamma is the relative change of
+light across the edge; kappa, light that does not change in proportion, stays 0 unless the
+frame shows it. Parameters are found by Gauss-Newton steps with Tukey's biweight (c = 4.685,
+95 % efficient on Gaussian noise), the levels eliminated group by group. Rows in which more
+than a third of the pixels near the edge are outliers are left out, and so are groups that
+fit much worse than the rest.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from vision.marker.edgeprofile import fill_table
+
+PARAMETERS = 5  # a, b, sigma, gamma, kappa
+TUKEY = 4.685
+GROUP = 4  # rows that share one pair of levels
+RHO_MAX = 22.0  # what one outlier adds to its group's misfit, in squared sds
+HIST = 2048
+HIST_STEP = 1.0 / 32.0
+CORE_MAX = 64  # widest stored residual window
+
+F64 = npt.NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def _flat(line, x_from, x_to, x0, level, slope, inv2):  # type: ignore[no-untyped-def]
+    """Weighted sums of 1, d, d^2, r, r d over pixels of one level."""
+    s0 = np.float32(0.0)
+    s1 = np.float32(0.0)
+    s2 = np.float32(0.0)
+    r0 = np.float32(0.0)
+    r1 = np.float32(0.0)
+    rho = np.float32(0.0)
+    start = np.float32(x_from + 0.5 - x0)
+    level32 = np.float32(level)
+    slope32 = np.float32(slope)
+    inv32 = np.float32(inv2)
+    one = np.float32(1.0)
+    zero = np.float32(0.0)
+    for j in range(x_to - x_from):
+        d = start + np.float32(j)
+        r = np.float32(line[x_from + j]) - (level32 + slope32 * d)
+        m = max(zero, one - r * r * inv32)
+        wt = m * m
+        s0 += wt
+        s1 += wt * d
+        s2 += wt * d * d
+        r0 += wt * r
+        r1 += wt * r * d
+        rho += min(one, r * r * inv32)
+    return float(s0), float(s1), float(s2), float(r0), float(r1), float(rho)
+
+
+@njit(cache=True, nogil=True)
+def _eliminate(u, v, c, arm, block, normal, right):  # type: ignore[no-untyped-def]
+    """Take the levels out of one group's sums and add the rest to the normal equations.
+
+    ``block`` (2, PARAMETERS + 1) gets what ``shift_levels`` needs to move the levels later.
+    """
+    m00 = u[2, 2]
+    m11 = u[3, 3]
+    m01 = u[2, 3]
+    det = m00 * m11 - m01 * m01
+    if m00 <= 0.0 or m11 <= 0.0 or det < 1e-6 * m00 * m11:
+        return False
+    kinds = (0, 0, 1, 4, 5)
+    factor = (-c, -c * arm, c, 1.0, 1.0)
+    for m in range(PARAMETERS):
+        k = kinds[m]
+        e = u[2, k] if k > 2 else u[k, 2]
+        f = u[3, k] if k > 3 else u[k, 3]
+        block[0, m] = factor[m] * (m11 * e - m01 * f) / det
+        block[1, m] = factor[m] * (m00 * f - m01 * e) / det
+    block[0, PARAMETERS] = (m11 * v[2] - m01 * v[3]) / det
+    block[1, PARAMETERS] = (m00 * v[3] - m01 * v[2]) / det
+    for m in range(PARAMETERS):
+        km = kinds[m]
+        e = (u[2, km] if km > 2 else u[km, 2]) * factor[m]
+        f = (u[3, km] if km > 3 else u[km, 3]) * factor[m]
+        right[m] += factor[m] * v[km] - e * block[0, PARAMETERS] - f * block[1, PARAMETERS]
+        for n in range(m, PARAMETERS):
+            kn = kinds[n]
+            normal[m, n] += factor[m] * factor[n] * u[km, kn] - e * block[0, n] - f * block[1, n]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def sweep(  # type: ignore[no-untyped-def]
+    img,
+    rows,
+    group_of,
+    y_mid,
+    p,
+    levels,
+    used,
+    room,
+    box_left,
+    box_right,
+    scale,
+    near_only,
+    hot_from,
+    table,
+    hist,
+    normal,
+    right,
+    blocks,
+    misfit,
+    keep,
+    resid,
+    stats,
+):
+    """One pass over the pixels: normal equations, residual histogram, statistics.
+
+    ``rows`` with their ``group_of`` index; ``p`` are the PARAMETERS, ``levels`` (groups, 2);
+    groups with ``used`` 0 are skipped; ``near_only`` keeps to the neighbourhood of the edge,
+    where light that bends is still straight; ``room`` the (left, right) px that belong to this
+    edge. ``keep`` (rows) gets 1 where the row counted; ``misfit`` (groups) the mean bounded
+    squared residual; ``resid`` (rows, CORE_MAX) the weighted residuals near the edge, column
+    CORE_MAX/2 holding the pixel that the edge runs through.
+    """
+    a = p[0]
+    b = p[1]
+    sigma = p[2]
+    core = max(2.3, 3.2 * sigma + 0.8)
+    side, step = fill_table(sigma, table, core + 1.0)
+    inv_step = 1.0 / step
+    outer = 6.0 + 4.5 * sigma if near_only else 12.0 + 6.0 * sigma
+    reach_l = min(outer, room[0])
+    reach_r = min(outer, room[1])
+    limit = TUKEY * scale
+    inv2 = 1.0 / (limit * limit)
+    inv_s2 = 1.0 / (scale * scale)
+    normal[:] = 0.0
+    right[:] = 0.0
+    hist[:] = 0
+    stats[:] = 0.0
+    core_l = min(core, reach_l)
+    core_r = min(core, reach_r)
+    store = resid.shape[0] > 0
+    u = np.zeros((6, 6))
+    v = np.zeros(6)
+    count_rows = rows.shape[0]
+    at = -1  # group being summed
+    arm = 0.0
+    members = 0
+    s_rho = 0.0
+    n_rho = 0.0
+    for i in range(count_rows + 1):
+        if i == count_rows or group_of[i] != at:
+            if at >= 0:
+                misfit[at] = -1.0
+                if members > 0:
+                    c = levels[at, 1] - levels[at, 0]
+                    if not _eliminate(u, v, c, arm / members, blocks[at], normal, right):
+                        blocks[at] = 0.0
+                    misfit[at] = s_rho / n_rho
+                else:
+                    blocks[at] = 0.0
+            if i == count_rows:
+                break
+            at = group_of[i]
+            u[:] = 0.0
+            v[:] = 0.0
+            arm = 0.0
+            members = 0
+            s_rho = 0.0
+            n_rho = 0.0
+        keep[i] = 0
+        if used[at] == 0:
+            continue
+        y = rows[i]
+        x0 = a + b * (y - y_mid)
+        low = levels[at, 0]
+        high = levels[at, 1]
+        sl = p[3] * low - p[4]
+        sh = p[3] * high + p[4]
+        first = max(box_left, math.ceil(x0 - reach_l - 0.5))
+        last = min(box_right - 1, math.floor(x0 + reach_r - 0.5))
+        c_first = max(first, math.ceil(x0 - core_l - 0.5))
+        c_last = min(last, math.floor(x0 + core_r - 0.5))
+        if c_last - c_first < 2 or c_first + 0.5 - x0 > -0.5 or c_last + 0.5 - x0 < 0.5:
+            stats[9] += 1.0
+            continue
+        shift = c_first - math.floor(x0) + CORE_MAX // 2
+        bad = 0
+        s_psi2 = 0.0
+        s_dpsi = 0.0
+        s_w = 0.0
+        rho = 0.0
+        hot = 0
+        u00 = 0.0
+        u01 = 0.0
+        u02 = 0.0
+        u03 = 0.0
+        u04 = 0.0
+        u05 = 0.0
+        u11 = 0.0
+        u12 = 0.0
+        u13 = 0.0
+        u14 = 0.0
+        u15 = 0.0
+        u22 = 0.0
+        u23 = 0.0
+        u24 = 0.0
+        u25 = 0.0
+        u33 = 0.0
+        u34 = 0.0
+        u35 = 0.0
+        u44 = 0.0
+        u45 = 0.0
+        u55 = 0.0
+        v0 = 0.0
+        v1 = 0.0
+        v2 = 0.0
+        v3 = 0.0
+        v4 = 0.0
+        v5 = 0.0
+        line = img[y]
+        size = c_last - c_first + 1
+        near = line[c_first : c_last + 1]
+        d0 = c_first + 0.5 - x0
+        for j in range(size):
+            d = d0 + j
+            z = d * inv_step
+            kk = int(z + side + 0.5)
+            dk = d - (kk - side) * step
+            k = np.uintp(kk)
+            g = table[1, k]
+            f = table[0, k] + g * dk
+            h = table[2, k]
+            e = 1.0 - f
+            value = near[j]
+            r = value - ((low + sl * d) * e + (high + sh * d) * f)
+            if value >= hot_from:
+                hot += 1
+            bin_ = int(abs(r) * (1.0 / HIST_STEP))
+            hist[np.uintp(bin_ if bin_ < HIST else HIST - 1)] += 1
+            q = r * r * inv2
+            if q >= 1.0:
+                bad += 1
+                rho += RHO_MAX
+                continue
+            m = 1.0 - q
+            wt = m * m
+            psi = wt * r
+            s_psi2 += psi * psi
+            s_dpsi += m * (1.0 - 5.0 * q)
+            s_w += wt
+            rho += min(RHO_MAX, r * r * inv_s2)
+            if store and 0 <= j + shift < CORE_MAX:
+                resid[i, j + shift] = psi
+            wg = wt * g
+            wh = wt * h
+            we = wt * e
+            wf = wt * f
+            de = d * (low * e + high * f)
+            df = d * (f - e)
+            u00 += wg * g
+            u01 += wg * h
+            u02 += wg * e
+            u03 += wg * f
+            u04 += wg * de
+            u05 += wg * df
+            u11 += wh * h
+            u12 += wh * e
+            u13 += wh * f
+            u14 += wh * de
+            u15 += wh * df
+            u22 += we * e
+            u23 += we * f
+            u24 += we * de
+            u25 += we * df
+            u33 += wf * f
+            u34 += wf * de
+            u35 += wf * df
+            u44 += wt * de * de
+            u45 += wt * de * df
+            u55 += wt * df * df
+            v0 += psi * g
+            v1 += psi * h
+            v2 += psi * e
+            v3 += psi * f
+            v4 += psi * de
+            v5 += psi * df
+        if bad * 3 > size:
+            stats[0] += 1.0
+            s_rho += RHO_MAX * 0.2 * size
+            n_rho += size
+            continue
+        if hot >= 2 and hot * 7 > size:
+            stats[8] += 1.0
+            continue
+        u[0, 0] += u00
+        u[0, 1] += u01
+        u[0, 2] += u02
+        u[0, 3] += u03
+        u[0, 4] += u04
+        u[0, 5] += u05
+        u[1, 1] += u11
+        u[1, 2] += u12
+        u[1, 3] += u13
+        u[1, 4] += u14
+        u[1, 5] += u15
+        u[2, 2] += u22
+        u[2, 3] += u23
+        u[2, 4] += u24
+        u[2, 5] += u25
+        u[3, 3] += u33
+        u[3, 4] += u34
+        u[3, 5] += u35
+        u[4, 4] += u44
+        u[4, 5] += u45
+        u[5, 5] += u55
+        v[0] += v0
+        v[1] += v1
+        v[2] += v2
+        v[3] += v3
+        v[4] += v4
+        v[5] += v5
+        # flat parts: only levels and slopes
+        for part in range(2):
+            if part == 0:
+                x_from, x_to = first, c_first
+            else:
+                x_from, x_to = c_last + 1, last + 1
+            level = low if part == 0 else high
+            slope = sl if part == 0 else sh
+            s0, s1, s2, r0, r1, flat_rho = _flat(line, x_from, x_to, x0, level, slope, inv2)
+            j = 2 + part
+            sign = -1.0 if part == 0 else 1.0
+            u[j, j] += s0
+            u[j, 4] += level * s1
+            u[j, 5] += sign * s1
+            u[4, 4] += level * level * s2
+            u[4, 5] += sign * level * s2
+            u[5, 5] += s2
+            v[j] += r0
+            v[4] += level * r1
+            v[5] += sign * r1
+            rho += flat_rho * RHO_MAX
+            stats[10] += x_to - x_from
+            stats[11] += s0
+        keep[i] = 1
+        arm += y - y_mid
+        members += 1
+        s_rho += rho
+        n_rho += last - first + 1
+        stats[1] += 1.0
+        stats[2] += size
+        stats[3] += bad
+        stats[4] += s_psi2
+        stats[5] += s_dpsi
+        stats[6] += s_w
+        stats[7] += high - low
+    for m in range(PARAMETERS):
+        for n in range(m):
+            normal[m, n] = normal[n, m]
+
+
+@njit(cache=True, nogil=True)
+def shift_levels(levels, blocks, groups, step):  # type: ignore[no-untyped-def]
+    """Move each group's levels to where they fit best after the parameters moved by step."""
+    for at in groups:
+        for k in range(2):
+            change = blocks[at, k, PARAMETERS]
+            for m in range(PARAMETERS):
+                change -= blocks[at, k, m] * step[m]
+            levels[at, k] += change
+
+
+@njit(cache=True, nogil=True)
+def median_from(hist):  # type: ignore[no-untyped-def]
+    """Median of the absolute residuals in ``hist``, grey levels."""
+    total = 0
+    for k in range(hist.shape[0]):
+        total += hist[k]
+    run = 0.0
+    for k in range(hist.shape[0]):
+        if run + hist[k] >= 0.5 * total and hist[k] > 0:
+            return (k + (0.5 * total - run) / hist[k]) * HIST_STEP
+        run += hist[k]
+    return hist.shape[0] * HIST_STEP
