@@ -7,7 +7,7 @@ READY  := $(VENV)/.ready
 SMALL  := not campaign and not look
 WAITING = $(shell grep -l realtime tests/test_*.py)
 
-.PHONY: demo test lint types bench campaign faults fuzz soak audit look wheel lock clean
+.PHONY: demo test golden lint types bench campaign faults fuzz soak audit look wheel lock clean
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pamrig needs Python 3.11 or newer")'
@@ -28,6 +28,10 @@ test: $(READY)   ## all tests at their small sizes: those that compute, then tho
 	{ echo "Those that failed in real time once more, alone:"; \
 	  $(BIN)/python -m pytest -m "$(SMALL) and realtime" --last-failed -p no:xdist $(WAITING); }; \
 	exit $$((computing | $$?))
+
+golden: $(READY)   ## golden outputs compared with tests/golden.json.gz; stopped, it goes on
+	$(BIN)/python -m tests.golden make out/golden
+	$(BIN)/python -m tests.golden compare out/golden
 
 campaign: $(READY)   ## the same tests at full size, and the long ones
 	PAMRIG_CAMPAIGN=1 $(BIN)/python -m pytest -m "campaign or not look" -s

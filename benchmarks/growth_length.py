@@ -28,17 +28,18 @@ HOUSE = Path(__file__).resolve().parent.parent
 def one(repeats: int) -> dict[str, float]:
     """Simulated seconds, processor seconds and peak memory in MB of one run; then of its table."""
     from analysis.reporting.derived import derive_all
-    from rigs.execution.session import run_isometric
-    from rigs.protocols.isometric_method import load_isometric
+    from rigs.execution.session import run_protocol
+    from rigs.protocols.isometric import load_isometric
+    from rigs.protocols.registry import procedure
     from rigs.rigfile.config import load_rig
 
     config = load_rig("virtual")
     plan = load_isometric("isometric-short", config.limits)
     with tempfile.TemporaryDirectory() as root:
-        run_isometric(config, plan, Path(root))
+        run_protocol(procedure("isometric"), config, plan, Path(root))
         plan = dataclasses.replace(plan, repeats=repeats)
         before, start = peak_mb(), time.process_time()
-        result = run_isometric(config, plan, Path(root), derive=False)
+        result = run_protocol(procedure("isometric"), config, plan, Path(root))
         run_s, run_mb = time.process_time() - start, peak_mb()
         start = time.process_time()
         derive_all(result.folder)
@@ -81,7 +82,7 @@ def lines(result: dict[str, Any]) -> list[str]:
     out = growth_table(
         {"the run (bench, firmware, camera, record)": [[r["run_s"]] for r in rows],
          "table, figures, report, view": [[r["derive_s"]] for r in rows]},
-        whole, "s of test", 1e3, "ms a second",
+        whole, "s of test", 1e3, "ms per second",
     )  # fmt: skip
     memory = [
         [f"{s:,} s", f"{r['before_mb']:.0f}", f"{r['run_mb']:.0f}", f"{r['derive_mb']:.0f}"]
@@ -91,7 +92,7 @@ def lines(result: dict[str, Any]) -> list[str]:
     out += table(heads, memory)
     exponent = Growth.of(sizes, [r["run_mb"] for r in rows])
     out += [
-        f"Peak memory while running goes with length to the power {exponent}.",
+        f"Peak memory during the run grows with length to the power {exponent}.",
         "",
     ]
     return out

@@ -10,8 +10,9 @@ from pathlib import Path
 from analysis.reporting.derived import derive_all
 from daq.store.run import open_run
 from daq.store.store import verify
-from rigs.execution.session import run_isometric
-from rigs.protocols.isometric_method import load_isometric
+from rigs.execution.session import run_protocol
+from rigs.protocols.isometric import load_isometric
+from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig
 
 
@@ -28,7 +29,9 @@ def main(repeats: int = 20) -> None:
             rows.append((what, time.process_time() - cpu, time.monotonic() - wall))
             return result
 
-        result = clocked("run", lambda: run_isometric(config, plan, Path(root), derive=False))
+        result = clocked(
+            "run", lambda: run_protocol(procedure("isometric"), config, plan, Path(root))
+        )
         run = open_run(result.folder)  # type: ignore[attr-defined]
         clocked("read all samples", lambda: run.samples("valve"))
         clocked("verify every byte", lambda: verify(run))

@@ -27,11 +27,11 @@ def cost(name: str, enough_s: float = ENOUGH_S) -> tuple[float, float]:
     kind, config = procedure(name), load_rig(default_rig(name))
     test_s = spent_s = 0.0
     with tempfile.TemporaryDirectory() as root:
-        run_protocol(kind, config, kind.read(f"{name}-short", config), Path(root), derive=False)
+        run_protocol(kind, config, kind.read(f"{name}-short", config), Path(root))
         plan = kind.read(name, config)
         while test_s < enough_s:
             before = time.process_time()
-            result = run_protocol(kind, config, plan, Path(root), derive=False)
+            result = run_protocol(kind, config, plan, Path(root))
             spent_s += time.process_time() - before
             final = open_run(result.folder).final or {}
             if result.outcome != "clean":

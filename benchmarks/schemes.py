@@ -166,7 +166,7 @@ def table(seeds: int) -> str:
 
 def picture(folder: Path) -> Path:
     """Small multiples: a row a scheme, a column a bench; as printed behind as intended."""
-    from analysis.reporting.drawing import INK, MEASURED, QUIET, SET, style
+    from analysis.figures.drawing import INK, MEASURED, QUIET, SET, style
 
     with style():
         import matplotlib.pyplot as plt

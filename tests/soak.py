@@ -27,7 +27,8 @@ from daq.errors import DeviceError
 from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig, open_rig
-from rigs.execution.session import BALANCE_SCHEMA, BALANCE_UNITS, software
+from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
+from rigs.execution.manifest import software
 from rigs.rigfile.config import RigConfig, load_rig
 
 SETPOINTS_KPA = (150.0, 300.0, 450.0, 250.0)

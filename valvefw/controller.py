@@ -39,6 +39,8 @@ class Controller:
         self.board = board
         self.version = VERSION
         self.values = config.defaults()
+        self.checksum = config.Checksum()
+        self.checksum.of(self.values)
         self.safety = Safety(self.values)
         self.valves = Valves()
         boot_id = board.random16() & 0xFFFF
@@ -189,7 +191,8 @@ class Controller:
         self.board.tx(encode_frame(bytes((EVENT,)) + text.encode()))
 
     def trip(self, cause: str) -> None:
-        """Latch a fault and vent."""
+        """Vent, latch a fault and tell; on the chip, telling takes longer than all else."""
+        self.board.drive(0, VENT_HOLD_US)
         known = len(self.safety.faults)
         if self.safety.latch(cause, self._last_us):
             self._black_box_due = True

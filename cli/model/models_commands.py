@@ -269,7 +269,7 @@ def _write_model(model: Model, path: Path) -> None:
 
 
 def _save(figure: Any, path: Path) -> None:
-    from analysis.reporting.drawing import as_png, as_svg
+    from analysis.figures.drawing import as_png, as_svg
 
     try:
         path.write_bytes(as_svg(figure) if path.suffix == ".svg" else as_png(figure))

@@ -16,6 +16,7 @@ from typing import Any
 
 import typer
 
+from analysis.reporting.derived import try_derive
 from daq.clock import RealClock
 from daq.errors import ConfigError, PamrigError, RecordError
 from daq.interrupt import StopFlag
@@ -222,13 +223,20 @@ def _one(
     if before is not None:
         if before.outcome == "clean":  # it ended, and only the journal does not say so
             count = sum(event.get("kind") == "point" for event in before.events)
-            return Result(before.folder, "clean", None, count, "", count)
-        return continue_run(before, stop=stop, watch=watch, on_start=started)
-    return run_protocol(
+            return Result(before.folder, "clean", None, count, count)
+        return _derived(continue_run(before, stop=stop, watch=watch, on_start=started))
+    result = run_protocol(
         procedure(item.protocol), item.config, item.plan, plan.out,
         specimen=item.specimen, operator=item.operator, note=item.note,
         stop=stop, watch=watch, on_start=started,
     )  # fmt: skip
+    return _derived(result)
+
+
+def _derived(result: Result) -> Result:
+    """The result, after making what is derived; a plan goes on where that is not possible."""
+    try_derive(result.folder, result.error)
+    return result
 
 
 def _before(plan: Chain, begun: str | None) -> Run | None:

@@ -16,7 +16,6 @@ from daq.errors import ConfigError
 
 if TYPE_CHECKING:
     from rigs.execution.runner import Runner
-    from rigs.execution.session import Result
 
 VIEWER_S = 30.0
 
@@ -106,6 +105,8 @@ def time_left_s(total_s: float, spent_s: float, elapsed_s: float, virtual: bool)
 
 def protocol_command(name: str, order: Order) -> int:
     """Run the protocol of that name; returns the exit status."""
+    from analysis.reporting.derived import try_derive
+    from cli.test.outcome import exit_status, print_result
     from daq.interrupt import stop_on_signals
     from rigs.execution.runner import Watch
     from rigs.execution.session import run_protocol
@@ -134,7 +135,9 @@ def protocol_command(name: str, order: Order) -> int:
             begin = predicting(order.predict, feeds, line.start)
 
         def make_live(run_id: str) -> LiveFeed:
-            feed = open_live(run_id, kind.layout(plan.as_dict()), open_browser=order.browser)
+            feed = open_live(
+                run_id, kind.analysis.layout(plan.as_dict()), open_browser=order.browser
+            )
             feeds.append(feed)
             view = feed.view
             if view.error:
@@ -155,24 +158,12 @@ def protocol_command(name: str, order: Order) -> int:
             stop=stop, make_live=make_live, watch=watch, on_start=begin, wire=order.wire,
         )  # fmt: skip
     line.close()
-    status = {"clean": 0, "stopped": 130}.get(result.outcome, 2)
+    not_derived = try_derive(result.folder, result.error)
+    status = exit_status(result)
     if order.as_json:
         from analysis.reporting.report import report_json
         from daq.store.run import open_run
 
         typer.echo(json.dumps(report_json(open_run(result.folder)), indent=2, allow_nan=False))
         return status
-    return _say(result, status)
-
-
-def _say(result: Result, status: int) -> int:
-    typer.echo(f"{result.outcome}: {result.points} of {result.planned} points in {result.folder}")
-    if result.error:
-        typer.echo(f"  because: {result.error}")
-    if result.not_derived:
-        typer.echo(f"  table and report could not be made: {result.not_derived}")
-        typer.echo(f"  the record is safe; later: pamrig runs rebuild {result.folder}")
-        return status or 2
-    typer.echo(f"  report: {result.folder / 'derived' / 'report.html'}")
-    typer.echo(f"  table:  {result.folder / 'derived' / 'table.csv'}")
-    return status
+    return print_result(result, not_derived)

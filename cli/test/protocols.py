@@ -8,11 +8,12 @@ from typing import Annotated, Optional
 
 import typer
 
-from cli.data.records import add_records
 from rigs.protocols.names import PROTOCOLS, default_rig, default_specimen
 
 OutOption = Annotated[Path, typer.Option("--out", help="Folder of runs.")]
 RUNS = Path("runs")
+RunArgument = Annotated[str, typer.Argument(help="Run folder, run id, or 'last'.")]
+RunsOption = Annotated[Path, typer.Option("--runs", help="Folder of runs.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON value, nothing else.")]
 
 
@@ -63,7 +64,8 @@ def add_protocols(app: typer.Typer, runs_app: typer.Typer) -> None:
     for name, summary in PROTOCOLS.items():
         app.command(name)(_command(name, summary))
     runs_app.command("tell")(tell)
-    add_records(app, runs_app)
+    app.command("continue")(go_on)
+    app.command("run")(run_plan)
 
 
 def tell(
@@ -76,3 +78,33 @@ def tell(
     from cli.test.request import tell_run
 
     typer.echo(tell_run(run, runs, f"{what} {words}".strip()))
+
+
+def go_on(
+    run: RunArgument = "last",
+    rig: Annotated[str, typer.Option("--rig", help="Rig file, if it has moved since.")] = "",
+    protocol: Annotated[
+        str, typer.Option("--protocol", help="Protocol file, if it has moved since.")
+    ] = "",
+    operator: Annotated[str, typer.Option(help="Who tests.")] = "",
+    note: Annotated[str, typer.Option(help="Anything worth remembering.")] = "",
+    runs: RunsOption = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Go on with an interrupted test after its last whole trial, as a run linked to the first."""
+    from cli.test.resume import continue_command
+
+    raise typer.Exit(continue_command(run, runs, rig, protocol, operator, note, as_json))
+
+
+def run_plan(
+    plan: Annotated[Path, typer.Argument(help="Plan file (TOML): tests, one after another.")],
+    again: Annotated[
+        bool, typer.Option("--again", help="From the start, even if the plan was begun before.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a chain of tests; stopped with Ctrl-C it goes on where it was when run again."""
+    from cli.test.plan import plan_command
+
+    raise typer.Exit(plan_command(plan, again, as_json))

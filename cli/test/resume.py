@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from analysis.reporting.derived import try_derive
+from cli.test.outcome import exit_status, print_result
 from daq.errors import ConfigError
 from daq.interrupt import StopFlag
 from daq.record.sealed import plain
@@ -108,7 +110,6 @@ def continue_run(
     stop: StopFlag | None = None,
     watch: Watch | None = None,
     on_start: Callable[..., None] | None = None,
-    derive: bool = True,
 ) -> Result:
     """Make the trials that a test did not bring to their end, into a run beside the last one.
 
@@ -129,7 +130,7 @@ def continue_run(
         kind, config, plan, root,
         specimen=str(manifest.get("specimen") or ""),
         operator=operator or str(manifest.get("operator") or ""),
-        note=note, stop=stop, watch=watch, on_start=on_start, derive=derive,
+        note=note, stop=stop, watch=watch, on_start=on_start,
         continues=continues,
     )  # fmt: skip
 
@@ -152,12 +153,14 @@ def continue_command(
             stop=stop, watch=watch, on_start=line.start,
         )  # fmt: skip
     line.close()
-    return say(result, as_json)
+    return _print(result, as_json)
 
 
-def say(result: Result, as_json: bool) -> int:
-    """Tell a result; its exit status."""
-    status = {"clean": 0, "stopped": 130}.get(result.outcome, 2)
+def _print(result: Result, as_json: bool) -> int:
+    """Print a result after making what is derived; returns the exit status."""
+    not_derived = try_derive(result.folder, result.error)
+    if not as_json:
+        return print_result(result, not_derived)
     value: dict[str, Any] = {
         "run_id": result.folder.name,
         "folder": str(result.folder),
@@ -166,14 +169,5 @@ def say(result: Result, as_json: bool) -> int:
         "planned": result.planned,
         "reason": str(result.error) if result.error else None,
     }
-    if as_json:
-        typer.echo(json.dumps(value, indent=2, allow_nan=False))
-        return status
-    typer.echo(f"{result.outcome}: {result.points} of {result.planned} points in {result.folder}")
-    if result.error:
-        typer.echo(f"  because: {result.error}")
-    if result.not_derived:
-        typer.echo(f"  table and report could not be made: {result.not_derived}")
-        return status or 2
-    typer.echo(f"  report: {result.folder / 'derived' / 'report.html'}")
-    return status
+    typer.echo(json.dumps(value, indent=2, allow_nan=False))
+    return exit_status(result)

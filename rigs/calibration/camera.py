@@ -26,8 +26,8 @@ from rigs.rigfile.camera_calibration import (
     load_camera_calibration,
     save_camera_calibration,
 )
-from vision.lens import Lens
-from vision.marker.edge import GapMeasurement
+from vision.marker.gap import GapMeasurement
+from vision.marker.lens import Lens
 
 __all__ = [
     "CameraCalibration",

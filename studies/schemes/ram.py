@@ -260,7 +260,7 @@ def _statements(
 
 def _figure(base: Sequence[Lift]) -> Figure:
     """Height and pressure of each lift against time."""
-    from analysis.reporting.drawing import SET, new_figure, sequence, style
+    from analysis.figures.drawing import SET, new_figure, sequence, style
 
     with style():
         figure, (top, bottom) = new_figure(7.2, 4.6, rows=2, sharex=True)

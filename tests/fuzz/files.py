@@ -14,6 +14,8 @@ import numpy as np
 import pandas as pd
 
 from analysis.layouts.layouts import measured_edges
+from analysis.reduction.pictures import decode, measure_stored
+from analysis.run_table import reduce_run
 from daq.calibration import Calibration
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
@@ -27,8 +29,6 @@ from gap.data.reader import read_dataset
 from plant.errors import PlantError
 from plant.models.catalogue import load as load_model
 from rigs.calibration.frames import open_frames
-from rigs.execution.pictures import decode, measure_stored
-from rigs.execution.resume import reduce_run
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.toml_reader import load_toml
 

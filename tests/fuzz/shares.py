@@ -43,7 +43,7 @@ MARKED = (
     "rigs.calibration.frames",
     "rigs.devices.instruments",
     "rigs.devices.lines",
-    "rigs.execution.pictures",
+    "rigs.steps.pictures",
     "analysis.reduction.points",
     "rigs.execution.resume",
     "rigs.devices.stage",

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from vision.gray import Box
 from vision.marker.coarse import EdgeGuess, Image, find_edges
-from vision.marker.edge import EdgeLine, GapMeasurement
 from vision.marker.edgefit import refine
 from vision.marker.edgestart import start_line
 from vision.marker.edgesweep import CORE_MAX, GROUP
+from vision.marker.gap import EdgeLine, GapMeasurement
 from vision.marker.jpegerror import find_quantiser, position_variance
 
 F64 = npt.NDArray[np.float64]

@@ -1,38 +1,24 @@
-"""Pictures of the muscle: exposed, encoded, stored, and measured as they were stored."""
+"""Stored pictures decoded and measured, live and in every later reduction alike."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from daq.errors import DeviceError, RecordError
-from daq.record.writer import RecordWriter
-from rigs.bench.rig import Rig
-from rigs.devices.camera import Frame
+from daq.errors import RecordError
 from vision.decode import PictureError, decode_gray
 from vision.gray import RegionError
-from vision.lens import Lens
-from vision.marker.edge import GapMeasurement, measure_gap
+from vision.marker.edge import measure_gap
+from vision.marker.gap import GapMeasurement
+from vision.marker.lens import Lens
 
 if TYPE_CHECKING:
     from daq.store.run import Run
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A stored picture: its number in the record, when it was taken, its bytes, its gap."""
-
-    number: int
-    host_ns: int
-    jpeg: bytes
-    gap: GapMeasurement
-
 
 FARTHEST = 1e9
 """Pixels, or a lens's coefficients: beyond, squares and their products are no numbers."""
@@ -90,36 +76,3 @@ def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> Ga
         pixels, u_pixels = Lens(**lens).gap(gap)
         gap = replace(gap, pixels=pixels, u_pixels=u_pixels)
     return gap
-
-
-def store(rig: Rig, record: RecordWriter, frame: Frame, **meta: Any) -> tuple[int, bytes]:
-    """Encode a frame and append it to the record; its number and its bytes."""
-    quality = [cv2.IMWRITE_JPEG_QUALITY, rig.config.camera.jpeg_quality]
-    ok, data = cv2.imencode(".jpg", frame.gray, quality)
-    if not ok:
-        raise DeviceError("camera", f"frame {frame.seq} cannot be encoded as JPEG")
-    jpeg = data.tobytes()
-    return record.frame(jpeg, frame.host_ns, seq=frame.seq, **meta), jpeg
-
-
-def take_picture(rig: Rig, record: RecordWriter, camera: Mapping[str, Any]) -> Picture:
-    """Trigger, encode, store, decode, measure.
-
-    The decoded JPEG is measured, not the frame as it came, so that a replay of the record
-    gives the same length to the bit.
-    """
-    frame = rig.camera.trigger()
-    number, jpeg = store(rig, record, frame)
-    gray = decode(jpeg)
-    assert gray is not None
-    gap = measure_stored(gray, camera)
-    known = math.isfinite(gap.pixels)
-    record.event(
-        "length",
-        frame=number,
-        pixels=gap.pixels if known else None,
-        u_pixels=gap.u_pixels if known else None,
-        trusted=gap.trusted,
-        reason=gap.reason,
-    )
-    return Picture(number, frame.host_ns, jpeg, gap)

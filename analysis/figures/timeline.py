@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.reporting.drawing import INK, MEASURED, SET, new_figure, style
+from analysis.figures.drawing import INK, MEASURED, SET, new_figure, style
 from daq.errors import RecordError
 
 if TYPE_CHECKING:

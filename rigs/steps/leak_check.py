@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from rigs.execution.steps import Act, SetPressure, Settle, SettleCriterion, State, Vent
+from rigs.steps.custom_step import CustomStep
+from rigs.steps.steps import SetPressure, Settle, SettleCriterion, State, Vent
 
 if TYPE_CHECKING:
-    from rigs.execution.runner import Runner
+    from rigs.steps.context import StepContext
 
 REST_S = 0.3
 """After the valves have shut: what moves in this time is no leak."""
@@ -19,7 +20,7 @@ CRITERION = SettleCriterion(0.5, 5.0, 1.0, None, 20.0)
 
 
 @dataclass(frozen=True)
-class LeakCheck(Act):
+class LeakCheck(CustomStep):
     """Fill, shut both valves, and hold the loss of pressure against a limit.
 
     The gas has no time to cool on a bench whose valves are slow; where it does, the first
@@ -31,13 +32,13 @@ class LeakCheck(Act):
     limit_kpa_s: float
     seconds: ClassVar[float] = 8.0
 
-    def perform(self, runner: Runner) -> float:
+    def perform(self, runner: StepContext) -> float:
         """The loss in kPa/s, also recorded.
 
         Raises:
             RunFault: it is above the limit.
         """
-        from rigs.execution.runner import RunFault
+        from rigs.steps.context import RunFault
 
         runner.do(State("leak check"))
         runner.do(SetPressure(self.pressure_kpa))
@@ -63,7 +64,7 @@ class LeakCheck(Act):
             )
         return loss
 
-    def _mean(self, runner: Runner) -> float:
+    def _mean(self, runner: StepContext) -> float:
         seq, _ = runner.window(MEAN_SAMPLES * 1e-3)
         counts = runner.rig.valve.recent_counts(seq[1] - seq[0])
         return float(runner.rig.config.calibrations["pressure_kpa"].apply(np.mean(counts)))

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.errors import DeviceError
-from rigs.execution.runner import RunFault
-from rigs.execution.steps import Act
+from rigs.steps.context import RunFault
+from rigs.steps.custom_step import CustomStep
 
 if TYPE_CHECKING:
-    from rigs.execution.runner import Runner
     from rigs.rigfile.config import RigConfig
+    from rigs.steps.context import StepContext
 
 RELEASED_KPA = 2.0
 LOOK = 100
@@ -28,29 +28,29 @@ QUIET_S = 0.06
 
 
 @dataclass(frozen=True)
-class Release(Act):
+class Release(CustomStep):
     """Let the air out, whatever scheme a test has chosen meanwhile, and shut both valves."""
 
     seconds = 1.0
 
-    def perform(self, runner: Runner) -> None:
+    def perform(self, runner: StepContext) -> None:
         """See :func:`release`."""
         release(runner)
 
 
 @dataclass(frozen=True)
-class Supply(Act):
+class Supply(CustomStep):
     """Have the pressure of the supply set by hand; a rig without that axis keeps its own."""
 
     pressure_kpa: float
     seconds = 6.0
 
-    def perform(self, runner: Runner) -> float:
+    def perform(self, runner: StepContext) -> float:
         """Returns what was read, in kPa."""
         return set_supply(runner, self.pressure_kpa)
 
 
-def set_supply(runner: Runner, pressure_kpa: float) -> float:
+def set_supply(runner: StepContext, pressure_kpa: float) -> float:
     """Have the supply's regulator turned to a pressure, unless it is there; returns the reading.
 
     The reading is 0.0 on a rig without a ``[manual.supply]``.
@@ -69,14 +69,14 @@ def has_supply_axis(config: RigConfig) -> bool:
     return "supply" in config.instruments.manual
 
 
-def pressure_now(runner: Runner, samples: int = LOOK) -> float:
+def pressure_now(runner: StepContext, samples: int = LOOK) -> float:
     """Mean of the newest samples in kPa."""
     counts = runner.rig.valve.recent_counts(samples)
     return float(runner.rig.config.calibrations["pressure_kpa"].apply(np.mean(counts)))
 
 
 def fill(
-    runner: Runner, pressure_kpa: float, tolerance_kpa: float, timeout_s: float = FILL_S
+    runner: StepContext, pressure_kpa: float, tolerance_kpa: float, timeout_s: float = FILL_S
 ) -> bool:
     """Bring the pressure between the valves to a value and shut both; whether it got there.
 
@@ -108,7 +108,7 @@ def fill(
     return came
 
 
-def release(runner: Runner) -> None:
+def release(runner: StepContext) -> None:
     """Let the air out and shut both valves.
 
     Raises:
@@ -129,7 +129,7 @@ def release(runner: Runner) -> None:
 
 
 @dataclass(frozen=True)
-class ValvePoint(Act):
+class ValvePoint(CustomStep):
     """A point of a valve test: where it belongs.
 
     Attributes:
@@ -151,7 +151,7 @@ class ValvePoint(Act):
         """The valve as the controller calls it."""
         return "inlet" if self.valve == "inlet" else "vent"
 
-    def put(self, runner: Runner, **fields: Any) -> None:
+    def put(self, runner: StepContext, **fields: Any) -> None:
         """The point's event in the record; it counts as done."""
         own = ("trial", "slot", "replicate", "order", "mounting", "valve", "set_pressure_kpa")
         take = {"take": runner.steering.take} if runner.steering.take > 1 else {}
@@ -160,7 +160,9 @@ class ValvePoint(Act):
         )
         runner.progress.done += 1 if not take else 0
 
-    def upstream(self, runner: Runner, tolerance_kpa: float, top_kpa: float) -> tuple[float, bool]:
+    def upstream(
+        self, runner: StepContext, tolerance_kpa: float, top_kpa: float
+    ) -> tuple[float, bool]:
         """Bring this valve's upstream side to its pressure: (supply as read, got there).
 
         The inlet's is the supply, with the vessel behind it vented; the outlet's is the vessel,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rigs.execution.runner import Runner
+    from rigs.steps.context import StepContext
 
 
-def turn_by_hand(runner: Runner, pressure_kpa: float) -> None:
+def turn_by_hand(runner: StepContext, pressure_kpa: float) -> None:
     """Have the regulator turned, where the rig has ``[manual.pressure]``; checked and recorded.
 
     The inlet stands open between regulator and muscle meanwhile, and is shut by the controller

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, ClassVar
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError
 from rigs.devices.stage import Stage
-from rigs.execution.steps import Act, SetLength
 from rigs.rigfile.toml_reader import Table
+from rigs.steps.custom_step import CustomStep
+from rigs.steps.steps import SetLength
 
 if TYPE_CHECKING:
-    from rigs.execution.runner import Runner
     from rigs.rigfile.config import RigConfig
+    from rigs.steps.context import StepContext
 
 PICTURES_HZ = (10.0, 25.0)
 PICTURES_MM = 1.0 / 3.0
@@ -23,7 +24,7 @@ REST_S = 0.3
 
 
 @dataclass(frozen=True)
-class Sweep(Act):
+class Sweep(CustomStep):
     """There and back between two lengths at one speed, with pictures all the way."""
 
     from_mm: float
@@ -36,13 +37,13 @@ class Sweep(Act):
         """About how long it takes."""
         return 2.0 * abs(self.to_mm - self.from_mm) / self.speed_mm_s + 4.0 * REST_S
 
-    def perform(self, runner: Runner) -> None:
+    def perform(self, runner: StepContext) -> None:
         """Begin at the first length, go to the other, and come back.
 
         Raises:
             DeviceError: the stage is moved by hand, or did not arrive.
         """
-        from rigs.execution.pictures import take_picture
+        from rigs.steps.pictures import take_picture
 
         stage = runner.rig.stage
         if not isinstance(stage, Stage):

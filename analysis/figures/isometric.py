@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.regression.force_lines import LengthLaw, LengthLine, length_groups
-from analysis.reporting.drawing import (
+from analysis.figures.drawing import (
     COVERAGE,
     INK,
     MARKERS,
@@ -22,6 +21,7 @@ from analysis.reporting.drawing import (
     sequence,
     style,
 )
+from analysis.regression.force_lines import LengthLaw, LengthLine, length_groups
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
-from rigs.execution.steps import Measure
+from rigs.steps.steps import Measure
+
+if TYPE_CHECKING:
+    from daq.record.writer import RecordWriter
+    from rigs.bench.rig import Rig
 
 
 @dataclass
@@ -30,3 +34,15 @@ class Progress:
     state: str = ""
     seconds: float = 0.0
     spent_s: float = 0.0
+
+
+class LiveView(Protocol):
+    """What a running test feeds; it may lose anything, the test never waits for it."""
+
+    def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:
+        """Take what the rig reads and what the run reports from now on."""
+        ...
+
+    def close(self) -> None:
+        """The run has ended."""
+        ...

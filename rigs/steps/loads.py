@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 from daq.errors import DeviceError, PamrigError
 from rigs.devices.operator import Request, ask
-from rigs.execution.steps import Act, Vent
+from rigs.steps.custom_step import CustomStep
+from rigs.steps.steps import Vent
 
 if TYPE_CHECKING:
-    from rigs.execution.runner import Runner
+    from rigs.steps.context import StepContext
 
 LOWER_STEP_S = 0.05
 LOWEST_KPA = 5.0
@@ -20,7 +21,7 @@ SLOWEST_KPA_S = 30.0
 
 
 @dataclass(frozen=True)
-class HangLoad(Act):
+class HangLoad(CustomStep):
     """Have a mass hung on the vented muscle (0: have it taken off); answers what hangs, in kg.
 
     Who checks it: the rig's axis ``[manual.mass]`` with its sensor where there is one, else
@@ -30,7 +31,7 @@ class HangLoad(Act):
     mass_kg: float
     seconds: ClassVar[float] = 6.0
 
-    def perform(self, runner: Runner) -> float:
+    def perform(self, runner: StepContext) -> float:
         """Ask, wait, record.
 
         Raises:
@@ -64,26 +65,26 @@ class HangLoad(Act):
         return setting.taken
 
     @staticmethod
-    def asked_of(runner: Runner) -> float:
+    def asked_of(runner: StepContext) -> float:
         """The mass that was asked for last: what hangs may have been read a little differently."""
         settings = runner.rig.axes["mass"].settings if "mass" in runner.rig.axes else []
         return settings[-1].asked if settings else 0.0
 
 
 @dataclass(frozen=True)
-class LowerLoad(Act):
+class LowerLoad(CustomStep):
     """Let the pressure down slowly, so that a hung load sinks instead of falling; then vent."""
 
     seconds: ClassVar[float] = 4.0
 
-    def perform(self, runner: Runner) -> None:
+    def perform(self, runner: StepContext) -> None:
         """Ramp down and vent; only vent where nothing hangs."""
         if runner.load_kg and not runner.vented:
             ramp_down(runner)
         runner.do(Vent())
 
 
-def ramp_down(runner: Runner) -> float:
+def ramp_down(runner: StepContext) -> float:
     """Lead the set-point from the pressure of now to none; returns where it began, in kPa.
 
     The lower the pressure, the further a load sinks for each kPa: the rate, the rig's at 300 kPa,
@@ -102,7 +103,7 @@ def ramp_down(runner: Runner) -> float:
     return start
 
 
-def lower_load(runner: Runner) -> None:
+def lower_load(runner: StepContext) -> None:
     """The safe state of a rig with a hung load, as long as the controller obeys: lowered.
 
     Where it does not (fault, lost link, killed program) the controller vents by itself, and the
@@ -121,7 +122,7 @@ def lower_load(runner: Runner) -> None:
     runner.record.event("lowered", load_kg=runner.load_kg, done=True, from_kpa=start)
 
 
-def _not_lowered(runner: Runner, reason: str) -> None:
+def _not_lowered(runner: StepContext, reason: str) -> None:
     """The load came down by itself: onto its catch, where there is one."""
     catch_mm = runner.rig.config.instruments.load.catch_mm
     runner.record.event(

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, ClassVar
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError
 from rigs.devices.operator import Request, ask
-from rigs.execution.steps import Act, State, Vent
+from rigs.steps.custom_step import CustomStep
+from rigs.steps.steps import State, Vent
 
 if TYPE_CHECKING:
-    from rigs.execution.runner import Runner
+    from rigs.steps.context import StepContext
 
 READINGS = 5
 
@@ -32,14 +33,14 @@ class SoakCriterion:
 
 
 @dataclass(frozen=True)
-class SetTemperature(Act):
+class SetTemperature(CustomStep):
     """Have the chamber set, wait until it has soaked through; answers (settled, waited in s)."""
 
     temperature_c: float
     criterion: SoakCriterion
     seconds: ClassVar[float] = 60.0
 
-    def perform(self, runner: Runner) -> tuple[bool, float]:
+    def perform(self, runner: StepContext) -> tuple[bool, float]:
         """Ask, then watch the thermometer.
 
         Raises:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from vision.marker.edge import GapMeasurement
+from vision.marker.gap import GapMeasurement
 
 F64 = npt.NDArray[np.float64]
 

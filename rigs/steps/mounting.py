@@ -6,20 +6,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from rigs.devices.operator import Request, ask
-from rigs.execution.steps import Act, State, Vent
+from rigs.steps.custom_step import CustomStep
+from rigs.steps.steps import State, Vent
 
 if TYPE_CHECKING:
-    from rigs.execution.runner import Runner
+    from rigs.steps.context import StepContext
 
 
 @dataclass(frozen=True)
-class Remount(Act):
+class Remount(CustomStep):
     """Have the muscle taken off and mounted anew, vented; timed and recorded."""
 
     mounting: str
     seconds: ClassVar[float] = 60.0
 
-    def perform(self, runner: Runner) -> None:
+    def perform(self, runner: StepContext) -> None:
         """Ask and wait."""
         runner.do(Vent())
         runner.do(State(f"mounting {self.mounting}"))

@@ -8,19 +8,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from rigs.execution.steps import (
-    Act,
-    Dwell,
-    Measure,
-    SetLength,
-    SetPressure,
-    Settle,
-    Step,
-    Steps,
-    Tare,
-    Vent,
-    Zero,
-)
+from rigs.steps.custom_step import CustomStep, Step, Steps
+from rigs.steps.steps import Dwell, Measure, SetLength, SetPressure, Settle, Tare, Vent, Zero
 
 ORDERS = ("up-down", "random", "abba")
 """Settings as listed and points up, then down; both shuffled by the seed; settings as listed in
@@ -91,7 +80,7 @@ def cost_s(step: Step, speed_mm_s: float = 10.0) -> float:
             return step.criterion.window_s + SETTLE_S
         case Measure():
             return step.seconds + step.frames * PICTURE_S
-        case Act():
+        case CustomStep():
             return step.seconds
     return 0.0
 
@@ -104,7 +93,9 @@ def outline(steps: Steps, speed_mm_s: float = 10.0) -> tuple[int, float]:
         while True:
             step = steps.send(answer)
             seconds += cost_s(step, speed_mm_s)
-            points += isinstance(step, Measure) or (step.points if isinstance(step, Act) else 0)
+            points += isinstance(step, Measure) or (
+                step.points if isinstance(step, CustomStep) else 0
+            )
             answer = (True, SETTLE_S) if isinstance(step, Settle) else None
     except StopIteration:
         return points, seconds

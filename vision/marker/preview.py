@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vision.gray import Box, to_gray
-from vision.marker.edge import GapMeasurement
+from vision.marker.gap import GapMeasurement
 
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"  # Okabe and Ito's palette
 SHOWN = 1200  # rows and columns of the picture that are drawn: more than the paper has

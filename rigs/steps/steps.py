@@ -6,13 +6,8 @@ out, and whatever a step measured comes back as the value of its ``yield``.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Generator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
-
-if TYPE_CHECKING:
-    from rigs.execution.runner import Runner
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -146,32 +141,3 @@ class EndTrial:
     """The trial is whole."""
 
     trial: int
-
-
-class Act(ABC):
-    """A step of one protocol alone, which brings the way in which it is carried out.
-
-    Attributes:
-        points: how many points of the result it makes.
-        seconds: about how long it takes.
-    """
-
-    points: ClassVar[int] = 0
-    seconds: ClassVar[float] = 1.0
-
-    @abstractmethod
-    def perform(self, runner: Runner) -> Any:
-        """Do it; what is returned is the value of the protocol's ``yield``.
-
-        A point that it makes goes into the record with ``take=runner.steering.take`` where
-        that is above 1, and counts in ``runner.progress.done``.
-        """
-
-
-Step = (
-    State | Vent | SetLength | Tare | SetPressure | Dwell | Settle | Zero | Measure
-    | Trial | EndTrial | Act
-)  # fmt: skip
-Answer = Any
-"""(settled, seconds waited) of a Settle; what an Act returns; None of all others."""
-Steps = Generator[Step, Answer, None]
