@@ -282,8 +282,9 @@ def lines(result: dict[str, Any]) -> list[str]:
     for tool, why in result["missing"].items():
         rows.append([tool, "", "", why, "", "", "", ""])
     out = table(
-        ["tool", "to system", "to medium", "rows/s maximum", "pamrig with the same input is ... times",
-         "processor at 1 kHz", "lost at kill -9, ms", "missing at the kill, ms"], rows,
+        ["tool", "to system", "to medium", "rows/s maximum",
+         "pamrig with the same input is ... times", "processor at 1 kHz", "lost at kill -9, ms",
+         "missing at the kill, ms"], rows,
     )  # fmt: skip
     first = ways["pamrig"]
     out.append(
