@@ -37,14 +37,14 @@ campaign: $(READY)   ## the same tests at full size, and the long ones
 	PAMRIG_CAMPAIGN=1 $(BIN)/python -m pytest -m "campaign or not look" -s
 
 faults: $(READY)   ## thousands of runs with things going wrong, and their page; stopped, it goes on
-	$(BIN)/python -m tests.faults --processes 2 --page docs/faults.md
+	$(BIN)/python -m tests.faults --processes 2 --page docs/evidence/faults.md
 
 fuzz: $(READY)   ## ten million inputs that nobody would write
-	$(BIN)/python -m tests.fuzz --page docs/fuzz.md
+	$(BIN)/python -m tests.fuzz --page docs/evidence/fuzz.md
 
 soak: $(READY)   ## a virtual day at 1 kHz and a real hour: memory and completeness, and their page
-	$(BIN)/python -m tests.soak --hours 24 --page docs/soak.md
-	$(BIN)/python -m tests.soak --real --page docs/soak.md
+	$(BIN)/python -m tests.soak --hours 24 --page docs/evidence/soak.md
+	$(BIN)/python -m tests.soak --real --page docs/evidence/soak.md
 
 audit: $(READY)   ## pins of the lock file, and known holes where pip-audit and a network are there
 	$(BIN)/python -m tests.audit
@@ -56,8 +56,8 @@ $(VENV)/.peers: $(READY)   # pamrig's own packages stay as they are pinned
 	$(BIN)/python -m pip install --quiet --constraint requirements.lock --editable '.[bench,peers]'
 	@touch $@
 
-bench: $(VENV)/.peers   ## side by side with what one would use instead: docs/benchmarks.md
-	$(BIN)/python -m benchmarks --page docs/benchmarks.md
+bench: $(VENV)/.peers   ## side by side with what one would use instead: docs/evidence/benchmarks.md
+	$(BIN)/python -m benchmarks --page docs/evidence/benchmarks.md
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -1,8 +1,8 @@
-"""`make bench`: every comparison of docs/benchmarks.md, and that page.
+"""`make bench`: every comparison of docs/evidence/benchmarks.md, and that page.
 
     python -m benchmarks                             # all parts, printed
-    python -m benchmarks --page docs/benchmarks.md   # and the page written
-    python -m benchmarks --page docs/benchmarks.md --only recording growth_length
+    python -m benchmarks --page docs/evidence/benchmarks.md   # and the page written
+    python -m benchmarks --page docs/evidence/benchmarks.md --only recording growth_length
     python -m benchmarks finger                      # any one; some exist beside the page's parts
 
 Each part's figures are kept in ``--results`` as soon as it is done. ``--only`` measures those parts

@@ -15,7 +15,7 @@ from typing import Any
 
 from benchmarks.paired import Spread, ratios, short, table
 
-TITLE = "Diagnosis beside naive selection"
+TITLE = "Diagnosis compared with simple selection methods"
 STREAM, FIRST = "practice", 900
 OURS = "pamrig gap diagnose"
 
@@ -100,15 +100,15 @@ def lines(result: dict[str, Any]) -> list[str]:
         ])  # fmt: skip
     heads = [
         "method", "named exactly", "family right", "wrong names", "false alarms",
-        "processor s a set", "its time over ours",
+        "processor s per set", "time / pamrig",
     ]  # fmt: skip
     out = table(heads, rows)
     last = result["first"] + len(sets) - 1
     out += [
         f"Small blind sets {result['first']} to {last} of the stream `{STREAM}`, made by the "
-        "second bench of `blind/`. Too few to judge the diagnosis by: they show the cost, and what "
-        "naive selection on the same features and constants does. Most of a baseline's time goes "
-        "into those features. Sets that no method can use are left out of a baseline's row.",
+        "second bench of `blind/`. They are too few to evaluate the diagnosis. They show the cost, "
+        "and the result of simple selection on the same features and constants. A baseline needs "
+        "most of its time for these features. Sets that a baseline cannot use are not in its row.",
         "",
     ]
     return out

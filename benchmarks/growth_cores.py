@@ -51,10 +51,10 @@ def lines(result: dict[str, Any]) -> list[str]:
     gain = ratios(wall["1"], wall["2"])
     out = table(["processes", f"wall s for {result['count']} sets"], rows)
     out += [
-        f"Two processes do the work **{gain}** times as fast as one on {result['cores']} cores, "
-        f"the pool's start and each process's first set left out, at a load of "
-        f"{result['load']:.1f} from other programs and this one. Wall time: with others at work "
-        "the second core is not free.",
+        f"Two processes are **{gain}** times as fast as one on {result['cores']} cores, without "
+        "the start of the pool and the first set of each process, at a load of "
+        f"{result['load']:.1f} from this and other programs. This is wall time; other programs "
+        "also used the second core.",
         "",
     ]
     return out

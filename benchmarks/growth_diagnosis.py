@@ -62,10 +62,10 @@ def measure(tiny: bool = False) -> dict[str, Any]:
 def lines(result: dict[str, Any]) -> list[str]:
     """The page's part."""
     trials, effects = result["trials"], result["effects"]
-    out = growth_table({"diagnosis": result["by_trials"]}, trials, "trials", 1e3, "ms a trial")
+    out = growth_table({"diagnosis": result["by_trials"]}, trials, "trials", 1e3, "ms per trial")
     out += growth_table(
         {f"diagnosis of {result['middle']} trials": result["by_effects"]},
-        effects, "effects", 1e3, "ms an effect",
+        effects, "effects", 1e3, "ms per effect",
     )  # fmt: skip
     out += ["Processor time, median of three rounds, reading included.", ""]
     return out

@@ -82,7 +82,7 @@ def lines(result: dict[str, Any]) -> list[str]:
     out = growth_table(
         {"the run (bench, firmware, camera, record)": [[r["run_s"]] for r in rows],
          "table, figures, report, view": [[r["derive_s"]] for r in rows]},
-        whole, "s of test", 1e3, "ms a second",
+        whole, "s of test", 1e3, "ms per second",
     )  # fmt: skip
     memory = [
         [f"{s:,} s", f"{r['before_mb']:.0f}", f"{r['run_mb']:.0f}", f"{r['derive_mb']:.0f}"]
@@ -92,7 +92,7 @@ def lines(result: dict[str, Any]) -> list[str]:
     out += table(heads, memory)
     exponent = Growth.of(sizes, [r["run_mb"] for r in rows])
     out += [
-        f"Peak memory while running goes with length to the power {exponent}.",
+        f"Peak memory during the run grows with length to the power {exponent}.",
         "",
     ]
     return out

@@ -66,7 +66,7 @@ def measure(tiny: bool = False) -> dict[str, Any]:
 def lines(result: dict[str, Any]) -> list[str]:
     """The page's part."""
     return [
-        *growth_table(result["costs"], result["sizes"], "samples", 1e6, "us a sample"),
+        *growth_table(result["costs"], result["sizes"], "samples", 1e6, "us per sample"),
         "Processor time, median of three rounds. One decade of 1 kHz is 17 min, two are 2.8 h.",
         "",
     ]

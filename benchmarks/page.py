@@ -28,13 +28,13 @@ PARTS = [
 HEAD = """\
 # Benchmarks
 
-Speed beside what one would use instead, and how cost grows. This page is written by
+Speed compared with other tools, and growth of the cost with size. This command writes the page:
 
-    python -m benchmarks --page docs/benchmarks.md
+    python -m benchmarks --page docs/evidence/benchmarks.md
 
-(`make bench`); `--only PART` measures one part anew. Every figure is of one run in which the ways
-took turns. A ratio is theirs over ours, taken round by round: median (smallest to largest). Where
-we are behind, the line says so.
+(`make bench`); `--only PART` measures one part again. All figures of a part come from one run in
+which the tools took turns. A ratio is other tool / pamrig, calculated per round: median (minimum
+to maximum). The text states where pamrig is slower.
 """
 
 
@@ -68,8 +68,8 @@ def page(parts: dict[str, dict[str, Any] | None]) -> str:
     """The whole text; a part without figures says so."""
     out = [HEAD]
     machines = list(dict.fromkeys(p["machine"] for p in parts.values() if p))
-    out.append(f"Machine: {'; '.join(machines)}. Other programs ran beside these at times; the ")
-    out[-1] += "load at the end of each part stands under it.\n"
+    out.append(f"Machine: {'; '.join(machines)}. Other programs sometimes ran at the same ")
+    out[-1] += "time; the load at the end of each part is given below it.\n"
     for name, part in parts.items():
         module = importlib.import_module(f"benchmarks.{name}")
         out.append(f"## {module.TITLE}\n")

@@ -1,6 +1,6 @@
 """The thesis's schemes and the burst scheme side by side, on both simulated benches.
 
-    python -m benchmarks.schemes                        # the table of docs/valve-schemes.md
+    python -m benchmarks.schemes                  # the table of docs/reference/valve-schemes.md
     python -m benchmarks.schemes --picture docs/images  # and its picture
     python -m benchmarks.schemes --seeds 20             # more draws of noise
 

@@ -96,7 +96,7 @@ def runs(folder: str | Path = "runs") -> pd.DataFrame:
 
 
 def diagnose(data: str | Path, without: Iterable[str] = ()) -> Verdict:
-    """Diagnose a data set in the EXCHANGE form; see `gap.decision.diagnose.diagnose`.
+    """Diagnose a data set in the dataset format; see `gap.decision.diagnose.diagnose`.
 
     `verdict.as_dict()` is the object that `pamrig gap diagnose --json` prints.
 

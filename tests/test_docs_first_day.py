@@ -21,7 +21,7 @@ from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig
 
 HOUSE = Path(__file__).resolve().parent.parent
-PAGE = HOUSE / "docs" / "first-day.md"
+PAGE = HOUSE / "docs" / "start" / "first-day.md"
 ANSWER_S = 300.0
 QUESTION = re.compile(r">> (.*?press Enter.*?)\r?\n", re.DOTALL)
 

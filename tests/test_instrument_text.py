@@ -128,7 +128,7 @@ MISHAPS = {
 def test_a_mishap_on_the_wire_is_counted_and_never_a_wrong_value(name: str, mishap: str) -> None:
     desk, driver, form = desk_of(name)
     if mishap == "checksum" and form.checksum == "none":
-        pytest.skip("without a checksum a flipped digit cannot be told: see docs/instruments.md")
+        pytest.skip("no checksum, no detection: see docs/reference/instruments.md")
     told: list[str] = []
     driver.faults.on_fault.append(lambda kind, words: told.append(kind))
     driver.connect("")

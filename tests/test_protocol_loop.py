@@ -74,7 +74,7 @@ def test_a_falling_step_overshoots_downwards() -> None:
 
 
 def test_schemes_are_told_apart_and_errors_hold_the_truth(tmp_path: Path) -> None:
-    """Bursts stay on the set-point, two-position swings (docs/valve-schemes.md)."""
+    """Bursts stay on the set-point, two-position swings (docs/reference/valve-schemes.md)."""
     kept: list[Any] = []
     run = measured(tmp_path, "step", kept, pressures_kpa=(200.0, 350.0, 150.0))
     table = procedure("step").analysis.reduce(run).table.set_index(["scheme", "set_pressure_kpa"])

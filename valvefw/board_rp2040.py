@@ -4,7 +4,7 @@
 
 A Raspberry Pi Pico or a clone. The wire goes over UART0 and a USB adapter, not over the Pico's own
 USB, whose driver may wait half a second for a host that does not read; USB keeps the prompt for
-installing. Wiring and air: docs/wiring.md.
+installing. Wiring and air: docs/reference/wiring.md.
 
 Valve pulses are timed by the PIO, one state machine a valve, to 1 us. Each counts down what it was
 last told and lets go at the end, so that a dead processor leaves both coils without current 20 ms

@@ -1,6 +1,6 @@
 """Requests as text, `<id> <verb> [arg ...]`, to replies, `<id> ok ...` or `<id> err <code> ...`.
 
-Every argument is checked and refused, never clipped. All verbs: docs/wire-format.md.
+Every argument is checked and refused, never clipped. All verbs: docs/reference/wire-format.md.
 """
 
 from valvefw import config

@@ -1,4 +1,4 @@
-"""The wire: COBS frames with a CRC-16, four kinds of payload (see docs/wire-format.md).
+"""The wire: COBS frames with a CRC-16, four kinds of payload (see docs/reference/wire-format.md).
 
 A frame is COBS(payload + crc16(payload), high byte first) + one zero byte. Zero bytes occur
 nowhere else, so whoever lost the thread finds it again at the next zero: garbage costs the

@@ -162,7 +162,7 @@ def _claims(rows: list[dict[str, Any]]) -> Section | None:
         (
             "The thesis gives no number, so that oscillation is held against 1 % of supply and"
             " considerable against 5 %. The listings of its programs have defects that may"
-            " explain what differs (docs/valve-schemes.md).",
+            " explain what differs (docs/reference/valve-schemes.md).",
         ),
         pd.DataFrame(said),
         (("claim", "said"), ("found", "measured"), ("same", "agrees")),

@@ -1,7 +1,7 @@
 """Switching times of the valves from fast blocks: what the thesis read off an oscilloscope.
 
-A block holds the samples around one pulse (``capture`` in docs/wire-format.md). The air needs time
-from the valve to a sensor down the line, which is taken off.
+A block holds the samples around one pulse (``capture``, docs/reference/wire-format.md). The air
+needs time from the valve to a sensor down the line; times are corrected for it.
 """
 
 from __future__ import annotations

@@ -128,7 +128,7 @@ def compare_command(
         learnt = _region(load_points(train, runs, warm), region) if train else None
         found = compare(chosen or _sensible(learnt or points), points, holdout, nested, learnt)
     except PlantError as error:
-        raise PamrigError(" ".join(data), str(error), "see docs/models.md") from None
+        raise PamrigError(" ".join(data), str(error), "see docs/use/models.md") from None
     if figure is not None:
         from analysis.models.figures import comparison_figure
 

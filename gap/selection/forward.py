@@ -40,7 +40,7 @@ from plant.effects.catalogue import CATALOGUE
 Array = npt.NDArray[np.float64]
 
 ALARM = 28.0
-"""Least gain (drop of the whitened sum of squares) of a first effect; see docs/gap.md."""
+"""Least gain (drop of the whitened sum of squares) of a first effect; see docs/use/gap.md."""
 CHANCE = 0.002
 BEYOND_CHANCE = 1.7
 """How far beyond the simulated null a first effect must reach: real noise has other forms too."""

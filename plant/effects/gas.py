@@ -102,7 +102,7 @@ GAS_AND_LOAD: tuple[Entry, ...] = (
         ("valve_delay_pressure", "transport_delay", "flow_area", "pressure_lag"),
         "pulse widths from below to well above the delay, at one pressure",
         equation="on_ms or off_ms + delay of one edge",
-        source="PLANT.md's delay line; Tables D-1 to D-3",
+        source="Nominal plant, delay of the valve; Tables D-1 to D-3",
     ),
     Entry(
         "valve_delay_pressure",
@@ -114,7 +114,7 @@ GAS_AND_LOAD: tuple[Entry, ...] = (
         ("valve_delay",),
         "the same pulse at low and at high pressure",
         equation="on_ms_per_kpa or off_ms_per_kpa + slope of one edge",
-        source="PLANT.md's delay line; Tables D-1 to D-3",
+        source="Nominal plant, delay of the valve; Tables D-1 to D-3",
     ),
     Entry(
         "transport_delay",

@@ -76,7 +76,7 @@ def read(name: str, config: RigConfig) -> Isothermal:
         raise t.fail(
             "protocol",
             f"needs a thermometer, and {config.source} has no [thermometer]",
-            "add it (docs/instruments.md), or try --rig virtual-instruments",
+            "add it (docs/reference/instruments.md), or try --rig virtual-instruments",
         )
     low, high = config.limits.length_min_mm, config.limits.length_max_mm
     top = config.limits.pressure_kpa

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rigs.steps.context import StepContext
 
 SWITCHES = {"A": 0x40, "B": 0x80}
-"""Flags of the telemetry that carry the two proximity inputs (docs/wire-format.md)."""
+"""Flags of the telemetry that carry the two proximity inputs (docs/reference/wire-format.md)."""
 
 
 @dataclass(frozen=True)

@@ -227,7 +227,7 @@ def _plain_template(template: str) -> bool:
 def _needed(t: Table, key: str) -> re.Pattern[str]:
     pattern = _pattern(t, key)
     if pattern is None:
-        raise t.fail(key, "this key is required and missing", "see docs/instruments.md")
+        raise t.fail(key, "this key is required and missing", "see docs/reference/instruments.md")
     return pattern
 
 

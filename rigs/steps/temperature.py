@@ -49,7 +49,9 @@ class SetTemperature(CustomStep):
         rig, c = runner.rig, self.criterion
         thermometer = rig.instruments.get("thermometer")
         if thermometer is None:
-            raise DeviceError(rig.config.source, "has no [thermometer]", "see docs/instruments.md")
+            raise DeviceError(
+                rig.config.source, "has no [thermometer]", "see docs/reference/instruments.md"
+            )
         runner.do(Vent())
         runner.do(State(f"soak at {self.temperature_c:g} degC"))
         # The thermometer's word counts when it has soaked, not when the knob has been turned.

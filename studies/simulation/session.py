@@ -238,14 +238,14 @@ class _Runner:
                 raise SimulationFault(
                     self.scenario.source,
                     f"the firmware refused a command, {self.controllers.refused}",
-                    "correct the table [[command]]; docs/wire-format.md says what it takes",
+                    "correct the table [[command]]; see docs/reference/wire-format.md",
                 )
             if loop.faults:
                 name, cause = loop.faults[0]
                 raise SimulationFault(
                     f"{self.scenario.source}: muscle {name!r}",
                     f"the firmware latched {cause} after {self.time_s:.3f} s",
-                    "look at the trace; see docs/safety-contract.md for what it guards",
+                    "look at the trace; see docs/reference/safety-contract.md for what it guards",
                 )
         record.event("trial", phase="end", trial=1)
         record.event("state", state="done")

@@ -1,6 +1,6 @@
 """The width of the light gap between reference mark and marker, with its uncertainty.
 
-See docs/length.md for the edge model, the bound it is held to and its measured figures.
+See docs/use/length.md for the edge model, the bound it is held to and its measured figures.
 """
 
 from __future__ import annotations
