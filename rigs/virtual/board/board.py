@@ -352,10 +352,6 @@ class SimBoard(Board):
         if self._boot_at_us is None:
             self._halted = False
 
-    def hold_sensor(self) -> None:
-        """The sensor repeats its present reading for ever."""
-        self.sensor_override = self._counts
-
     def forget_truth(self) -> None:
         """Keep no log of the true pressure from now on."""
         self._truth_every = 0
