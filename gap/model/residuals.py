@@ -144,7 +144,7 @@ class Model:
         return q
 
 
-def _switch(q: Array, name: str, option: str, amount: float, shape: Shape) -> None:
+def _switch(q: Array, name: str, option: str, amount: float, shape: Shape) -> None:  # noqa: C901 - one case for each stage
     """Put one effect into the parameters of the pressure stage; others leave it alone."""
     if name == "dead_volume":
         if "elastic" in shape:

@@ -93,7 +93,7 @@ class Naming:
         return self.uneven or self.chosen.state
 
 
-def name_effects(q: Inquiry) -> Naming:
+def name_effects(q: Inquiry) -> Naming:  # noqa: C901 - one step of the search a branch
     """Search for up to three effects that explain the gap of `q`."""
     state = q.base
     gains, amounts = linear_gains(q, state)

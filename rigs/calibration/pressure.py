@@ -42,7 +42,7 @@ MOST_CLIPPED = 0.4
 """A point with more of its samples at the end of the sensor's range tells nothing."""
 
 
-def calibrate_pressure(
+def calibrate_pressure(  # noqa: PLR0913 - what a calibration states, each by name
     config: RigConfig,
     pressures_kpa: Sequence[float],
     root: Path,

@@ -41,7 +41,7 @@ class LiveFeed:
         self._feeds = layout.feeds
         self._start_ns = 0
 
-    def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:
+    def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:  # noqa: C901 - one small hook after another
         """Listen to everything; called once before the run."""
         self._start_ns = record.start_ns
         self._rig = rig

@@ -61,7 +61,7 @@ class SimBoard(Board):
     (``ticks_us``) restarts with each reset and wraps.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - a board has that many named properties
         self,
         plant: SimulatedPlant,
         rng: np.random.Generator,
