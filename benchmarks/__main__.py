@@ -30,7 +30,7 @@ def measured(name: str, tiny: bool) -> dict[str, Any]:
     """A part's figures with what they cost and on what machine they were taken."""
     at = revision()
     begin, start = time.perf_counter(), os.times()
-    figures = importlib.import_module(f"benchmarks.{name}").measure(tiny)
+    figures = importlib.import_module(f"benchmarks.{PARTS[name]}").measure(tiny)
     end = os.times()
     cpu = sum(end[:4]) - sum(start[:4])
     return {
@@ -84,7 +84,7 @@ def main(words: list[str] | None = None) -> None:
         print(f"measuring: {name}", file=sys.stderr, flush=True)
         part = measured(name, options.tiny)
         keep(options.results, name, part)
-        module = importlib.import_module(f"benchmarks.{name}")
+        module = importlib.import_module(f"benchmarks.{PARTS[name]}")
         print("\n".join([f"## {module.TITLE}", "", *module.lines(part["figures"])]), flush=True)
     if options.page is not None:
         text = page({name: kept(options.results, name) for name in PARTS})

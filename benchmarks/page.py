@@ -12,18 +12,19 @@ from typing import Any
 
 HOUSE = Path(__file__).resolve().parent.parent
 
-PARTS = [
-    "recording",
-    "marker",
-    "simulation",
-    "dynamics",
-    "startup",
-    "diagnosis",
-    "growth_samples",
-    "growth_length",
-    "growth_diagnosis",
-    "growth_cores",
-]
+PARTS = {
+    "recording": "recording",
+    "marker": "marker",
+    "simulation": "simulation",
+    "dynamics": "dynamics",
+    "startup": "startup",
+    "diagnosis": "gap.diagnosis",
+    "growth_samples": "runs.samples",
+    "growth_length": "runs.length",
+    "growth_diagnosis": "gap.growth",
+    "growth_cores": "gap.cores",
+}
+"""Parts of the page in their order, and the module of each below ``benchmarks``."""
 
 HEAD = """\
 # Benchmarks
@@ -71,7 +72,7 @@ def page(parts: dict[str, dict[str, Any] | None]) -> str:
     out.append(f"Machine: {'; '.join(machines)}. Other programs sometimes ran at the same ")
     out[-1] += "time; the load at the end of each part is given below it.\n"
     for name, part in parts.items():
-        module = importlib.import_module(f"benchmarks.{name}")
+        module = importlib.import_module(f"benchmarks.{PARTS[name]}")
         out.append(f"## {module.TITLE}\n")
         if part is None:
             out.append(f"Not measured yet: `python -m benchmarks --only {name}`.\n")

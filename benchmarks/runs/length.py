@@ -17,12 +17,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.growth_samples import growth_table
+from benchmarks.runs.samples import growth_table
 from benchmarks.paired import Growth, table
 
 TITLE = "Growth with the length of a run"
 REPEATS = (2, 6, 20, 60, 200)
-HOUSE = Path(__file__).resolve().parent.parent
+HOUSE = Path(__file__).resolve().parents[2]
 
 
 def one(repeats: int) -> dict[str, float]:
@@ -67,7 +67,7 @@ def measure(tiny: bool = False) -> dict[str, Any]:
     rows = []
     for repeats in REPEATS:
         done = subprocess.run(
-            [sys.executable, "-m", "benchmarks.growth_length", str(repeats)],
+            [sys.executable, "-m", "benchmarks.runs.length", str(repeats)],
             cwd=HOUSE, capture_output=True, text=True, check=True,
         )  # fmt: skip
         rows.append(json.loads(done.stdout))

@@ -13,12 +13,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.growth_samples import growth_table
+from benchmarks.runs.samples import growth_table
 
 TITLE = "Growth with trials and effects"
 REPLICATES = (2, 6, 20, 60, 200)
 EFFECTS = (1, 3, 10, 30)
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 
 
 def cost(folder: Path, without: list[str]) -> float:

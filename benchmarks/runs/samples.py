@@ -16,7 +16,7 @@ from benchmarks.paired import Growth, Spread, short, table
 
 TITLE = "Growth with samples"
 SIZES = (10_000, 30_000, 100_000, 300_000, 1_000_000)
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 
 
 def steps(root: Path, rows: int) -> dict[str, float]:
