@@ -21,8 +21,8 @@ from cli.gap.runs import gap_export
 from cli.gap.thesis import gap_thesis
 from cli.investigate.command import gap_investigate
 from cli.model.models import fit, models_app
+from cli.protocols.protocols import add_protocols
 from cli.simulate.simulate import add_simulation
-from cli.test.protocols import add_protocols
 
 app = typer.Typer(
     name="pamrig",

@@ -11,7 +11,7 @@ import pytest
 
 from analysis.reduction.points import reduce_isometric
 from bench_runs import quick, run_isometric
-from cli.test.request import tell_run
+from cli.protocols.request import tell_run
 from daq.clock import NS_PER_S
 from daq.errors import ConfigError, RecordError
 from daq.store.run import Run, open_run

@@ -25,9 +25,9 @@ from analysis.reporting.report import report_json
 from analysis.run_table import reduce_run
 from cli.data.records_commands import point_numbers
 from cli.main import app
-from cli.test.plan import load_plan, run_chain, standing
-from cli.test.request import tell_run
-from cli.test.resume import continue_run
+from cli.protocols.plan import load_plan, run_chain, standing
+from cli.protocols.request import tell_run
+from cli.protocols.resume import continue_run
 from daq.errors import ConfigError, PamrigError, PortError, RecordError
 from daq.interrupt import StopFlag
 from daq.record.runname import run_name

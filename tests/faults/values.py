@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from analysis.run_table import reduce_run
-from cli.test.resume import continue_run
+from cli.protocols.resume import continue_run
 from daq.errors import PamrigError
 from daq.store.run import open_run
 

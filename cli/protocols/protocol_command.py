@@ -106,7 +106,7 @@ def time_left_s(total_s: float, spent_s: float, elapsed_s: float, virtual: bool)
 def protocol_command(name: str, order: Order) -> int:
     """Run the protocol of that name; returns the exit status."""
     from analysis.reporting.derived import try_derive
-    from cli.test.outcome import exit_status, print_result
+    from cli.protocols.outcome import exit_status, print_result
     from daq.interrupt import stop_on_signals
     from rigs.execution.runner import Watch
     from rigs.execution.session import run_protocol

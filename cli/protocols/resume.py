@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from analysis.reporting.derived import try_derive
-from cli.test.outcome import exit_status, print_result
+from cli.protocols.outcome import exit_status, print_result
 from daq.errors import ConfigError
 from daq.interrupt import StopFlag
 from daq.record.sealed import plain
@@ -139,7 +139,7 @@ def continue_command(
     run: str, runs: Path, rig: str, protocol: str, operator: str, note: str, as_json: bool
 ) -> int:
     """Go on with a run and say what came of it; returns the exit status."""
-    from cli.test.protocol_command import ProgressLine
+    from cli.protocols.protocol_command import ProgressLine
     from daq.interrupt import stop_on_signals
 
     found = find_run(runs, run)

@@ -47,7 +47,7 @@ def _command(name: str, summary: str) -> Callable[..., None]:
             typer.Option("--predict", help="Plant or rig file: draw what it predicts, live."),
         ] = None,
     ) -> None:
-        from cli.test.protocol_command import Order, protocol_command
+        from cli.protocols.protocol_command import Order, protocol_command
 
         order = Order(
             rig, protocol, out, specimen, operator, note, seed, live or predict is not None,
@@ -75,7 +75,7 @@ def tell(
     runs: Annotated[Path, typer.Option("--runs", help="Folder of runs.")] = RUNS,
 ) -> None:
     """Ask something of a test that is running: pause, resume, skip, repeat, mark, stop."""
-    from cli.test.request import tell_run
+    from cli.protocols.request import tell_run
 
     typer.echo(tell_run(run, runs, f"{what} {words}".strip()))
 
@@ -92,7 +92,7 @@ def go_on(
     as_json: JsonOption = False,
 ) -> None:
     """Go on with an interrupted test after its last whole trial, as a run linked to the first."""
-    from cli.test.resume import continue_command
+    from cli.protocols.resume import continue_command
 
     raise typer.Exit(continue_command(run, runs, rig, protocol, operator, note, as_json))
 
@@ -105,6 +105,6 @@ def run_plan(
     as_json: JsonOption = False,
 ) -> None:
     """Run a chain of tests; stopped with Ctrl-C it goes on where it was when run again."""
-    from cli.test.plan import plan_command
+    from cli.protocols.plan import plan_command
 
     raise typer.Exit(plan_command(plan, again, as_json))

@@ -212,7 +212,7 @@ def _one(
     on_start: Any,
 ) -> Result:
     """One test: new, or gone on with."""
-    from cli.test.resume import continue_run
+    from cli.protocols.resume import continue_run
 
     def started(runner: Any, record: Any) -> None:
         _note(plan, "begun", item.number, record.folder.name)
@@ -260,7 +260,7 @@ def _rest(item: Item, stop: StopFlag) -> None:
 
 def plan_command(path: Path, again: bool, as_json: bool) -> int:
     """Run a plan and say what came of each test; returns the exit status."""
-    from cli.test.protocol_command import ProgressLine
+    from cli.protocols.protocol_command import ProgressLine
     from daq.interrupt import stop_on_signals
 
     plan = load_plan(path)
