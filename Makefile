@@ -62,6 +62,7 @@ bench: $(VENV)/.peers   ## side by side with what one would use instead: docs/ev
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
 
 types: $(READY)
 	$(BIN)/mypy
