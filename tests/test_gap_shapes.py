@@ -117,7 +117,7 @@ def test_a_hardening_tube_is_one_effect_not_two_of_its_family(tmp_path: Path) ->
 
 
 def test_the_improved_plant_has_the_fitted_shape(tube: Inquiry) -> None:
-    from gap.validation.shrink import improved_plant
+    from gap.validation.improved_plant import improved_plant
 
     suspect = next(s for s in SUSPECTS if dict(s.shape) == {"rest": 0.68})
     written = improved_plant(tube, tube.polish(shaped(tube, tube.fit([suspect], [0.3]))))

@@ -14,11 +14,12 @@ from cli.main import app
 from daq.store.run import open_run
 from gap.check.scoring.closed import silent
 from gap.data.sources import open_data
+from gap.estimation.cross_validation import Held, held_out, left_out
 from gap.estimation.fit_problem import Inquiry, State
 from gap.estimation.intervals import settled
 from gap.validation.free_run import free_running
+from gap.validation.improved_plant import improved_plant
 from gap.validation.learner import generic, splines
-from gap.validation.shrink import Held, held_out, improved_plant, left_out
 from gap.validation.shrinkage import as_lines, shrinkage
 from gap_bench import write_set
 from gap_sets import settled_set

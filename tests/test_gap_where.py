@@ -16,11 +16,11 @@ from typer.testing import CliRunner
 
 from cli.main import app
 from gap.data.sources import open_data
+from gap.estimation.cross_validation import held_out
 from gap.estimation.fit_problem import Inquiry, State
-from gap.model.chain import Chain
+from gap.validation.chain import Chain
 from gap.validation.maps import residual_maps
 from gap.validation.shapley import _shapley, common_squares, waterfall
-from gap.validation.shrink import held_out
 from gap.validation.where import stage_shares
 from gap.verdict import Share
 from gap_bench import write_set

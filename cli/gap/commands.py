@@ -83,7 +83,7 @@ def where_command(data: Path, out: Path | None, as_json: bool) -> None:
 
 def shrink_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:
     """`pamrig gap shrink`: the gap before and after, by block and by what was held out."""
-    from gap.validation.shrink import improved_plant
+    from gap.validation.improved_plant import improved_plant
     from gap.validation.shrinkage import as_lines, shrinkage
 
     check_out(out)

@@ -28,9 +28,10 @@ from gap.data.from_runs import export_runs, stated_plant
 from gap.data.reader import read_dataset
 from gap.decision.at_bound import leaning
 from gap.decision.diagnose import searched
-from gap.decision.standing import Standing, joint
+from gap.decision.sequential import SequentialVerdict, joint
 from gap.errors import GapError
 from gap.estimation.fit_problem import Inquiry
+from gap.reporting.sequential import conclusion_text
 from gap.selection.forward import Naming
 from gap.validation.prediction import SHOWN, families, foretell, margins, rivals_of
 from gap.verdict import Verdict
@@ -180,7 +181,7 @@ def investigate(
 
 
 @dataclass
-class _Begun(Standing):
+class _Begun(SequentialVerdict):
     """An investigation under way: the tests so far, and what is known after them."""
 
     config: RigConfig
@@ -274,7 +275,7 @@ class _Begun(Standing):
             told = self._diagnose()
             assert self.verdict is not None
             ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)
-            known = (self.verdict.status, ids, self.why)
+            known = (self.verdict.status, ids, conclusion_text(self))
         self.rounds.append(
             Round(test.protocol, why, run.run_id, outcome, minutes, *known, foretold=told)
         )
@@ -312,7 +313,7 @@ class _Begun(Standing):
             self._diagnose()
         assert self.verdict is not None
         found = Investigation(
-            self.conclusion, self.why, self.named, self.verdict, tuple(self.rounds),
+            self.conclusion, conclusion_text(self), self.named, self.verdict, tuple(self.rounds),
             self.references, self.folder, self.ended,
         )  # fmt: skip
         text = json.dumps(found.as_dict(), indent=2, allow_nan=False)

@@ -13,6 +13,7 @@ from gap.decision.traits import traits_of
 from gap.design.advise import advise
 from gap.effects.candidates import DEFECTS
 from gap.estimation.agreement import repeated
+from gap.estimation.cross_validation import Held, gap_of, held_out
 from gap.estimation.fit_problem import Inquiry, State
 from gap.estimation.intervals import headline_estimates, limits_of
 from gap.selection.forward import ALARM, Naming, why_not
@@ -20,7 +21,6 @@ from gap.selection.inclusion import AT_THE_END
 from gap.selection.per_stroke import eased
 from gap.selection.pruning import Cleared, cleared
 from gap.selection.refine import Choice
-from gap.validation.shrink import Held, gap_of, held_out
 from gap.validation.where import contrasts_of, drifting, stage_shares
 from gap.verdict import Explanation, Gap, Verdict
 from plant.effects.catalogue import CATALOGUE
@@ -353,7 +353,9 @@ def _explanations(
             made[key] = Explanation(kept.ids, kept.family, kept.probability + p, kept.parameters)
             continue
         families = dict.fromkeys(CATALOGUE[name].family for name in ids)
-        made[key] = Explanation(ids, "+".join(families), p, headline_estimates(q, choice.state))
+        made[key] = Explanation(
+            ids, "+".join(families), p, headline_estimates(q, choice.state, learnt().form)
+        )
     # What mimics the best entry shares its credit: on these data nothing tells them apart.
     for mimic in mimics:
         key = frozenset(mimic.ids)

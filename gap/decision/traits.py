@@ -8,9 +8,9 @@ import numpy as np
 
 from gap.effects.candidates import Suspect
 from gap.estimation.agreement import repeated
+from gap.estimation.cross_validation import Held
 from gap.estimation.fit_problem import Inquiry
 from gap.selection.forward import Naming
-from gap.validation.shrink import Held
 from plant.effects.catalogue import CATALOGUE
 
 _MOST = 1e9

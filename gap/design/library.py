@@ -17,7 +17,7 @@ import numpy as np
 
 from gap.data.dataset import Channel, DataSet, Trial
 from gap.estimation.fit_problem import Inquiry, State
-from gap.validation.shrink import improved_plant
+from gap.validation.improved_plant import improved_plant
 from plant.constants import PlantConstants
 from plant.effects.effects import Effects
 from plant.errors import PlantError

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from gap.decision.reliability import learnt
 from gap.estimation.fit_problem import Inquiry, State
 from gap.estimation.information import projected
 from gap.estimation.normal_equations import covariance, solved
@@ -13,6 +14,7 @@ from plant.effects.catalogue import CATALOGUE
 
 _Z95 = 1.96
 _FORM = 0.1
+"""Error of the form of an effect for which none is stated."""
 
 
 def settled(q: Inquiry, state: State) -> State:
@@ -39,13 +41,16 @@ def settled(q: Inquiry, state: State) -> State:
     return State(best.shift, best.suspects, best.amounts, best.residual, best.cost, cover)
 
 
-def headline_estimates(q: Inquiry, state: State, whole: bool = True) -> dict[str, Estimate]:
+def headline_estimates(
+    q: Inquiry, state: State, form_error: Mapping[str, float] | None = None, whole: bool = True
+) -> dict[str, Estimate]:
     """Headline parameters of all effects in force, keyed by parameter name.
 
     Shapes of one effect add up. With two effects of the same parameter name the later gets its
     id in front. With `whole`, what a constant of the same meaning took over beyond its tolerance
     counts to the effect, and the state is settled first; without it the parameters go with the
-    constants of the state as it stands.
+    constants of the state as it stands. `form_error` is the error (1 sd, of the logarithm) that
+    the true form of an effect brings into its headline parameter, by catalogue id.
     """
     made: dict[str, Estimate] = {}
     n = len(q.names)
@@ -69,7 +74,7 @@ def headline_estimates(q: Inquiry, state: State, whole: bool = True) -> dict[str
         if whole:
             taken = _taken_over(q, state, name, state.suspects[at[0]].option)
             amount, sd = amount + taken, float(np.hypot(sd, 0.5 * taken))
-        low, high = interval(amount, _Z95 * sd, _Z95 * learnt().form.get(name, _FORM))
+        low, high = interval(amount, _Z95 * sd, _Z95 * (form_error or {}).get(name, _FORM))
         shift = _offset(q, name)
         key = entry.headline if entry.headline not in made else f"{name}_{entry.headline}"
         made[key] = Estimate(amount + shift, low + shift, high + shift)

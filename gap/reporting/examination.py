@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from gap.data.dataset import DataSet
 from gap.decision.diagnose import searched
+from gap.estimation.cross_validation import held_out
 from gap.estimation.fit_problem import Inquiry, State
 from gap.model.features import BLOCKS, UNITS
 from gap.selection.forward import Naming
 from gap.validation.maps import Course, residual_maps
-from gap.validation.shrink import held_out
 from gap.verdict import Verdict
 
 Array = npt.NDArray[np.float64]

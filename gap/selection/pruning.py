@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
+from gap.estimation.cross_validation import Held, held_out
 from gap.estimation.fit_problem import Inquiry, State
 from gap.selection.forward import PLAIN, Naming, name_effects
 from gap.selection.inclusion import PLAINLY_SEEN, apart, excess, plain, relieves, seen, settles
 from gap.selection.refine import Choice
-from gap.validation.shrink import Held, held_out
 
 Array = npt.NDArray[np.float64]
 

@@ -10,16 +10,16 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gap.estimation.cross_validation import Held, left_out
 from gap.estimation.fit_problem import Inquiry, State
-from gap.model.chain import Chain
+from gap.validation.chain import Chain
 from gap.validation.shapley import replicate_tables
-from gap.validation.shrink import Held, left_out
 
 Array = npt.NDArray[np.float64]
 
 
 def free_running(q: Inquiry, state: State) -> dict[str, Held]:
-    """Squared errors by kind of end on held-out slots; see `gap.validation.shrink.Held`.
+    """Squared errors by kind of end on held-out slots; see `gap.estimation.cross_validation.Held`.
 
     Constants and amounts are those fitted to all other slots. The floor is what replicates of a
     slot differ by at the same end.

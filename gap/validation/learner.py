@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
 
+from gap.estimation.cross_validation import left_out
 from gap.estimation.fit_problem import Inquiry
 from gap.model.features import BLOCKS
-from gap.validation.shrink import left_out
 from gap.validation.where import pressure_rise
 
 Array = npt.NDArray[np.float64]

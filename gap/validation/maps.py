@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gap.estimation.cross_validation import floor_squares
 from gap.estimation.fit_problem import Inquiry, State
 from gap.model.features import BLOCKS, UNITS
-from gap.validation.shrink import floor_squares
 
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]

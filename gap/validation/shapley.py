@@ -1,7 +1,7 @@
 """Exact Shapley shares of the stages in the end-to-end gap.
 
 The gap of a set of modelled stages is the squared error at the chain's end when all other stages
-are real (`gap.model.chain`). A stage's value is what modelling it adds to the squared gap,
+are real (`gap.validation.chain`). A stage's value is what modelling it adds to the squared gap,
 averaged over all orders in which the stages could be modelled one after the other: 2^S runs for S
 stages, and the values add up to the whole squared gap. A stage whose error makes up for another's
 has a negative one.
@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
-from gap.model.chain import Chain
+from gap.validation.chain import Chain
 from gap.verdict import Share
 
 Array = npt.NDArray[np.float64]

@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
+from gap.estimation.cross_validation import Held, floor_squares, gap_of, held_out, left_out
 from gap.estimation.fit_problem import Inquiry, State
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.free_run import free_running
 from gap.validation.learner import generic
-from gap.validation.shrink import Held, floor_squares, gap_of, held_out, left_out
 
 Array = npt.NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """Where the gap lies: shares of the stages, and designed comparisons of residuals.
 
-Shares are exact Shapley values of the chain run end to end (`gap.model.chain`,
+Shares are exact Shapley values of the chain run end to end (`gap.validation.chain`,
 `gap.validation.shapley`). The comparisons are of the recalibrated residual with measured signals
 fed into each block.
 """
@@ -15,11 +15,11 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from gap.data.dataset import Trial
+from gap.estimation.cross_validation import Held, held_out
 from gap.estimation.fit_problem import Inquiry, State
-from gap.model.chain import Chain
 from gap.model.features import BLOCKS, UNITS
+from gap.validation.chain import Chain
 from gap.validation.shapley import waterfall
-from gap.validation.shrink import Held, held_out
 from gap.verdict import Contrast, Share
 
 Array = npt.NDArray[np.float64]

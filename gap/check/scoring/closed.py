@@ -20,11 +20,11 @@ from blind.recording import record
 from blind.sets import BlindSet
 from gap.data.reader import read_dataset
 from gap.decision.diagnose import examine
+from gap.estimation.cross_validation import held_out
 from gap.estimation.fit_problem import State
 from gap.model.features import BLOCKS, UNITS
 from gap.model.grid import make_grid
 from gap.model.residuals import Model
-from gap.validation.shrink import held_out
 
 Floats = np.ndarray
 

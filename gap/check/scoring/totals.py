@@ -226,3 +226,15 @@ def totals(rows: Sequence[Row]) -> dict[str, Any]:
         "seconds_median": round(float(np.median(seconds)), 2) if seconds else None,
         "seconds_most": round(float(np.max(seconds)), 2) if seconds else None,
     }  # fmt: skip
+
+
+def summary(entries: list[dict[str, Any]]) -> dict[str, Any]:
+    """Totals of the diagnosis and of every baseline, as plain JSON values."""
+    found = totals([e["score"] for e in entries])
+    names = sorted({name for e in entries for name in e["baselines"]})
+    found["baselines"] = {
+        name: totals([e["baselines"][name] for e in entries if name in e["baselines"]])["headline"]
+        for name in names
+    }
+    found["baseline_sets"] = sum(1 for e in entries if e["baselines"])
+    return found

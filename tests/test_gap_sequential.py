@@ -6,7 +6,8 @@ import dataclasses
 
 import pytest
 
-from gap.decision.standing import Standing, joint
+from gap.decision.sequential import SequentialVerdict, joint
+from gap.reporting.sequential import conclusion_text
 from gap.validation.prediction import Foretelling, families
 from gap.verdict import Explanation, Gap, Verdict
 from plant.effects.catalogue import CATALOGUE
@@ -45,11 +46,13 @@ def foretold(without: float, left: float, rival: float, by: str = "creep") -> Fo
 def test_one_family_is_named_once_a_later_test_came_out_as_it_foretold(
     effects: tuple[str, ...], tests: list[Foretelling], conclusion: str
 ) -> None:
-    standing = Standing(verdict=verdict_with("indistinguishable", effects))
+    standing = SequentialVerdict(verdict=verdict_with("indistinguishable", effects))
     standing.foretold[CATALOGUE["viscosity"].family] = [("isobaric", test) for test in tests]
     assert standing.conclusion == conclusion
     assert standing.settled == (conclusion == "named")
-    assert ("confirmed by the isobaric test" in standing.why) == (conclusion == "named")
+    assert ("confirmed by the isobaric test" in conclusion_text(standing)) == (
+        conclusion == "named"
+    )
     told_apart = ("camera_delay", "wear+end_cap")
     left = [e for e in effects if conclusion != "named" or e not in told_apart]
     names = {name for effect in left for name in effect.split("+")}
@@ -59,14 +62,14 @@ def test_one_family_is_named_once_a_later_test_came_out_as_it_foretold(
 
 
 def test_what_looked_like_nothing_known_is_named_too_once_it_foretold_a_test() -> None:
-    standing = Standing(verdict=verdict_with("unknown", ("viscosity",)))
+    standing = SequentialVerdict(verdict=verdict_with("unknown", ("viscosity",)))
     assert (standing.conclusion, standing.settled) == ("open", False)
     standing.foretold[CATALOGUE["viscosity"].family] = [("isobaric", foretold(9e3, 420.0, 6e3))]
     assert (standing.conclusion, standing.settled) == ("named", True)
 
 
 def test_a_name_of_two_families_is_put_to_the_proof_that_it_takes_both() -> None:
-    standing = Standing(verdict=verdict_with("named", ("wear+creep",)))
+    standing = SequentialVerdict(verdict=verdict_with("named", ("wear+creep",)))
     assert standing.conclusion == "named"  # if there is no other test
     assert not standing.settled
     key = joint(families(("creep", "wear")))
@@ -78,7 +81,7 @@ def test_a_name_of_two_families_is_put_to_the_proof_that_it_takes_both() -> None
 
 def test_of_several_families_those_are_named_that_a_test_needed() -> None:
     """A droop was named with a pressure gain that every test did as well without (seed 174)."""
-    standing = Standing(verdict=verdict_with("named", ("wear+creep",)))
+    standing = SequentialVerdict(verdict=verdict_with("named", ("wear+creep",)))
     wear, creep = CATALOGUE["wear"].family, CATALOGUE["creep"].family
     assert standing.named == f"{wear}+{creep}"  # no test has told them apart
     key = joint(families(("creep", "wear")))
@@ -92,18 +95,18 @@ def test_of_several_families_those_are_named_that_a_test_needed() -> None:
 
 def test_agreement_that_leans_on_what_is_stated_asks_for_a_check_of_it() -> None:
     """A label 0.2 mm wrong passes for the mounting and the camera's calibration, all at 3 sd."""
-    standing = Standing(verdict=verdict_with("no_gap_above_floor"))
+    standing = SequentialVerdict(verdict=verdict_with("no_gap_above_floor"))
     assert (standing.conclusion, standing.settled, standing.references) == ("no gap", False, {})
     standing.leaning = {"camera_scale": 25.0, "length_label": 20.0}
     assert (standing.conclusion, standing.settled) == ("needs reference", False)
-    assert "camera_scale or length_label in its place" in standing.why
+    assert "camera_scale or length_label in its place" in conclusion_text(standing)
     assert set(standing.references) == {"camera_scale", "length_label"}
     assert all("gauge block" in how for how in standing.references.values())
 
 
 def test_entries_of_one_family_that_fit_alike_need_a_reference_as_well() -> None:
     alike = verdict_with("indistinguishable", ("length_label", "camera_scale"))
-    standing = Standing(verdict=alike)
+    standing = SequentialVerdict(verdict=alike)
     assert (standing.conclusion, standing.settled) == ("needs reference", False)
     assert set(standing.references) == {"camera_scale", "length_label"}
 
@@ -118,7 +121,7 @@ def test_a_name_not_certain_to_close_half_of_the_gap_waits_for_the_tests_left(
     """An inlet of 0.997 was named before the muscle had been warm (seeds 62 and 194)."""
     named = verdict_with(status, ("flow_area",))
     gap = Gap("kPa", 2.0, 1.5, 1.0, 0.9, "replicates", 0.9, closed_low, 1.0, "slot")
-    standing = Standing(verdict=dataclasses.replace(named, gap=gap))
+    standing = SequentialVerdict(verdict=dataclasses.replace(named, gap=gap))
     assert standing.conclusion == "named"
     assert standing.settled
     assert standing.doubtful == doubtful

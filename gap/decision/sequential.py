@@ -1,12 +1,12 @@
-"""Where an investigation stands: what its last diagnosis and the proofs so far allow it to say."""
+"""The conclusion from a sequence of tests: the last verdict, and what each test proved."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from gap.decision.classify import HALF
 from gap.design.advise import reference_for
-from gap.reporting.text import headline, sentence
 from gap.validation.prediction import FORETOLD, SHOWN, Foretelling, families
 from gap.verdict import Explanation, Verdict
 
@@ -17,9 +17,18 @@ LEAST = 0.03
 """Belief in an entry below which nothing need tell it from the one that leads."""
 
 
+class Conclusion(StrEnum):
+    """What a lab is told after a sequence of tests."""
+
+    NAMED = "named"
+    NEEDS_REFERENCE = "needs reference"
+    NO_GAP = "no gap"
+    OPEN = "open"
+
+
 @dataclass(kw_only=True)
-class Standing:
-    """The last verdict, and how what was found before fared on the tests after it."""
+class SequentialVerdict:
+    """The last verdict, and how well each earlier explanation predicted the tests after it."""
 
     verdict: Verdict | None = None
     leaning: dict[str, float] = field(default_factory=dict)
@@ -75,7 +84,7 @@ class Standing:
         return None
 
     @property
-    def _of_family(self) -> list[Explanation]:
+    def of_family(self) -> list[Explanation]:
         """The entries left in which the leading family is."""
         left = self.verdict.effects if self.verdict else ()
         return [effect for effect in left if self.family in families(effect.ids)]
@@ -100,7 +109,7 @@ class Standing:
         Of several, those that some test needed: a test that is foretold as well without a family
         is no reason to name it. All of them where no test has told them apart.
         """
-        if self.conclusion != "named" or self.verdict is None or not self.verdict.effects:
+        if self.conclusion != Conclusion.NAMED or self.verdict is None or not self.verdict.effects:
             return None
         if self.confirmed is not None:
             return self.family
@@ -131,37 +140,17 @@ class Standing:
         return low is None or low <= HALF
 
     @property
-    def conclusion(self) -> str:
-        """What a lab is told, in a word or two."""
+    def conclusion(self) -> Conclusion:
+        """What a lab is told."""
         assert self.verdict is not None
         status = self.verdict.status
         if status in ("named", "named_form_inadequate") or self.confirmed is not None:
-            return "named"
+            return Conclusion.NAMED
         if status in ("indistinguishable", "mimicable") and len(self.verdict.effects) > 1:
-            return "needs reference"
+            return Conclusion.NEEDS_REFERENCE
         if status == "no_gap_above_floor":
-            return "needs reference" if self.leaning else "no gap"
-        return "open"
-
-    @property
-    def why(self) -> str:
-        """The same in a sentence."""
-        assert self.verdict is not None
-        if self.verdict.status == "no_gap_above_floor" and self.leaning:
-            return sentence(
-                "model and bench agree to within the floor only with something that is stated led "
-                f"to the end of its tolerance; {' or '.join(self.leaning)} in its place would do "
-                "as well"
-            )
-        if self.confirmed is None:
-            return headline(self.verdict)
-        protocol, found = self.confirmed
-        ids = [" + ".join(effect.ids) for effect in self._of_family]
-        return sentence(
-            f"It is {' or '.join(ids)}, found on the tests before and confirmed by the {protocol} "
-            f"test, of whose gap it foretold {100 * found.share:.0f} % and no other explanation "
-            "as much"
-        )
+            return Conclusion.NEEDS_REFERENCE if self.leaning else Conclusion.NO_GAP
+        return Conclusion.OPEN
 
     @property
     def references(self) -> dict[str, str]:
@@ -170,7 +159,7 @@ class Standing:
         if self.verdict.status == "no_gap_above_floor":
             return {name: reference_for(name) for name in self.leaning}
         proven = self.confirmed is not None
-        left = self._of_family if proven else self.verdict.effects
+        left = self.of_family if proven else self.verdict.effects
         names = dict.fromkeys(name for effect in left for name in effect.ids)
         if proven and len(names) == 1:
             return {}
