@@ -1,4 +1,4 @@
-"""Belief in an explanation: what it rests on, and who may teach it."""
+"""reliability in an explanation: what it rests on, and who may teach it."""
 
 from __future__ import annotations
 
@@ -109,8 +109,8 @@ def test_changed_conditions_never_teach(tmp_path: Path) -> None:
 def test_a_stand_in_is_known_by_the_end_it_was_led_to(
     entry: str, shape: dict[str, float], amount: float, expected: bool
 ) -> None:
-    suspect = replace(next(s for s in SUSPECTS if s.id == entry), shape=shape)
-    assert at_an_end(suspect, amount) is expected
+    candidate = replace(next(s for s in SUSPECTS if s.id == entry), shape=shape)
+    assert at_an_end(candidate, amount) is expected
 
 
 def test_traits_become_features_in_the_order_the_forest_knows() -> None:

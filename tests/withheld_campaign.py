@@ -42,7 +42,7 @@ is drawn again where the rig's own protections end one of the first two tests: a
 first test. `pamrig gap investigate` knows the rig file and the stated constants, runs its tests
 over the bench's ports on a virtual clock, and stops when it can name the gap or has no test left. A
 name is the diagnosis' own (its status is given) or that of the one family left, once a later test
-came out as it foretold (*foretold*; see [investigate](investigate.md)). *Right*: one family is
+came out as it predicted (*predicted*; see [investigate](investigate.md)). *Right*: one family is
 named, the hidden one. *Not told apart, confirmed*: the verdict offers a set that holds the hidden
 family (or finds no gap, but what is stated led to the end of its tolerance) and names references
 that would settle it, and by the generator's own measure one or two other entries take more than
@@ -93,7 +93,7 @@ def told(found: Investigation) -> Row:
         "rounds": [
             {
                 "protocol": r.protocol, "why": r.why, "minutes": round(r.minutes, 1),
-                "status": r.status, "effects": list(r.effects), "foretold": r.foretold,
+                "status": r.status, "effects": list(r.effects), "foretold": r.predicted,
             }
             for r in found.rounds
         ],

@@ -3,7 +3,7 @@
 Top floor: here a rig and a diagnosis meet. Each round records an ordinary run; all runs so far are
 diagnosed together. What to run next is what the diagnosis advises, where this rig can run it, and
 otherwise the next test that shows something no test so far has shown. Each test is a trial of what
-the tests before it were explained by: an explanation that foretells it, as no other does, may be
+the tests before it were explained by: an explanation that predicts it, as no other does, may be
 named though the diagnosis alone, which sees no order in its data, would not go so far.
 """
 
@@ -26,14 +26,14 @@ from daq.store.run import Run, open_run
 from gap.data.dataset import DataSet
 from gap.data.from_runs import export_runs, stated_plant
 from gap.data.reader import read_dataset
-from gap.decision.at_bound import leaning
-from gap.decision.diagnose import searched
+from gap.decision.at_bound import relieving
+from gap.decision.diagnose import diagnose_with_search
 from gap.decision.sequential import SequentialVerdict, joint
 from gap.errors import GapError
-from gap.estimation.fit_problem import Inquiry
+from gap.estimation.fit_problem import FitProblem
 from gap.reporting.sequential import conclusion_text
-from gap.selection.forward import Naming
-from gap.validation.prediction import SHOWN, families, foretell, margins, rivals_of
+from gap.selection.forward import SearchResult
+from gap.validation.prediction import SHOWN, families, margins, predict_trials, rivals_of
 from gap.verdict import Verdict
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
 VALVE_TESTS = ("step",)
 """Tests whose valve commands are diagnosed: elsewhere a loop only holds a pressure."""
 LIKELY = 0.7
-"""Belief in one family from which it is put to the proof before anything else is looked at."""
+"""reliability in one family from which it is put to the proof before anything else is looked at."""
 FAILED = 2
-"""Tests that did not come out as foretold after which no more are made for that."""
+"""Tests that did not come out as predicted after which no more are made for that."""
 Array = npt.NDArray[np.float64]
 Told = Callable[[str], None]
 
@@ -64,8 +64,13 @@ class Round:
     status: str
     effects: tuple[str, ...]
     headline: str
-    foretold: Mapping[str, Any] | None = None
+    predicted: Mapping[str, Any] | None = None
     """How what was found before fared on this test, where the test shows it."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        values = {**vars(self), "effects": list(self.effects)}
+        return values | {"foretold": values.pop("predicted")}
 
 
 @dataclass(frozen=True)
@@ -94,7 +99,7 @@ class Investigation:
             "why": self.why,
             "family": self.family,
             "references": dict(self.references),
-            "rounds": [{**vars(r), "effects": list(r.effects)} for r in self.rounds],
+            "rounds": [r.as_dict() for r in self.rounds],
             "minutes": sum(r.minutes for r in self.rounds),
             "data": str(self.folder),
             "ended": self.ended,
@@ -190,8 +195,8 @@ class _Begun(SequentialVerdict):
     runs: list[Run] = field(default_factory=list)
     tests: list[Test] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
-    inquiry: Inquiry | None = None
-    naming: Naming | None = None
+    problem: FitProblem | None = None
+    search: SearchResult | None = None
     ended: str | None = None
     _margins: Array | None = None
 
@@ -226,16 +231,16 @@ class _Begun(SequentialVerdict):
     @property
     def _likely(self) -> bool:
         """Whether one family is left, all but named, and no test has put it to the proof yet."""
-        if self.family is None or self.family in self.foretold or self.verdict is None:
+        if self.family is None or self.family in self.predicted or self.verdict is None:
             return False
-        belief = self.verdict.evidence.get("belief", {})
-        return float(belief.get("right", 0.0) + belief.get("part", 0.0)) >= LIKELY
+        reliability = self.verdict.evidence.get("belief", {})
+        return float(reliability.get("right", 0.0) + reliability.get("part", 0.0)) >= LIKELY
 
     def _of_valves_alone(self, left: list[Test]) -> bool:
         """Whether what was found shows where valves act, and no test left looks there."""
-        if self.naming is None or any(test.protocol in VALVE_TESTS for test in left):
+        if self.search is None or any(test.protocol in VALVE_TESTS for test in left):
             return False
-        blocks = {b for suspect in self.naming.chosen.state.suspects for b in suspect.blocks}
+        blocks = {b for candidate in self.search.best.fit.candidates for b in candidate.blocks}
         return blocks == {"pressure"}
 
     def _telling(self, again: list[Test], least: float = SHOWN) -> Test | None:
@@ -243,16 +248,16 @@ class _Begun(SequentialVerdict):
 
         None where no test parts them by more than `least`, or two have failed already.
         """
-        if self.naming is None or self.inquiry is None or self.family is None:
+        if self.search is None or self.problem is None or self.family is None:
             return None
-        if sum(not found.confirmed for _, found in self.foretold.get(self.family, [])) >= FAILED:
+        if sum(not found.confirmed for _, found in self.predicted.get(self.family, [])) >= FAILED:
             return None
         if self._margins is None:
-            others = [self.inquiry.base, *rivals_of(self.inquiry, self.naming, self._entry_ids)]
-            self._margins = margins(self.inquiry, self.naming.chosen.state, others)
+            others = [self.problem.base, *rivals_of(self.problem, self.search, self._entry_ids)]
+            self._margins = margins(self.problem, self.search.best.fit, others)
         best: tuple[float, Test | None] = (least, None)
         for run, made in zip(self.runs, self.tests, strict=True):
-            apart = float(self._margins[:, _trials_of(self.inquiry, run)].sum(axis=1).min())
+            apart = float(self._margins[:, _trials_of(self.problem, run)].sum(axis=1).min())
             for test in again:
                 if test.what == made.what and apart > best[0]:
                     best = (apart, test)
@@ -260,8 +265,8 @@ class _Begun(SequentialVerdict):
 
     @property
     def _to_see(self) -> str:
-        assert self.naming is not None
-        names = " and ".join(self.naming.chosen.state.ids)
+        assert self.search is not None
+        names = " and ".join(self.search.best.fit.ids)
         return f"at other settings, to see whether {names} foretells it"
 
     def take(self, test: Test, why: str, run: Run, outcome: str) -> None:
@@ -277,30 +282,30 @@ class _Begun(SequentialVerdict):
             ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)
             known = (self.verdict.status, ids, conclusion_text(self))
         self.rounds.append(
-            Round(test.protocol, why, run.run_id, outcome, minutes, *known, foretold=told)
+            Round(test.protocol, why, run.run_id, outcome, minutes, *known, predicted=told)
         )
 
     def _diagnose(self) -> dict[str, Any] | None:
         """Diagnose all runs; how what was found before fared on the last of them."""
-        before, known, entries = self.naming, self.inquiry, self._entry_ids
+        before, known, entries = self.search, self.problem, self._entry_ids
         data = joined(self.runs, self.folder / f"data-{len(self.runs):02d}", self.plant)
-        self.verdict, self.inquiry, self.naming = searched(data)
+        self.verdict, self.problem, self.search = diagnose_with_search(data)
         self._margins = None
-        self.leaning = {}
-        if self.inquiry is not None and self.verdict.status == "no_gap_above_floor":
-            self.leaning = leaning(self.inquiry)
-        if before is None or known is None or not before.chosen.keys or self.inquiry is None:
+        self.relieving = {}
+        if self.problem is not None and self.verdict.status == "no_gap_above_floor":
+            self.relieving = relieving(self.problem)
+        if before is None or known is None or not before.best.keys or self.problem is None:
             return None
-        state = before.chosen.state
-        new = _trials_of(self.inquiry, self.runs[-1])
-        found = foretell(self.inquiry, new, state, rivals_of(known, before, entries))
+        fit = before.best.fit
+        new = _trials_of(self.problem, self.runs[-1])
+        found = predict_trials(self.problem, new, fit, rivals_of(known, before, entries))
         if not found.shown:
             return None
-        self.foretold.setdefault(joint(families(state.ids)), []).append(
+        self.predicted.setdefault(joint(families(fit.ids)), []).append(
             (self.tests[-1].protocol, found)
         )
         return {
-            "by": list(state.ids), "share": found.share, "confirmed": found.confirmed,
+            "by": list(fit.ids), "share": found.share, "confirmed": found.confirmed,
             "rows": found.rows, "without": found.without, "left": found.left,
             "rivals": {" + ".join(ids): left for ids, left in found.rivals.items()},
         }  # fmt: skip
@@ -321,8 +326,10 @@ class _Begun(SequentialVerdict):
         return found
 
 
-def _trials_of(q: Inquiry, run: Run) -> list[int]:
-    return [k for k, trial in enumerate(q.data.trials) if trial.name.startswith(f"{run.run_id}:")]
+def _trials_of(problem: FitProblem, run: Run) -> list[int]:
+    return [
+        k for k, trial in enumerate(problem.data.trials) if trial.name.startswith(f"{run.run_id}:")
+    ]
 
 
 def _own_folder(out: Path) -> Path:

@@ -1,4 +1,4 @@
-"""The verdict on what a search found: named, one of several, a mimic, unknown, or nothing there."""
+"""The verdict on what a search found."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from gap.decision.confounders import Mimic, Mimicry
-from gap.decision.posterior import ambiguity_set, weigh
+from gap.decision.confounders import Confounder, ConfounderSearch
+from gap.decision.posterior import credible_set, posterior
 from gap.decision.reliability import learnt
 from gap.decision.traits import traits_of
 from gap.design.advise import advise
 from gap.effects.candidates import DEFECTS
-from gap.estimation.agreement import repeated
-from gap.estimation.cross_validation import Held, gap_of, held_out
-from gap.estimation.fit_problem import Inquiry, State
-from gap.estimation.intervals import headline_estimates, limits_of
-from gap.selection.forward import ALARM, Naming, why_not
+from gap.estimation.agreement import shared_chi2
+from gap.estimation.cross_validation import HeldOut, gap_of, held_out
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.estimation.intervals import detection_limits, headline_estimates
+from gap.selection.forward import ALARM, SearchResult, why_not
 from gap.selection.inclusion import AT_THE_END
-from gap.selection.per_stroke import eased
-from gap.selection.pruning import Cleared, cleared
-from gap.selection.refine import Choice
+from gap.selection.per_stroke import with_per_stroke_delays
+from gap.selection.pruning import PruningResult, prune
+from gap.selection.refine import Hypothesis
 from gap.validation.where import contrasts_of, drifting, stage_shares
 from gap.verdict import Explanation, Gap, Verdict
 from plant.effects.catalogue import CATALOGUE
@@ -28,15 +28,15 @@ from plant.effects.catalogue import CATALOGUE
 MIMIC = 0.9
 SURE = 0.985
 TOLD_APART = 120.0
-"""Whitened sum of squares that a mimic may leave more than the named effect does."""
+"""Whitened sum of squares that a confounder may leave more than the named effect does."""
 NAMED = 0.72
-"""Least belief that a name is not wrong (all of it hidden, or part) for it to be given."""
+"""Least reliability that a name is not wrong (all of it hidden, or part) for it to be given."""
 NAMED_SEVERAL = 0.58
 """The same for several effects: where one of them is wrong, the other seldom is."""
 NAMED_ALL = 0.34
-"""For several effects: least belief in all of them."""
+"""For several effects: least reliability in all of them."""
 UNKNOWN = 0.45
-"""Belief in something outside the catalogue from which the verdict says so."""
+"""reliability in something outside the catalogue from which the verdict says so."""
 HALF = 0.5
 FORM_FULL = 0.9
 UNSEEN = 0.2
@@ -49,213 +49,259 @@ DRIFTS = 0.5
 NEEDED_REPLICATES = 3
 
 
-def judge(q: Inquiry, naming: Naming) -> tuple[Verdict, Naming]:
+def classify(problem: FitProblem, search: SearchResult) -> tuple[Verdict, SearchResult]:
     """Turn the outcome of a search into a verdict, and say which explanation it rests on."""
-    outcome = cleared(q, naming)
-    outcome = replace(outcome, naming=eased(q, outcome.naming))
-    return _judged(q, outcome), outcome.naming
+    outcome = prune(problem, search)
+    outcome = replace(outcome, search=with_per_stroke_delays(problem, outcome.search))
+    return _classified(problem, outcome), outcome.search
 
 
-def _judged(q: Inquiry, outcome: Cleared) -> Verdict:
-    naming = outcome.naming
-    held = held_out(q, naming.chosen.state)
+def _classified(problem: FitProblem, outcome: PruningResult) -> Verdict:
+    search = outcome.search
+    held = held_out(problem, search.best.fit)
     if outcome.defect:
-        return _defect(q, naming, held)
+        return _defect(problem, search, held)
     if outcome.blurred:
         return _verdict(
-            q, naming, held, "unknown",
+            problem, search, held, "unknown",
             "a gap that a fault of the recording would explain better than any effect, but the "
             "trials do not agree on the fault", none=0.0, unknown=1.0,
-            stage=_stage_of_block(q, naming, _block(held, naming.chosen.state)),
+            stage=_stage_of_block(problem, search, _block(held, search.best.fit)),
         )  # fmt: skip
-    if not naming.chosen.keys:
-        return _without_name(q, naming, held)
-    return _with_name(q, naming, held)
+    if not search.best.keys:
+        return _without_name(problem, search, held)
+    return _with_name(problem, search, held)
 
 
-def _share(q: Inquiry, naming: Naming) -> float:
+def _share(problem: FitProblem, search: SearchResult) -> float:
     """Share of the gap that is explained; what chance may leave does not count as left."""
-    chance = float(np.sqrt(2.0 * len(q.rows)))
-    return 1.0 - max(naming.left - chance, 0.0) / max(naming.excess, 1.0)
+    chance = float(np.sqrt(2.0 * len(problem.rows)))
+    return 1.0 - max(search.left - chance, 0.0) / max(search.excess_chi2, 1.0)
 
 
-def _without_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
-    floor = _floor_source(q)
-    unseen = naming.excess
+def _without_name(problem: FitProblem, search: SearchResult, held: dict[str, HeldOut]) -> Verdict:
+    floor = _floor_source(problem)
+    unseen = search.excess_chi2
     if floor == "replicates":
         # What replicates do not share is noise, whatever the model of the noise says of its size.
-        unseen = min(unseen, max(repeated(q, q.base.residual), 0.0))
-    unseen /= max(len(q.rows), 1)
+        unseen = min(unseen, max(shared_chi2(problem, problem.base.residual), 0.0))
+    unseen /= max(len(problem.rows), 1)
     if floor is None:
         return _verdict(
-            q, naming, held, "below_resolution",
-            f"{q.noise.freedom} replicates beyond the first: too few to tell a gap from noise, "
-            f"{NEEDED_REPLICATES} are needed", none=0.5, unknown=0.5,
-        )  # fmt: skip
+            problem,
+            search,
+            held,
+            "below_resolution",
+            f"{problem.noise.freedom} replicates beyond the first: too few to tell a gap from "
+            f"noise, {NEEDED_REPLICATES} are needed",
+            none=0.5,
+            unknown=0.5,
+        )
     if unseen > UNSEEN:
-        block = _block(held, q.base)
-        stage = _stage_of_block(q, naming, block)
+        block = _block(held, problem.base)
+        stage = _stage_of_block(problem, search, block)
         return _verdict(
-            q, naming, held, "unknown",
+            problem, search, held, "unknown",
             f"a gap that no entry of the catalogue explains, in the {block} residual",
             none=0.02, unknown=0.98, stage=stage,
         )  # fmt: skip
-    far = _out_of_reach(q, naming)
+    far = _out_of_reach(problem, search)
     if far is not None:
-        block = _block(held, q.base)
+        block = _block(held, problem.base)
         return _verdict(
-            q, naming, held, "unknown",
+            problem, search, held, "unknown",
             f"a gap that no entry of the catalogue explains: {far}", none=0.02, unknown=0.98,
-            stage=_stage_of_block(q, naming, block),
+            stage=_stage_of_block(problem, search, block),
         )  # fmt: skip
-    apart = next((c for c in contrasts_of(q) if c.alarm), None)
+    apart = next((c for c in contrasts_of(problem) if c.alarm), None)
     if apart is not None:
         # Replicates far apart in time take a drift for noise; their order tells it.
         return _verdict(
-            q, naming, held, "unknown",
+            problem, search, held, "unknown",
             f"a gap that no entry of the catalogue explains: the contrast {apart.name} stands at "
             f"{apart.z:.1f} sd", none=0.02, unknown=0.98,
-            stage=_stage_of_block(q, naming, _block(held, q.base)),
+            stage=_stage_of_block(problem, search, _block(held, problem.base)),
         )  # fmt: skip
-    best = max(naming.first_gain.values(), default=0.0)
+    best = max(search.first_gain.values(), default=0.0)
     unknown = 0.02 + 0.2 * min(unseen / UNSEEN, 1.0) ** 2
     none = (1.0 - unknown) * (1.0 - 0.15 * min(best / ALARM, 1.0))
     return _verdict(
-        q, naming, held, "no_gap_above_floor",
+        problem, search, held, "no_gap_above_floor",
         "the plant, recalibrated within its tolerances, agrees with the data to within the floor",
         none=none, unknown=1.0 - none,
     )  # fmt: skip
 
 
-def _out_of_reach(q: Inquiry, naming: Naming) -> str | None:
+def _out_of_reach(problem: FitProblem, search: SearchResult) -> str | None:
     """What shows a gap although no entry does: a constant at its wall, or what replicates share."""
-    chance = float(np.sqrt(2.0 * len(q.rows)))
-    named = len(q.names) - q.unnamed
-    shift = np.abs(q.base.shift[:named])
-    if shift.max(initial=0.0) > AT_THE_END and naming.excess > STANDS_OUT * chance:
-        constant = q.names[int(np.argmax(shift))]
+    chance = float(np.sqrt(2.0 * len(problem.rows)))
+    named = len(problem.names) - problem.unnamed
+    shift = np.abs(problem.base.shift[:named])
+    if shift.max(initial=0.0) > AT_THE_END and search.excess_chi2 > STANDS_OUT * chance:
+        constant = problem.names[int(np.argmax(shift))]
         return f"{constant} is led beyond its tolerance, and more than chance is left"
-    shared = repeated(q, q.base.residual)
-    if min(shared, naming.excess) > SHARED * chance:
+    shared = shared_chi2(problem, problem.base.residual)
+    if min(shared, search.excess_chi2) > SHARED * chance:
         return f"replicates share {shared / chance:.1f} sd more than chance"
     return None
 
 
-def _defect(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
-    suspect = naming.chosen.state.suspects[0]
-    amount = float(naming.chosen.state.amounts[0])
-    more = f" by about {amount:.3g} ms" if suspect.id.endswith("clock") else ""
+def _defect(problem: FitProblem, search: SearchResult, held: dict[str, HeldOut]) -> Verdict:
+    candidate = search.best.fit.candidates[0]
+    amount = float(search.best.fit.amounts[0])
+    more = f" by about {amount:.3g} ms" if candidate.id.endswith("clock") else ""
     return _verdict(
-        q, naming, held, "data_unfit", DEFECTS[suspect.id] + more, none=0.0, unknown=1.0,
-        evidence={"defect": suspect.id, "amount": amount},
+        problem, search, held, "data_unfit", DEFECTS[candidate.id] + more, none=0.0, unknown=1.0,
+        evidence={"defect": candidate.id, "amount": amount},
     )  # fmt: skip
 
 
-def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
-    chosen = naming.chosen
-    block = _block(held, chosen.state)
-    gap = gap_of(block, held[block], True, _floor_source(q), "slot")
-    share = _share(q, naming)
-    names = " and ".join(chosen.state.ids)
-    if _floor_source(q) is None:
+def _with_name(problem: FitProblem, search: SearchResult, held: dict[str, HeldOut]) -> Verdict:
+    best = search.best
+    block = _block(held, best.fit)
+    gap = gap_of(block, held[block], True, _floor_source(problem), "slot")
+    share = _share(problem, search)
+    names = " and ".join(best.fit.ids)
+    if _floor_source(problem) is None:
         return _verdict(
-            q, naming, held, "below_resolution",
-            f"the data look like {names}, but with {q.noise.freedom} replicates beyond the first "
-            "nothing can be told from noise", none=0.3, unknown=0.5, gap=gap,
-        )  # fmt: skip
-    traits = traits_of(q, naming, held)
-    belief = learnt().of(traits)
-    none = min(naming.chance, 0.5)
-    weighed = weigh(naming, belief, none)
-    one, two = _mimics(q, naming)
-    extra = [m for m in (one, two) if m and m.share >= MIMIC and not _ruled_out(q, naming, m)]
+            problem,
+            search,
+            held,
+            "below_resolution",
+            f"the data look like {names}, but with {problem.noise.freedom} replicates beyond the "
+            "first nothing can be told from noise",
+            none=0.3,
+            unknown=0.5,
+            gap=gap,
+        )
+    traits = traits_of(problem, search, held)
+    reliability = learnt().of(traits)
+    none = min(search.chance, 0.5)
+    weighted = posterior(search, reliability, none)
+    one, two = _confounders(problem, search)
+    confounding = [
+        m for m in (one, two) if m and m.share >= MIMIC and not _ruled_out(problem, search, m)
+    ]
     evidence: dict[str, object] = {
         "share_explained": share,
-        "belief": belief,
+        "belief": reliability,
         "mimics": [{"ids": m.ids, "share": m.share} for m in (one, two) if m],
-        "steps": [{"entry": k, "gain": g} for k, g in naming.steps],
-        "further": naming.tried,
+        "steps": [{"entry": k, "gain": g} for k, g in search.steps],
+        "further": search.tried,
         "traits": traits,
     }
-    if belief["unknown"] > UNKNOWN:
+    if reliability["unknown"] > UNKNOWN:
         return _verdict(
-            q, naming, held, "unknown",
+            problem,
+            search,
+            held,
+            "unknown",
             f"a gap of which the best entry ({names}) explains {100 * share:.0f} %, in a way that "
             "points to something the catalogue does not hold",
-            none=none, unknown=weighed.unknown, gap=gap, stage=_stage_of_block(q, naming, block),
-            entries=weighed.entries, mimics=extra, evidence=evidence,
-        )  # fmt: skip
-    drift = drifting(q, chosen.state)
+            none=none,
+            unknown=weighted.unknown,
+            gap=gap,
+            stage=_stage_of_block(problem, search, block),
+            entries=weighted.entries,
+            confounders=confounding,
+            evidence=evidence,
+        )
+    drift = drifting(problem, best.fit)
     if drift is not None:
         return _verdict(
-            q, naming, held, "unknown",
+            problem,
+            search,
+            held,
+            "unknown",
             f"a gap of which {names} explains a part and no drift over the trials: the contrast "
             f"{drift.name} still stands at {drift.z:.1f} sd",
-            none=none, unknown=max(weighed.unknown, DRIFTS), gap=gap,
-            stage=_stage_of_block(q, naming, block), entries=weighed.entries, mimics=extra,
+            none=none,
+            unknown=max(weighted.unknown, DRIFTS),
+            gap=gap,
+            stage=_stage_of_block(problem, search, block),
+            entries=weighted.entries,
+            confounders=confounding,
             evidence=evidence,
-        )  # fmt: skip
-    entries = ambiguity_set(weighed)
-    ids = {frozenset(choice.state.ids) for choice, _ in entries}
+        )
+    entries = credible_set(weighted)
+    ids = {frozenset(hypothesis.fit.ids) for hypothesis, _ in entries}
     status, reason = _status(
-        naming, gap, share, _nearest(naming, q.base.cost, one), two, len(ids), names
+        search, gap, share, _nearest(search, problem.base.cost, one), two, len(ids), names
     )
-    partly = belief["right"] + belief["part"]
-    if len(chosen.state.ids) > 1:
-        sure = partly >= NAMED_SEVERAL and belief["right"] >= NAMED_ALL
+    partly = reliability["right"] + reliability["part"]
+    if len(best.fit.ids) > 1:
+        sure = partly >= NAMED_SEVERAL and reliability["right"] >= NAMED_ALL
     else:
         sure = partly >= NAMED
     if status in ("named", "named_form_inadequate") and not sure:
         status, reason = (
             "indistinguishable",
             f"{names} fits best, but an explanation that looks like this one is right in "
-            f"{100 * belief['right']:.0f} % of cases only",
+            f"{100 * reliability['right']:.0f} % of cases only",
         )
     return _verdict(
-        q, naming, held, status, reason, none=weighed.none, unknown=weighed.unknown, gap=gap,
-        stage=CATALOGUE[chosen.state.ids[0]].stage, entries=entries, mimics=extra,
+        problem,
+        search,
+        held,
+        status,
+        reason,
+        none=weighted.none,
+        unknown=weighted.unknown,
+        gap=gap,
+        stage=CATALOGUE[best.fit.ids[0]].stage,
+        entries=entries,
+        confounders=confounding,
         evidence=evidence,
-    )  # fmt: skip
+    )
 
 
-def _mimics(q: Inquiry, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
+def _confounders(
+    problem: FitProblem, search: SearchResult
+) -> tuple[Confounder | None, Confounder | None]:
     """Best single and pair that could stand in for the explanation, by signatures.
 
     What leaves most of one effect's gap as it is takes its name away even where the data rule it
     out: told apart by a few per cent of the gap, the name would rest on the effect's exact form.
     """
-    state = naming.chosen.state
-    one, two = Mimicry(q).of(q.base.residual - state.residual, frozenset(state.ids))
-    if len(state.ids) > 1:
-        one, two = (None if m and _ruled_out(q, naming, m) else m for m in (one, two))
+    fit = search.best.fit
+    one, two = ConfounderSearch(problem).of(
+        problem.base.residual - fit.residual, frozenset(fit.ids)
+    )
+    if len(fit.ids) > 1:
+        one, two = (None if m and _ruled_out(problem, search, m) else m for m in (one, two))
     return one, two
 
 
-def _nearest(naming: Naming, base: float, one: Mimic | None) -> Mimic | None:
-    """The mimic `one`, or the rival of the search that takes more at the size that it needs.
+def _nearest(search: SearchResult, base: float, one: Confounder | None) -> Confounder | None:
+    """The confounder `one`, or the rival of the search that takes more at the size that it needs.
 
     `base` is the cost of the plant without any effect.
     """
-    state = naming.chosen.state
-    whole = max(base - state.cost, 1e-9)
-    for rival in naming.rivals if len(state.ids) == 1 else []:
-        taken = 1.0 - (rival.cost - state.cost) / whole
-        if rival.state.ids != state.ids and (one is None or taken > one.share):
-            one = Mimic(rival.state.ids, min(taken, 1.0))
+    fit = search.best.fit
+    whole = max(base - fit.cost, 1e-9)
+    for rival in search.rivals if len(fit.ids) == 1 else []:
+        taken = 1.0 - (rival.cost - fit.cost) / whole
+        if rival.fit.ids != fit.ids and (one is None or taken > one.share):
+            one = Confounder(rival.fit.ids, min(taken, 1.0))
     return one
 
 
-def _ruled_out(q: Inquiry, naming: Naming, mimic: Mimic) -> bool:
-    """Whether a mimic leaves more than noise and inexact forms could."""
-    whole = max(q.base.cost - naming.chosen.cost, 0.0)
-    bearable = max(TOLD_APART, 3.0 * naming.left)
-    return mimic.share < SURE and (1.0 - mimic.share) * whole >= bearable
+def _ruled_out(problem: FitProblem, search: SearchResult, confounder: Confounder) -> bool:
+    """Whether a confounder leaves more than noise and inexact forms could."""
+    whole = max(problem.base.cost - search.best.cost, 0.0)
+    bearable = max(TOLD_APART, 3.0 * search.left)
+    return confounder.share < SURE and (1.0 - confounder.share) * whole >= bearable
 
 
 def _status(
-    naming: Naming, gap: Gap, share: float, one: Mimic | None, two: Mimic | None, rivals: int,
+    search: SearchResult,
+    gap: Gap,
+    share: float,
+    one: Confounder | None,
+    two: Confounder | None,
+    rivals: int,
     names: str,
-) -> tuple[str, str]:  # fmt: skip
+) -> tuple[str, str]:
     if rivals > 1 or (one is not None and one.share >= MIMIC):
         other = f"; {' + '.join(one.ids)} would look alike" if one and one.share >= MIMIC else ""
         return (
@@ -278,23 +324,23 @@ def _status(
 
 
 def _verdict(
-    q: Inquiry,
-    naming: Naming,
-    held: dict[str, Held],
+    problem: FitProblem,
+    search: SearchResult,
+    held: dict[str, HeldOut],
     status: str,
     reason: str,
     none: float,
     unknown: float,
     gap: Gap | None = None,
     stage: str | None = None,
-    entries: list[tuple[Choice, float]] | None = None,
-    mimics: list[Mimic] | None = None,
+    entries: list[tuple[Hypothesis, float]] | None = None,
+    confounders: list[Confounder] | None = None,
     evidence: dict[str, object] | None = None,
 ) -> Verdict:
     if gap is None and held:
-        block = _block(held, naming.chosen.state)
-        gap = gap_of(block, held[block], False, _floor_source(q), "slot")
-    effects = _explanations(q, entries or [], mimics or [], none, unknown)
+        block = _block(held, search.best.fit)
+        gap = gap_of(block, held[block], False, _floor_source(problem), "slot")
+    effects = _explanations(problem, entries or [], confounders or [], none, unknown)
     whole = none + unknown + sum(effect.probability for effect in effects)
     scale = 1.0 / whole if whole > 0.0 else 1.0
     return Verdict(
@@ -307,46 +353,53 @@ def _verdict(
         probability_none=none * scale,
         probability_unknown=unknown * scale,
         gap=gap,
-        stages=stage_shares(q, naming.chosen.state, held) if held else (),
-        contrasts=contrasts_of(q),
-        limits=limits_of(q, ALARM),
-        next_experiment=advise(q, _leader(entries), _others(q, naming, entries, mimics)),
-        why_not=why_not(q, naming, {i for e in effects for i in e.ids}),
-        notes=q.data.notes,
+        stages=stage_shares(problem, search.best.fit, held) if held else (),
+        contrasts=contrasts_of(problem),
+        limits=detection_limits(problem, ALARM),
+        next_experiment=advise(
+            problem, _leader(entries), _others(problem, search, entries, confounders)
+        ),
+        why_not=why_not(problem, search, {i for e in effects for i in e.ids}),
+        notes=problem.data.notes,
         evidence={
-            "found": list(naming.chosen.state.ids),
+            "found": list(search.best.fit.ids),
             **(evidence or {}),
         },
     )
 
 
-def _leader(entries: list[tuple[Choice, float]] | None) -> State | None:
-    return entries[0][0].state if entries else None
+def _leader(entries: list[tuple[Hypothesis, float]] | None) -> FitResult | None:
+    return entries[0][0].fit if entries else None
 
 
 def _others(
-    q: Inquiry,
-    naming: Naming,
-    entries: list[tuple[Choice, float]] | None,
-    mimics: list[Mimic] | None,
-) -> list[State]:
-    """Rivals an experiment should tell from the best: the set, its mimics, or the runner-up."""
+    problem: FitProblem,
+    search: SearchResult,
+    entries: list[tuple[Hypothesis, float]] | None,
+    confounders: list[Confounder] | None,
+) -> list[FitResult]:
+    """Fits that an experiment should tell from the best one."""
     if not entries:
         return []
-    others = [choice.state for choice, _ in entries[1:]]
-    for mimic in mimics or []:
-        suspects = [next(s for s in q.suspects if s.id == name) for name in mimic.ids]
-        others.append(q.fit(suspects, [s.step for s in suspects]))
-    return others or [c.state for c in naming.rivals[:1]]
+    others = [hypothesis.fit for hypothesis, _ in entries[1:]]
+    for confounder in confounders or []:
+        candidates = [
+            next(s for s in problem.candidates if s.id == name) for name in confounder.ids
+        ]
+        others.append(problem.fit(candidates, [s.step for s in candidates]))
+    return others or [c.fit for c in search.rivals[:1]]
 
 
 def _explanations(
-    q: Inquiry, entries: list[tuple[Choice, float]], mimics: list[Mimic], none: float,
+    problem: FitProblem,
+    entries: list[tuple[Hypothesis, float]],
+    confounders: list[Confounder],
+    none: float,
     unknown: float,
-) -> list[Explanation]:  # fmt: skip
+) -> list[Explanation]:
     made: dict[frozenset[str], Explanation] = {}
-    for choice, p in entries:
-        ids = choice.state.ids
+    for hypothesis, p in entries:
+        ids = hypothesis.fit.ids
         key = frozenset(ids)
         if key in made:
             kept = made[key]
@@ -354,43 +407,43 @@ def _explanations(
             continue
         families = dict.fromkeys(CATALOGUE[name].family for name in ids)
         made[key] = Explanation(
-            ids, "+".join(families), p, headline_estimates(q, choice.state, learnt().form)
+            ids, "+".join(families), p, headline_estimates(problem, hypothesis.fit, learnt().form)
         )
-    # What mimics the best entry shares its credit: on these data nothing tells them apart.
-    for mimic in mimics:
-        key = frozenset(mimic.ids)
+    # What confounders the best entry shares its credit: on these data nothing tells them apart.
+    for confounder in confounders:
+        key = frozenset(confounder.ids)
         if key not in made and made:
             first = next(iter(made.values()))
-            families = dict.fromkeys(CATALOGUE[name].family for name in mimic.ids)
-            made[key] = Explanation(mimic.ids, "+".join(families), 0.4 * first.probability, {})
+            families = dict.fromkeys(CATALOGUE[name].family for name in confounder.ids)
+            made[key] = Explanation(confounder.ids, "+".join(families), 0.4 * first.probability, {})
     return sorted(made.values(), key=lambda e: -e.probability)
 
 
-def _floor_source(q: Inquiry) -> str | None:
-    if q.noise.pairs and q.noise.freedom >= NEEDED_REPLICATES:
+def _floor_source(problem: FitProblem) -> str | None:
+    if problem.noise.pairs and problem.noise.freedom >= NEEDED_REPLICATES:
         return "replicates"
-    return "smoothness" if q.data.settled else None
+    return "smoothness" if problem.data.settled else None
 
 
-def _block(held: dict[str, Held], state: State) -> str:
+def _block(held: dict[str, HeldOut], fit: FitResult) -> str:
     """The block whose gap stands highest above its floor, or is closed most."""
 
     def height(block: str) -> float:
         part = held[block]
         floor = max(part.rms("floor"), 1e-6) ** 2
         gained = part.rms("recalibrated") ** 2 - (
-            part.rms("after") ** 2 if state.suspects else part.rms("floor") ** 2
+            part.rms("after") ** 2 if fit.candidates else part.rms("floor") ** 2
         )
-        sure = not state.suspects or part.closed() is not None
+        sure = not fit.candidates or part.closed() is not None
         return gained / floor * (0.2 if block == "camera" else 1.0) * (1.0 if sure else 0.1)
 
     return max(held, key=height)
 
 
-def _stage_of_block(q: Inquiry, naming: Naming, block: str) -> str | None:
-    """Stage of the suspect that comes nearest among those that touch the block."""
-    known = {s.key: s for s in q.suspects if not s.defect and block in s.blocks}
-    gains = {k: g for k, g in naming.first_gain.items() if k in known}
+def _stage_of_block(problem: FitProblem, search: SearchResult, block: str) -> str | None:
+    """Stage of the candidate that comes nearest among those that touch the block."""
+    known = {s.key: s for s in problem.candidates if not s.defect and block in s.blocks}
+    gains = {k: g for k, g in search.first_gain.items() if k in known}
     if not gains:
         return None
     stage = CATALOGUE[known[max(gains, key=lambda k: gains[k])].id].stage

@@ -1,7 +1,7 @@
 """How far an explanation is to be believed, learnt from blind sets whose truth is known.
 
 A goodness-of-fit test rejects every explanation when the signal is strong, because no form is ever
-exact; a share of the gap alone lets mimics pass. So the traits of an explanation
+exact; a share of the gap alone lets confounders pass. So the traits of an explanation
 (`gap.decision.traits`) are weighed by a forest of decision trees into four outcomes: it is right;
 part of it is; something else of the catalogue is; nothing of the catalogue is. What a trait says
 depends on the others: a constant at the end of its tolerance is suspicious beside a weak gap, and
@@ -109,7 +109,7 @@ class Forest:
 
 
 @dataclass(frozen=True)
-class Belief:
+class Reliability:
     """The forest, and what an entry's true form may do to its headline.
 
     `form` is the error (1 sd) of the logarithm of an entry's headline that its true form brings.
@@ -125,8 +125,8 @@ class Belief:
 
 
 @cache
-def learnt() -> Belief:
-    """The belief that ships with the program."""
+def learnt() -> Reliability:
+    """The reliability that ships with the program."""
     shipped = resources.files("gap.decision")
     table = tomllib.loads(shipped.joinpath(_FORM).read_text(encoding="utf-8"))
     with shipped.joinpath(_FOREST).open("rb") as file, np.load(file) as stored:
@@ -142,4 +142,4 @@ def learnt() -> Belief:
             stored["right"].astype(np.int64),
             stored["odds"].astype(np.float64),
         )
-    return Belief(forest, dict(table["form"]))
+    return Reliability(forest, dict(table["form"]))

@@ -7,14 +7,14 @@ from enum import StrEnum
 
 from gap.decision.classify import HALF
 from gap.design.advise import reference_for
-from gap.validation.prediction import FORETOLD, SHOWN, Foretelling, families
+from gap.validation.prediction import PREDICTED, SHOWN, Prediction, families
 from gap.verdict import Explanation, Verdict
 
 SETTLED = ("named", "named_form_inadequate", "data_unfit")
 UNSETTLED = ("indistinguishable", "mimicable", "unknown")
-"""Verdicts that a test which came out as foretold makes a name of."""
+"""Verdicts that a test which came out as predicted makes a name of."""
 LEAST = 0.03
-"""Belief in an entry below which nothing need tell it from the one that leads."""
+"""reliability in an entry below which nothing need tell it from the one that leads."""
 
 
 class Conclusion(StrEnum):
@@ -31,10 +31,10 @@ class SequentialVerdict:
     """The last verdict, and how well each earlier explanation predicted the tests after it."""
 
     verdict: Verdict | None = None
-    leaning: dict[str, float] = field(default_factory=dict)
+    relieving: dict[str, float] = field(default_factory=dict)
     """Where there is no gap: effects that would relieve what is stated at the end of its tolerance
     (`gap.decision.at_bound`), with the gain."""
-    foretold: dict[str, list[tuple[str, Foretelling]]] = field(default_factory=dict)
+    predicted: dict[str, list[tuple[str, Prediction]]] = field(default_factory=dict)
     """By family, tests that show what was found before them, and how it fared on each."""
 
     @property
@@ -62,20 +62,20 @@ class SequentialVerdict:
         return [e.ids for e in self.verdict.effects if e.probability > LEAST]
 
     @property
-    def confirmed(self) -> tuple[str, Foretelling] | None:
-        """The last test that came out as foretold, if it and those before it prove it.
+    def confirmed(self) -> tuple[str, Prediction] | None:
+        """The last test that came out as predicted, if it and those before it prove it.
 
         They were held against each entry left, or one that shares a family with it, no later one
         spoke against it, and together they take what a proof asks for.
         """
-        last: tuple[str, Foretelling] | None = None
+        last: tuple[str, Prediction] | None = None
         gained = 0.0
-        for protocol, found in reversed(self.foretold.get(self.family or "", [])):
+        for protocol, found in reversed(self.predicted.get(self.family or "", [])):
             if found.refuted:
                 break
             against = [families(ids) for ids in found.rivals]
             held = all(any(other & one for one in against) for other in self._others)
-            if found.share < FORETOLD or not held:
+            if found.share < PREDICTED or not held:
                 continue
             last = last or (protocol, found)
             gained += found.gained
@@ -100,13 +100,13 @@ class SequentialVerdict:
         if self.verdict.status not in SETTLED:
             return self.confirmed is not None
         named = families(self.verdict.effects[0].ids) if self.verdict.effects else frozenset()
-        return len(named) < 2 or any(f.confirmed for _, f in self.foretold.get(joint(named), []))
+        return len(named) < 2 or any(f.confirmed for _, f in self.predicted.get(joint(named), []))
 
     @property
     def named(self) -> str | None:
         """The family that is named, or the families that act together; None without a name.
 
-        Of several, those that some test needed: a test that is foretold as well without a family
+        Of several, those that some test needed: a test that is predicted as well without a family
         is no reason to name it. All of them where no test has told them apart.
         """
         if self.conclusion != Conclusion.NAMED or self.verdict is None or not self.verdict.effects:
@@ -116,7 +116,7 @@ class SequentialVerdict:
         several = families(self.verdict.effects[0].ids)
         needed = {
             gone
-            for _, found in self.foretold.get(joint(several), [])
+            for _, found in self.predicted.get(joint(several), [])
             for ids, left in found.rivals.items()
             for gone in several - families(ids)
             if families(ids) == several - {gone} and left - found.left > SHOWN
@@ -149,7 +149,7 @@ class SequentialVerdict:
         if status in ("indistinguishable", "mimicable") and len(self.verdict.effects) > 1:
             return Conclusion.NEEDS_REFERENCE
         if status == "no_gap_above_floor":
-            return Conclusion.NEEDS_REFERENCE if self.leaning else Conclusion.NO_GAP
+            return Conclusion.NEEDS_REFERENCE if self.relieving else Conclusion.NO_GAP
         return Conclusion.OPEN
 
     @property
@@ -157,7 +157,7 @@ class SequentialVerdict:
         """What would tell the entries left apart, or prove the only one, where no test did."""
         assert self.verdict is not None
         if self.verdict.status == "no_gap_above_floor":
-            return {name: reference_for(name) for name in self.leaning}
+            return {name: reference_for(name) for name in self.relieving}
         proven = self.confirmed is not None
         left = self.of_family if proven else self.verdict.effects
         names = dict.fromkeys(name for effect in left for name in effect.ids)

@@ -288,7 +288,7 @@ def _trend(
     model: Model, c: PlantConstants, noise: Noise, pairs: list[_Pair]
 ) -> tuple[float, Array]:
     """The slow change over trials that replicates show best, one entry a row, and its z."""
-    wear = [suspect for suspect in SUSPECTS if suspect.id == "wear"]
+    wear = [candidate for candidate in SUSPECTS if candidate.id == "wear"]
     columns = suspect_columns(model, c, [], wear)
     best = (0.0, np.zeros(len(columns)))
     for j in range(columns.shape[1]):

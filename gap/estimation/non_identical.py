@@ -19,7 +19,7 @@ _SAME_S = 2e-3
 _RIDGE = 1e-6
 
 
-def controlled(data: DataSet) -> bool:
+def non_identical(data: DataSet) -> bool:
     """Whether valves acted otherwise in some replicate than in the first of its slot."""
     for members in data.slots.values():
         first, *others = (data.trials[member] for member in members)
@@ -36,7 +36,7 @@ def _differ(a: Channel, b: Channel) -> bool:
     return bool(later > _SAME_S or np.any(a.value != b.value))
 
 
-def out_of_reach(columns: Array, residual: Array, noise: Noise) -> Array:
+def unexplainable(columns: Array, residual: Array, noise: Noise) -> Array:
     """What of a residual no mix of signatures makes, shape (rows,).
 
     Args:

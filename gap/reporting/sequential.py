@@ -9,10 +9,11 @@ from gap.reporting.text import headline, sentence
 def conclusion_text(found: SequentialVerdict) -> str:
     """Return the reason for `found.conclusion` as one sentence."""
     assert found.verdict is not None
-    if found.verdict.status == "no_gap_above_floor" and found.leaning:
+    if found.verdict.status == "no_gap_above_floor" and found.relieving:
         return sentence(
             "simulation and measurement agree to within the floor only with a stated constant at "
-            f"the end of its tolerance; {' or '.join(found.leaning)} in its place would fit as well"
+            "the end of its tolerance; "
+            f"{' or '.join(found.relieving)} in its place would fit as well"
         )
     if found.confirmed is None:
         return headline(found.verdict)

@@ -7,18 +7,25 @@ search is made again among effects alone.
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
-from gap.estimation.cross_validation import Held, held_out
-from gap.estimation.fit_problem import Inquiry, State
-from gap.selection.forward import PLAIN, Naming, name_effects
-from gap.selection.inclusion import PLAINLY_SEEN, apart, excess, plain, relieves, seen, settles
-from gap.selection.refine import Choice
+from gap.estimation.cross_validation import HeldOut, held_out
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.selection.forward import PLAIN, SearchResult, search_effects
+from gap.selection.inclusion import (
+    PLAINLY_SEEN,
+    apart,
+    excess_chi2,
+    leaves_nothing,
+    plain,
+    relieves_constant,
+    visibility,
+)
+from gap.selection.refine import Hypothesis
 
 Array = npt.NDArray[np.float64]
 
@@ -42,7 +49,7 @@ LARGE = 0.2
 
 
 @dataclass(frozen=True)
-class Cleared:
+class PruningResult:
     """The search's outcome among effects alone.
 
     Attributes:
@@ -51,54 +58,49 @@ class Cleared:
         blurred: whether a defect, though not certain, explains far more than any effect.
     """
 
-    naming: Naming
+    search: SearchResult
     defect: bool = False
     blurred: bool = False
 
 
-def cleared(q: Inquiry, naming: Naming) -> Cleared:
+def prune(problem: FitProblem, search: SearchResult) -> PruningResult:
     """Take defects and needless effects out of what a search found."""
-    suspects = naming.chosen.state.suspects
-    if not any(suspect.defect for suspect in suspects):
-        return Cleared(_needed(q, _rivals_cleared(naming)))
-    first = suspects[0].defect
-    if first and _is_defect(q, naming):
-        return Cleared(naming, defect=True)
-    clean = name_effects(without_defects(q))
-    worse = clean.chosen.cost - naming.chosen.cost
-    blurred = first and worse > PLAIN + FAR_WORSE * naming.excess
-    return Cleared(_needed(q, _rivals_cleared(clean)), blurred=blurred)
+    candidates = search.best.fit.candidates
+    if not any(candidate.defect for candidate in candidates):
+        return PruningResult(_needed(problem, _rivals_cleared(search)))
+    first = candidates[0].defect
+    if first and _is_defect(problem, search):
+        return PruningResult(search, defect=True)
+    clean = search_effects(problem.restricted_to(lambda candidate: not candidate.defect))
+    worse = clean.best.cost - search.best.cost
+    blurred = first and worse > PLAIN + FAR_WORSE * search.excess_chi2
+    return PruningResult(_needed(problem, _rivals_cleared(clean)), blurred=blurred)
 
 
-def without_defects(q: Inquiry) -> Inquiry:
-    """The same data and fits, asked about effects alone."""
-    other = copy.copy(q)
-    other.suspects = tuple(suspect for suspect in q.suspects if not suspect.defect)
-    return other
+def _rivals_cleared(search: SearchResult) -> SearchResult:
+    rivals = [c for c in search.rivals if not any(s.defect for s in c.fit.candidates)]
+    return replace(search, rivals=rivals)
 
 
-def _rivals_cleared(naming: Naming) -> Naming:
-    rivals = [c for c in naming.rivals if not any(s.defect for s in c.state.suspects)]
-    return replace(naming, rivals=rivals)
-
-
-def _is_defect(q: Inquiry, naming: Naming) -> bool:
-    if naming.steps[0][1] < max(ALONE * naming.excess, PLAIN):
+def _is_defect(problem: FitProblem, search: SearchResult) -> bool:
+    if search.steps[0][1] < max(ALONE * search.excess_chi2, PLAIN):
         return False
-    state = naming.chosen.state
-    late = float(state.amounts[0])
-    if state.suspects[0].id.endswith("clock") and 0.0 < late < LEAST_LATE_MS:
+    fit = search.best.fit
+    late = float(fit.amounts[0])
+    if fit.candidates[0].id.endswith("clock") and 0.0 < late < LEAST_LATE_MS:
         return False
-    return _disagreement(q, state) < SAME * abs(float(state.amounts[0]))
+    return _disagreement(problem, fit) < SAME * abs(float(fit.amounts[0]))
 
 
-def _disagreement(q: Inquiry, state: State) -> float:
-    """Spread over trials, beyond chance, of the amount of the first suspect each asks for."""
-    slope = q.slopes(state.shift, state.suspects, state.amounts)[:, 0]
+def _disagreement(problem: FitProblem, fit: FitResult) -> float:
+    """Spread over trials, beyond chance, of the amount of the first candidate each asks for."""
+    slope = problem.slopes(fit.shift, fit.candidates, fit.amounts)[:, 0]
     asked, weight = [], []
-    for trial, rows in enumerate(q.noise.trial_rows):
+    for trial, rows in enumerate(problem.noise.trial_rows):
         if len(rows):
-            gram, _ = q.noise.solve(trial, np.stack([slope[rows], state.residual[rows]], axis=1))
+            gram, _ = problem.noise.solve(
+                trial, np.stack([slope[rows], fit.residual[rows]], axis=1)
+            )
             if gram[0, 0] > 0.0:
                 asked.append(gram[0, 1] / gram[0, 0])
                 weight.append(gram[0, 0])
@@ -108,39 +110,42 @@ def _disagreement(q: Inquiry, state: State) -> float:
     return float(np.sqrt(max(float(w @ d**2) - len(d), 0.0) / w.sum()))
 
 
-def _needed(q: Inquiry, naming: Naming) -> Naming:
+def _needed(problem: FitProblem, search: SearchResult) -> SearchResult:
     """Strike further effects, last first, whose own gain on held-out slots is not certain."""
-    while len(keys := naming.chosen.keys) > 1:
-        state = naming.chosen.state
-        gain = naming.steps[-1][1]
-        elsewhere = apart(q, state, keys[-1])
+    while len(keys := search.best.keys) > 1:
+        fit = search.best.fit
+        gain = search.steps[-1][1]
+        elsewhere = apart(problem, fit, keys[-1])
         if elsewhere and gain > PLAIN:
             break
         pairs = [
-            (suspect, float(amount))
-            for suspect, amount in zip(state.suspects, state.amounts, strict=True)
-            if suspect.key != keys[-1]
+            (candidate, float(amount))
+            for candidate, amount in zip(fit.candidates, fit.amounts, strict=True)
+            if candidate.key != keys[-1]
         ]
-        less = q.polish(q.fit([s for s, _ in pairs], [a for _, a in pairs], state))
-        if plain(q, naming.excess, less, gain) or settles(q, naming.excess, less, state):
+        less = problem.polish(problem.fit([s for s, _ in pairs], [a for _, a in pairs], fit))
+        if plain(problem, search.excess_chi2, less, gain) or leaves_nothing(
+            problem, search.excess_chi2, less, fit
+        ):
             break  # it may show in few slots only, where no mean over slots is certain
-        exact = excess(q, less) < 2.0 * np.sqrt(2.0 * len(q.rows))
-        if relieves(less, state) or (elsewhere and exact and gain > SECOND * naming.alarm):
+        exact = excess_chi2(problem, less) < 2.0 * np.sqrt(2.0 * len(problem.rows))
+        if relieves_constant(less, fit) or (elsewhere and exact and gain > SECOND * search.alarm):
             break
-        part = gain < FORM * max(q.base.cost - state.cost, 1.0)
-        mends = part and not (elsewhere or exact) and seen(q, less, state) < PLAINLY_SEEN
+        part = gain < FORM * max(problem.base.cost - fit.cost, 1.0)
+        mends = part and not (elsewhere or exact) and visibility(problem, less, fit) < PLAINLY_SEEN
         if not mends and (
-            gain > LARGE * naming.excess or _gains_surely(held_out(q, less), held_out(q, state))
+            gain > LARGE * search.excess_chi2
+            or _gains_surely(held_out(problem, less), held_out(problem, fit))
         ):
             break
-        naming = replace(
-            naming, chosen=Choice(keys[:-1], less), rivals=[], steps=naming.steps[:-1],
-            left=excess(q, less),
+        search = replace(
+            search, best=Hypothesis(keys[:-1], less), rivals=[], steps=search.steps[:-1],
+            left=excess_chi2(problem, less),
         )  # fmt: skip
-    return naming
+    return search
 
 
-def _gains_surely(less: dict[str, Held], more: dict[str, Held]) -> bool:
+def _gains_surely(less: dict[str, HeldOut], more: dict[str, HeldOut]) -> bool:
     """Whether some block's held-out error falls for certain, over units, with the fuller state."""
     for block, held in more.items():
         use = held.weight > 0.0

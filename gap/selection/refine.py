@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from gap.data.dataset import CALIBRATION
 from gap.effects.candidates import Suspect
-from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import projected
-from gap.estimation.shape_fit import shaped
-from gap.selection.inclusion import excess
+from gap.estimation.shape_fit import fit_shapes
+from gap.selection.inclusion import excess_chi2
 from plant.constants import KEYS
 from plant.effects.catalogue import CATALOGUE
 
@@ -73,148 +73,155 @@ _ONE_SHAPE = ("polytropic", "supply_droop")
 
 
 @dataclass(frozen=True)
-class Choice:
+class Hypothesis:
     """One explanation that was fitted: its keys (id, or id:edge) and the fitted state."""
 
     keys: tuple[str, ...]
-    state: State
+    fit: FitResult
 
     @property
     def cost(self) -> float:
         """Whitened sum of squares left."""
-        return self.state.cost
+        return self.fit.cost
 
 
-def linear_gains(q: Inquiry, state: State) -> tuple[Array, Array]:
-    """Gain and amount of each suspect alone, linearised at `state`; both shape (suspects,)."""
-    evidence = q.evidence(state)
+def linear_gains(problem: FitProblem, fit: FitResult) -> tuple[Array, Array]:
+    """Gain and amount of each candidate alone, linearised at `fit`; both shape (candidates,)."""
+    evidence = problem.evidence(fit)
     p = projected(evidence, evidence.total)
     norm = np.maximum(np.diag(p)[1:], 1e-9)
     amounts = p[0, 1:] / norm
     gains = p[0, 1:] ** 2 / norm
-    low = np.array([s.sign > 0 for s in q.suspects])
+    low = np.array([s.sign > 0 for s in problem.candidates])
     gains = np.where(low & (amounts < 0.0), 0.0, gains)
     return gains, amounts
 
 
-def gains_by_key(q: Inquiry, gains: Array) -> dict[str, float]:
-    """Best gain of each key's suspects; `gains` has shape (suspects,)."""
+def gains_by_key(problem: FitProblem, gains: Array) -> dict[str, float]:
+    """Best gain of each key's candidates; `gains` has shape (candidates,)."""
     best: dict[str, float] = {}
-    for suspect, gain in zip(q.suspects, gains.tolist(), strict=True):
-        best[suspect.key] = max(best.get(suspect.key, 0.0), gain)
+    for candidate, gain in zip(problem.candidates, gains.tolist(), strict=True):
+        best[candidate.key] = max(best.get(candidate.key, 0.0), gain)
     return best
 
 
 def refine(
-    q: Inquiry,
-    state: State,
+    problem: FitProblem,
+    fit: FitResult,
     keys: tuple[str, ...],
     key: str,
     gains: Array,
     amounts: Array,
     fresh: Array | None = None,
-) -> Choice:
-    """Fit `key` on top of `state` in its best shapes; the best fit wins."""
-    at = [j for j, suspect in enumerate(q.suspects) if suspect.key == key]
+) -> Hypothesis:
+    """Fit `key` on top of `fit` in its best shapes; the best fit wins."""
+    at = [j for j, candidate in enumerate(problem.candidates) if candidate.key == key]
     at.sort(key=lambda j: -gains[j])
-    best: State | None = None
+    best: FitResult | None = None
     for j in at[:_SHAPES]:
         if best is not None and gains[j] < 0.7 * gains[at[0]]:
             continue
-        suspects = [*state.suspects, q.suspects[j]]
-        start = [*state.amounts, _start(q.suspects[j], amounts[j])]
-        ends = [q.fit(suspects, start, state)]
-        swapped = _swapped(q, state, key)
+        candidates = [*fit.candidates, problem.candidates[j]]
+        start = [*fit.amounts, _start(problem.candidates[j], amounts[j])]
+        ends = [problem.fit(candidates, start, fit)]
+        swapped = _swapped(problem, fit, key)
         if swapped is not None:
-            ends.append(q.fit_from(swapped[0], suspects, [*state.amounts, swapped[1]]))
+            ends.append(problem.fit_from(swapped[0], candidates, [*fit.amounts, swapped[1]]))
         if fresh is not None:
-            ends.append(q.fit_afresh(suspects, [*state.amounts, _start(q.suspects[j], fresh[j])]))
+            ends.append(
+                problem.fit_afresh(
+                    candidates, [*fit.amounts, _start(problem.candidates[j], fresh[j])]
+                )
+            )
         fitted = min(ends, key=lambda end: end.cost)
         if best is None or fitted.cost < best.cost:
             best = fitted
     assert best is not None
-    return Choice((*keys, key), best)
+    return Hypothesis((*keys, key), best)
 
 
-def _start(suspect: Suspect, amount: float) -> float:
-    if suspect.id == "transport_delay":
+def _start(candidate: Suspect, amount: float) -> float:
+    if candidate.id == "transport_delay":
         return 1.0
-    return max(amount, 0.0) if suspect.sign else amount
+    return max(amount, 0.0) if candidate.sign else amount
 
 
-def _swapped(q: Inquiry, state: State, key: str) -> tuple[Array, float] | None:
+def _swapped(problem: FitProblem, fit: FitResult, key: str) -> tuple[Array, float] | None:
     """Constants with the one that `key` may stand for put back, and the amount that does the same.
 
     Along the valley between the two a descent would creep.
     """
-    for at, name in enumerate(q.names):
-        if key not in STANDS_FOR.get(name, ()) or abs(state.shift[at]) < BENT:
+    for at, name in enumerate(problem.names):
+        if key not in STANDS_FOR.get(name, ()) or abs(fit.shift[at]) < BENT:
             continue
-        c = q.data.constants
-        sd = q.data.calibration.get(name.removeprefix("calibration "))
-        amount = float(state.shift[at]) * (c.tolerance_si(name) if sd is None else sd)
+        c = problem.data.constants
+        sd = problem.data.calibration.get(name.removeprefix("calibration "))
+        amount = float(fit.shift[at]) * (c.tolerance_si(name) if sd is None else sd)
         if key.startswith("flow_area"):
             amount /= max(getattr(c, KEYS[name].field), 1e-300)
         elif key.partition(":")[0] in _PER_SI:
             amount *= _PER_SI[key.partition(":")[0]]
         elif sd is None:
             continue
-        shift = state.shift.copy()
+        shift = fit.shift.copy()
         shift[at] = 0.0
         return shift, amount
     return None
 
 
 def with_free_shapes(
-    q: Inquiry, before: State, tried: list[Choice], gains: Array, amounts: Array
-) -> list[Choice]:
+    problem: FitProblem, before: FitResult, tried: list[Hypothesis], gains: Array, amounts: Array
+) -> list[Hypothesis]:
     """Best first, the leading ones with shapes fitted: none shall lead by its number's luck."""
-    tried = sorted(tried, key=lambda choice: choice.cost)
-    chance = float(np.sqrt(2.0 * len(q.rows)))
-    near = tried[0].cost + NEAR * max(tried[0].cost - len(q.rows), chance)
-    near = max(near, before.cost - HALF * excess(q, before))
+    tried = sorted(tried, key=lambda hypothesis: hypothesis.cost)
+    chance = float(np.sqrt(2.0 * len(problem.rows)))
+    near = tried[0].cost + NEAR * max(tried[0].cost - len(problem.rows), chance)
+    near = max(near, before.cost - HALF * excess_chi2(problem, before))
     made = [
-        in_best_form(q, before, choice, gains, amounts) if at < SHAPED and choice.cost <= near
-        else choice
-        for at, choice in enumerate(tried)
-    ]  # fmt: skip
-    return sorted(made, key=lambda choice: choice.cost)
+        in_best_form(problem, before, hypothesis, gains, amounts)
+        if at < SHAPED and hypothesis.cost <= near
+        else hypothesis
+        for at, hypothesis in enumerate(tried)
+    ]
+    return sorted(made, key=lambda hypothesis: hypothesis.cost)
 
 
-def in_best_form(q: Inquiry, before: State, choice: Choice, gains: Array, amounts: Array) -> Choice:
+def in_best_form(
+    problem: FitProblem, before: FitResult, hypothesis: Hypothesis, gains: Array, amounts: Array
+) -> Hypothesis:
     """The last effect in the form that leaves least once its numbers are fitted."""
-    best = shaped(q, choice.state)
-    last = choice.state.suspects[-1]
+    best = fit_shapes(problem, hypothesis.fit)
+    last = hypothesis.fit.candidates[-1]
     asked = {frozenset(last.shape)}
     for j in np.argsort(-gains).tolist():
-        suspect = q.suspects[j]
-        form = frozenset(suspect.shape)
-        if suspect.key != choice.keys[-1] or form in asked:
+        candidate = problem.candidates[j]
+        form = frozenset(candidate.shape)
+        if candidate.key != hypothesis.keys[-1] or form in asked:
             continue
         asked.add(form)
-        start = [*before.amounts, _start(suspect, amounts[j])]
-        other = shaped(q, q.fit([*before.suspects, suspect], start, before))
-        best = min(best, other, key=lambda state: state.cost)
-    return Choice(choice.keys, best)
+        start = [*before.amounts, _start(candidate, amounts[j])]
+        other = fit_shapes(problem, problem.fit([*before.candidates, candidate], start, before))
+        best = min(best, other, key=lambda fit: fit.cost)
+    return Hypothesis(hypothesis.keys, best)
 
 
 def flexed_by_second(
-    q: Inquiry, choice: Choice, gains: Array, amounts: Array, gap: float
-) -> Choice | None:
+    problem: FitProblem, hypothesis: Hypothesis, gains: Array, amounts: Array, gap: float
+) -> Hypothesis | None:
     """Let the last effect use a second shape where that takes a visible share of the gap."""
-    key = choice.keys[-1]
+    key = hypothesis.keys[-1]
     if key in _ONE_SHAPE:
         return None
-    used = {id(suspect) for suspect in choice.state.suspects}
-    at = [j for j, s in enumerate(q.suspects) if s.key == key and id(s) not in used]
+    used = {id(candidate) for candidate in hypothesis.fit.candidates}
+    at = [j for j, s in enumerate(problem.candidates) if s.key == key and id(s) not in used]
     if not at:
         return None
     j = max(at, key=lambda k: gains[k])
-    if gains[j] < max(20.0, min(0.01 * gap, 0.03 * excess(q, choice.state))):
+    if gains[j] < max(20.0, min(0.01 * gap, 0.03 * excess_chi2(problem, hypothesis.fit))):
         return None
-    fitted = q.fit(
-        [*choice.state.suspects, q.suspects[j]],
-        [*choice.state.amounts, _start(q.suspects[j], amounts[j])],
-        choice.state,
+    fitted = problem.fit(
+        [*hypothesis.fit.candidates, problem.candidates[j]],
+        [*hypothesis.fit.amounts, _start(problem.candidates[j], amounts[j])],
+        hypothesis.fit,
     )
-    return Choice(choice.keys, fitted) if fitted.cost < choice.cost - 15.0 else None
+    return Hypothesis(hypothesis.keys, fitted) if fitted.cost < hypothesis.cost - 15.0 else None

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gap.estimation.fit_problem import Inquiry, State
-from gap.estimation.shape_fit import shaped
-from gap.selection.inclusion import excess
-from gap.selection.refine import Choice, gains_by_key, linear_gains, refine
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.estimation.shape_fit import fit_shapes
+from gap.selection.inclusion import excess_chi2
+from gap.selection.refine import Hypothesis, gains_by_key, linear_gains, refine
 
 _ASKED = 2
 _CLEARLY = 10.0
@@ -20,63 +20,63 @@ _NEAR = 0.5
 """Share of the best gain from which an effect is asked whether it could take another's place."""
 
 
-def without(q: Inquiry, state: State, key: str) -> State:
-    """The state with the effect of `key` taken out and nothing fitted anew."""
-    left = [k for k, suspect in enumerate(state.suspects) if suspect.key != key]
-    return q.state(state.shift, [state.suspects[k] for k in left], state.amounts[left], state)
+def without(problem: FitProblem, fit: FitResult, key: str) -> FitResult:
+    """The fit with the effect of `key` taken out and nothing fitted anew."""
+    left = [k for k, candidate in enumerate(fit.candidates) if candidate.key != key]
+    return problem.at(fit.shift, [fit.candidates[k] for k in left], fit.amounts[left], fit)
 
 
-def spared(q: Inquiry, choice: Choice, chance: float) -> Choice | None:
+def drop_needless(problem: FitProblem, hypothesis: Hypothesis, chance: float) -> Hypothesis | None:
     """The choice without an effect that the later ones made needless; None where all are needed.
 
     Needless is what takes no more than `chance`, in whitened squares.
     """
-    for key in choice.keys[:-1]:
-        if _weight(choice.state, key) > _CLEARLY * chance:
+    for key in hypothesis.keys[:-1]:
+        if _weight(hypothesis.fit, key) > _CLEARLY * chance:
             continue
-        taken = without(q, choice.state, key)
-        less = q.polish(q.fit(taken.suspects, taken.amounts.tolist(), choice.state))
-        if less.cost - choice.cost < chance:
-            return Choice(tuple(k for k in choice.keys if k != key), less)
+        taken = without(problem, hypothesis.fit, key)
+        less = problem.polish(problem.fit(taken.candidates, taken.amounts.tolist(), hypothesis.fit))
+        if less.cost - hypothesis.cost < chance:
+            return Hypothesis(tuple(k for k in hypothesis.keys if k != key), less)
     return None
 
 
-def _weight(state: State, key: str) -> float:
+def _weight(fit: FitResult, key: str) -> float:
     """What taking out the effect of `key` would cost were all linear, in whitened squares."""
-    own = np.array([k for k, suspect in enumerate(state.suspects) if suspect.key == key])
-    at = own + len(state.shift)
-    amounts = state.amounts[own]
-    return float(amounts @ np.linalg.lstsq(state.cover[np.ix_(at, at)], amounts)[0])
+    own = np.array([k for k, candidate in enumerate(fit.candidates) if candidate.key == key])
+    at = own + len(fit.shift)
+    amounts = fit.amounts[own]
+    return float(amounts @ np.linalg.lstsq(fit.cover[np.ix_(at, at)], amounts)[0])
 
 
-def exchanged(q: Inquiry, choice: Choice) -> list[Choice]:
+def swapped(problem: FitProblem, hypothesis: Hypothesis) -> list[Hypothesis]:
     """Choices that have another effect in the place of one of them, best first.
 
     Constants start from where the whole explanation has them: without one of its effects they
     would bend to what is missing. Such a choice must leave nothing: it could else mend what the
     form of another leaves.
     """
-    chance = 2.0 * float(np.sqrt(2.0 * len(q.rows)))
+    chance = 2.0 * float(np.sqrt(2.0 * len(problem.rows)))
     made = []
-    for key in choice.keys:
-        taken = without(q, choice.state, key)
-        gains, amounts = linear_gains(q, taken)
-        best = gains_by_key(q, gains)
-        rest = tuple(k for k in choice.keys if k != key)
-        top = sorted((k for k in best if k not in choice.keys), key=lambda k: -best[k])[:_ASKED]
+    for key in hypothesis.keys:
+        taken = without(problem, hypothesis.fit, key)
+        gains, amounts = linear_gains(problem, taken)
+        best = gains_by_key(problem, gains)
+        rest = tuple(k for k in hypothesis.keys if k != key)
+        top = sorted((k for k in best if k not in hypothesis.keys), key=lambda k: -best[k])[:_ASKED]
         for other in top:
             if best[other] < _NEAR * best[key]:
                 continue
-            fitted = shaped(q, refine(q, taken, rest, other, gains, amounts).state)
-            keys = tuple(other if k == key else k for k in choice.keys)
-            state = _in_order(q, fitted, keys)
-            if excess(q, state) < chance:
-                made.append(Choice(keys, state))
+            fitted = fit_shapes(problem, refine(problem, taken, rest, other, gains, amounts).fit)
+            keys = tuple(other if k == key else k for k in hypothesis.keys)
+            fit = _in_order(problem, fitted, keys)
+            if excess_chi2(problem, fit) < chance:
+                made.append(Hypothesis(keys, fit))
     return sorted(made, key=lambda other: other.cost)
 
 
-def _in_order(q: Inquiry, state: State, keys: tuple[str, ...]) -> State:
-    """The state fitted to the end, its effects in the order of `keys`."""
-    order = sorted(range(len(state.suspects)), key=lambda k: keys.index(state.suspects[k].key))
-    suspects = [state.suspects[k] for k in order]
-    return q.polish(q.state(state.shift, suspects, state.amounts[order], state))
+def _in_order(problem: FitProblem, fit: FitResult, keys: tuple[str, ...]) -> FitResult:
+    """The fit fitted to the end, its effects in the order of `keys`."""
+    order = sorted(range(len(fit.candidates)), key=lambda k: keys.index(fit.candidates[k].key))
+    candidates = [fit.candidates[k] for k in order]
+    return problem.polish(problem.at(fit.shift, candidates, fit.amounts[order], fit))

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from gap.estimation.fit_problem import Inquiry
+from gap.estimation.fit_problem import FitProblem
 from gap.model.features import Points
 
 Array = npt.NDArray[np.float64]
@@ -57,10 +57,10 @@ class Mistimed:
         )
 
 
-def mistimed_channel(q: Inquiry) -> Mistimed | None:
+def mistimed_channel(problem: FitProblem) -> Mistimed | None:
     """The channel that is out of time or smoothed both ways, if one surely is."""
     for block, own in (("pressure", "pressure_kpa"), ("force", "force_n")):
-        pairs = _pairs(q, block)
+        pairs = _pairs(problem, block)
         if len(pairs) < 2:
             continue
         width = _is_mean_of(pairs, block)
@@ -118,12 +118,14 @@ def _lags(x: Array) -> list[Array]:
     return made
 
 
-def _pairs(q: Inquiry, block: str) -> list[Pair]:
+def _pairs(problem: FitProblem, block: str) -> list[Pair]:
     """Measured, predicted, and whether the length moves, on an even clock, trial by trial."""
-    points = q.grid.points.get(block)
+    points = problem.grid.points.get(block)
     if points is None:
         return []
-    raw = getattr(q.model, f"_{block}")(points, q.data.constants, q.given)
+    raw = getattr(problem.model, f"_{block}")(
+        points, problem.data.constants, problem.stated_effects
+    )
     scale = 1e-3 if block == "pressure" else 1.0
     measured = points.reading * scale
     predicted = measured - np.nan_to_num(raw) * scale

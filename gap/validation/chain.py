@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.effects.candidates import Suspect
-from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.features import BLOCKS, Points
@@ -57,14 +57,16 @@ class Chain:
             in every trial with valve commands; pull is read, or asked for by a hung load.
     """
 
-    def __init__(self, q: Inquiry, state: State) -> None:
-        self.q = q
-        self.grid = q.grid
-        self._c = q.constants(state.shift)
-        self._stated = q.found(state.shift, (), np.empty(0))
-        self._found = list(zip(state.suspects, state.amounts, strict=True))
+    def __init__(self, problem: FitProblem, fit: FitResult) -> None:
+        self.problem = problem
+        self.grid = problem.grid
+        self._c = problem.constants(fit.shift)
+        self._stated = problem.active_effects(fit.shift, (), np.empty(0))
+        self._found = list(zip(fit.candidates, fit.amounts, strict=True))
         self._full = self._active(STAGES)
-        self._points = {name: q.grid.points[name] for name in ENDS if name in q.grid.points}
+        self._points = {
+            name: problem.grid.points[name] for name in ENDS if name in problem.grid.points
+        }
         self.ends = self._ends()
         self._learn()
         self._rests = self._leftovers()
@@ -108,7 +110,7 @@ class Chain:
         self, c: PlantConstants, active: Active, step: Array, learn: bool = False
     ) -> Array:
         points, grid = self._points["pressure"], self.grid
-        parameters = self.q.model._parameters(c, active)
+        parameters = self.problem.model._parameters(c, active)
         true = laws.true_length(points, active, c)
         length = np.ascontiguousarray(np.clip(true, 1e-4, 0.999 * c.braid_length_m))
         out = np.empty(len(points.reading))
@@ -155,10 +157,10 @@ class Chain:
     def _leftovers(self) -> dict[str, tuple[Array, Array]]:
         """What muscle and load still leave between measured input and output, one a point."""
         made: dict[str, tuple[Array, Array]] = {}
-        q, c, active = self.q, self._c, self._full
+        problem, c, active = self.problem, self._c, self._full
         points = self._points.get("force")
         if points is not None:
-            rest = q.model._force(points, c, active)
+            rest = problem.model._force(points, c, active)
             made["force"] = (rest, np.zeros(len(rest)))
         points = self._points.get("load")
         if points is not None:
@@ -171,7 +173,7 @@ class Chain:
         return made
 
     def _pulls(self, points: Points, c: PlantConstants, active: Active) -> tuple[Array, Array]:
-        context = Context(c, self.q.model.order)
+        context = Context(c, self.problem.model.order)
         return laws.load_pull(points, active, context), laws.muscle_force(points, active, context)
 
     def run(self, real: Iterable[str]) -> dict[str, Array]:
@@ -194,7 +196,7 @@ class Chain:
                 points = self._fed(name, gas)
                 raw = self._missing(name, points, c, active, kept)
             raw = np.where(ending[points.trial], raw, 0.0)
-            rows = self.q.model._features(points, np.nan_to_num(raw)) * SCALE[name]
+            rows = self.problem.model._features(points, np.nan_to_num(raw)) * SCALE[name]
             made[name] = np.clip(rows, -3e3, 3e3)
         return made
 
@@ -203,7 +205,7 @@ class Chain:
 
         Args:
             shift: constants in sd.
-            amounts: of the suspects of the state, all in force; None for the plant without them.
+            amounts: of the candidates of the fit, all in force; None for the plant without them.
         """
         found = self._found
         kept: tuple[str, ...] = ()
@@ -211,7 +213,7 @@ class Chain:
             kept = STAGES
             self._found = [(s, float(a)) for (s, _), a in zip(found, amounts, strict=True)]
         try:
-            return self._run(frozenset(), self._active(kept), self.q.constants(shift))
+            return self._run(frozenset(), self._active(kept), self.problem.constants(shift))
         finally:
             self._found = found
 
@@ -220,7 +222,7 @@ class Chain:
     ) -> Array:
         muscle, load = self._rests[name]
         if name == "force":
-            raw = self.q.model._force(points, c, active)
+            raw = self.problem.model._force(points, c, active)
         else:
             asked, pull = self._pulls(points, c, active)
             raw = asked - pull
@@ -229,19 +231,19 @@ class Chain:
 
     def rows_of(self, name: str) -> npt.NDArray[np.int64]:
         """Indices of all rows of a kind of end that belong to trials which end in it."""
-        rows = self.q.rows
+        rows = self.problem.rows
         at = np.flatnonzero(rows.block == BLOCKS.index(name))
         return at[self.ends[name][rows.trial[at]]]
 
     def of_rows(self, name: str, values: Array) -> Array:
         """The values of `run` that belong to `rows_of(name)`."""
-        at = np.flatnonzero(self.q.rows.block == BLOCKS.index(name))
-        return np.asarray(values[self.ends[name][self.q.rows.trial[at]]])
+        at = np.flatnonzero(self.problem.rows.block == BLOCKS.index(name))
+        return np.asarray(values[self.ends[name][self.problem.rows.trial[at]]])
 
 
-def stage_of(suspect: Suspect) -> str:
-    """Stage of a suspect; what may sit anywhere, and shows in the force, counts to the muscle."""
-    if suspect.defect:
+def stage_of(candidate: Suspect) -> str:
+    """Stage of a candidate; what may sit anywhere, and shows in the force, counts to the muscle."""
+    if candidate.defect:
         return "sensor"
-    stage = CATALOGUE[suspect.id].stage
+    stage = CATALOGUE[candidate.id].stage
     return "muscle" if stage == "any" else stage

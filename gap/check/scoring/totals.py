@@ -29,9 +29,9 @@ def band_name(band: tuple[float, float]) -> str:
 
 def rate(rows: Iterable[Row], flag: str | Test, of: Test) -> dict[str, Any]:
     """Share of the rows that pass `of` for which `flag` holds."""
-    chosen = [r for r in rows if of(r)]
+    kept = [r for r in rows if of(r)]
     test = (lambda r: bool(r[flag])) if isinstance(flag, str) else flag
-    return share([test(r) for r in chosen]).as_json()
+    return share([test(r) for r in kept]).as_json()
 
 
 def catalogue_single(r: Row) -> bool:
@@ -40,7 +40,7 @@ def catalogue_single(r: Row) -> bool:
 
 
 def clear(r: Row) -> bool:
-    """At least twice the floor, and nobody mimics it."""
+    """At least twice the floor, and nobody confounders it."""
     return bool(r["size"] >= CLEAR and r["mimic"] <= MIMICKED)
 
 
