@@ -34,7 +34,7 @@ from gap.design.advise import ENOUGH, advise
 from gap.design.foresight import products, separation
 from gap.design.library import LibraryExperiment, library_experiments
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.selection.forward import search_effects
+from gap.selection.search import search_effects
 
 Row = dict[str, Any]
 

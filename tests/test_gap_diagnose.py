@@ -13,14 +13,15 @@ import pandas as pd
 import pytest
 
 from gap.data.reader import read_dataset
-from gap.decision.at_bound import PLAIN, relieving
+from gap.decision.at_bound import relieving
 from gap.decision.classify import _nearest
+from gap.decision.config import DECISION
 from gap.decision.confounders import Confounder
 from gap.decision.diagnose import diagnose
 from gap.effects.candidates import SUSPECTS
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.selection.forward import SearchResult, keys_of_shifted_constants, search_effects
-from gap.selection.refine import Hypothesis
+from gap.selection.candidate_fits import Hypothesis, keys_of_shifted_constants
+from gap.selection.search import SearchResult, search_effects
 from gap.verdict import STATUSES
 from gap_bench import write_set
 
@@ -65,7 +66,7 @@ def test_what_all_mountings_share_may_be_a_label_and_is_asked(tmp_path: Path) ->
     assert np.all(np.abs(own) < 3.1)  # at no wall by itself
     assert {"length_label", "camera_scale"} <= set(keys_of_shifted_constants(problem, problem.base))
     gains = relieving(problem)
-    assert gains["length_label"] > PLAIN
+    assert gains["length_label"] > DECISION.relief_gain
     assert set(gains) <= {"length_label", "camera_scale"}
 
 

@@ -10,8 +10,8 @@ import pytest
 from gap.data.reader import read_dataset
 from gap.effects.candidates import SUSPECTS
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.selection.forward import SearchResult, search_effects
-from gap.selection.refine import Hypothesis
+from gap.selection.candidate_fits import Hypothesis
+from gap.selection.search import SearchResult, search_effects
 from gap.validation.prediction import (
     LEAST_RIVALS,
     PREDICTED,

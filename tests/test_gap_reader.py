@@ -12,7 +12,7 @@ from gap.data.reader import read_dataset
 from gap.effects.candidates import SUSPECTS
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
-from gap.selection.refine import linear_gains
+from gap.selection.candidate_fits import linear_gains
 from gap_sets import settled_set
 
 TRIALS = (
@@ -132,6 +132,6 @@ def test_what_a_sensor_may_be_off_by_in_all_trials_is_no_effect(tmp_path: Path) 
         (path / "calibration.toml").write_text(text)
         data = read_dataset(path)
         problem = FitProblem.of(data, [s for s in SUSPECTS if s.id == "pressure_zero"])
-        gains.append(float(linear_gains(problem, problem.base)[0].max()))
+        gains.append(float(linear_gains(problem, problem.base).gain.max()))
         assert problem.unnamed == problem.mountings + len(data.calibration)
     assert gains[1] < 0.2 * gains[0]

@@ -32,7 +32,7 @@ from gap.decision.sequential import SequentialVerdict, joint
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
 from gap.reporting.sequential import conclusion_text
-from gap.selection.forward import SearchResult
+from gap.selection.search import SearchResult
 from gap.validation.prediction import SHOWN, families, margins, predict_trials, rivals_of
 from gap.verdict import Verdict
 from rigs.execution.session import run_protocol

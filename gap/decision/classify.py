@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gap.decision.config import DECISION
 from gap.decision.confounders import Confounder, ConfounderSearch
 from gap.decision.posterior import credible_set, posterior
 from gap.decision.reliability import learnt
@@ -16,37 +17,14 @@ from gap.estimation.agreement import shared_chi2
 from gap.estimation.cross_validation import HeldOut, gap_of, held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.intervals import detection_limits, headline_estimates
-from gap.selection.forward import ALARM, SearchResult, why_not
-from gap.selection.inclusion import AT_THE_END
+from gap.selection.candidate_fits import Hypothesis
+from gap.selection.config import SELECTION
 from gap.selection.per_stroke import with_per_stroke_delays
 from gap.selection.pruning import PruningResult, prune
-from gap.selection.refine import Hypothesis
+from gap.selection.search import SearchResult, why_not
 from gap.validation.where import contrasts_of, drifting, stage_shares
 from gap.verdict import Explanation, Gap, Verdict
 from plant.effects.catalogue import CATALOGUE
-
-MIMIC = 0.9
-SURE = 0.985
-TOLD_APART = 120.0
-"""Whitened sum of squares that a confounder may leave more than the named effect does."""
-NAMED = 0.72
-"""Least reliability that a name is not wrong (all of it hidden, or part) for it to be given."""
-NAMED_SEVERAL = 0.58
-"""The same for several effects: where one of them is wrong, the other seldom is."""
-NAMED_ALL = 0.34
-"""For several effects: least reliability in all of them."""
-UNKNOWN = 0.45
-"""reliability in something outside the catalogue from which the verdict says so."""
-HALF = 0.5
-FORM_FULL = 0.9
-UNSEEN = 0.2
-STANDS_OUT = 3.0
-"""Sd of chance by which the gap stands out where a constant is led to the end of its tolerance."""
-SHARED = 4.0
-"""Sd of chance of what is left, and of what replicates share of it, that are no chance."""
-DRIFTS = 0.5
-"""Least probability of something unknown where a drift over the trials is left."""
-NEEDED_REPLICATES = 3
 
 
 def classify(problem: FitProblem, search: SearchResult) -> tuple[Verdict, SearchResult]:
@@ -61,7 +39,7 @@ def _classified(problem: FitProblem, outcome: PruningResult) -> Verdict:
     held = held_out(problem, search.best.fit)
     if outcome.defect:
         return _defect(problem, search, held)
-    if outcome.blurred:
+    if outcome.uncertain_defect:
         return _verdict(
             problem, search, held, "unknown",
             "a gap that a fault of the recording would explain better than any effect, but the "
@@ -76,12 +54,12 @@ def _classified(problem: FitProblem, outcome: PruningResult) -> Verdict:
 def _share(problem: FitProblem, search: SearchResult) -> float:
     """Share of the gap that is explained; what chance may leave does not count as left."""
     chance = float(np.sqrt(2.0 * len(problem.rows)))
-    return 1.0 - max(search.left - chance, 0.0) / max(search.excess_chi2, 1.0)
+    return 1.0 - max(search.left - chance, 0.0) / max(search.gap, 1.0)
 
 
 def _without_name(problem: FitProblem, search: SearchResult, held: dict[str, HeldOut]) -> Verdict:
     floor = _floor_source(problem)
-    unseen = search.excess_chi2
+    unseen = search.gap
     if floor == "replicates":
         # What replicates do not share is noise, whatever the model of the noise says of its size.
         unseen = min(unseen, max(shared_chi2(problem, problem.base.residual), 0.0))
@@ -93,11 +71,11 @@ def _without_name(problem: FitProblem, search: SearchResult, held: dict[str, Hel
             held,
             "below_resolution",
             f"{problem.noise.freedom} replicates beyond the first: too few to tell a gap from "
-            f"noise, {NEEDED_REPLICATES} are needed",
+            f"noise, {DECISION.needed_replicates} are needed",
             none=0.5,
             unknown=0.5,
         )
-    if unseen > UNSEEN:
+    if unseen > DECISION.unexplained_per_row:
         block = _block(held, problem.base)
         stage = _stage_of_block(problem, search, block)
         return _verdict(
@@ -123,8 +101,8 @@ def _without_name(problem: FitProblem, search: SearchResult, held: dict[str, Hel
             stage=_stage_of_block(problem, search, _block(held, problem.base)),
         )  # fmt: skip
     best = max(search.first_gain.values(), default=0.0)
-    unknown = 0.02 + 0.2 * min(unseen / UNSEEN, 1.0) ** 2
-    none = (1.0 - unknown) * (1.0 - 0.15 * min(best / ALARM, 1.0))
+    unknown = 0.02 + 0.2 * min(unseen / DECISION.unexplained_per_row, 1.0) ** 2
+    none = (1.0 - unknown) * (1.0 - 0.15 * min(best / SELECTION.least_gain, 1.0))
     return _verdict(
         problem, search, held, "no_gap_above_floor",
         "the plant, recalibrated within its tolerances, agrees with the data to within the floor",
@@ -137,11 +115,14 @@ def _out_of_reach(problem: FitProblem, search: SearchResult) -> str | None:
     chance = float(np.sqrt(2.0 * len(problem.rows)))
     named = len(problem.names) - problem.unnamed
     shift = np.abs(problem.base.shift[:named])
-    if shift.max(initial=0.0) > AT_THE_END and search.excess_chi2 > STANDS_OUT * chance:
+    if (
+        shift.max(initial=0.0) > DECISION.at_bound_sd
+        and search.gap > DECISION.at_bound_chance * chance
+    ):
         constant = problem.names[int(np.argmax(shift))]
         return f"{constant} is led beyond its tolerance, and more than chance is left"
     shared = shared_chi2(problem, problem.base.residual)
-    if min(shared, search.excess_chi2) > SHARED * chance:
+    if min(shared, search.gap) > DECISION.shared_chance * chance:
         return f"replicates share {shared / chance:.1f} sd more than chance"
     return None
 
@@ -180,17 +161,19 @@ def _with_name(problem: FitProblem, search: SearchResult, held: dict[str, HeldOu
     weighted = posterior(search, reliability, none)
     one, two = _confounders(problem, search)
     confounding = [
-        m for m in (one, two) if m and m.share >= MIMIC and not _ruled_out(problem, search, m)
+        m
+        for m in (one, two)
+        if m and m.share >= DECISION.confounder_share and not _ruled_out(problem, search, m)
     ]
     evidence: dict[str, object] = {
         "share_explained": share,
         "belief": reliability,
         "mimics": [{"ids": m.ids, "share": m.share} for m in (one, two) if m],
         "steps": [{"entry": k, "gain": g} for k, g in search.steps],
-        "further": search.tried,
+        "further": [test.as_dict(included) for test, included in search.tests],
         "traits": traits,
     }
-    if reliability["unknown"] > UNKNOWN:
+    if reliability["unknown"] > DECISION.unknown:
         return _verdict(
             problem,
             search,
@@ -216,7 +199,7 @@ def _with_name(problem: FitProblem, search: SearchResult, held: dict[str, HeldOu
             f"a gap of which {names} explains a part and no drift over the trials: the contrast "
             f"{drift.name} still stands at {drift.z:.1f} sd",
             none=none,
-            unknown=max(weighted.unknown, DRIFTS),
+            unknown=max(weighted.unknown, DECISION.drift_unknown),
             gap=gap,
             stage=_stage_of_block(problem, search, block),
             entries=weighted.entries,
@@ -230,9 +213,9 @@ def _with_name(problem: FitProblem, search: SearchResult, held: dict[str, HeldOu
     )
     partly = reliability["right"] + reliability["part"]
     if len(best.fit.ids) > 1:
-        sure = partly >= NAMED_SEVERAL and reliability["right"] >= NAMED_ALL
+        sure = partly >= DECISION.named_several and reliability["right"] >= DECISION.named_all
     else:
-        sure = partly >= NAMED
+        sure = partly >= DECISION.named
     if status in ("named", "named_form_inadequate") and not sure:
         status, reason = (
             "indistinguishable",
@@ -289,8 +272,10 @@ def _nearest(search: SearchResult, base: float, one: Confounder | None) -> Confo
 def _ruled_out(problem: FitProblem, search: SearchResult, confounder: Confounder) -> bool:
     """Whether a confounder leaves more than noise and inexact forms could."""
     whole = max(problem.base.cost - search.best.cost, 0.0)
-    bearable = max(TOLD_APART, 3.0 * search.left)
-    return confounder.share < SURE and (1.0 - confounder.share) * whole >= bearable
+    bearable = max(DECISION.confounder_left, DECISION.confounder_left_factor * search.left)
+    return (
+        confounder.share < DECISION.confounder_sure and (1.0 - confounder.share) * whole >= bearable
+    )
 
 
 def _status(
@@ -302,20 +287,24 @@ def _status(
     rivals: int,
     names: str,
 ) -> tuple[str, str]:
-    if rivals > 1 or (one is not None and one.share >= MIMIC):
-        other = f"; {' + '.join(one.ids)} would look alike" if one and one.share >= MIMIC else ""
+    if rivals > 1 or (one is not None and one.share >= DECISION.confounder_share):
+        other = (
+            f"; {' + '.join(one.ids)} would look alike"
+            if one and one.share >= DECISION.confounder_share
+            else ""
+        )
         return (
             "indistinguishable",
             f"{names} or another entry of the set: these data fit both{other}",
         )
-    if two is not None and two.share >= MIMIC:
+    if two is not None and two.share >= DECISION.confounder_share:
         return "mimicable", f"{names}, or {' and '.join(two.ids)} acting together"
-    if share < FORM_FULL:
+    if share < DECISION.form_share:
         return (
             "named_form_inadequate",
             f"{names} explains {100 * share:.0f} % of the gap; its form leaves a pattern",
         )
-    if gap.closed_low is not None and gap.closed_low <= HALF:
+    if gap.closed_low is not None and gap.closed_low <= DECISION.closed_share:
         return (
             "named_form_inadequate",
             f"{names}; held out, the closed fraction is not certain to exceed one half",
@@ -355,7 +344,7 @@ def _verdict(
         gap=gap,
         stages=stage_shares(problem, search.best.fit, held) if held else (),
         contrasts=contrasts_of(problem),
-        limits=detection_limits(problem, ALARM),
+        limits=detection_limits(problem, SELECTION.least_gain),
         next_experiment=advise(
             problem, _leader(entries), _others(problem, search, entries, confounders)
         ),
@@ -415,12 +404,17 @@ def _explanations(
         if key not in made and made:
             first = next(iter(made.values()))
             families = dict.fromkeys(CATALOGUE[name].family for name in confounder.ids)
-            made[key] = Explanation(confounder.ids, "+".join(families), 0.4 * first.probability, {})
+            made[key] = Explanation(
+                confounder.ids,
+                "+".join(families),
+                DECISION.confounder_weight * first.probability,
+                {},
+            )
     return sorted(made.values(), key=lambda e: -e.probability)
 
 
 def _floor_source(problem: FitProblem) -> str | None:
-    if problem.noise.pairs and problem.noise.freedom >= NEEDED_REPLICATES:
+    if problem.noise.pairs and problem.noise.freedom >= DECISION.needed_replicates:
         return "replicates"
     return "smoothness" if problem.data.settled else None
 

@@ -14,14 +14,12 @@ from gap.decision.classify import classify
 from gap.effects.candidates import SUSPECTS
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.selection.forward import SearchResult, search_effects
+from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
+from gap.selection.search import SearchResult, search_effects
 from gap.selection.timing import mistimed_channel
 from gap.verdict import Verdict
 from plant.effects.catalogue import CATALOGUE
-
-_PLAIN = 0.2
-"""Gap, in noise squared a row, from which a channel out of time would not pass unseen."""
 
 
 def diagnose(data: DataSet, without: Iterable[str] = ()) -> Verdict:
@@ -67,7 +65,7 @@ def diagnose_with_search(
     )
     if not len(problem.rows):
         return nothing_to_compare(data), None, None
-    if excess_chi2(problem, problem.base) > _PLAIN * len(problem.rows):
+    if excess_chi2(problem, problem.base) > SELECTION.timing_excess_per_row * len(problem.rows):
         mistimed = mistimed_channel(problem)
         if mistimed is not None:
             return _unfit([Unfit(mistimed.channel, str(mistimed).partition(" ")[2])]), None, None

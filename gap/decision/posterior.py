@@ -12,21 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gap.selection.forward import SearchResult
-from gap.selection.refine import Hypothesis
-
-BLUNT = 4.0
-"""How fast an explanation loses credit as it leaves more than the best one."""
-
-
-FORM = 100.0
-"""Whitened excess that the best explanation may leave before differences count for less."""
-
-
-COVER = 0.9
-
-
-_LEAST = 0.03
+from gap.decision.config import DECISION
+from gap.selection.candidate_fits import Hypothesis
+from gap.selection.search import SearchResult
 
 
 @dataclass(frozen=True)
@@ -42,8 +30,8 @@ def posterior(search: SearchResult, reliability: Mapping[str, float], none: floa
     """The best explanation has its own reliability; the rivals share what others have."""
     known = [hypothesis for hypothesis in search.rivals if hypothesis.keys != search.best.keys]
     more = np.array([max(hypothesis.cost - search.best.cost, 0.0) for hypothesis in known])
-    blunt = max(1.0, search.left / FORM)
-    weights = (1.0 + more / blunt / (2.0 * BLUNT)) ** -BLUNT
+    blunt = max(1.0, search.left / DECISION.tail_left)
+    weights = (1.0 + more / blunt / (2.0 * DECISION.tail)) ** -DECISION.tail
     # A rival that fits as well is as likely, whatever such an explanation is worth on its own.
     # Where none does, being wrong means something that was not thought of.
     alike = 1.0 + float(weights.sum())
@@ -62,7 +50,7 @@ def credible_set(weighted: Posterior) -> list[tuple[Hypothesis, float]]:
     kept: list[tuple[Hypothesis, float]] = []
     held = 0.0
     for hypothesis, p in weighted.entries:
-        if kept and (held >= COVER * whole or p < _LEAST):
+        if kept and (held >= DECISION.credible * whole or p < DECISION.least_probability):
             break
         kept.append((hypothesis, p))
         held += p

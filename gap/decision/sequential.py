@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from gap.decision.classify import HALF
+from gap.decision.config import DECISION
 from gap.design.advise import reference_for
 from gap.validation.prediction import PREDICTED, SHOWN, Prediction, families
 from gap.verdict import Explanation, Verdict
@@ -13,8 +13,6 @@ from gap.verdict import Explanation, Verdict
 SETTLED = ("named", "named_form_inadequate", "data_unfit")
 UNSETTLED = ("indistinguishable", "mimicable", "unknown")
 """Verdicts that a test which came out as predicted makes a name of."""
-LEAST = 0.03
-"""reliability in an entry below which nothing need tell it from the one that leads."""
 
 
 class Conclusion(StrEnum):
@@ -59,7 +57,7 @@ class SequentialVerdict:
         """Ids of the entries left that are not to be neglected."""
         if self.verdict is None:
             return []
-        return [e.ids for e in self.verdict.effects if e.probability > LEAST]
+        return [e.ids for e in self.verdict.effects if e.probability > DECISION.least_probability]
 
     @property
     def confirmed(self) -> tuple[str, Prediction] | None:
@@ -137,7 +135,7 @@ class SequentialVerdict:
         if self.verdict.status not in ("named", "named_form_inadequate"):
             return False
         low = None if self.verdict.gap is None else self.verdict.gap.closed_low
-        return low is None or low <= HALF
+        return low is None or low <= DECISION.closed_share
 
     @property
     def conclusion(self) -> Conclusion:

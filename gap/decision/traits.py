@@ -10,7 +10,7 @@ from gap.effects.candidates import Suspect
 from gap.estimation.agreement import shared_chi2
 from gap.estimation.cross_validation import HeldOut
 from gap.estimation.fit_problem import FitProblem
-from gap.selection.forward import SearchResult
+from gap.selection.search import SearchResult
 from plant.effects.catalogue import CATALOGUE
 
 _MOST = 1e9
@@ -36,10 +36,10 @@ def traits_of(
     others = [c.cost for c in search.rivals if set(c.fit.ids) != set(fit.ids)]
     closed = [c[0] for c in (h.closed() for h in held.values()) if c is not None]
     families = {CATALOGUE[name].family if name in CATALOGUE else name for name in fit.ids}
-    refused = search.tried[-1] if search.tried and not search.tried[-1]["counted"] else {}
+    refused = search.tests[-1][0] if search.tests and not search.tests[-1][1] else None
     return {
         "rows": float(len(problem.rows)),
-        "excess": search.excess_chi2,
+        "excess": search.gap,
         "left": search.left,
         "repeated": shared_chi2(problem, problem.base.residual),
         "repeated_left": shared_chi2(problem, fit.residual),
@@ -50,8 +50,8 @@ def traits_of(
         "bent": float(np.abs(fit.shift).max(initial=0.0)),
         "bent_base": float(np.abs(problem.base.shift).max(initial=0.0)),
         "closed": max(closed, default=0.0),
-        "next_seen": float(refused.get("seen", 0.0)),
-        "next_gain": float(refused.get("gain", 0.0)),
+        "next_seen": refused.visibility if refused else 0.0,
+        "next_gain": refused.gain if refused else 0.0,
         "first_gain": search.steps[0][1],
         "last_gain": search.steps[-1][1],
         "at_an_end": float(

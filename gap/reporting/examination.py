@@ -14,7 +14,7 @@ from gap.decision.diagnose import diagnose_with_search
 from gap.estimation.cross_validation import held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
-from gap.selection.forward import SearchResult
+from gap.selection.search import SearchResult
 from gap.validation.maps import Course, residual_maps
 from gap.verdict import Verdict
 

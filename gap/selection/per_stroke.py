@@ -15,16 +15,13 @@ import numpy.typing as npt
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import tolerance
 from gap.estimation.normal_equations import solved
-from gap.selection.forward import SearchResult
+from gap.selection.candidate_fits import EDGES
+from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
-from gap.selection.refine import EDGES
+from gap.selection.search import SearchResult
 
 Array = npt.NDArray[np.float64]
 
-UNEVEN = 0.1
-"""Sd of a stroke's delay about the mean of all, as a share of it,"""
-MOST = 3.0
-"""and how many of them a stroke may be off: a delay that grows stroke by stroke is no chance."""
 _STEP_S = 1e-4
 
 
@@ -53,7 +50,7 @@ def _per_stroke_fit(problem: FitProblem, fit: FitResult) -> FitResult | None:
             continue
         own = _strokes(problem, fit, EDGES.index(candidate.option))
         columns.append(own)
-        sds += [max(UNEVEN * late, 1e-9)] * own.shape[1]
+        sds += [max(SELECTION.stroke_sd * late, 1e-9)] * own.shape[1]
     if not sds:
         return None
     known = problem.columns_of(fit)
@@ -62,7 +59,7 @@ def _per_stroke_fit(problem: FitProblem, fit: FitResult) -> FitResult | None:
     last = np.arange(known.shape[1], every.shape[1])
     matrix[last, last] += 1.0 / np.square(sds)
     beta = solved(matrix, right, 1e-6)
-    if np.abs(beta[last] / sds).max() > MOST:
+    if np.abs(beta[last] / sds).max() > SELECTION.stroke_most_sd:
         return None
     n, m = len(fit.shift), len(fit.amounts)
     residual = fit.residual - every @ beta

@@ -1,7 +1,7 @@
-"""What a search found, cleared of defects of the recording and of effects it could do without.
+"""Pruning of what a search found: defects of the recording, and effects that are not needed.
 
-A defect of the recording bends to much that has nothing to do with it. It may stand as the answer
-only where it explains the gap alone and every trial asks for the same amount of it; otherwise the
+A defect of the recording can take a part of many gaps that it has nothing to do with. It may be the
+answer only where it explains the gap alone and every trial has the same amount of it. Otherwise the
 search is made again among effects alone.
 """
 
@@ -10,149 +10,143 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import t as student
 
 from gap.estimation.cross_validation import HeldOut, held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.selection.forward import PLAIN, SearchResult, search_effects
+from gap.selection.backward import refitted_without
+from gap.selection.candidate_fits import Hypothesis
+from gap.selection.config import SELECTION, SelectionConfig
 from gap.selection.inclusion import (
-    PLAINLY_SEEN,
-    apart,
     excess_chi2,
     leaves_nothing,
-    plain,
+    own_channels,
     relieves_constant,
-    visibility,
+    step_statistics,
+    takes_most,
 )
-from gap.selection.refine import Hypothesis
-
-Array = npt.NDArray[np.float64]
-
-ALONE = 0.75
-"""Least share of the gap's excess that a defect must take away alone."""
-SAME = 0.15
-"""Most that trials may differ in the amount they ask for, beyond chance, over that amount."""
-FAR_WORSE = 0.1
-"""Share of the gap's excess by which effects may do worse than a defect and still be named."""
-LEAST_LATE_MS = 5.0
-"""Delay below which a late channel may as well be a slow sensor, which no clock is to blame for."""
-SURE = 0.95
-FORM = 0.12
-"""Share of what is explained below which a further effect in the same channels only mends the
-form of the one before."""
-SECOND = 1.25
-"""Gain, in units of a first effect's alarm, from which one needs no other proof in channels that
-no other touches, beside one that leaves nothing: there it is a first effect."""
-LARGE = 0.2
-"""Share of the gap from which a further effect needs no held-out proof."""
+from gap.selection.search import SearchResult, search_effects
 
 
 @dataclass(frozen=True)
 class PruningResult:
-    """The search's outcome among effects alone.
+    """The outcome of a search among effects alone.
 
     Attributes:
-        naming: outcome without any defect, unless `defect`.
+        search: the outcome without any defect, unless `defect`.
         defect: whether a defect of the recording is the answer.
-        blurred: whether a defect, though not certain, explains far more than any effect.
+        uncertain_defect: whether a defect that is not certain fits far better than any effect.
     """
 
     search: SearchResult
     defect: bool = False
-    blurred: bool = False
+    uncertain_defect: bool = False
 
 
-def prune(problem: FitProblem, search: SearchResult) -> PruningResult:
-    """Take defects and needless effects out of what a search found."""
+def prune(
+    problem: FitProblem, search: SearchResult, config: SelectionConfig = SELECTION
+) -> PruningResult:
+    """Take defects and effects that are not needed out of what a search found."""
     candidates = search.best.fit.candidates
     if not any(candidate.defect for candidate in candidates):
-        return PruningResult(_needed(problem, _rivals_cleared(search)))
+        return PruningResult(_needed(problem, _without_defects(search), config))
     first = candidates[0].defect
-    if first and _is_defect(problem, search):
+    if first and _is_defect(problem, search, config):
         return PruningResult(search, defect=True)
-    clean = search_effects(problem.restricted_to(lambda candidate: not candidate.defect))
+    clean = search_effects(problem.restricted_to(lambda candidate: not candidate.defect), config)
     worse = clean.best.cost - search.best.cost
-    blurred = first and worse > PLAIN + FAR_WORSE * search.excess_chi2
-    return PruningResult(_needed(problem, _rivals_cleared(clean)), blurred=blurred)
+    uncertain = first and worse > config.sure_gain + config.defect_worse_share * search.gap
+    return PruningResult(
+        _needed(problem, _without_defects(clean), config), uncertain_defect=uncertain
+    )
 
 
-def _rivals_cleared(search: SearchResult) -> SearchResult:
-    rivals = [c for c in search.rivals if not any(s.defect for s in c.fit.candidates)]
+def _without_defects(search: SearchResult) -> SearchResult:
+    """The outcome with the rivals that hold no defect."""
+    rivals = [h for h in search.rivals if not any(s.defect for s in h.fit.candidates)]
     return replace(search, rivals=rivals)
 
 
-def _is_defect(problem: FitProblem, search: SearchResult) -> bool:
-    if search.steps[0][1] < max(ALONE * search.excess_chi2, PLAIN):
+def _is_defect(problem: FitProblem, search: SearchResult, config: SelectionConfig) -> bool:
+    """Whether the first effect, a defect, explains the gap alone and alike in all trials."""
+    if search.steps[0][1] < max(config.defect_share * search.gap, config.sure_gain):
         return False
     fit = search.best.fit
-    late = float(fit.amounts[0])
-    if fit.candidates[0].id.endswith("clock") and 0.0 < late < LEAST_LATE_MS:
+    amount = float(fit.amounts[0])
+    if fit.candidates[0].id.endswith("clock") and 0.0 < amount < config.least_clock_ms:
         return False
-    return _disagreement(problem, fit) < SAME * abs(float(fit.amounts[0]))
+    return _spread_over_trials(problem, fit) < config.defect_spread * abs(amount)
 
 
-def _disagreement(problem: FitProblem, fit: FitResult) -> float:
-    """Spread over trials, beyond chance, of the amount of the first candidate each asks for."""
+def _spread_over_trials(problem: FitProblem, fit: FitResult) -> float:
+    """Spread over trials, beyond chance, of the amount of the first candidate in each trial."""
     slope = problem.slopes(fit.shift, fit.candidates, fit.amounts)[:, 0]
-    asked, weight = [], []
+    amounts, weights = [], []
     for trial, rows in enumerate(problem.noise.trial_rows):
         if len(rows):
-            gram, _ = problem.noise.solve(
-                trial, np.stack([slope[rows], fit.residual[rows]], axis=1)
-            )
+            both = np.stack([slope[rows], fit.residual[rows]], axis=1)
+            gram, _ = problem.noise.solve(trial, both)
             if gram[0, 0] > 0.0:
-                asked.append(gram[0, 1] / gram[0, 0])
-                weight.append(gram[0, 0])
-    if not weight:
+                amounts.append(gram[0, 1] / gram[0, 0])
+                weights.append(gram[0, 0])
+    if not weights:
         return float("inf")
-    d, w = np.array(asked), np.array(weight)
+    d, w = np.array(amounts), np.array(weights)
     return float(np.sqrt(max(float(w @ d**2) - len(d), 0.0) / w.sum()))
 
 
-def _needed(problem: FitProblem, search: SearchResult) -> SearchResult:
-    """Strike further effects, last first, whose own gain on held-out slots is not certain."""
-    while len(keys := search.best.keys) > 1:
-        fit = search.best.fit
-        gain = search.steps[-1][1]
-        elsewhere = apart(problem, fit, keys[-1])
-        if elsewhere and gain > PLAIN:
+def _needed(problem: FitProblem, search: SearchResult, config: SelectionConfig) -> SearchResult:
+    """Take out further effects, last first, that are not needed."""
+    while len(search.best.keys) > 1:
+        fit, keys = search.best.fit, search.best.keys
+        if own_channels(problem, fit, keys[-1]) and search.steps[-1][1] > config.sure_gain:
             break
-        pairs = [
-            (candidate, float(amount))
-            for candidate, amount in zip(fit.candidates, fit.amounts, strict=True)
-            if candidate.key != keys[-1]
-        ]
-        less = problem.polish(problem.fit([s for s, _ in pairs], [a for _, a in pairs], fit))
-        if plain(problem, search.excess_chi2, less, gain) or leaves_nothing(
-            problem, search.excess_chi2, less, fit
-        ):
-            break  # it may show in few slots only, where no mean over slots is certain
-        exact = excess_chi2(problem, less) < 2.0 * np.sqrt(2.0 * len(problem.rows))
-        if relieves_constant(less, fit) or (elsewhere and exact and gain > SECOND * search.alarm):
-            break
-        part = gain < FORM * max(problem.base.cost - fit.cost, 1.0)
-        mends = part and not (elsewhere or exact) and visibility(problem, less, fit) < PLAINLY_SEEN
-        if not mends and (
-            gain > LARGE * search.excess_chi2
-            or _gains_surely(held_out(problem, less), held_out(problem, fit))
-        ):
+        less = refitted_without(problem, fit, keys[-1])
+        if _is_needed(problem, search, less, config):
             break
         search = replace(
-            search, best=Hypothesis(keys[:-1], less), rivals=[], steps=search.steps[:-1],
+            search,
+            best=Hypothesis(keys[:-1], less),
+            rivals=[],
+            steps=search.steps[:-1],
             left=excess_chi2(problem, less),
-        )  # fmt: skip
+        )
     return search
 
 
-def _gains_surely(less: dict[str, HeldOut], more: dict[str, HeldOut]) -> bool:
-    """Whether some block's held-out error falls for certain, over units, with the fuller state."""
+def _is_needed(
+    problem: FitProblem, search: SearchResult, less: FitResult, config: SelectionConfig
+) -> bool:
+    """Whether the last effect is needed beside the fit `less` without it."""
+    fit, gain = search.best.fit, search.steps[-1][1]
+    s = step_statistics(
+        problem, search.gap, search.alarm, less, fit, key=search.best.keys[-1], config=config
+    )
+    if takes_most(s, config, gain) or leaves_nothing(s, config):
+        return True  # it may show in few slots, where no mean over slots is certain
+    exact = s.left < 2.0 * s.chance
+    elsewhere = s.own_channels and exact and gain > config.elsewhere_gain * search.alarm
+    if relieves_constant(s, config) or elsewhere:
+        return True
+    part = gain < config.form_share * max(problem.base.cost - fit.cost, 1.0)
+    same_channels = not (s.own_channels or exact)
+    if part and same_channels and s.visibility < config.plain_visibility:
+        return False  # it corrects the form of the effect before it
+    return gain > config.large_share * search.gap or _gains_surely(
+        held_out(problem, less), held_out(problem, fit), config
+    )
+
+
+def _gains_surely(
+    less: dict[str, HeldOut], more: dict[str, HeldOut], config: SelectionConfig
+) -> bool:
+    """Whether the held-out error of some block falls for certain, over units, with more effects."""
     for block, held in more.items():
         use = held.weight > 0.0
         gain = (less[block].after - held.after)[use]
         if len(gain) < 3:
             return True
         error = float(gain.std(ddof=1) / np.sqrt(len(gain)))
-        if float(gain.mean()) > float(student.ppf(SURE, len(gain) - 1)) * error:
+        if float(gain.mean()) > float(student.ppf(config.held_out_level, len(gain) - 1)) * error:
             return True
     return False

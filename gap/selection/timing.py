@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 
 from gap.estimation.fit_problem import FitProblem
 from gap.model.features import Points
+from gap.selection.config import SELECTION
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[Array, Array, bool]
@@ -25,11 +26,6 @@ _WIDTHS_S = (0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5, 0.7)
 _LAGS_S = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.6)
 _SHIFTS_S = (0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.23, 0.32, 0.45)
 _REACH = 60
-_LEAST_SHIFT = 3
-_FAR_BETTER = 0.4
-"""Most that a fault may leave of what the best other relation leaves."""
-_BETTER = 0.75
-_MOST_TRIALS = 0.6
 _LEAST_SPAN = {"pressure": 30.0, "force": 4.0, "load": 4.0}
 """Least travel within a trial, in kPa and N, for its edges to say anything."""
 _LEAST_LEFT = {"pressure": 2.0, "force": 0.3, "load": 0.3}
@@ -93,11 +89,14 @@ def _is_late(pairs: list[Pair], block: str) -> float | None:
     if np.sqrt(rival / size) < _LEAST_LEFT[block]:
         return None
     at = int(np.argmin(left.sum(axis=0)))
-    if abs(int(steps[at])) < _LEAST_SHIFT or left[:, at].sum() > _FAR_BETTER * rival:
+    if (
+        abs(int(steps[at])) < SELECTION.timing_least_shift
+        or left[:, at].sum() > SELECTION.timing_far_better * rival
+    ):
         return None
     weight = lagged.min(axis=1)
-    agree = left[:, at] < _BETTER * weight
-    if float(weight[agree].sum()) < _MOST_TRIALS * float(weight.sum()):
+    agree = left[:, at] < SELECTION.timing_trial_better * weight
+    if float(weight[agree].sum()) < SELECTION.timing_most_trials * float(weight.sum()):
         return None
     return float(steps[at]) * _STEP_S
 
@@ -156,11 +155,11 @@ def _is_mean_of(pairs: list[Pair], block: str) -> float | None:
         return None
     at = int(np.argmin(smooth.sum(axis=0)))
     rival = others.sum(axis=0).min()
-    if smooth[:, at].sum() > _FAR_BETTER * rival:
+    if smooth[:, at].sum() > SELECTION.timing_far_better * rival:
         return None
-    agree = smooth[:, at] < _BETTER * others.min(axis=1)
+    agree = smooth[:, at] < SELECTION.timing_trial_better * others.min(axis=1)
     weight = others.min(axis=1)
-    if float(weight[agree].sum()) < _MOST_TRIALS * float(weight.sum()):
+    if float(weight[agree].sum()) < SELECTION.timing_most_trials * float(weight.sum()):
         return None
     return _WIDTHS_S[at]
 

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.selection.forward import SearchResult
-from gap.selection.refine import in_best_form, linear_gains, refine
+from gap.selection.candidate_fits import Hypothesis, fit_further, in_best_form, linear_gains
+from gap.selection.search import SearchResult
 from plant.effects.catalogue import CATALOGUE
 
 Array = npt.NDArray[np.float64]
@@ -132,7 +132,8 @@ def rivals_of(
         covered |= other
         candidates = [next(s for s in problem.candidates if s.id == name) for name in ids]
         yield problem.polish(problem.fit(candidates, [s.step for s in candidates]))
-    gains, amounts = linear_gains(problem, problem.base)
+    base = Hypothesis((), problem.base)
+    linear = linear_gains(problem, base.fit)
     for key in sorted(search.first_gain, key=lambda key: -search.first_gain[key]):
         if len(covered) >= LEAST_RIVALS:
             return
@@ -140,8 +141,8 @@ def rivals_of(
         if not other or other & (own | covered):
             continue
         covered |= other
-        first = refine(problem, problem.base, (), key, gains, amounts)
-        yield problem.polish(in_best_form(problem, problem.base, first, gains, amounts).fit)
+        first = fit_further(problem, base, key, linear)
+        yield problem.polish(in_best_form(problem, base.fit, first, linear).fit)
 
 
 def families(ids: Collection[str]) -> frozenset[str]:

@@ -11,21 +11,18 @@ from gap.data.reader import read_dataset
 from gap.effects.candidates import SUSPECTS
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.shape_fit import fit_shapes
-from gap.selection.forward import ALARM, SearchResult
+from gap.selection.backward import drop_needless, swapped
+from gap.selection.candidate_fits import Hypothesis, fit_further, linear_gains
+from gap.selection.config import SELECTION
 from gap.selection.inclusion import (
-    AT_THE_END,
-    BACK,
-    SEEN_NEXT,
     excess_chi2,
-    largest_shift,
+    is_included,
     leaves_nothing,
-    passes_inclusion_test,
     relieves_constant,
-    visibility,
+    step_statistics,
 )
 from gap.selection.pruning import prune
-from gap.selection.refine import Hypothesis, linear_gains, refine
-from gap.selection.swap import drop_needless, swapped
+from gap.selection.search import SearchResult
 from gap_bench import write_set
 from gap_sets import settled_set
 
@@ -72,20 +69,22 @@ def test_an_effect_whose_place_a_constant_took_counts_although_it_shows_little(
     data = read_dataset(write_set(tmp_path, hidden, seed=4, replicates=2))
     problem = FitProblem.of(data, [s for s in SUSPECTS if s.id in hidden])
     liner = fitted(problem, "liner_threshold")
-    both = refine(
-        problem, liner.fit, liner.keys, "flow_area:outlet", *linear_gains(problem, liner.fit)
-    )
-    assert largest_shift(both.fit) < BACK < AT_THE_END < largest_shift(liner.fit)
-    assert visibility(problem, liner.fit, both.fit) < SEEN_NEXT
-    assert both.fit.amounts[1] == pytest.approx(0.25, abs=0.1)
+    linear = linear_gains(problem, liner.fit)
+    both = fit_further(problem, liner, "flow_area:outlet", linear)
     gap = excess_chi2(problem, problem.base)
-    assert liner.cost - both.cost > 120.0, (liner.cost, both.cost, len(problem.rows))
-    assert passes_inclusion_test(problem, gap, ALARM, liner.fit, "flow_area:outlet", both.fit)
+    step = step_statistics(problem, gap, SELECTION.least_gain, liner.fit, both.fit)
+    assert step.shift_after < SELECTION.freed_to_sd < SELECTION.freed_from_sd < step.shift_before
+    assert step.visibility < SELECTION.further_visibility
+    assert both.fit.amounts[1] == pytest.approx(0.25, abs=0.1)
+    assert step.gain > 120.0, (liner.cost, both.cost, len(problem.rows))
+    assert is_included(step)
 
     # Nor does it leave again because held-out slots cannot tell it from the bent constant.
-    assert relieves_constant(liner.fit, both.fit)
-    assert not relieves_constant(both.fit, liner.fit)
-    steps = [("liner_threshold", gap), ("flow_area:outlet", liner.cost - both.cost)]
+    assert relieves_constant(step)
+    assert not relieves_constant(
+        step_statistics(problem, gap, SELECTION.least_gain, both.fit, liner.fit)
+    )
+    steps = (("liner_threshold", gap), ("flow_area:outlet", step.gain))
     found = SearchResult(both, [], {}, gap, excess_chi2(problem, both.fit), steps=steps)
     assert prune(problem, found).search.best.keys == both.keys
 
@@ -93,9 +92,13 @@ def test_an_effect_whose_place_a_constant_took_counts_although_it_shows_little(
 def test_what_takes_all_that_is_left_counts_beside_an_effect_of_any_size(table: FitProblem) -> None:
     """A first effect a thousand times as large makes every share of the gap small."""
     rows, gap = len(table.rows), 1e7
-    liner = replace(fitted(table, "liner_threshold").fit, cost=rows + 5000.0)
+    liner = fitted(table, "liner_threshold").fit
     both = fitted(table, "liner_threshold", "force_gain").fit
-    assert leaves_nothing(table, gap, liner, replace(both, cost=rows + 100.0))
-    assert not leaves_nothing(table, gap, liner, replace(both, cost=rows + 250.0))
-    small = replace(liner, cost=rows + 900.0)
-    assert not leaves_nothing(table, gap, small, replace(both, cost=rows + 0.0))
+
+    def nothing_is_left(before: float, after: float) -> bool:
+        one, two = replace(liner, cost=rows + before), replace(both, cost=rows + after)
+        return leaves_nothing(step_statistics(table, gap, SELECTION.least_gain, one, two))
+
+    assert nothing_is_left(5000.0, 100.0)
+    assert not nothing_is_left(5000.0, 250.0)
+    assert not nothing_is_left(900.0, 0.0)
