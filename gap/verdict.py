@@ -5,12 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any
 
-STATUSES = (
-    "named", "named_form_inadequate", "indistinguishable", "mimicable", "unknown",
-    "no_gap_above_floor", "below_resolution", "data_unfit",
-)  # fmt: skip
+
+class Status(StrEnum):
+    """What a diagnosis comes to."""
+
+    NAMED = "named"
+    NAMED_FORM_INADEQUATE = "named_form_inadequate"
+    INDISTINGUISHABLE = "indistinguishable"
+    MIMICABLE = "mimicable"
+    UNKNOWN = "unknown"
+    NO_GAP_ABOVE_FLOOR = "no_gap_above_floor"
+    BELOW_RESOLUTION = "below_resolution"
+    DATA_UNFIT = "data_unfit"
 
 
 @dataclass(frozen=True)
@@ -87,7 +96,7 @@ class Experiment:
 class Verdict:
     """What a diagnosis found. `as_dict` gives the object of the EXCHANGE form."""
 
-    status: str
+    status: Status
     reason: str
     stage: str | None
     effects: tuple[Explanation, ...]
@@ -106,7 +115,7 @@ class Verdict:
         """The verdict as plain values: null where something does not apply, never NaN."""
         return {
             "schema": 1,
-            "status": self.status,
+            "status": str(self.status),
             "reason": self.reason,
             "stage": self.stage,
             "effects": [_explanation(effect) for effect in self.effects],

@@ -14,7 +14,7 @@ import pytest
 
 from gap.data.reader import read_dataset
 from gap.decision.at_bound import relieving
-from gap.decision.classify import _nearest
+from gap.decision.classify import nearest_confounder
 from gap.decision.config import DECISION
 from gap.decision.confounders import Confounder
 from gap.decision.diagnose import diagnose
@@ -22,7 +22,7 @@ from gap.effects.candidates import SUSPECTS
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.selection.candidate_fits import Hypothesis, keys_of_shifted_constants
 from gap.selection.search import SearchResult, search_effects
-from gap.verdict import STATUSES
+from gap.verdict import Status
 from gap_bench import write_set
 
 
@@ -107,7 +107,7 @@ def test_a_rival_that_needs_another_size_is_a_mimic_at_that_size() -> None:
     """By signatures 14 % alike, fitted it takes all but 300 of 100,000."""
     late, later = fitted("valve_delay_pressure", 3e3), fitted("valve_delay", 3.3e3)
     search = SearchResult(late, [later], {}, 1e5, 0.0)
-    nearest = _nearest(search, 103e3, Confounder(("pressure_lag",), 0.14))
+    nearest = nearest_confounder(search, 103e3, Confounder(("pressure_lag",), 0.14))
     assert nearest is not None
     assert nearest.ids == ("valve_delay",)
     assert nearest.share == pytest.approx(0.997)
@@ -125,5 +125,5 @@ def test_the_command_prints_one_object_and_no_more(nominal_set: Path) -> None:
 
     verdict = json.loads(done.stdout, parse_constant=refuse)
     assert verdict["schema"] == 1
-    assert verdict["status"] in STATUSES
+    assert verdict["status"] in set(Status)
     assert {"reason", "stage", "effects", "gap", "where", "limits", "why_not"} <= set(verdict)

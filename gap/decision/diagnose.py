@@ -18,7 +18,7 @@ from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult, search_effects
 from gap.selection.timing import mistimed_channel
-from gap.verdict import Verdict
+from gap.verdict import Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
 
@@ -76,7 +76,7 @@ def diagnose_with_search(
 def _unfit(found: list[Unfit]) -> Verdict:
     first = found[0]
     return Verdict(
-        status="data_unfit",
+        status=Status.DATA_UNFIT,
         reason="; ".join(str(unfit) for unfit in found[:3]),
         stage=None,
         effects=(),
@@ -98,7 +98,7 @@ def _unfit(found: list[Unfit]) -> Verdict:
 def nothing_to_compare(data: DataSet) -> Verdict:
     """The verdict on data without any two channels that the plant relates."""
     return Verdict(
-        status="below_resolution",
+        status=Status.BELOW_RESOLUTION,
         reason="no trial has channels that the plant relates: pressure with force, pressure with "
         "valve commands, or pressure with a hung load and its length, each with a length",
         stage=None,

@@ -125,7 +125,7 @@ class Reliability:
 
 
 @cache
-def learnt() -> Reliability:
+def shipped_reliability() -> Reliability:
     """The reliability that ships with the program."""
     shipped = resources.files("gap.decision")
     table = tomllib.loads(shipped.joinpath(_FORM).read_text(encoding="utf-8"))

@@ -8,10 +8,11 @@ from enum import StrEnum
 from gap.decision.config import DECISION
 from gap.design.advise import reference_for
 from gap.validation.prediction import PREDICTED, SHOWN, Prediction, families
-from gap.verdict import Explanation, Verdict
+from gap.verdict import Explanation, Status, Verdict
 
-SETTLED = ("named", "named_form_inadequate", "data_unfit")
-UNSETTLED = ("indistinguishable", "mimicable", "unknown")
+NAMED = (Status.NAMED, Status.NAMED_FORM_INADEQUATE)
+SETTLED = (Status.NAMED, Status.NAMED_FORM_INADEQUATE, Status.DATA_UNFIT)
+UNSETTLED = (Status.INDISTINGUISHABLE, Status.MIMICABLE, Status.UNKNOWN)
 """Verdicts that a test which came out as predicted makes a name of."""
 
 
@@ -132,7 +133,7 @@ class SequentialVerdict:
         """
         if self.verdict is None or self.confirmed is not None:
             return False
-        if self.verdict.status not in ("named", "named_form_inadequate"):
+        if self.verdict.status not in NAMED:
             return False
         low = None if self.verdict.gap is None else self.verdict.gap.closed_low
         return low is None or low <= DECISION.closed_share
@@ -142,11 +143,11 @@ class SequentialVerdict:
         """What a lab is told."""
         assert self.verdict is not None
         status = self.verdict.status
-        if status in ("named", "named_form_inadequate") or self.confirmed is not None:
+        if status in NAMED or self.confirmed is not None:
             return Conclusion.NAMED
-        if status in ("indistinguishable", "mimicable") and len(self.verdict.effects) > 1:
+        if status in (Status.INDISTINGUISHABLE, Status.MIMICABLE) and len(self.verdict.effects) > 1:
             return Conclusion.NEEDS_REFERENCE
-        if status == "no_gap_above_floor":
+        if status == Status.NO_GAP_ABOVE_FLOOR:
             return Conclusion.NEEDS_REFERENCE if self.relieving else Conclusion.NO_GAP
         return Conclusion.OPEN
 
@@ -154,14 +155,14 @@ class SequentialVerdict:
     def references(self) -> dict[str, str]:
         """What would tell the entries left apart, or prove the only one, where no test did."""
         assert self.verdict is not None
-        if self.verdict.status == "no_gap_above_floor":
+        if self.verdict.status == Status.NO_GAP_ABOVE_FLOOR:
             return {name: reference_for(name) for name in self.relieving}
         proven = self.confirmed is not None
         left = self.of_family if proven else self.verdict.effects
         names = dict.fromkeys(name for effect in left for name in effect.ids)
         if proven and len(names) == 1:
             return {}
-        if not proven and self.verdict.status not in ("indistinguishable", "mimicable"):
+        if not proven and self.verdict.status not in (Status.INDISTINGUISHABLE, Status.MIMICABLE):
             return {}
         return {name: reference_for(name) for name in names}
 

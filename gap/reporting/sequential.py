@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from gap.decision.sequential import SequentialVerdict
 from gap.reporting.text import headline, sentence
+from gap.verdict import Status
 
 
 def conclusion_text(found: SequentialVerdict) -> str:
     """Return the reason for `found.conclusion` as one sentence."""
     assert found.verdict is not None
-    if found.verdict.status == "no_gap_above_floor" and found.relieving:
+    if found.verdict.status == Status.NO_GAP_ABOVE_FLOOR and found.relieving:
         return sentence(
             "simulation and measurement agree to within the floor only with a stated constant at "
             "the end of its tolerance; "
