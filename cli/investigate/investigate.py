@@ -34,7 +34,7 @@ from gap.estimation.fit_problem import FitProblem
 from gap.reporting.sequential import conclusion_text
 from gap.selection.search import SearchResult
 from gap.validation.prediction import SHOWN, families, margins, predict_trials, rivals_of
-from gap.verdict import Verdict
+from gap.verdict import Status, Verdict
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig
@@ -215,7 +215,7 @@ class _Begun(SequentialVerdict):
             advised = verdict.next_experiment
             for tests in (left, again):
                 for test in tests:
-                    if test.answers(advised.protocol, advised.why):
+                    if test.answers(advised.protocol, advised.settings):
                         tests.remove(test)
                         between = " and ".join(advised.between)
                         return test, "advised" + (f", to tell {between} apart" if between else "")
@@ -292,7 +292,7 @@ class _Begun(SequentialVerdict):
         self.verdict, self.problem, self.search = diagnose_with_search(data)
         self._margins = None
         self.relieving = {}
-        if self.problem is not None and self.verdict.status == "no_gap_above_floor":
+        if self.problem is not None and self.verdict.status == Status.NO_GAP_ABOVE_FLOOR:
             self.relieving = relieving(self.problem)
         if before is None or known is None or not before.best.keys or self.problem is None:
             return None

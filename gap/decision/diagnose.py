@@ -68,7 +68,7 @@ def diagnose_with_search(
     if excess_chi2(problem, problem.base) > SELECTION.timing_excess_per_row * len(problem.rows):
         mistimed = mistimed_channel(problem)
         if mistimed is not None:
-            return _unfit([Unfit(mistimed.channel, str(mistimed).partition(" ")[2])]), None, None
+            return _unfit([Unfit(mistimed.channel, mistimed.defect)]), None, None
     verdict, search = classify(problem, search_effects(problem))
     return verdict, problem, search
 

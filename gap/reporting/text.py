@@ -169,20 +169,11 @@ def rivals(verdict: Verdict) -> list[Rival]:
     """Entries that were not chosen, those that came nearest first."""
     named = {name for effect in verdict.effects for name in effect.ids}
     found = [
-        Rival(name, why, _rank(why)) for name, why in verdict.why_not.items() if name not in named
+        Rival(name, str(why), why.rank)
+        for name, why in verdict.why_not.items()
+        if name not in named
     ]
     return sorted(found, key=lambda rival: (-rival.rank, rival.id))
-
-
-def _rank(why: str) -> float:
-    """Orders reasons: fits that were refined first, then by the share they close."""
-    words = why.split()
-    numbers = [float(w) for w in words if w.replace(".", "", 1).isdigit()]
-    if not numbers:
-        return -1.0
-    if why.startswith("fits worse"):
-        return 1000.0 - min(numbers[0], 900.0) * 1e-3
-    return numbers[0]
 
 
 def limits(verdict: Verdict) -> list[tuple[str, str]]:

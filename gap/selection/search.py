@@ -39,6 +39,7 @@ from gap.selection.inclusion import (
     same_family,
     step_statistics,
 )
+from gap.verdict import Rejection, WhyNot
 
 Array = npt.NDArray[np.float64]
 Steps = tuple[tuple[str, float], ...]
@@ -330,24 +331,22 @@ def _gain_of(
     return problem.base.cost - cost, amount
 
 
-def why_not(problem: FitProblem, search: SearchResult, named: set[str]) -> dict[str, str]:
-    """For each entry not in the set: what share of the gap it closes alone."""
-    made: dict[str, str] = {}
+def why_not(problem: FitProblem, search: SearchResult, named: set[str]) -> dict[str, WhyNot]:
+    """Why each entry of the catalogue that is not in the set was not chosen."""
+    made: dict[str, WhyNot] = {}
     rivals = {c.fit.ids[-1]: c for c in reversed(search.rivals)}
     for candidate in problem.candidates:
         name = candidate.id
         if candidate.defect or name in named or name in made:
             continue
-        gain = max(
-            (g for k, g in search.first_gain.items() if k.split(":")[0] == name), default=0.0
-        )
+        gains = [g for key, g in search.first_gain.items() if key.split(":")[0] == name]
+        gain = max(gains, default=0.0)
         if not any(block in problem.grid.points for block in candidate.blocks):
-            made[name] = "no channel in these data would show it"
+            made[name] = WhyNot(Rejection.NO_CHANNEL)
         elif name in rivals and search.best.keys:
-            worse = rivals[name].cost - search.best.cost
-            made[name] = f"fits worse than the set by {worse:.0f} in chi-square"
+            made[name] = WhyNot(Rejection.WORSE_FIT, rivals[name].cost - search.best.cost)
         elif search.gap > 1.0:
-            made[name] = f"closes {100 * min(gain / search.gap, 1.0):.0f} % of the gap"
+            made[name] = WhyNot(Rejection.SMALL_SHARE, min(gain / search.gap, 1.0))
         else:
-            made[name] = f"chi-square falls by {gain:.0f} only"
+            made[name] = WhyNot(Rejection.SMALL_GAIN, gain)
     return made

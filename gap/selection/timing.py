@@ -40,17 +40,17 @@ class Mistimed:
     late_s: float = 0.0
     width_s: float = 0.0
 
-    def __str__(self) -> str:
+    @property
+    def defect(self) -> str:
+        """What is wrong with the channel."""
         if self.width_s:
             return (
-                f"{self.channel} is smoothed both ways in time (over about {self.width_s:.2g} s), "
+                f"is smoothed both ways in time (over about {self.width_s:.2g} s), "
                 "the other channels are not"
             )
         word = "late" if self.late_s > 0.0 else "early"
-        return (
-            f"{self.channel} is out of time with the other channels, {word} by about "
-            f"{1e3 * abs(self.late_s):.0f} ms"
-        )
+        shift_ms = 1e3 * abs(self.late_s)
+        return f"is out of time with the other channels, {word} by about {shift_ms:.0f} ms"
 
 
 def mistimed_channel(problem: FitProblem) -> Mistimed | None:

@@ -70,8 +70,6 @@ def stage_errors(problem: FitProblem, fit: FitResult) -> dict[str, list[dict[str
     }  # fmt: skip
 
 
-DRIFT = "early-late trials"
-"""Name of the contrast that a slow change over the trials shows in."""
 DRIFT_SURE = 3.6
 """Sd from which a drift that an explanation leaves is no chance: the explanation was chosen among
 many, and none of them for it."""
@@ -85,24 +83,20 @@ def contrasts_of(problem: FitProblem, fit: FitResult | None = None) -> tuple[Con
     rate at 1 % over the whole table. With `fit` the residual is what that state leaves.
     """
     residual = (problem.base if fit is None else fit).residual
-    made: list[tuple[str, float]] = []
+    made: list[tuple[str, float | None, bool]] = []
     for block in ("force", "load", "pressure"):
         here = problem.rows.block == BLOCKS.index(block)
         if here.sum() < 8:
             continue
         for name, first, second in _designs(problem, block):
             z = _within(problem, residual, here & first, here & second)
-            if z is not None:
-                made.append((f"{name} ({block})", z))
-        z = _warmth(problem, residual, here)
-        if z is not None:
-            made.append((f"hot-cold ({block})", z))
-        z = _order(problem, residual, here)
-        if z is not None:
-            made.append((f"{DRIFT} ({block})", z))
-    least = float(norm.isf(_FAMILY_WISE / 2.0 / max(len(made), 1)))
-    made.sort(key=lambda item: -abs(item[1]))
-    return tuple(Contrast(name, z, abs(z) > least) for name, z in made)
+            made.append((f"{name} ({block})", z, False))
+        made.append((f"hot-cold ({block})", _warmth(problem, residual, here), False))
+        made.append((f"early-late trials ({block})", _order(problem, residual, here), True))
+    found = [(name, z, drift) for name, z, drift in made if z is not None]
+    least = float(norm.isf(_FAMILY_WISE / 2.0 / max(len(found), 1)))
+    found.sort(key=lambda item: -abs(item[1]))
+    return tuple(Contrast(name, z, abs(z) > least, drift) for name, z, drift in found)
 
 
 def drifting(problem: FitProblem, fit: FitResult) -> Contrast | None:
@@ -110,7 +104,7 @@ def drifting(problem: FitProblem, fit: FitResult) -> Contrast | None:
     return next(
         (
             c for c in contrasts_of(problem, fit)
-            if c.alarm and c.name.startswith(DRIFT) and abs(c.z) > DRIFT_SURE
+            if c.alarm and c.drift and abs(c.z) > DRIFT_SURE
         ),
         None,
     )  # fmt: skip
