@@ -130,9 +130,8 @@ class WhyNot:
             return 1000.0 - min(round(self.value), 900.0) * 1e-3
         if self.rejection is Rejection.NO_CHANNEL:
             return -1.0
-        return float(
-            f"{self.value * (100.0 if self.rejection is Rejection.SMALL_SHARE else 1.0):.0f}"
-        )
+        percent = 100.0 if self.rejection is Rejection.SMALL_SHARE else 1.0
+        return float(round(percent * self.value))
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,10 @@ CAREFUL = (
 
 @dataclass(frozen=True)
 class Rival:
-    """An entry that was not chosen, how much of the gap it would close, and why not."""
+    """An entry that was not chosen, and why not."""
 
     id: str
     why: str
-    rank: float
 
 
 def headline(verdict: Verdict) -> str:
@@ -168,12 +167,8 @@ def _setting(key: str, value: object) -> str:
 def rivals(verdict: Verdict) -> list[Rival]:
     """Entries that were not chosen, those that came nearest first."""
     named = {name for effect in verdict.effects for name in effect.ids}
-    found = [
-        Rival(name, str(why), why.rank)
-        for name, why in verdict.why_not.items()
-        if name not in named
-    ]
-    return sorted(found, key=lambda rival: (-rival.rank, rival.id))
+    found = [(-why.rank, name, why) for name, why in verdict.why_not.items() if name not in named]
+    return [Rival(name, str(why)) for _, name, why in sorted(found, key=lambda one: one[:2])]
 
 
 def limits(verdict: Verdict) -> list[tuple[str, str]]:
