@@ -1,4 +1,4 @@
-"""Closes the loop: run a test, diagnose, run what the diagnosis asks for, until it is named.
+"""Closes the loop: run a test, diagnose, run what the diagnosis requests, until it is named.
 
 Top floor: here a rig and a diagnosis meet. Each round records an ordinary run; all runs so far are
 diagnosed together. What to run next is what the diagnosis advises, where this rig can run it, and
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 VALVE_TESTS = ("step",)
 """Tests whose valve commands are diagnosed: elsewhere a loop only holds a pressure."""
 LIKELY = 0.7
-"""reliability in one family from which it is put to the proof before anything else is looked at."""
+"""Reliability of one family from which it is tested before anything else is looked at."""
 FAILED = 2
 """Tests that did not come out as predicted after which no more are made for that."""
 Array = npt.NDArray[np.float64]
@@ -77,7 +77,8 @@ class Round:
 class Investigation:
     """What came of it: the last verdict, how it was reached, and what is still needed.
 
-    `conclusion` is "named", "needs reference", "no gap" or "open", and `why` says it in a sentence.
+    `conclusion` is "named", "needs reference", "no gap" or "open", and `why` is
+    its sentence.
     `family` is what was named: a family of the catalogue, or several that act together.
     """
 
@@ -275,14 +276,22 @@ class _Begun(SequentialVerdict):
         self.tests.append(test)
         minutes = float((run.final or {}).get("duration_s") or 0.0) / 60.0
         known: tuple[str, tuple[str, ...], str] = ("", (), "the survey is not whole yet")
-        told: dict[str, Any] | None = None
+        predicted: dict[str, Any] | None = None
         if len(self.runs) >= BEFORE_NAMING:
-            told = self._diagnose()
+            predicted = self._diagnose()
             assert self.verdict is not None
             ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)
             known = (self.verdict.status, ids, conclusion_text(self))
         self.rounds.append(
-            Round(test.protocol, why, run.run_id, outcome, minutes, *known, predicted=told)
+            Round(
+                test.protocol,
+                why,
+                run.run_id,
+                outcome,
+                minutes,
+                *known,
+                predicted=predicted,
+            )
         )
 
     def _diagnose(self) -> dict[str, Any] | None:

@@ -1,4 +1,4 @@
-"""Learn how far an explanation is to be believed: makes `gap/decision/reliability.npz` and
+"""Learn the reliability of explanations: makes `gap/decision/reliability.npz` and
 `gap/decision/reliability.toml`.
 
     pip install 'pamrig[learn]'

@@ -1,4 +1,4 @@
-"""What else could look like an effect on this very data: the confounder index."""
+"""Confounders: other effects that could look like an effect on the present data."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""reliability shared out among explanations, and the set of those that stay.
+"""Posterior probabilities of explanations, and the credible set.
 
-Probabilities compare what each explanation leaves: like a likelihood where little is left, and
-blunter where the best explanation itself leaves a pattern, because then its form is not exact and
-small differences mean little. The constants of that map were set on practice sets (docs/gap.md).
+Probabilities compare what each explanation leaves: like a likelihood where little is left, and less
+steep where the best explanation leaves a pattern, because then its form is not exact and small
+differences mean little. The constants of that map are in `gap.decision.config`.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ UNSETTLED = (Status.INDISTINGUISHABLE, Status.MIMICABLE, Status.UNKNOWN)
 
 
 class Conclusion(StrEnum):
-    """What a lab is told after a sequence of tests."""
+    """The conclusion after a sequence of tests."""
 
     NAMED = "named"
     NEEDS_REFERENCE = "needs reference"
@@ -65,7 +65,7 @@ class SequentialVerdict:
         """The last test that came out as predicted, if it and those before it prove it.
 
         They were held against each entry left, or one that shares a family with it, no later one
-        spoke against it, and together they take what a proof asks for.
+        spoke against it, and together they gain what a proof needs.
         """
         last: tuple[str, Prediction] | None = None
         gained = 0.0
@@ -106,7 +106,7 @@ class SequentialVerdict:
         """The family that is named, or the families that act together; None without a name.
 
         Of several, those that some test needed: a test that is predicted as well without a family
-        is no reason to name it. All of them where no test has told them apart.
+        is no reason to name it. All of them where no test has separated them.
         """
         if self.conclusion != Conclusion.NAMED or self.verdict is None or not self.verdict.effects:
             return None
@@ -140,7 +140,7 @@ class SequentialVerdict:
 
     @property
     def conclusion(self) -> Conclusion:
-        """What a lab is told."""
+        """The conclusion that the tests so far allow."""
         assert self.verdict is not None
         status = self.verdict.status
         if status in NAMED or self.confirmed is not None:

@@ -1,4 +1,4 @@
-"""What an explanation looks like, in a few plain numbers on which reliability in it can rest."""
+"""Traits of an explanation: plain numbers from which its reliability is computed."""
 
 from __future__ import annotations
 

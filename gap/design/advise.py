@@ -212,19 +212,19 @@ def _amount(fit: FitResult, name: str) -> float:
 
 
 def _standard(best: FitResult, between: tuple[str, str], now: float) -> Experiment:
-    """What the catalogue says would tell the best entry apart, where no figure can be promised."""
+    """The catalogue's own advice for the best entry, where no separation can be computed."""
     name = next((n for n in best.ids if n in REFERENCES), best.ids[0])
-    told = CATALOGUE[name].told_apart_by if name in CATALOGUE else ""
+    advice = CATALOGUE[name].told_apart_by if name in CATALOGUE else ""
     standard = REFERENCES[name][0] if name in REFERENCES else None
     settings = {
         "standard": standard.name if standard else "see why",
-        "procedure": standard.what if standard else told,
+        "procedure": standard.what if standard else advice,
     }
-    return Experiment("reference", settings, now, now, 1, between, told)
+    return Experiment("reference", settings, now, now, 1, between, advice)
 
 
 def reference_for(name: str) -> str:
-    """What gives an effect by itself: a standard, or what the catalogue says tells it apart."""
+    """What gives an effect by itself: a standard, or the advice of the catalogue."""
     if name in REFERENCES:
         standard = REFERENCES[name][0]
         return f"{standard.name}: {standard.what}"

@@ -37,7 +37,7 @@ SETTING_UP_S = 20.0
 class LibraryExperiment:
     """An experiment: its protocol and settings, and what one repeat of it would record.
 
-    `settings` are keys of the protocol's file; `what` says in words what is special about it.
+    `settings` are keys of the protocol's file; `what` states what is special about it.
     """
 
     protocol: str
@@ -191,17 +191,17 @@ def _simulated(
         length_m=(bench.high_mm if hung else length_mm) * 1e-3, mass_kg=mass_kg if hung else 1.0,
         temperature_c=warm_c, trials=bench.order,
     )  # fmt: skip
-    told = {
+    readings = {
         "pressure_kpa": read_pressure(traces.pressure_read_kpa, bench.effects),
         "force_n": read_force(traces.force_n, bench.effects),
         "length_mm": traces.length_mm,
     }
     channels: dict[str, Channel] = {}
-    for name, rate in zip(told, bench.rates[kind], strict=True):
+    for name, rate in zip(readings, bench.rates[kind], strict=True):
         if name == "length_mm" and not (hung or moves):
             continue
         t = np.arange(0.0, seconds, 1.0 / min(max(rate, 2.0), 1000.0))
-        channels[name] = Channel(t, np.interp(t, traces.time_s, told[name]))
+        channels[name] = Channel(t, np.interp(t, traces.time_s, readings[name]))
     if kind == "valves":
         for name in ("inlet", "outlet"):
             own = [i for i, c in enumerate(inputs.channel) if c == name]

@@ -1,7 +1,7 @@
-"""Whether replicates agree: on an amount, and on what is left without a name.
+"""Agreement of replicates: on an amount, and on what a fit leaves.
 
-An effect does the same to all replicates of a slot. What differs between them is noise, however
-large and whatever its law, so both questions can be asked without trusting the noise's model.
+An effect does the same to all replicates of a slot. What differs between them is noise, whatever
+its size and law. So both tests need no model of the noise.
 """
 
 from __future__ import annotations
@@ -21,12 +21,11 @@ _TRUST = 4.0
 
 
 def replicate_inflation(problem: FitProblem, key: str) -> float:
-    """How much more the replicates differ in the amount of `key` than the noise's model says.
+    """Factor by which replicates differ more in the amount of `key` than the noise model predicts.
 
-    Of the best candidate of that key, linearised at the recalibrated plant. Each trial asks for an
-    amount of its own; the spread within slots, weighed as the trials weigh in the amount, over the
-    spread expected. The model counts as much as a few replicates, and a smaller spread than
-    expected earns nothing.
+    Of the best candidate of that key, linearised at the recalibrated plant. Each trial has an
+    amount of its own. The factor is the spread within slots over the spread expected, each trial
+    with its weight in the amount. The model counts as much as a few replicates.
 
     Returns:
         Factor of variance, at least 1.

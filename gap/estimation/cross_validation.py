@@ -45,10 +45,10 @@ class HeldOut:
     def closed(self) -> tuple[float, float, float] | None:
         """Closed fraction with its 95 % interval by the jackknife over units.
 
-        Held-out errors say a little too little for the plant fitted to all units, errors of that
-        fit a little too much: the interval reaches to the upper end of both. No plant closes more
-        than all: where the ratio says so, the floor was stated too high, by that much at least, and
-        the lower end gives way. None where the gap beyond the floor is not certain.
+        Held-out errors give a little too little for the plant fitted to all units, and errors of
+        that fit a little too much: the interval reaches to the upper end of both. A ratio above one
+        shows that the floor was stated too high; the lower end is then reduced by as much. None
+        where the gap beyond the floor is not certain.
         """
         use = self.weight > 0.0
         found = _ratio((self.recalibrated - self.after)[use], (self.recalibrated - self.floor)[use])

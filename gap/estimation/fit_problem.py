@@ -1,7 +1,6 @@
-"""One data set under question: fits constants and candidates to it, nonlinearly.
+"""The fit problem: one data set to which constants and candidate effects are fitted.
 
-Everything above (naming, shrinking, advice) asks this object for fits; it keeps the grid, the
-noise and the signatures, and counts nothing twice.
+Everything above it (selection, validation, design) uses the fits and sensitivities of this object.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""All that the data say about constants and candidates, in one small matrix a trial.
+"""Inner products of residual and sensitivities: one small matrix for each held-out unit.
 
-Least squares with the noise's covariance, in the form of inner products of the columns
-[constants | residual | candidates]. Constants carry their tolerance as a prior; candidates
-are free.
-Fits, held-out fits and simulated nulls all work on these matrices and never touch rows again.
+They are least squares with the covariance of the noise, over the columns
+[constants | residual | candidates]. Constants carry their tolerance as a prior; candidates are
+free. Linear gains, held-out fits and simulated null distributions use these matrices only.
 """
 
 from __future__ import annotations

@@ -18,11 +18,11 @@ _FORM = 0.1
 
 
 def settled(problem: FitProblem, fit: FitResult) -> FitResult:
-    """The fit after one last step of Gauss and Newton that nothing damps.
+    """The fit after one last Gauss-Newton step without damping.
 
-    Damping holds back just those directions in which the data say little, such as an effect against
-    the constant that could do the same. There the prior decides, and it is asked here: without this
-    step a constant may stay at the edge of its tolerance while the effect takes the rest.
+    Damping holds back the directions in which the data are weak, such as an effect against the
+    constant that could do the same. There the prior decides. Without this step a constant may stay
+    at the edge of its tolerance while the effect takes the rest.
     """
     if not fit.candidates:
         return fit
@@ -92,7 +92,7 @@ def interval(amount: float, noise: float, form: float) -> tuple[float, float]:
     """Interval of a headline with two errors: `noise` adds to it, `form` to its logarithm.
 
     Each side's reaches are added in squares (Zou and Donner, Stat. Med. 27 (2008) 1693). The form
-    behind a headline is never exact, and makes it wrong by a factor, up or down alike.
+    of an effect is never exact; it makes the headline wrong by a factor, up or down alike.
     """
     ends = np.array([amount * np.exp(-form), amount * np.exp(form)])
     low, high = amount - ends.min(), ends.max() - amount

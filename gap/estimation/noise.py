@@ -343,7 +343,7 @@ def _learn(noise: Noise, pairs: list[_Pair], prior: dict[str, float], block: Who
                 spread[number] += n * calm + float(np.sum(cover * gram))
                 size[number] += n
         for kind in variance:
-            # Replicates bounce alike, so what they share says nothing about unseen gas.
+            # Replicates bounce alike, so what they share does not show unobserved flow.
             if kind == UNSEEN_GAS:
                 continue
             weight = _PRIOR_WEIGHT

@@ -1,8 +1,8 @@
-"""Replicates that a controller made: alike in what was asked for, not in what the valves did.
+"""Replicates that are not identical: equal commands of a controller, but unequal valve actions.
 
-What a wrong plant misses then differs between them and would pass for noise, many times as large as
-the noise there is. So the noise of such data is learnt from what no constant and no effect of the
-catalogue could make, whichever of them is the right one.
+What a wrong plant misses then differs between the replicates and would pass for noise, many times
+as large as the noise itself. So the noise of such data is learnt from the part of the residual that
+no constant and no candidate effect can make.
 """
 
 from __future__ import annotations

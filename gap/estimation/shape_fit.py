@@ -1,8 +1,8 @@
-"""Shapes left free: where an effect's knee is, how soon it saturates, how fast it dies away.
+"""Fits of the numbers of a shape: where a knee is, how soon it saturates, how fast it decays.
 
-The candidates stand a few steps apart in such numbers. Once one of them is chosen its numbers are
-fitted as well, together with amounts and constants: an effect that lies between two candidates
-would else bend the constants, leave a pattern, and look like something the catalogue does not hold.
+The candidates stand a few steps apart in such numbers. Once one is chosen, its numbers are fitted
+together with amounts and constants. Otherwise an effect that lies between two candidates would move
+the constants, leave a pattern, and look like an effect from outside the catalogue.
 """
 
 from __future__ import annotations

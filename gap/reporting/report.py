@@ -98,7 +98,7 @@ def _explanations(verdict: Verdict) -> list[dict[str, str]]:
 
 
 def _percent(value: float) -> str:
-    """A probability that is never said to be certain."""
+    """A probability as text; never "certain"."""
     if value > 0.99:
         return "> 99 %"
     return f"{100 * value:.0f} %" if value >= 0.01 else "< 1 %"

@@ -1,7 +1,7 @@
 """The whole chain from valve commands to the muscle's pull, each stage real or modelled.
 
 The recorded commands are replayed (never the controller): commands give flow (valve), flow gives
-pressure (chamber), pressure gives pull (muscle), a hung load asks for a pull (load). A stage is
+pressure (chamber), pressure gives pull (muscle), a hung load requires a pull (load). A stage is
 modelled by the recalibrated plant; a real stage has in addition what was found in it and what its
 model still leaves between measured input and measured output, so that it gives the measured output
 for the measured input and answers another input as its model does. With every stage real the chain
@@ -42,7 +42,7 @@ ENDS = ("force", "load", "pressure")
 class _Gas:
     """Readings that a replay gives at every node, beside what was read there, Pa."""
 
-    told: Array
+    true: Array
     read: Array
 
 
@@ -54,7 +54,7 @@ class Chain:
             with a hung load whose force is read or in which something was found, sensor where a
             sensor effect was found.
         ends: trials that end in each kind of `ENDS`, shape (trials,) each. The pressure is read
-            in every trial with valve commands; pull is read, or asked for by a hung load.
+            in every trial with valve commands; pull is read, or required by a hung load.
     """
 
     def __init__(self, problem: FitProblem, fit: FitResult) -> None:
@@ -141,7 +141,7 @@ class Chain:
         nodes = self._points["pressure"]
         moved = np.zeros(len(points.reading))
         slope = np.zeros(len(points.reading))
-        off = gas.told - gas.read
+        off = gas.true - gas.read
         for t in range(len(points.first) - 1):
             a, b = points.first[t : t + 2]
             c, d = nodes.first[t : t + 2]
@@ -164,11 +164,11 @@ class Chain:
             made["force"] = (rest, np.zeros(len(rest)))
         points = self._points.get("load")
         if points is not None:
-            asked, pull = self._pulls(points, c, active)
+            required, pull = self._pulls(points, c, active)
             read = laws.force_true(points.reading, active)
             there = np.isfinite(read)
             made["load"] = (
-                np.where(there, read, asked) - pull, np.where(there, asked - read, 0.0),
+                np.where(there, read, required) - pull, np.where(there, required - read, 0.0),
             )  # fmt: skip
         return made
 
@@ -191,7 +191,7 @@ class Chain:
         for name, ending in self.ends.items():
             if name == "pressure":
                 assert gas is not None
-                raw, points = gas.read - gas.told, self._points[name]
+                raw, points = gas.read - gas.true, self._points[name]
             else:
                 points = self._fed(name, gas)
                 raw = self._missing(name, points, c, active, kept)
@@ -224,8 +224,8 @@ class Chain:
         if name == "force":
             raw = self.problem.model._force(points, c, active)
         else:
-            asked, pull = self._pulls(points, c, active)
-            raw = asked - pull
+            required, pull = self._pulls(points, c, active)
+            raw = required - pull
         raw = raw - (muscle if "muscle" in real else 0.0)
         return np.asarray(raw - (load if "load" in real else 0.0))
 

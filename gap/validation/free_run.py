@@ -1,8 +1,8 @@
-"""Errors of the model run free, end to end, on held-out units: before, recalibrated, after, floor.
+"""Errors of the free-running model on held-out units: before, recalibrated, after, floor.
 
-Stage by stage every block is fed with what was measured; here nothing measured is fed in but
-commands, settings and the first pressure. A small error at each step may add up here, and a large
-one may average out, so both are told.
+Stage by stage, each block is fed with what was measured. Free-running, only commands, settings and
+the first pressure are fed in. A small error at each step may add up, and a large one may average
+out, so both kinds are reported.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ _SAME_NUMBER = {
 
 
 def _shape(problem: FitProblem, fit: FitResult, name: str) -> dict[str, float]:
-    """Shape parameters of the plant's form of an effect, where its fitted shape says them."""
+    """Shape parameters of the plant's form of an effect, where the fitted shape gives them."""
     own = [(abs(a), s) for s, a in zip(fit.candidates, fit.amounts, strict=True) if s.id == name]
     shape = max(own, key=lambda one: one[0])[1].shape
     known = _SAME_NUMBER.get(name, {})

@@ -45,7 +45,7 @@ class Learnt:
 def generic(
     problem: FitProblem, freedom: int, of_trial: npt.NDArray[np.int64] | None = None
 ) -> Learnt:
-    """Learn the residual of every block without a name; units are slots unless told otherwise."""
+    """Learn the residual of every block without a name; units are slots by default."""
     units = problem.units if of_trial is None else of_trial
     fold = left_out(problem, problem.base, units).change
     alike: dict[str, Array] = {}

@@ -1,8 +1,8 @@
-"""Whether an explanation found on earlier trials predicts trials it has never seen.
+"""Whether an explanation found on earlier trials predicts trials that were not used to find it.
 
-Its amounts stay as they were found; the plant's constants are recalibrated within their tolerances
-as ever. A right explanation leaves of the new trials what noise leaves. One that only bent to the
-earlier ones does not, and another one that fitted them as well mostly leaves more.
+Its amounts stay as they were found; the constants of the plant are recalibrated within their
+tolerances. A right explanation leaves of the new trials what noise leaves. One that was fitted to a
+wrong cause does not, and a rival that fitted the earlier trials as well mostly leaves more.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 
 SHOWN = 120.0
 """Least whitened squares that the new trials must have left without the explanation, beyond those
-left with it: below that they say nothing for or against it."""
+left with it: below that they show nothing for or against it."""
 PREDICTED = 0.9
 """Least share of the new trials' gap that it must take away."""
 REFUTED = 0.5
@@ -85,7 +85,7 @@ def predict_trials(
         problem: all data, the new trials included.
         trials: which are new.
         state: found on data without them, perhaps by another fit problem.
-        rivals: other explanations of the same data; asked for only where the trials say anything.
+        rivals: other explanations of the same data; fitted only where the trials show anything.
     """
     found = Prediction(
         sum(len(problem.noise.trial_rows[trial]) for trial in trials),

@@ -1,8 +1,8 @@
-"""How far the gap shrinks, told in full: stage by stage, free-running, against a learner, abroad.
+"""Tables of how far the gap shrinks: stage by stage, free-running, against a learner, elsewhere.
 
 A fix that helps where it was fitted may be a fit and no more. So each error is taken on units that
-were left out, the model is run free as well, a learner without names shows what could be had from
-the same inputs, and constants and amounts are compared over the folds.
+were left out, the model is also run free, a learner without named effects shows what the same
+inputs could give, and constants and amounts are compared over the folds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 def shrinkage(problem: FitProblem, fit: FitResult, named: bool) -> dict[str, Any]:
     """All of `pamrig gap shrink`'s tables as plain values; see docs/gap.md.
 
-    `named` says whether the verdict stands by the fit's effects; if not, "after" is left out.
+    `named`: the verdict names the effects of the fit; if not, "after" is left out.
     """
     by_slot = held_out(problem, fit)
     return {
@@ -51,19 +51,19 @@ def shrinkage(problem: FitProblem, fit: FitResult, named: bool) -> dict[str, Any
 
 def _generic(problem: FitProblem, fit: FitResult, held: dict[str, HeldOut]) -> list[dict[str, Any]]:
     """Errors of the generic learner beside those of the named effects, block by block."""
-    learnt = generic(problem, len(fit.amounts))
+    learned = generic(problem, len(fit.amounts))
     made = []
     for block, part in held.items():
         weight = max(float(part.weight.sum()), 1e-12)
         named = part.rms("after")
-        alike = float(np.sqrt(learnt.alike[block].sum() / weight))
-        large = float(np.sqrt(learnt.large[block].sum() / weight))
+        alike = float(np.sqrt(learned.alike[block].sum() / weight))
+        large = float(np.sqrt(learned.large[block].sum() / weight))
         excess = part.rms("recalibrated") ** 2 - part.rms("floor") ** 2
         made.append(
             {
                 "block": block, "unit": UNITS[block], "recalibrated": part.rms("recalibrated"),
                 "named": named, "alike": alike, "large": large, "floor": part.rms("floor"),
-                "freedom": len(fit.amounts), "splines": learnt.inputs[block],
+                "freedom": len(fit.amounts), "splines": learned.inputs[block],
                 "closed_named": _closed(part, named, excess),
                 "closed_alike": _closed(part, alike, excess),
                 "closed_large": _closed(part, large, excess),
@@ -170,8 +170,8 @@ def as_lines(found: dict[str, Any]) -> list[str]:
     for one in found["generic"]:
         values = [one[key] for key in ("closed_named", "closed_alike", "closed_large")]
         if values[0] is not None:
-            told = ", ".join(f"{100 * value:.0f} %" for value in values)
-            lines.append(f"  {one['block']:12s} {told}  ({one['splines']} splines)")
+            shares = ", ".join(f"{100 * value:.0f} %" for value in values)
+            lines.append(f"  {one['block']:12s} {shares}  ({one['splines']} splines)")
     worse = [one for one in found["transfer"] if not one["carries"]]
     for one in worse:
         lines.append(

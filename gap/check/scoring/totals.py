@@ -183,9 +183,9 @@ def confusion(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, int]]]:
             single = catalogue_single(r) and band[0] <= r["size"] < band[1]
             if not single and not (r["kind"] == "nominal" and band[0] == 0.0):
                 continue
-            said = verdict_word(r)
+            word = verdict_word(r)
             line = table.setdefault(r["family"] or "none", {})
-            line[said] = line.get(said, 0) + 1
+            line[word] = line.get(word, 0) + 1
         out[band_name(band)] = table
     return out
 
