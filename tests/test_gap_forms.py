@@ -27,19 +27,19 @@ def course(
     edges: list[tuple[float, int]],
 ) -> np.ndarray:
     """Predicted reading in Pa every millisecond of 0.4 s, the inlet switched at `edges`."""
-    q = np.zeros(chamber.SIZE)
-    q[chamber.ATMOSPHERE], q[chamber.TEMPERATURE] = C.atmosphere_pa, C.gas_temperature_k
-    q[chamber.BRAID], q[chamber.TURNS] = C.braid_length_m, C.turns
-    q[chamber.AREA_IN] = C.inlet_conductance_m3_s_pa
-    q[chamber.AREA_OUT] = C.outlet_conductance_m3_s_pa
-    q[chamber.RATIO_IN] = q[chamber.RATIO_OUT] = C.critical_ratio
-    q[chamber.VOLUME], q[chamber.EXPONENT] = C.dead_volume_m3, 1.0
-    _switch(q, name, option, amount, shape)
+    problem = np.zeros(chamber.SIZE)
+    problem[chamber.ATMOSPHERE], problem[chamber.TEMPERATURE] = C.atmosphere_pa, C.gas_temperature_k
+    problem[chamber.BRAID], problem[chamber.TURNS] = C.braid_length_m, C.turns
+    problem[chamber.AREA_IN] = C.inlet_conductance_m3_s_pa
+    problem[chamber.AREA_OUT] = C.outlet_conductance_m3_s_pa
+    problem[chamber.RATIO_IN] = problem[chamber.RATIO_OUT] = C.critical_ratio
+    problem[chamber.VOLUME], problem[chamber.EXPONENT] = C.dead_volume_m3, 1.0
+    _switch(problem, name, option, amount, shape)
     time = np.arange(0.0, 0.4, 1e-3)
     n = len(time)
     out = np.empty(n)
     chamber.predict(
-        q, np.array([0, n]), time, np.zeros(n), np.full(n, HELD_M), np.full(n, SUPPLY_PA),
+        problem, np.array([0, n]), time, np.zeros(n), np.full(n, HELD_M), np.full(n, SUPPLY_PA),
         np.array([0, len(edges)]), np.array([at for at, _ in edges]),
         np.array([float(to) for _, to in edges]), np.zeros(len(edges), dtype=np.int64), out,
         np.zeros(1),
