@@ -10,8 +10,9 @@ import pytest
 from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.force import Active, Context
-from gap.model.residuals import _switch
 from plant.constants import nominal
+from plant.effects import pressure_stage as stage
+from plant.physics import layout
 from test_gap_shapes import still
 
 C = nominal()
@@ -27,14 +28,10 @@ def course(
     edges: list[tuple[float, int]],
 ) -> np.ndarray:
     """Predicted reading in Pa every millisecond of 0.4 s, the inlet switched at `edges`."""
-    q = np.zeros(chamber.SIZE)
-    q[chamber.ATMOSPHERE], q[chamber.TEMPERATURE] = C.atmosphere_pa, C.gas_temperature_k
-    q[chamber.BRAID], q[chamber.TURNS] = C.braid_length_m, C.turns
-    q[chamber.AREA_IN] = C.inlet_conductance_m3_s_pa
-    q[chamber.AREA_OUT] = C.outlet_conductance_m3_s_pa
-    q[chamber.RATIO_IN] = q[chamber.RATIO_OUT] = C.critical_ratio
-    q[chamber.VOLUME], q[chamber.EXPONENT] = C.dead_volume_m3, 1.0
-    _switch(q, name, option, amount, shape)
+    q = chamber.parameters(C, [(name, option, amount, shape)], C.supply_pa)
+    q[stage.FOLLOW] = 0.0
+    for k in range(4):
+        q[layout.DELAY + k] = q[layout.DELAY_SLOPE + k] = 0.0
     time = np.arange(0.0, 0.4, 1e-3)
     n = len(time)
     out = np.empty(n)
