@@ -15,8 +15,9 @@ import numpy as np
 
 from gap.effects.recording import RECORDING
 from plant.constants import PlantConstants, nominal
+from plant.effects.arguments import Shape
 from plant.effects.catalogue import CATALOGUE
-from plant.effects.effect import Search, Shape
+from plant.effects.effect import Search
 
 _SEARCHES: dict[str, Search] = {
     **{effect.id: effect.search for effect in CATALOGUE.values()},

@@ -11,7 +11,8 @@ import numpy as np
 
 from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
-from plant.effects.effect import Array, InDiagnosis, Params, Points, Search, Shape
+from plant.effects.arguments import Array, Params, Points, Shape
+from plant.effects.effect import InDiagnosis, Search
 from plant.effects.trials import bend, moved
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gap.effects.recording import RECORDING
+from plant.effects.arguments import Context as Context
+from plant.effects.arguments import Shape
 from plant.effects.catalogue import CATALOGUE
-from plant.effects.effect import Context as Context
-from plant.effects.effect import InDiagnosis, InSensors, Shape
+from plant.effects.effect import InDiagnosis, InSensors
 
 Active = list[tuple[str, str, float, Shape]]
 """Effects in force: id, option (side or edge), amount of the headline parameter, shape."""

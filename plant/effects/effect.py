@@ -24,18 +24,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from plant.constants import PlantConstants
-
-Values = Mapping[str, float | str]
-"""The parameters of an effect in force, by name, in the units of their names."""
-Shape = Mapping[str, float]
-"""Numbers that pick one of the forms in which the diagnosis tries an effect."""
-Params = Any
-"""Array of numbers by slot: of the plant, or of the pressure stage of the diagnosis."""
-Array = Any
-"""Floats or float64 arrays: in compiled code one number, elsewhere one a sample."""
+from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
 
 
 @dataclass(frozen=True)
@@ -128,66 +120,6 @@ class InSensors:
     camera_delay: Callable[[float], float] | None = None
     held: Callable[[float], float] | None = None
     supply: Callable[[float, float, Params, Values], float] | None = None
-
-
-class Points(Protocol):
-    """Instants at which the diagnosis compares, all trials one after the other; SI, one a point."""
-
-    @property
-    def first(self) -> Array:
-        """Points of trial t are first[t]:first[t + 1]."""
-
-    @property
-    def trial(self) -> Array:
-        """Number of the trial."""
-
-    @property
-    def mounting(self) -> Array:
-        """Number of the mounting of the muscle in the rig."""
-
-    @property
-    def time_s(self) -> Array:
-        """Time; in a table of settled points the number of the row."""
-
-    @property
-    def pressure_slope(self) -> Array:
-        """Slope of the reading, Pa/s."""
-
-    @property
-    def path(self) -> Array:
-        """Gauge pressure without its sampling noise."""
-
-    @property
-    def length(self) -> Array:
-        """Length as read or as written down."""
-
-    @property
-    def rate(self) -> Array:
-        """Speed of lengthening."""
-
-    @property
-    def held(self) -> Array:
-        """Whether the length is the written one."""
-
-    @property
-    def settled(self) -> Array:
-        """Whether the trial is a table of settled points."""
-
-    @property
-    def temperature(self) -> Array:
-        """Temperature in degC, NaN where unknown."""
-
-    @property
-    def direction(self) -> Array:
-        """+1 where the pressure came from below, -1 from above, 0 unknown."""
-
-
-@dataclass(frozen=True)
-class Context:
-    """What a force needs beside the points: constants, and the order of the trials from 0."""
-
-    constants: PlantConstants
-    order: Array
 
 
 @dataclass(frozen=True)

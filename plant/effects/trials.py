@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from plant.effects.effect import Points
+from plant.effects.arguments import Points
 
 _NOISE_TURNS = 3.0
 """Sd of a path's noise that is no turning back."""

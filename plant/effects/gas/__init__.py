@@ -10,11 +10,4 @@ from plant.effects.gas.leak import LEAK
 from plant.effects.gas.polytropic import POLYTROPIC
 from plant.effects.gas.supply_droop import SUPPLY_DROOP
 
-GAS: tuple[Effect, ...] = (
-    DEAD_VOLUME,
-    POLYTROPIC,
-    LEAK,
-    FLOW_AREA,
-    CRITICAL_RATIO,
-    SUPPLY_DROOP,
-)
+GAS: tuple[Effect, ...] = (DEAD_VOLUME, POLYTROPIC, LEAK, FLOW_AREA, CRITICAL_RATIO, SUPPLY_DROOP)

@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
-from plant.effects.effect import (
-    Effect,
-    InDiagnosis,
-    InPlant,
-    Parameter,
-    Params,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Params, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.physics import layout
 
 
@@ -46,9 +38,6 @@ CRITICAL_RATIO = Effect(
     plant=InPlant(slots=_slots),
     diagnosis=InDiagnosis(gas=_gas),
     search=Search(
-        step=0.03,
-        sign=0,
-        blocks=("pressure",),
-        shapes=({}, {"inlet": 1.0}, {"outlet": 1.0}),
+        step=0.03, sign=0, blocks=("pressure",), shapes=({}, {"inlet": 1.0}, {"outlet": 1.0})
     ),
 )

@@ -6,17 +6,8 @@ import math
 
 from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
-from plant.effects.effect import (
-    Effect,
-    InDiagnosis,
-    InPlant,
-    InSensors,
-    Parameter,
-    Params,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Params, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, InSensors, Parameter, Search
 from plant.physics.layout import INLET_CRITICAL_RATIO
 
 DROOP = 62  # Pa that the supply falls at choked flow

@@ -5,18 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from plant.constants import PlantConstants
-from plant.effects.effect import (
-    Array,
-    Effect,
-    InDiagnosis,
-    InPlant,
-    Parameter,
-    Params,
-    Points,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Array, Params, Points, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.physics.layout import LENGTH
 
 FORCE, TRAVEL = 60, 61  # N; m of motion after which the link slips

@@ -3,18 +3,8 @@
 from __future__ import annotations
 
 from plant.constants import PlantConstants
-from plant.effects.effect import (
-    Array,
-    Effect,
-    InDiagnosis,
-    InPlant,
-    Parameter,
-    Params,
-    Points,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Array, Params, Points, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.effects.reference import length_of
 
 EXTRA = 63  # kg

@@ -3,19 +3,8 @@
 from __future__ import annotations
 
 from plant.constants import PlantConstants
-from plant.effects.effect import (
-    Array,
-    Context,
-    Effect,
-    InDiagnosis,
-    InPlant,
-    Parameter,
-    Params,
-    Points,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.effects.reference import LENGTH_M, length_of
 
 STIFFNESS, REST, HARDENING = 41, 42, 43  # N/m, m, 1/m2

@@ -5,17 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from plant.constants import PlantConstants
-from plant.effects.effect import (
-    Array,
-    Effect,
-    InDiagnosis,
-    InPlant,
-    Parameter,
-    Params,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Array, Params, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.effects.reference import LENGTH_M, length_of
 from plant.physics.layout import TURNS
 from plant.physics.muscle import braid_force_slope
@@ -66,22 +57,12 @@ END_CAP = Effect(
     "the ends are not cylindrical: effective contraction is larger than the measured one",
     (
         Parameter(
-            "shortening_mm",
-            "mm",
-            "effective minus measured length at 60 mm, as positive",
-            -5,
-            15,
+            "shortening_mm", "mm", "effective minus measured length at 60 mm, as positive", -5, 15
         ),
         Parameter("rest_mm", "mm", "length without contraction", 60.5, 2000, 72.5),
     ),
     "proportionality of force to pressure at each length; up against down; timing",
-    (
-        "camera_distortion",
-        "camera_scale",
-        "length_label",
-        "contraction_limit",
-        "fibre_stretch",
-    ),
+    ("camera_distortion", "camera_scale", "length_label", "contraction_limit", "fibre_stretch"),
     "a gauge block before the camera at several places; then the length is known and what "
     "remains belongs to the muscle",
     equation="L -> L - shortening (rest - L) / (rest - 60 mm) in the force, not in the volume",

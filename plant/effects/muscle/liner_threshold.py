@@ -8,27 +8,15 @@ from __future__ import annotations
 import numpy as np
 
 from plant.constants import PlantConstants
-from plant.effects.effect import (
-    Array,
-    Effect,
-    InDiagnosis,
-    InPlant,
-    Parameter,
-    Params,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Array, Params, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.physics.muscle import liner_pressure
 
 LOST, WIDTH = 32, 33  # Pa
 
 
 def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
-    return {
-        LOST: float(values["threshold_kpa"]) * 1e3,
-        WIDTH: float(values["width_kpa"]) * 1e3,
-    }
+    return {LOST: float(values["threshold_kpa"]) * 1e3, WIDTH: float(values["width_kpa"]) * 1e3}
 
 
 def _push(push: Array, params: Params, p: Array) -> Array:

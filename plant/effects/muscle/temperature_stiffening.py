@@ -7,19 +7,8 @@ from typing import Any
 import numpy as np
 
 from plant.constants import PlantConstants
-from plant.effects.effect import (
-    Array,
-    Context,
-    Effect,
-    InDiagnosis,
-    InPlant,
-    Parameter,
-    Params,
-    Points,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.effects.reference import FULL_PRESSURE_PA, TEMPERATURE_C, TYPICAL_FORCE_N
 
 PER_K, FROM, FLAT = 49, 50, 51  # change of force per K; K; share that does not grow with p

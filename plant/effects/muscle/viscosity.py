@@ -5,19 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from plant.constants import PlantConstants
-from plant.effects.effect import (
-    Array,
-    Context,
-    Effect,
-    InDiagnosis,
-    InPlant,
-    Parameter,
-    Params,
-    Points,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.effects.reference import MIDDLE_PRESSURE_PA
 
 DAMPING, EXPONENT, WITH_PRESSURE = 46, 47, 48  # N s/m at 10 mm/s; share that goes with p

@@ -5,16 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from plant.constants import PlantConstants
-from plant.effects.effect import (
-    Array,
-    Effect,
-    InDiagnosis,
-    InSensors,
-    Parameter,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Array, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
 from plant.effects.reference import middle_of
 from plant.errors import PlantError
 
@@ -72,11 +64,7 @@ CAMERA_DISTORTION = Effect(
         step=0.1,
         sign=0,
         blocks=("pressure", "force", "load", "camera"),
-        shapes=(
-            {"power": 3.0},
-            {"power": 2.0, "even": 1.0},
-            {"power": 3.0, "edge": 1.0},
-        ),
+        shapes=({"power": 3.0}, {"power": 2.0, "even": 1.0}, {"power": 3.0, "edge": 1.0}),
         free={"power": (1.5, 6.0)},
         fixed_by=("even",),
     ),

@@ -3,16 +3,8 @@
 from __future__ import annotations
 
 from plant.constants import PlantConstants
-from plant.effects.effect import (
-    Array,
-    Effect,
-    InDiagnosis,
-    InSensors,
-    Parameter,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Array, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
 from plant.effects.reference import middle_of
 
 

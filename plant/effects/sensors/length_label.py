@@ -4,16 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from plant.effects.effect import (
-    Array,
-    Effect,
-    InDiagnosis,
-    InSensors,
-    Parameter,
-    Points,
-    Search,
-    Shape,
-)
+from plant.effects.arguments import Array, Points, Shape
+from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
 
 
 def _held(amount: float) -> float:

@@ -3,15 +3,8 @@
 from __future__ import annotations
 
 from plant.effects import pressure_stage as stage
-from plant.effects.effect import (
-    Effect,
-    InDiagnosis,
-    InSensors,
-    Parameter,
-    Params,
-    Search,
-    Shape,
-)
+from plant.effects.arguments import Params, Shape
+from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
 
 
 def _reading(amount: float) -> tuple[float, float]:

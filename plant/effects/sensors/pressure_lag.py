@@ -4,18 +4,8 @@ from __future__ import annotations
 
 from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
-from plant.effects.effect import (
-    Array,
-    Effect,
-    InDiagnosis,
-    InPlant,
-    Parameter,
-    Params,
-    Points,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Array, Params, Points, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.physics.lag import follow
 from plant.physics.layout import PRESSURE, PRESSURE_READ, REMEMBERS
 from plant.physics.layout import PRESSURE_LAG as LAG

@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
-from plant.effects.effect import (
-    Effect,
-    InDiagnosis,
-    InPlant,
-    Parameter,
-    Params,
-    Search,
-    Shape,
-    Values,
-)
+from plant.effects.arguments import Params, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.effects.valve.edges import EDGE, EDGES, constant_of
 from plant.physics import layout
 
