@@ -85,7 +85,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a diagnosis found. `as_dict` gives the object of the EXCHANGE form."""
+    """What a diagnosis found. `as_dict` gives the object of the dataset format."""
 
     status: str
     reason: str

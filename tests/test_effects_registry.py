@@ -170,10 +170,14 @@ def test_the_file_of_an_effect_is_whole(effect: Effect) -> None:
     assert acts, "it does nothing in the plant"
 
 
-def test_docs_list_every_effect() -> None:
-    text = (ROOMS.parent.parent / "docs" / "effects.md").read_text(encoding="utf-8")
+def test_the_docs_have_one_line_for_every_effect() -> None:
+    text = (ROOMS.parent.parent / "docs" / "reference" / "effects.md").read_text(encoding="utf-8")
     for effect in EFFECTS:
-        assert re.search(rf"^\| {effect.id} \| {effect.stage} \|", text, re.M), effect.id
+        found = re.search(rf"^\| `{effect.id}` \| (\w+) \| (\w+) \| .* \| (.+)$", text, re.M)
+        assert found, effect.id
+        told = (found[1], found[2], found[3].removesuffix(" |").replace("\\|", "|"))
+        assert told == (effect.family, effect.stage, effect.equation)
+        assert effect.headline is None or f"`{effect.headline}`" in found[0]
 
 
 def test_no_code_beside_the_effects_asks_which_effect_it_is() -> None:

@@ -24,10 +24,10 @@ from gap.estimation.information import tolerance
 from gap.verdict import Experiment
 from gap_sets import settled_set
 from plant.effects.catalogue import CATALOGUE
-from rigs.execution.schedule import outline
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig
+from rigs.steps.schedule import outline
 
 
 def fitted(q: Inquiry, name: str, amount: float) -> State:

@@ -30,7 +30,7 @@ def summary(entries: list[dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def check_command(
+def check_command(  # noqa: PLR0913 - one argument for each option of the campaign
     *,
     stream: str,
     sets: str,

@@ -277,7 +277,7 @@ def _status(
     return "named", f"{names} explains the gap"
 
 
-def _verdict(
+def _verdict(  # noqa: PLR0913 - to be grouped with the verdict's parts
     q: Inquiry,
     naming: Naming,
     held: dict[str, Held],

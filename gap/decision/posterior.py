@@ -2,7 +2,7 @@
 
 Probabilities compare what each explanation leaves: like a likelihood where little is left, and
 blunter where the best explanation itself leaves a pattern, because then its form is not exact and
-small differences mean little. The constants of that map were set on practice sets (docs/gap.md).
+small differences mean little. Its constants were set on practice sets (docs/use/gap.md).
 """
 
 from __future__ import annotations

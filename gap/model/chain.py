@@ -21,12 +21,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.effects.candidates import Candidate
-from gap.effects.terms import Active, Context
+from gap.effects.candidates import Suspect
 from gap.estimation.fit_problem import Inquiry, State
 from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.features import BLOCKS, Points
+from gap.model.force import Active, Context
 from gap.model.residuals import SCALE
 from plant.constants import PlantConstants
 from plant.effects.catalogue import CATALOGUE
@@ -239,7 +239,7 @@ class Chain:
         return np.asarray(values[self.ends[name][self.q.rows.trial[at]]])
 
 
-def stage_of(suspect: Candidate) -> str:
+def stage_of(suspect: Suspect) -> str:
     """Stage of a suspect; what may sit anywhere, and shows in the force, counts to the muscle."""
     if suspect.defect:
         return "sensor"

@@ -1,6 +1,6 @@
 """The pressure stage: commands, supply and measured length in, predicted pressure reading out.
 
-The physics is the plant's (PLANT.md, valve and chamber); what differs from the simulator is that
+The physics is that of docs/reference/plant.md; what differs from the simulator is that
 it follows the measurement from afar: the prediction is drawn towards the reading with a time
 constant of seconds, so that one cause early in a trial does not drown what comes after it, while
 everything quicker, and every steady drift, stays in the residual. Whole data sets run in one

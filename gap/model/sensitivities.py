@@ -37,7 +37,7 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "outlet_off_ms": ("pressure",),
     "outlet_off_ms_per_kpa": ("pressure",),
 }
-"""Constants that are recalibrated, within PLANT.md's tolerances, and the blocks they move."""
+"""Constants that are recalibrated within their tolerances, and the blocks they move."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class TrialEffect:
     blocks: tuple[str, ...]
 
 
-# Zeros and gains of the sensors (PLANT.md), and what a hand or a clock leaves to chance.
+# Zeros and gains of the sensors (docs/reference/plant.md), and random errors of hand and clock.
 TRIAL_EFFECTS: tuple[TrialEffect, ...] = (
     TrialEffect(
         "pressure zero", 0.3, [("pressure_zero", "", 1.0, {})], ("pressure", "force", "load")

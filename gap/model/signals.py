@@ -20,7 +20,7 @@ _RISE_KPA = 25.0
 _FRAME_NOISE_M = 0.015e-3
 # Three sd of what white noise of one sd makes of a second difference's second difference.
 _NOISE_OF_BEND = 9.0
-# Stops stand where they should to half a millimetre (PLANT.md): three sd of that.
+# Stops stand where they should to half a millimetre (docs/reference/plant.md): three sd of that.
 _STOP_ZONE_M = 1.5e-3
 _REST_M = 0.35e-3
 _PROPPED_N = 2.0

@@ -40,7 +40,7 @@ from plant.effects.catalogue import CATALOGUE
 Array = npt.NDArray[np.float64]
 
 ALARM = 28.0
-"""Least gain (drop of the whitened sum of squares) of a first effect; see docs/gap.md."""
+"""Least gain (drop of the whitened sum of squares) of a first effect; see docs/use/gap.md."""
 CHANCE = 0.002
 BEYOND_CHANCE = 1.7
 """How far beyond the simulated null a first effect must reach: real noise has other forms too."""
@@ -93,7 +93,7 @@ class Naming:
         return self.uneven or self.chosen.state
 
 
-def name_effects(q: Inquiry) -> Naming:
+def name_effects(q: Inquiry) -> Naming:  # noqa: C901 - one step of the search a branch
     """Search for up to three effects that explain the gap of `q`."""
     state = q.base
     gains, amounts = linear_gains(q, state)

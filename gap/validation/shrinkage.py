@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 
 def shrinkage(q: Inquiry, state: State, named: bool) -> dict[str, Any]:
-    """All of `pamrig gap shrink`'s tables as plain values; see docs/gap.md.
+    """All of `pamrig gap shrink`'s tables as plain values; see docs/use/gap.md.
 
     `named` says whether the verdict stands by the state's effects; if not, "after" is left out.
     """

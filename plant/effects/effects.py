@@ -10,8 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from plant.effects.arguments import Values
 from plant.effects.catalogue import CATALOGUE
-from plant.effects.effect import Effect, Parameter, Values
+from plant.effects.effect import Effect, Parameter
 from plant.errors import PlantError
 
 

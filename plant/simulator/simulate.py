@@ -101,7 +101,7 @@ def pulse_train(
     return Commands(time_s, (channel,) * (2 * count), np.tile([1.0, 0.0], count))
 
 
-def run_commands(
+def run_commands(  # noqa: PLR0913 - a recording has that many named conditions
     constants: PlantConstants,
     inputs: Commands,
     duration_s: float,

@@ -30,7 +30,7 @@ VALVE_DELAY = Effect(
     ("valve_delay_pressure", "transport_delay", "flow_area", "pressure_lag"),
     "pulse widths from below to well above the delay, at one pressure",
     equation="on_ms or off_ms + delay of one edge",
-    source="PLANT.md's delay line; Tables D-1 to D-3",
+    source="Nominal plant, delay of the valve; Tables D-1 to D-3",
     standard="a fast pressure sensor right at the valve",
     constants=tuple(f"{edge}_ms" for edge in EDGES),
     plant=InPlant(slots=_slots),

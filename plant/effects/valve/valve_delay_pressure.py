@@ -30,7 +30,7 @@ VALVE_DELAY_PRESSURE = Effect(
     ("valve_delay",),
     "the same pulse at low and at high pressure",
     equation="on_ms_per_kpa or off_ms_per_kpa + slope of one edge",
-    source="PLANT.md's delay line; Tables D-1 to D-3",
+    source="Nominal plant, delay of the valve; Tables D-1 to D-3",
     standard="a fast pressure sensor right at the valve",
     constants=tuple(f"{edge}_ms_per_kpa" for edge in EDGES),
     plant=InPlant(slots=_slots),
