@@ -21,6 +21,8 @@ REFERENCE_DENSITY_KG_M3 = 1.185
 REFERENCE_TEMPERATURE_K = 293.15
 """Temperature of the reference state of ISO 6358."""
 
+STANDARD_GRAVITY_M_S2 = 9.80665
+
 
 @dataclass(frozen=True)
 class Key:

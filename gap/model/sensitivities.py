@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import CALIBRATION
-from gap.effects.candidates import Suspect
+from gap.effects.candidates import Candidate
+from gap.effects.terms import Active
 from gap.model.features import BLOCKS
-from gap.model.force import Active
 from gap.model.residuals import Model, shifted
 from plant.constants import PlantConstants
 
@@ -210,7 +210,7 @@ def suspect_columns(
     model: Model,
     c: PlantConstants,
     active: Active,
-    suspects: Sequence[Suspect],
+    suspects: Sequence[Candidate],
     amounts: Sequence[float] | None = None,
 ) -> Array:
     """Change of measured-minus-predicted explained by one unit of each suspect, (rows, suspects).

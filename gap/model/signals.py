@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from gap.data.dataset import Array, Channel, Trial
-from plant.constants import PlantConstants
+from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 
 _MOVED_M = 0.8e-3
 Mask = npt.NDArray[np.bool_]
@@ -249,7 +249,7 @@ class Signal:
                 made |= end & (float(end.mean()) > _LONG_REST)
             return made
         pull = np.interp(self._time, force.time_s, force.value)
-        hung = self.trial.load_kg * (9.80665 - self._acceleration) - pull
+        hung = self.trial.load_kg * (STANDARD_GRAVITY_M_S2 - self._acceleration) - pull
         usual = float(np.median(hung[between]))
         for end in (high, low):
             if end.sum() >= 5 and abs(float(np.median(hung[end])) - usual) > _PROPPED_N:

@@ -1,4 +1,7 @@
-"""What the force owes to the past: slipping fibres and creeping rubber, over whole data sets."""
+"""Operators with memory along recorded paths, all trials in one compiled call.
+
+Importing this module loads numba.
+"""
 
 from __future__ import annotations
 
