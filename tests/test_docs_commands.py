@@ -11,9 +11,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
+from cli.main import app
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.toml_reader import find_config
 
@@ -22,13 +25,6 @@ PAGES = [
     "README.md",
     *sorted(p.relative_to(HOUSE).as_posix() for p in (HOUSE / "docs").rglob("*.md")),
 ]
-# A minute of computing each, of commands whose short forms other tests run: with the campaigns.
-LONG = {
-    "docs/use/models.md",
-    "docs/use/valve-tests.md",
-    "docs/use/control.md",
-    "docs/evidence/study-finger.md",
-}
 # What a reader puts in for himself.
 PLACES = {"RUN": "last", "runs/<run>": "last"}
 # These serve until they are stopped.
@@ -78,10 +74,8 @@ def done_once() -> set[str]:
     return set()
 
 
-@pytest.mark.parametrize(
-    "page",
-    [pytest.param(p, marks=pytest.mark.campaign) if p in LONG else p for p in PAGES],
-)
+@pytest.mark.campaign  # minutes of computing; `make test` checks that each command exists
+@pytest.mark.parametrize("page", PAGES)
 def test_every_command_of_the_page_works(page: str, desk: Path, done_once: set[str]) -> None:
     for command in commands(page):
         if command.startswith(ONCE):
@@ -125,6 +119,20 @@ def serve(folder: Path, command: str) -> None:
         process.stdout.close()
     assert "127.0.0.1" in first + rest, f"{command}\n{first}{rest}"
     assert "Traceback" not in rest
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_of_the_page_exists_with_its_options(page: str) -> None:
+    for line in commands(page):
+        words = [PLACES.get(word, word) for word in shlex.split(line)][1:]
+        command: Any = typer.main.get_command(app)
+        while hasattr(command, "commands") and words and words[0] in command.commands:
+            command = command.commands[words.pop(0)]
+        known = {option for parameter in command.params for option in parameter.opts}
+        known |= {o for parameter in command.params for o in parameter.secondary_opts} | {"--help"}
+        used = {word.partition("=")[0] for word in words if word.startswith("--")}
+        assert used <= known, f"{page}: {line}: {used - known}"
+        assert not hasattr(command, "commands") or not words or used, f"{page}: {line}"
 
 
 def test_the_pages_have_commands() -> None:

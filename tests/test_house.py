@@ -9,6 +9,8 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+from conftest import slow_tests
+
 HOUSE = Path(__file__).resolve().parent.parent
 PACKAGES = (
     "valvefw",
@@ -130,3 +132,15 @@ def test_no_module_imports_itself_through_others() -> None:
         for name in done:
             del edges[name]
     assert not edges, f"a circle among {sorted(edges)}"
+
+
+def test_every_test_that_is_listed_as_slow_exists() -> None:
+    for line in slow_tests():
+        path, *names = line.partition("[")[0].split("::")
+        tree: ast.AST = ast.parse((HOUSE / path).read_text(encoding="utf-8"))
+        for name in names:
+            inside = {
+                n.name: n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.ClassDef)
+            }
+            assert name in inside, line
+            tree = inside[name]

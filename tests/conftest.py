@@ -1,0 +1,23 @@
+"""Which tests belong to `make campaign` because of their cost, beside those marked in place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+SLOW = Path(__file__).with_name("slow.txt")
+
+
+def slow_tests() -> list[str]:
+    """Node ids listed in slow.txt."""
+    lines = SLOW.read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the listed tests."""
+    listed = set(slow_tests())
+    for item in items:
+        if item.nodeid in listed:
+            item.add_marker(pytest.mark.campaign)
