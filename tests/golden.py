@@ -36,9 +36,16 @@ DIGITS = 13
 LONG = 200  # numbers in a list beyond which only some of them and what they amount to are kept
 PICKED = 40
 
+FIXED = {
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+    "PYTHONHASHSEED": "0",
+}
+"""How a sum is split among threads decides its last digit, and that which of two equals leads."""
+
 FORGOTTEN = re.compile(
-    r"(run_id|boot|boots|(\w+_)?utc|(\w+_)?host_ns|monotonic_ns|elapsed\w*|wall\w*|processor\w*|seal"
-    r"|pamrig|version|versions|software|revision|platform|python|crc|crc32|(\w+_)?sha256|bytes|digest)"
+    r"(run_id|boot|boots|(\w+_)?utc|(\w+_)?host_ns|monotonic_ns|start_s|elapsed\w*|wall\w*"
+    r"|processor\w*|seal|pamrig|version|versions|software|revision|platform|python|crc(32)?|(\w+_)?sha256|bytes"
+    r"|digest)"
 )
 """Keys that differ from run to run, or from version to version, whatever the program does."""
 
@@ -96,8 +103,9 @@ class Desk:
 
     def _run(self, *words: str) -> subprocess.CompletedProcess[str]:
         path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+        around = {**os.environ, **FIXED, "PYTHONPATH": path}
         return subprocess.run(
-            [sys.executable, *words], cwd=self.folder, env={**os.environ, "PYTHONPATH": path},
+            [sys.executable, *words], cwd=self.folder, env=around,
             capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL,
         )  # fmt: skip
 
@@ -148,12 +156,13 @@ def diagnosed(number: int, further: tuple[str, ...] = ()) -> Item:
     return Item(make, verdict=True)
 
 
-def exported(*tests: str) -> Item:
-    """Runs of short tests written as one data set, and the diagnosis of that."""
+def exported(protocol: str) -> Item:
+    """A short test on four benches written as one data set, and the diagnosis of that."""
 
     def make(desk: Desk) -> Any:
-        for test in tests:
-            short(*test.split("@")).make(desk)
+        for seed in range(1, 5):
+            words = ("--protocol", f"{protocol}-short", "--seed", str(seed), "--out", "runs")
+            desk.pamrig(protocol, *words)
         runs = [str(folder) for folder in desk.runs()]
         said = desk.pamrig("gap", "export", *runs, "--out", "set")
         trials = columns(pd.read_csv(desk.folder / "set" / "trials.csv"))
@@ -192,8 +201,8 @@ def items() -> dict[str, Item]:
     out |= {f"said/{name}": asked(*said) for name, said in SAID.items()}
     out |= {f"simulated/{name}": recorded(f"simulate {name}") for name in SCENARIOS}
     out["thesis/gap"] = asked("gap thesis", verdict=True)
-    out["exported/static"] = exported("isometric", "isobaric", "isotonic")
-    out["exported/loop"] = exported("isometric@virtual-thesis-loop", "step")
+    out["exported/static"] = exported("isometric")
+    out["exported/loop"] = exported("step")
     for number in PRACTICE:
         further = ("where", "shrink", "next") if number in FURTHER else ()
         out[f"blind/{number}"] = diagnosed(number, further)
@@ -243,8 +252,9 @@ def shortened(values: list[float | None]) -> list[Any]:
 
 
 def sources() -> str:
-    """A digest of every file that may change an output; other files than those of the packages."""
-    digest = hashlib.sha256()
+    """A digest of all that may change an output: the packages, and what this file makes of them."""
+    here = Path(__file__).read_text(encoding="utf-8").partition("# -- how two")[0]
+    digest = hashlib.sha256(here.encode())
     packages = sorted(path.parent for path in ROOT.glob("*/__init__.py"))
     for package in packages:
         if package.name in ("tests", "benchmarks"):
@@ -369,8 +379,9 @@ def sizes(value: Any, key: str) -> Iterator[tuple[str, float]]:
 
 
 def text(value: Any) -> bool:
-    """Free text: a string with a space in it, as no id has."""
-    return isinstance(value, str) and " " in value.strip()
+    """Free text: a string of several words, as no id and no cell of numbers is."""
+    words = value.split() if isinstance(value, str) else []
+    return sum(bool(re.fullmatch(r"\(?[^\W\d_]{2,}[.,;:)]*", word)) for word in words) > 1
 
 
 def compare(
