@@ -59,8 +59,8 @@ DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\
 class Desk:
     """A scratch folder in which commands are given, and from which their output is read."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, shelf: Path) -> None:
+        self.folder, self.shelf = folder, shelf
 
     def pamrig(self, *words: str) -> Any:
         """What `pamrig WORDS --json` prints, and its exit status where that is not 0."""
@@ -69,11 +69,24 @@ class Desk:
         return {"status": done.returncode, "value": value} if done.returncode else value
 
     def practice(self, number: int) -> list[str]:
-        """Make a practice set in the folder `set`; which effects are struck from its catalogue."""
-        done = self._run("-m", "blind", "make", "--practice", str(number), "--out", "set")
-        if done.returncode:
-            raise RuntimeError(done.stderr)
-        return list(json.loads(done.stdout)["without"])
+        """Lay a practice set into the folder `set`; which effects are struck from its catalogue.
+
+        Sets are kept on the shelf: they change with the blind bench alone.
+        """
+        kept = self.shelf / f"{number}-{digest_of([ROOT / 'blind']).hexdigest()[:12]}"
+        if not kept.exists():
+            done = self._run("-m", "blind", "make", "--practice", str(number), "--out", "set")
+            if done.returncode:
+                raise RuntimeError(done.stderr)
+            struck = self.folder / "set" / "without.json"
+            struck.write_text(json.dumps(json.loads(done.stdout)["without"]), encoding="utf-8")
+            self.shelf.mkdir(parents=True, exist_ok=True)
+            (self.folder / "set").replace(kept)
+        shutil.copytree(kept, self.folder / "set")
+        struck = self.folder / "set" / "without.json"
+        names = list(json.loads(struck.read_text(encoding="utf-8")))
+        struck.unlink()
+        return names
 
     def run(self, command: str, *words: str) -> dict[str, Any]:
         """Make a run: its report as JSON, its table, and what its samples amount to."""
@@ -254,15 +267,21 @@ def shortened(values: list[float | None]) -> list[Any]:
 def sources() -> str:
     """A digest of all that may change an output: the packages, and what this file makes of them."""
     here = Path(__file__).read_text(encoding="utf-8").partition("# -- how two")[0]
-    digest = hashlib.sha256(here.encode())
     packages = sorted(path.parent for path in ROOT.glob("*/__init__.py"))
-    for package in packages:
-        if package.name in ("tests", "benchmarks"):
-            continue
-        for path in sorted(package.rglob("*")):
-            if path.suffix in (".py", ".toml", ".csv", ".npz"):
-                digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    digest = digest_of(
+        [folder for folder in packages if folder.name not in ("tests", "benchmarks")]
+    )
+    digest.update(here.encode())
     return digest.hexdigest()
+
+
+def digest_of(folders: list[Path]) -> hashlib._Hash:
+    """A digest of the programs, settings and numbers in folders."""
+    digest = hashlib.sha256()
+    for path in sorted(path for folder in folders for path in folder.rglob("*")):
+        if path.suffix in (".py", ".toml", ".csv", ".npz"):
+            digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    return digest
 
 
 def make(folder: Path, names: list[str], jobs: int) -> None:
@@ -277,7 +296,7 @@ def make(folder: Path, names: list[str], jobs: int) -> None:
         desk = folder / "desk" / name
         shutil.rmtree(desk, ignore_errors=True)
         desk.mkdir(parents=True)
-        value = kept(chosen[name].make(Desk(desk)), desk)
+        value = kept(chosen[name].make(Desk(desk, (folder / "sets").resolve())), desk)
         path = folder / f"{name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         unfinished = path.with_suffix(".part")
