@@ -73,7 +73,7 @@ class Desk:
 
         Sets are kept on the shelf: they change with the blind bench alone.
         """
-        kept = self.shelf / f"{number}-{digest_of([ROOT / 'blind']).hexdigest()[:12]}"
+        kept = self.shelf / f"{number}-{digest_of([ROOT / 'blind'])[:12]}"
         if not kept.exists():
             done = self._run("-m", "blind", "make", "--practice", str(number), "--out", "set")
             if done.returncode:
@@ -268,20 +268,17 @@ def sources() -> str:
     """A digest of all that may change an output: the packages, and what this file makes of them."""
     here = Path(__file__).read_text(encoding="utf-8").partition("# -- how two")[0]
     packages = sorted(path.parent for path in ROOT.glob("*/__init__.py"))
-    digest = digest_of(
-        [folder for folder in packages if folder.name not in ("tests", "benchmarks")]
-    )
-    digest.update(here.encode())
-    return digest.hexdigest()
+    held = digest_of([path for path in packages if path.name not in ("tests", "benchmarks")])
+    return hashlib.sha256((here + held).encode()).hexdigest()
 
 
-def digest_of(folders: list[Path]) -> hashlib._Hash:
+def digest_of(folders: list[Path]) -> str:
     """A digest of the programs, settings and numbers in folders."""
     digest = hashlib.sha256()
     for path in sorted(path for folder in folders for path in folder.rglob("*")):
         if path.suffix in (".py", ".toml", ".csv", ".npz"):
             digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
-    return digest
+    return digest.hexdigest()
 
 
 def make(folder: Path, names: list[str], jobs: int) -> None:
