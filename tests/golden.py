@@ -281,8 +281,11 @@ def digest_of(folders: list[Path]) -> str:
     return digest.hexdigest()
 
 
-def make(folder: Path, names: list[str], jobs: int) -> None:
-    """Make items in a folder, those that are there by the same sources excepted."""
+def make(folder: Path, names: list[str], jobs: int) -> int:
+    """Make items in a folder, those that are there by the same sources excepted.
+
+    What an item could not be made for is said, and the others are made; how many could not be.
+    """
     stamp = sources()
     chosen = items()
     todo = [name for name in names if not made(folder, name, stamp)]
@@ -293,7 +296,10 @@ def make(folder: Path, names: list[str], jobs: int) -> None:
         desk = folder / "desk" / name
         shutil.rmtree(desk, ignore_errors=True)
         desk.mkdir(parents=True)
-        value = kept(chosen[name].make(Desk(desk, (folder / "sets").resolve())), desk)
+        try:
+            value = kept(chosen[name].make(Desk(desk, (folder / "sets").resolve())), desk)
+        except (OSError, RuntimeError, ValueError, KeyError) as error:
+            return f"{name} FAILED: {error}"
         path = folder / f"{name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         unfinished = path.with_suffix(".part")
@@ -302,9 +308,12 @@ def make(folder: Path, names: list[str], jobs: int) -> None:
         shutil.rmtree(desk)
         return f"{name}: {time.monotonic() - began:.0f} s"
 
+    failed = 0
     with ThreadPoolExecutor(jobs) as pool:
         for count, said in enumerate(pool.map(one, todo), start=1):
+            failed += "FAILED" in said
             print(f"{count}/{len(todo)} {said}", flush=True)
+    return failed
 
 
 def made(folder: Path, name: str, stamp: str) -> bool:
@@ -463,8 +472,7 @@ def main(arguments: list[str] | None = None) -> int:
         command.add_argument("--only", nargs="+", default=[], help="beginnings of items' names")
     given = parser.parse_args(arguments)
     if given.command == "make":
-        make(given.folder, among(given.only, list(items())), given.jobs)
-        return 0
+        return min(1, make(given.folder, among(given.only, list(items())), given.jobs))
     if given.command == "pack":
         pack(given.folder, given.to)
         return 0
