@@ -36,9 +36,16 @@ DIGITS = 13
 LONG = 200  # numbers in a list beyond which only some of them and what they amount to are kept
 PICKED = 40
 
+FIXED = {
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+    "PYTHONHASHSEED": "0",
+}
+"""How a sum is split among threads decides its last digit, and that which of two equals leads."""
+
 FORGOTTEN = re.compile(
-    r"(run_id|boot|boots|(\w+_)?utc|(\w+_)?host_ns|monotonic_ns|elapsed\w*|wall\w*|processor\w*|seal"
-    r"|pamrig|version|versions|software|revision|platform|python|crc|crc32|(\w+_)?sha256|bytes|digest)"
+    r"(run_id|boot|boots|(\w+_)?utc|(\w+_)?host_ns|monotonic_ns|start_s|elapsed\w*|wall\w*"
+    r"|processor\w*|seal|pamrig|version|versions|software|revision|platform|python|crc(32)?|(\w+_)?sha256|bytes"
+    r"|digest)"
 )
 """Keys that differ from run to run, or from version to version, whatever the program does."""
 
@@ -52,8 +59,8 @@ DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\
 class Desk:
     """A scratch folder in which commands are given, and from which their output is read."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, shelf: Path) -> None:
+        self.folder, self.shelf = folder, shelf
 
     def pamrig(self, *words: str) -> Any:
         """What `pamrig WORDS --json` prints, and its exit status where that is not 0."""
@@ -62,11 +69,24 @@ class Desk:
         return {"status": done.returncode, "value": value} if done.returncode else value
 
     def practice(self, number: int) -> list[str]:
-        """Make a practice set in the folder `set`; which effects are struck from its catalogue."""
-        done = self._run("-m", "blind", "make", "--practice", str(number), "--out", "set")
-        if done.returncode:
-            raise RuntimeError(done.stderr)
-        return list(json.loads(done.stdout)["without"])
+        """Lay a practice set into the folder `set`; which effects are struck from its catalogue.
+
+        Sets are kept on the shelf: they change with the blind bench alone.
+        """
+        kept = self.shelf / f"{number}-{digest_of([ROOT / 'blind'])[:12]}"
+        if not kept.exists():
+            done = self._run("-m", "blind", "make", "--practice", str(number), "--out", "set")
+            if done.returncode:
+                raise RuntimeError(done.stderr)
+            struck = self.folder / "set" / "without.json"
+            struck.write_text(json.dumps(json.loads(done.stdout)["without"]), encoding="utf-8")
+            self.shelf.mkdir(parents=True, exist_ok=True)
+            (self.folder / "set").replace(kept)
+        shutil.copytree(kept, self.folder / "set")
+        struck = self.folder / "set" / "without.json"
+        names = list(json.loads(struck.read_text(encoding="utf-8")))
+        struck.unlink()
+        return names
 
     def run(self, command: str, *words: str) -> dict[str, Any]:
         """Make a run: its report as JSON, its table, and what its samples amount to."""
@@ -96,8 +116,9 @@ class Desk:
 
     def _run(self, *words: str) -> subprocess.CompletedProcess[str]:
         path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+        around = {**os.environ, **FIXED, "PYTHONPATH": path}
         return subprocess.run(
-            [sys.executable, *words], cwd=self.folder, env={**os.environ, "PYTHONPATH": path},
+            [sys.executable, *words], cwd=self.folder, env=around,
             capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL,
         )  # fmt: skip
 
@@ -148,12 +169,13 @@ def diagnosed(number: int, further: tuple[str, ...] = ()) -> Item:
     return Item(make, verdict=True)
 
 
-def exported(*tests: str) -> Item:
-    """Runs of short tests written as one data set, and the diagnosis of that."""
+def exported(protocol: str) -> Item:
+    """A short test on four benches written as one data set, and the diagnosis of that."""
 
     def make(desk: Desk) -> Any:
-        for test in tests:
-            short(*test.split("@")).make(desk)
+        for seed in range(1, 5):
+            words = ("--protocol", f"{protocol}-short", "--seed", str(seed), "--out", "runs")
+            desk.pamrig(protocol, *words)
         runs = [str(folder) for folder in desk.runs()]
         said = desk.pamrig("gap", "export", *runs, "--out", "set")
         trials = columns(pd.read_csv(desk.folder / "set" / "trials.csv"))
@@ -192,8 +214,8 @@ def items() -> dict[str, Item]:
     out |= {f"said/{name}": asked(*said) for name, said in SAID.items()}
     out |= {f"simulated/{name}": recorded(f"simulate {name}") for name in SCENARIOS}
     out["thesis/gap"] = asked("gap thesis", verdict=True)
-    out["exported/static"] = exported("isometric", "isobaric", "isotonic")
-    out["exported/loop"] = exported("isometric@virtual-thesis-loop", "step")
+    out["exported/static"] = exported("isometric")
+    out["exported/loop"] = exported("step")
     for number in PRACTICE:
         further = ("where", "shrink", "next") if number in FURTHER else ()
         out[f"blind/{number}"] = diagnosed(number, further)
@@ -243,20 +265,27 @@ def shortened(values: list[float | None]) -> list[Any]:
 
 
 def sources() -> str:
-    """A digest of every file that may change an output; other files than those of the packages."""
-    digest = hashlib.sha256()
+    """A digest of all that may change an output: the packages, and what this file makes of them."""
+    here = Path(__file__).read_text(encoding="utf-8").partition("# -- how two")[0]
     packages = sorted(path.parent for path in ROOT.glob("*/__init__.py"))
-    for package in packages:
-        if package.name in ("tests", "benchmarks"):
-            continue
-        for path in sorted(package.rglob("*")):
-            if path.suffix in (".py", ".toml", ".csv", ".npz"):
-                digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    held = digest_of([path for path in packages if path.name not in ("tests", "benchmarks")])
+    return hashlib.sha256((here + held).encode()).hexdigest()
+
+
+def digest_of(folders: list[Path]) -> str:
+    """A digest of the programs, settings and numbers in folders."""
+    digest = hashlib.sha256()
+    for path in sorted(path for folder in folders for path in folder.rglob("*")):
+        if path.suffix in (".py", ".toml", ".csv", ".npz"):
+            digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()
 
 
-def make(folder: Path, names: list[str], jobs: int) -> None:
-    """Make items in a folder, those that are there by the same sources excepted."""
+def make(folder: Path, names: list[str], jobs: int) -> int:
+    """Make items in a folder, those that are there by the same sources excepted.
+
+    What an item could not be made for is said, and the others are made; how many could not be.
+    """
     stamp = sources()
     chosen = items()
     todo = [name for name in names if not made(folder, name, stamp)]
@@ -267,7 +296,10 @@ def make(folder: Path, names: list[str], jobs: int) -> None:
         desk = folder / "desk" / name
         shutil.rmtree(desk, ignore_errors=True)
         desk.mkdir(parents=True)
-        value = kept(chosen[name].make(Desk(desk)), desk)
+        try:
+            value = kept(chosen[name].make(Desk(desk, (folder / "sets").resolve())), desk)
+        except (OSError, RuntimeError, ValueError, KeyError) as error:
+            return f"{name} FAILED: {error}"
         path = folder / f"{name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         unfinished = path.with_suffix(".part")
@@ -276,9 +308,12 @@ def make(folder: Path, names: list[str], jobs: int) -> None:
         shutil.rmtree(desk)
         return f"{name}: {time.monotonic() - began:.0f} s"
 
+    failed = 0
     with ThreadPoolExecutor(jobs) as pool:
         for count, said in enumerate(pool.map(one, todo), start=1):
+            failed += "FAILED" in said
             print(f"{count}/{len(todo)} {said}", flush=True)
+    return failed
 
 
 def made(folder: Path, name: str, stamp: str) -> bool:
@@ -369,8 +404,9 @@ def sizes(value: Any, key: str) -> Iterator[tuple[str, float]]:
 
 
 def text(value: Any) -> bool:
-    """Free text: a string with a space in it, as no id has."""
-    return isinstance(value, str) and " " in value.strip()
+    """Free text: a string of several words, as no id and no cell of numbers is."""
+    words = value.split() if isinstance(value, str) else []
+    return sum(bool(re.fullmatch(r"\(?[^\W\d_]{2,}[.,;:)]*", word)) for word in words) > 1
 
 
 def compare(
@@ -436,8 +472,7 @@ def main(arguments: list[str] | None = None) -> int:
         command.add_argument("--only", nargs="+", default=[], help="beginnings of items' names")
     given = parser.parse_args(arguments)
     if given.command == "make":
-        make(given.folder, among(given.only, list(items())), given.jobs)
-        return 0
+        return min(1, make(given.folder, among(given.only, list(items())), given.jobs))
     if given.command == "pack":
         pack(given.folder, given.to)
         return 0
