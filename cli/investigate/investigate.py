@@ -33,7 +33,8 @@ from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
 from gap.reporting.sequential import conclusion_text
 from gap.selection.search import SearchResult
-from gap.validation.prediction import SHOWN, families, margins, predict_trials, rivals_of
+from gap.validation.config import VALIDATION
+from gap.validation.prediction import families, margins, predict_trials, rivals_of
 from gap.verdict import Status, Verdict
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
@@ -244,7 +245,7 @@ class _Begun(SequentialVerdict):
         blocks = {b for candidate in self.search.best.fit.candidates for b in candidate.blocks}
         return blocks == {"pressure"}
 
-    def _telling(self, again: list[Test], least: float = SHOWN) -> Test | None:
+    def _telling(self, again: list[Test], least: float = VALIDATION.shown_chi2) -> Test | None:
         """The test to be made again: where the explanation and its nearest rival part most.
 
         None where no test parts them by more than `least`, or two have failed already.
