@@ -372,9 +372,7 @@ def _to_tell_apart(case: _Case, finding: _Finding) -> list[FitResult]:
     if not finding.entries:
         return []
     others = [hypothesis.fit for hypothesis, _ in finding.entries[1:]]
-    for confounder in finding.confounders:
-        own = [next(s for s in case.problem.candidates if s.id == i) for i in confounder.ids]
-        others.append(case.problem.fit(own, [s.step for s in own]))
+    others += [case.problem.fit_effects(confounder.ids) for confounder in finding.confounders]
     return others or [c.fit for c in case.search.rivals[:1]]
 
 

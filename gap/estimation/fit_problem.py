@@ -64,6 +64,12 @@ class FitResult:
         """Catalogue ids (or defects) in force, each once, in order of entry."""
         return tuple(dict.fromkeys(candidate.id for candidate in self.candidates))
 
+    def kept(self, keep: Callable[[Suspect], bool]) -> tuple[list[Suspect], list[float]]:
+        """Candidates for which `keep` holds, and their amounts: the start of another fit."""
+        pairs = zip(self.candidates, self.amounts.tolist(), strict=True)
+        kept = [(candidate, amount) for candidate, amount in pairs if keep(candidate)]
+        return [candidate for candidate, _ in kept], [amount for _, amount in kept]
+
     @property
     def active(self) -> Active:
         """What the model takes."""
@@ -234,6 +240,11 @@ class FitProblem:
                 found, self._descend(at.shift, candidates, amounts, columns), key=lambda s: s.cost
             )
         return found
+
+    def fit_effects(self, ids: Sequence[str]) -> FitResult:
+        """Fit effects by their ids, each in its first shape, from the amount of its sensitivity."""
+        own = [next(s for s in self.candidates if s.id == name) for name in ids]
+        return self.fit(own, [candidate.step for candidate in own])
 
     def columns_near(self, fit: FitResult) -> Array:
         """Sensitivities of the constants at a fit; those of the last fit are kept."""

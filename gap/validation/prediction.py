@@ -100,12 +100,8 @@ def rivals_of(
     best = search.best.fit
     own = families(best.ids)
     for family in sorted(own) if len(own) > 1 else ():
-        rest = [
-            (s, float(a))
-            for s, a in zip(best.candidates, best.amounts, strict=True)
-            if CATALOGUE[s.id].family != family
-        ]
-        yield problem.polish(problem.fit([s for s, _ in rest], [a for _, a in rest]))
+        rest = best.kept(lambda candidate, gone=family: candidate.family != gone)  # type: ignore[misc]
+        yield problem.polish(problem.fit(*rest))
     covered: set[str] = set()
     others = [
         hypothesis.fit for hypothesis in search.rivals if not own & families(hypothesis.fit.ids)
@@ -119,8 +115,7 @@ def rivals_of(
         if other & own or other in held:
             continue
         covered |= other
-        candidates = [next(s for s in problem.candidates if s.id == name) for name in ids]
-        yield problem.polish(problem.fit(candidates, [s.step for s in candidates]))
+        yield problem.polish(problem.fit_effects(ids))
     base = Hypothesis((), problem.base)
     linear = linear_gains(problem, base.fit)
     for key in sorted(search.first_gain, key=lambda key: -search.first_gain[key]):
