@@ -23,7 +23,7 @@ from gap.selection.config import SELECTION
 from gap.selection.per_stroke import with_per_stroke_delays
 from gap.selection.pruning import prune
 from gap.selection.search import SearchResult, why_not
-from gap.validation.where import contrasts_of, drifting, stage_shares
+from gap.validation.where import contrasts_of, remaining_drift, stage_shares
 from gap.verdict import Explanation, Gap, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
@@ -241,7 +241,7 @@ def _explained(case: _Case) -> _Finding:
     )  # fmt: skip
     if reliability["unknown"] > config.unknown:
         return finding
-    drift = drifting(problem, fit)
+    drift = remaining_drift(problem, fit)
     if drift is not None:
         return replace(
             finding,

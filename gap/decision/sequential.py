@@ -126,7 +126,7 @@ class SequentialVerdict:
         return joint(frozenset(needed))
 
     @property
-    def doubtful(self) -> bool:
+    def uncertain(self) -> bool:
         """Whether a name stands that is not certain to close half of the gap.
 
         Tests that were not made yet may then show another effect, or none. So it is where nobody

@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import DataSet
-from gap.data.duplicates import without_copies
+from gap.data.duplicates import without_duplicates
 from gap.effects.candidates import SUSPECTS, Suspect
 from gap.estimation.information import Evidence, gather, tolerance
 from gap.estimation.noise import Noise, learn_noise, usual_noise
 from gap.estimation.non_identical import non_identical, unexplainable
-from gap.estimation.normal_equations import covariance, solved
+from gap.estimation.normal_equations import covariance, damped_step
 from gap.model.features import Rows
 from gap.model.force import Active
 from gap.model.grid import Grid, make_grid
@@ -117,7 +117,7 @@ class FitProblem:
     @classmethod
     def of(cls, data: DataSet, candidates: Sequence[Suspect] = SUSPECTS) -> FitProblem:
         """Learn the noise of a data set and recalibrate its constants."""
-        data = without_copies(data)
+        data = without_duplicates(data)
         # A table of settled points has no time in it, so nothing in it can be out of time.
         timed = not data.settled
         usable = tuple(s for s in candidates if timed or not (s.defect or s.id == "camera_delay"))
@@ -314,7 +314,7 @@ class FitProblem:
             if stale:
                 columns = np.hstack([constants, self.slopes(shift, candidates, amounts)])
                 matrix, right = self.normal(columns, residual, shift)
-            beta = solved(matrix, right, damping)
+            beta = damped_step(matrix, right, damping)
             new_shift = shift + beta[:n]
             new_amounts = _bounded(candidates, amounts + beta[n:])
             trial, trial_cost = self._at(new_shift, candidates, new_amounts)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from gap.effects.candidates import Suspect
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.normal_equations import solved
+from gap.estimation.normal_equations import damped_step
 
 Array = npt.NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def fit_shapes(problem: FitProblem, fit: FitResult) -> FitResult:
         right[-len(free) :] -= (at - start) / _LOOSE**2
         better = None
         for _ in range(4):
-            beta = solved(matrix, right, damping)
+            beta = damped_step(matrix, right, damping)
             trial = _moved(problem, fit, beta, free)
             if trial.cost + _prior(trial, free, start) < fit.cost + _prior(fit, free, start):
                 better = trial

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import tolerance
-from gap.estimation.normal_equations import solved
+from gap.estimation.normal_equations import damped_step
 from gap.selection.candidate_fits import EDGES
 from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
@@ -58,7 +58,7 @@ def _per_stroke_fit(problem: FitProblem, fit: FitResult) -> FitResult | None:
     matrix, right = problem.normal(every, fit.residual, fit.shift)
     last = np.arange(known.shape[1], every.shape[1])
     matrix[last, last] += 1.0 / np.square(sds)
-    beta = solved(matrix, right, 1e-6)
+    beta = damped_step(matrix, right, 1e-6)
     if np.abs(beta[last] / sds).max() > SELECTION.stroke_most_sd:
         return None
     n, m = len(fit.shift), len(fit.amounts)

@@ -33,7 +33,7 @@ _LEAST_LEFT = {"pressure": 2.0, "force": 0.3, "load": 0.3}
 
 
 @dataclass(frozen=True)
-class Mistimed:
+class TimingFault:
     """A channel that is out of time (`late_s`, negative if early) or smoothed over `width_s`."""
 
     channel: str
@@ -53,7 +53,7 @@ class Mistimed:
         return f"is out of time with the other channels, {word} by about {shift_ms:.0f} ms"
 
 
-def mistimed_channel(problem: FitProblem) -> Mistimed | None:
+def channel_with_timing_fault(problem: FitProblem) -> TimingFault | None:
     """The channel that is out of time or smoothed both ways, if one surely is."""
     for block, own in (("pressure", "pressure_kpa"), ("force", "force_n")):
         pairs = _pairs(problem, block)
@@ -61,17 +61,17 @@ def mistimed_channel(problem: FitProblem) -> Mistimed | None:
             continue
         width = _is_mean_of(pairs, block)
         if width is not None:
-            return Mistimed(own, width_s=width)
+            return TimingFault(own, width_s=width)
         still = [pair for pair in pairs if not pair[2]]
         # Where the length moves it may be the camera that is late.
         late = _is_late(still, block) if len(still) > 1 else None
         if late is not None:
-            return Mistimed(own, late_s=late)
+            return TimingFault(own, late_s=late)
         # The chamber's prediction is made from commands, which nobody smooths.
         width = _is_mean_of([(x, y, m) for y, x, m in pairs], block) if block == "force" else None
         if width is not None:
             moved = float(np.mean([m for _, _, m in pairs])) > 0.5
-            return Mistimed("length_mm" if moved else "pressure_kpa", width_s=width)
+            return TimingFault("length_mm" if moved else "pressure_kpa", width_s=width)
     return None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.intervals import headline_estimates, settled
+from gap.estimation.intervals import headline_estimates, undamped_step
 from gap.output import toml_value
 from plant.constants import CHOICES, KEYS, nominal
 from plant.effects.catalogue import CATALOGUE
@@ -17,7 +17,7 @@ def improved_plant(problem: FitProblem, fit: FitResult) -> str:
     The simulator (`pamrig simulate --plant`), the live prediction (`--predict`), the virtual bench
     and `bench.toml` read it.
     """
-    fit = settled(problem, fit)
+    fit = undamped_step(problem, fit)
     lines = ["# The plant as recalibrated on these data, with the effects that explain the gap."]
     constants = problem.constants(fit.shift)
     usual = nominal()

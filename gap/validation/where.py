@@ -93,7 +93,7 @@ def contrasts_of(problem: FitProblem, fit: FitResult | None = None) -> tuple[Con
     return tuple(Contrast(name, z, abs(z) > least, drift) for name, z, drift in found)
 
 
-def drifting(problem: FitProblem, fit: FitResult) -> Contrast | None:
+def remaining_drift(problem: FitProblem, fit: FitResult) -> Contrast | None:
     """The drift over the trials that an explanation leaves, if it leaves one."""
     return next(
         (
