@@ -7,7 +7,7 @@ READY  := $(VENV)/.ready
 SMALL  := not campaign and not look
 WAITING = $(shell grep -l realtime tests/test_*.py)
 
-.PHONY: demo test lint types bench campaign faults fuzz soak audit look wheel lock clean
+.PHONY: demo test golden lint types bench campaign faults fuzz soak audit look wheel lock clean
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pamrig needs Python 3.11 or newer")'
@@ -29,18 +29,22 @@ test: $(READY)   ## all tests at their small sizes: those that compute, then tho
 	  $(BIN)/python -m pytest -m "$(SMALL) and realtime" --last-failed -p no:xdist $(WAITING); }; \
 	exit $$((computing | $$?))
 
+golden: $(READY)   ## golden outputs compared with tests/golden.json.gz; stopped, it goes on
+	$(BIN)/python -m tests.golden make out/golden
+	$(BIN)/python -m tests.golden compare out/golden
+
 campaign: $(READY)   ## the same tests at full size, and the long ones
 	PAMRIG_CAMPAIGN=1 $(BIN)/python -m pytest -m "campaign or not look" -s
 
 faults: $(READY)   ## thousands of runs with things going wrong, and their page; stopped, it goes on
-	$(BIN)/python -m tests.faults --processes 2 --page docs/faults.md
+	$(BIN)/python -m tests.faults --processes 2 --page docs/evidence/faults.md
 
 fuzz: $(READY)   ## ten million inputs that nobody would write
-	$(BIN)/python -m tests.fuzz --page docs/fuzz.md
+	$(BIN)/python -m tests.fuzz --page docs/evidence/fuzz.md
 
 soak: $(READY)   ## a virtual day at 1 kHz and a real hour: memory and completeness, and their page
-	$(BIN)/python -m tests.soak --hours 24 --page docs/soak.md
-	$(BIN)/python -m tests.soak --real --page docs/soak.md
+	$(BIN)/python -m tests.soak --hours 24 --page docs/evidence/soak.md
+	$(BIN)/python -m tests.soak --real --page docs/evidence/soak.md
 
 audit: $(READY)   ## pins of the lock file, and known holes where pip-audit and a network are there
 	$(BIN)/python -m tests.audit
@@ -52,12 +56,13 @@ $(VENV)/.peers: $(READY)   # pamrig's own packages stay as they are pinned
 	$(BIN)/python -m pip install --quiet --constraint requirements.lock --editable '.[bench,peers]'
 	@touch $@
 
-bench: $(VENV)/.peers   ## side by side with what one would use instead: docs/benchmarks.md
-	$(BIN)/python -m benchmarks --page docs/benchmarks.md
+bench: $(VENV)/.peers   ## side by side with what one would use instead: docs/evidence/benchmarks.md
+	$(BIN)/python -m benchmarks --page docs/evidence/benchmarks.md
 
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
 
 types: $(READY)
 	$(BIN)/mypy

@@ -1,8 +1,8 @@
-"""`make bench`: every comparison of docs/benchmarks.md, and that page.
+"""`make bench`: every comparison of docs/evidence/benchmarks.md, and that page.
 
     python -m benchmarks                             # all parts, printed
-    python -m benchmarks --page docs/benchmarks.md   # and the page written
-    python -m benchmarks --page docs/benchmarks.md --only recording growth_length
+    python -m benchmarks --page docs/evidence/benchmarks.md   # and the page written
+    python -m benchmarks --page docs/evidence/benchmarks.md --only recording growth_length
     python -m benchmarks finger                      # any one; some exist beside the page's parts
 
 Each part's figures are kept in ``--results`` as soon as it is done. ``--only`` measures those parts
@@ -30,7 +30,7 @@ def measured(name: str, tiny: bool) -> dict[str, Any]:
     """A part's figures with what they cost and on what machine they were taken."""
     at = revision()
     begin, start = time.perf_counter(), os.times()
-    figures = importlib.import_module(f"benchmarks.{name}").measure(tiny)
+    figures = importlib.import_module(f"benchmarks.{PARTS[name]}").measure(tiny)
     end = os.times()
     cpu = sum(end[:4]) - sum(start[:4])
     return {
@@ -84,7 +84,7 @@ def main(words: list[str] | None = None) -> None:
         print(f"measuring: {name}", file=sys.stderr, flush=True)
         part = measured(name, options.tiny)
         keep(options.results, name, part)
-        module = importlib.import_module(f"benchmarks.{name}")
+        module = importlib.import_module(f"benchmarks.{PARTS[name]}")
         print("\n".join([f"## {module.TITLE}", "", *module.lines(part["figures"])]), flush=True)
     if options.page is not None:
         text = page({name: kept(options.results, name) for name in PARTS})

@@ -22,7 +22,7 @@ from benchmarks.paired import Spread, ratios, rounds, short, table
 
 TITLE = "Inverse dynamics of an arm"
 OURS = "pamrig, compiled, batch"
-ONE = "pamrig, one state a call"
+ONE = "pamrig, one state per call"
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 
@@ -70,17 +70,17 @@ def lines(result: dict[str, Any]) -> list[str]:
             row.append(short(Spread.of(found["us"][name]).median))
             row.append("" if name == OURS else str(ratios(found["us"][name], found["us"][OURS])))
         rows.append(row)
-    heads = ["way"]
+    heads = ["method"]
     for arm in arms:
-        heads += [f"{arm}, us a state", "over ours"]
+        heads += [f"{arm}, us per state", "/ pamrig"]
     out = table(heads, rows)
     versions = ", ".join(f"{n} {v}" for n, v in result["versions"].items())
     worst = max(d for found in arms.values() for d in found["differences"].values())
     out += [
         f"{versions}; {links.STATES} random states, {result['rounds']} rounds, processor time of "
         f"one core. Torques agree to {worst:.0e} of each state's largest. Pinocchio and MuJoCo "
-        "take one state a call from Python, and so does pamrig where it says so "
-        "(`plant.links.onestate`, for control loops); otherwise it takes arrays.",
+        "accept one state per call from Python; so does pamrig where the table says so "
+        "(`plant.links.onestate`, for control loops). Otherwise it accepts arrays.",
         "",
         *_behind(arms),
     ]
@@ -88,12 +88,12 @@ def lines(result: dict[str, Any]) -> list[str]:
 
 
 def _behind(arms: dict[str, Any]) -> list[str]:
-    """Whoever is quicker than pamrig at one state a call."""
+    """Whoever is quicker than pamrig at one state per call."""
     quicker = []
     for arm, found in arms.items():
         ours = Spread.of(found["us"][ONE]).median
         others = {n: Spread.of(t).median for n, t in found["us"].items() if "pamrig" not in n}
         quicker += [f"{n} ({arm}: {short(t)} us)" for n, t in others.items() if t < ours]
     if not quicker:
-        return ["No other is quicker at one state a call.", ""]
-    return [f"Behind: at one state a call quicker are {', '.join(quicker)}.", ""]
+        return ["No other method is faster at one state per call.", ""]
+    return [f"Faster than pamrig at one state per call: {', '.join(quicker)}.", ""]

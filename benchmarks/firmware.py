@@ -25,7 +25,7 @@ SCHEME = """
 import gc, js
 from array import array
 from valvefw.deskboard import DeskBoard
-from valvefw.valves import Valves
+from valvefw.schemes.valves import Valves
 now = js.performance.now
 NAME = '%s'
 board = DeskBoard(has_regulator=NAME == 'reg')

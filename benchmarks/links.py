@@ -78,7 +78,7 @@ def ways_of(arm_name: str) -> dict[str, Callable[[], object]]:
     return {
         "pamrig, compiled, batch": lambda: dyn.inverse_dynamics(arm, q, qd, qdd),
         "pamrig, equations in numpy, batch": lambda: symbolic.inverse_dynamics(q, qd, qdd),
-        "pamrig, one state a call": each_ours,
+        "pamrig, one state per call": each_ours,
         "pamrig, batches of one state": each_array,
         "Pinocchio rnea, Python call": each_pinocchio,
         "MuJoCo mj_inverse, Python call": each_mujoco,
@@ -148,7 +148,7 @@ def main() -> None:
         for arm in ("planar3", "finger"):
             best = measured(ways_of(arm))
             ours = best["pamrig, compiled, batch"]
-            print(f"\n{arm}: microseconds a state, best of {ROUNDS} rounds of {STATES}")
+            print(f"\n{arm}: microseconds per state, best of {ROUNDS} rounds of {STATES}")
             for name, value in best.items():
                 print(f"  {name:36s} {value:8.3f}   {value / ours:6.1f} times the first")
     print(f"\nfinger, equations derived in symbols in {derivation_s():.2f} s")

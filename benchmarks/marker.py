@@ -233,7 +233,7 @@ def lines(result: dict[str, Any]) -> list[str]:
             error = short(one["rms_px"])
             row.append(f"{times} / {error}" if times else error)
         rows.append(row)
-    heads = ["method", "us a frame, ordinary", *(f"{c}: time ratio / rms px" for c in cases)]
+    heads = ["method", "us per frame, ordinary", *(f"{c}: time ratio / rms px" for c in cases)]
     out = table(heads, rows)
     faster = sorted({
         n for c in cases.values() for n, r in c.items()
@@ -244,14 +244,14 @@ def lines(result: dict[str, Any]) -> list[str]:
         for c in cases.values() for n, r in c.items() if n != "edge (ours)"
     )  # fmt: skip
     out += [
-        f"{result['versions']}; {result['frames']} frames of 640 x 480 a case of known gap, each "
-        "to all methods in turn, processor time; ImageJ's of its own thread, once compiled. "
-        "Ratios of time: theirs over ours, median (range over frames).",
+        f"{result['versions']}; {result['frames']} frames of 640 x 480 per case with known gap, "
+        "each to all methods in turn, processor time; for ImageJ that of its own thread, after "
+        "compilation. Ratios of time: other method / edge method, median (range over frames).",
         "",
-        f"Error: the closest other method is {short(closest)} times as far off. Behind in "
-        f"time: on at least one case quicker are {', '.join(faster) or 'none'}. The edge method "
-        "fits a blurred edge with its noise to every row and states an uncertainty; a threshold "
-        "does not.",
+        f"Error: the best other method has {short(closest)} times the error. Time: faster than "
+        f"the edge method in at least one case: {', '.join(faster) or 'none'}. The edge method "
+        "fits a blurred edge with its noise to every row and calculates an uncertainty; a "
+        "threshold does not.",
         "",
     ]
     return out

@@ -12,29 +12,30 @@ from typing import Any
 
 HOUSE = Path(__file__).resolve().parent.parent
 
-PARTS = [
-    "recording",
-    "marker",
-    "simulation",
-    "dynamics",
-    "startup",
-    "diagnosis",
-    "growth_samples",
-    "growth_length",
-    "growth_diagnosis",
-    "growth_cores",
-]
+PARTS = {
+    "recording": "recording",
+    "marker": "marker",
+    "simulation": "simulation",
+    "dynamics": "dynamics",
+    "startup": "startup",
+    "diagnosis": "gap.diagnosis",
+    "growth_samples": "runs.samples",
+    "growth_length": "runs.length",
+    "growth_diagnosis": "gap.growth",
+    "growth_cores": "gap.cores",
+}
+"""Parts of the page in their order, and the module of each below ``benchmarks``."""
 
 HEAD = """\
 # Benchmarks
 
-Speed beside what one would use instead, and how cost grows. This page is written by
+Speed compared with other tools, and growth of the cost with size. This command writes the page:
 
-    python -m benchmarks --page docs/benchmarks.md
+    python -m benchmarks --page docs/evidence/benchmarks.md
 
-(`make bench`); `--only PART` measures one part anew. Every figure is of one run in which the ways
-took turns. A ratio is theirs over ours, taken round by round: median (smallest to largest). Where
-we are behind, the line says so.
+(`make bench`); `--only PART` measures one part again. All figures of a part come from one run in
+which the tools took turns. A ratio is other tool / pamrig, calculated per round: median (minimum
+to maximum). The text states where pamrig is slower.
 """
 
 
@@ -68,10 +69,10 @@ def page(parts: dict[str, dict[str, Any] | None]) -> str:
     """The whole text; a part without figures says so."""
     out = [HEAD]
     machines = list(dict.fromkeys(p["machine"] for p in parts.values() if p))
-    out.append(f"Machine: {'; '.join(machines)}. Other programs ran beside these at times; the ")
-    out[-1] += "load at the end of each part stands under it.\n"
+    out.append(f"Machine: {'; '.join(machines)}. Other programs sometimes ran at the same ")
+    out[-1] += "time; the load at the end of each part is given below it.\n"
     for name, part in parts.items():
-        module = importlib.import_module(f"benchmarks.{name}")
+        module = importlib.import_module(f"benchmarks.{PARTS[name]}")
         out.append(f"## {module.TITLE}\n")
         if part is None:
             out.append(f"Not measured yet: `python -m benchmarks --only {name}`.\n")

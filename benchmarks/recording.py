@@ -258,10 +258,10 @@ def losses(ways: dict[str, Any]) -> str:
         for k, p in peers.items()
         if p.median < ours.median or p.high < ours.high
     ]
-    told = f"Killed, pamrig lost {span(ours)} ms of the rows that it had been given one by one. "
+    told = f"After a kill, pamrig lost {span(ours)} ms of the rows given one by one. "
     if not less:
-        return told + "No peer lost less, by median or by its worst."
-    return f"{told}By median or by its worst, less was lost by {', '.join(less)}."
+        return told + "No other tool lost less, by median or maximum."
+    return f"{told}Lost less, by median or maximum: {', '.join(less)}."
 
 
 def lines(result: dict[str, Any]) -> list[str]:
@@ -282,19 +282,21 @@ def lines(result: dict[str, Any]) -> list[str]:
     for tool, why in result["missing"].items():
         rows.append([tool, "", "", why, "", "", "", ""])
     out = table(
-        ["tool", "to system", "to medium", "rows/s flat out", "pamrig fed alike is ... times",
-         "processor at 1 kHz", "lost at kill -9, ms", "missing by the clock, ms"], rows,
+        ["tool", "to system", "to medium", "rows/s maximum",
+         "pamrig with the same input is ... times", "processor at 1 kHz", "lost at kill -9, ms",
+         "missing at the kill, ms"], rows,
     )  # fmt: skip
     first = ways["pamrig"]
     out.append(
         f"Versions: {', '.join(result['versions'].values())}. A row is a number and eight 64-bit "
-        f"channels; {len(first['flat_hz'])} rounds of {FLAT_S:g} s flat out, closing included, "
-        f"{len(first['cpu'])} of {PACED_S:g} s at 1 kHz, {len(first['lost_s'])} kills a way; an "
-        f"fsync of 4 kB takes {Spread.of(result['fsync_ms'])} ms here. All rows were read back by "
-        "each tool's own reader and compared. *To system*: when rows survive a kill; *to medium*: "
-        "a power cut. *Lost*: given, its call returned, and not found. *Missing by the clock*: due "
-        "and not found, lateness of waking included. PyMeasure takes no blocks. Not tried: "
-        "Bluesky's Tiled writer, which needs a server and holds 10,000 events back by default."
+        f"channels; {len(first['flat_hz'])} rounds of {FLAT_S:g} s at maximum rate, closing "
+        f"included, {len(first['cpu'])} of {PACED_S:g} s at 1 kHz, {len(first['lost_s'])} kills "
+        f"per tool; an fsync of 4 kB takes {Spread.of(result['fsync_ms'])} ms here. All rows were "
+        "read back by each tool's own reader and compared. *To system*: time after which rows "
+        "survive a kill; *to medium*: a power failure. *Lost*: the call returned, but the row is "
+        "missing. *Missing at the kill*: due by the clock and missing, including the wake-up "
+        "delay. PyMeasure does not accept blocks. Not tested: Bluesky's Tiled writer, which needs "
+        "a server and by default delays 10,000 events."
     )
     out.append("")
     best = best_peer(result)
@@ -308,9 +310,10 @@ def lines(result: dict[str, Any]) -> list[str]:
         )
         out += [
             "At equal durability (to the system within 50 ms, to the medium within 1 s) the best "
-            f"peer is {WAYS[best].title}. Fed in blocks of 50, as drivers bring them, pamrig "
-            f"records **{ratio}** times as many rows a second, row by row {rows_ratio} times; a "
-            f"row takes the peer's processor {cost} times as long, row by row {rows_cost} times.",
+            f"other tool is {WAYS[best].title}. With blocks of 50, as drivers deliver them, "
+            f"pamrig records **{ratio}** times as many rows per second, row by row {rows_ratio} "
+            f"times. The other tool needs {cost} times the processor time per row, row by row "
+            f"{rows_cost} times.",
             "",
             losses(ways),
             "",
@@ -328,8 +331,8 @@ def behind(ways: dict[str, Any]) -> list[str]:
         if WAYS[k].tool != "pamrig" and share < cpu[WAYS[k].like]
     ]
     if not less:
-        return ["No peer fed alike takes less processor time at 1 kHz.", ""]
-    return [f"Behind: at 1 kHz less processor time is used by {', '.join(less)}.", ""]
+        return ["No other tool with the same input needs less processor time at 1 kHz.", ""]
+    return [f"Less processor time than pamrig at 1 kHz: {', '.join(less)}.", ""]
 
 
 if __name__ == "__main__":

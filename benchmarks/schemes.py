@@ -1,6 +1,6 @@
 """The thesis's schemes and the burst scheme side by side, on both simulated benches.
 
-    python -m benchmarks.schemes                        # the table of docs/valve-schemes.md
+    python -m benchmarks.schemes                  # the table of docs/reference/valve-schemes.md
     python -m benchmarks.schemes --picture docs/images  # and its picture
     python -m benchmarks.schemes --seeds 20             # more draws of noise
 
@@ -166,7 +166,7 @@ def table(seeds: int) -> str:
 
 def picture(folder: Path) -> Path:
     """Small multiples: a row a scheme, a column a bench; as printed behind as intended."""
-    from analysis.reporting.drawing import INK, MEASURED, QUIET, SET, style
+    from analysis.figures.drawing import INK, MEASURED, QUIET, SET, style
 
     with style():
         import matplotlib.pyplot as plt

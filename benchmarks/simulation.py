@@ -69,13 +69,13 @@ def lines(result: dict[str, Any]) -> list[str]:
         off = [short(e) for e in way["error"]] or ["other equations", ""]
         speed = short(1.0 / Spread.of(way["cost"]).median)
         rows.append([name, speed, times, *off])
-    out = table(["way", "times real time", "its time over ours", "largest error, kPa", "um"], rows)
+    out = table(["method", "times real time", "time / pamrig", "largest error, kPa", "um"], rows)
     versions = ", ".join(f"{n} {v}" for n, v in result["versions"].items())
     out += [
         f"{versions}; {result['rounds']} rounds, processor time of one core. The valve of 1996, "
         "one muscle, 3 kg, fills and vents of 12 to 25 ms; errors against `solve_ivp` at 1e-11. "
         "MuJoCo's `<cylinder>` is a first-order filter of the command on a constant area: no gas, "
-        "no valve, no muscle. It is what a user would take instead, not the same result.",
+        "no valve, no muscle. It is the alternative for a user, but not the same model.",
         "",
     ]
     behind = [
@@ -83,5 +83,5 @@ def lines(result: dict[str, Any]) -> list[str]:
         if n != OURS and ratios(w["cost"], ways[OURS]["cost"]).median < 1.0
     ]  # fmt: skip
     if behind:
-        out += [f"Behind: {', '.join(behind)}.", ""]
+        out += [f"Faster than pamrig: {', '.join(behind)}.", ""]
     return out

@@ -64,6 +64,6 @@ def lines(result: dict[str, Any]) -> list[str]:
              times]
         )  # fmt: skip
     rows += [[name, "not installed", "", ""] for name in result["missing"]]
-    out = table(["what", "processor s", "wall s", "processor time over ours"], rows)
-    out += [f"Python {result['python']}; {result['rounds']} rounds, files in the disk's cache.", ""]
+    out = table(["what", "processor s", "wall s", "processor time / pamrig"], rows)
+    out += [f"Python {result['python']}; {result['rounds']} rounds, files in the disk cache.", ""]
     return out

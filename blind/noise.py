@@ -1,7 +1,8 @@
 """How this bench's instruments shake: families of noise, zeros and gains drawn per trial.
 
-Levels are PLANT.md's, a third more or less; shapes are drawn: normal, Student's t, Laplace,
-correlated over other times, drifting; changed conditions take families never used otherwise.
+Levels are those of docs/reference/plant.md, a third more or less; shapes are drawn: normal,
+Student's t, Laplace, correlated over other times, drifting; changed conditions take families
+never used otherwise.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ def demo(root: Path) -> int:
     """Run, report, import, report; then say what was made and how to look at it."""
     from analysis.formats.importer import import_thesis
     from analysis.reporting.derived import derive_all
-    from cli.test.protocol_command import Order, protocol_command
+    from cli.protocols.protocol_command import Order, protocol_command
 
     typer.echo(
         "1. an isometric test on the virtual bench: 5 lengths, 8 pressures, up and down, twice"

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Optional
 import typer
 
 from cli.bench.calibrate import calibrate_app
+from cli.data.records import add_records
 from cli.gap.effects import gap_effects
 from cli.gap.main import gap_app
 from cli.gap.report import gap_report
@@ -20,8 +21,8 @@ from cli.gap.runs import gap_export
 from cli.gap.thesis import gap_thesis
 from cli.investigate.command import gap_investigate
 from cli.model.models import fit, models_app
+from cli.protocols.protocols import add_protocols
 from cli.simulate.simulate import add_simulation
-from cli.test.protocols import add_protocols
 
 app = typer.Typer(
     name="pamrig",
@@ -45,6 +46,7 @@ gap_app.command("investigate")(gap_investigate)
 gap_app.command("report")(gap_report)
 gap_app.command("thesis")(gap_thesis)
 add_protocols(app, runs_app)
+add_records(runs_app)
 add_simulation(app)
 
 RigOption = Annotated[str, typer.Option("--rig", help="Rig file, or the name of a shipped one.")]
@@ -83,7 +85,7 @@ def virtual(
 ) -> None:
     """Keep a virtual bench running in real time, on ports that any client can open."""
     if withheld or reveal:
-        from rigs.virtual.withheld import server as withheldserver
+        from cli.investigate import withheld_server as withheldserver
 
         if reveal:
             withheldserver.reveal(folder)
@@ -307,12 +309,12 @@ def firmware_check(port: PortOption, as_json: JsonOption = False) -> None:
 
 def main() -> None:
     """Entry point of the console script: user errors become one line and exit status 2."""
-    from daq.errors import PamrigError
+    from daq.errors import PamrigError, printable
 
     try:
         app(standalone_mode=True)
     except PamrigError as error:
-        typer.echo(f"pamrig: {error}", err=True)
+        typer.echo(printable(f"pamrig: {error}"), err=True)
         sys.exit(2)
     except BrokenPipeError:
         sys.exit(1)

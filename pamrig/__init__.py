@@ -96,7 +96,7 @@ def runs(folder: str | Path = "runs") -> pd.DataFrame:
 
 
 def diagnose(data: str | Path, without: Iterable[str] = ()) -> Verdict:
-    """Diagnose a data set in the EXCHANGE form; see `gap.decision.diagnose.diagnose`.
+    """Diagnose a data set in the dataset format; see `gap.decision.diagnose.diagnose`.
 
     `verdict.as_dict()` is the object that `pamrig gap diagnose --json` prints.
 
@@ -115,9 +115,9 @@ def simulate(scenario: str | Path, runs: str | Path = "runs") -> RecordedRun:
     Raises:
         daq.errors.PamrigError: names file and key of what cannot be, or why it ended early.
     """
-    from daq.store.run import open_run as open_folder
+    from analysis.reporting.derived import derive_all
     from studies.simulation.scenario import load_scenario
     from studies.simulation.session import simulate as run_scenario
 
     result = run_scenario(load_scenario(str(scenario)), runs)
-    return RecordedRun(open_folder(result.folder))
+    return RecordedRun(derive_all(result.folder))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, MutableSequence
+from collections.abc import Callable, Iterator, MutableSequence
 from importlib import resources
+from importlib.resources.abc import Traversable
+from types import FunctionType
 from typing import Any, TypeVar, cast
 
 from numba import njit
@@ -17,20 +19,34 @@ Slots = MutableSequence[float]
 # was lent: with rows taken out of arrays that counting took more than half of a scene's time.
 _LEAN: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
-_ALWAYS = ("compiled.py", "constants.py", "physics")
+_ALWAYS = ("compiled.py", "constants.py", "effects", "physics")
 
 
 def inlined(function: F) -> F:
     """Compile a small function into each place that uses it.
 
-    A division by zero gives inf as in numpy, without a check at every division.
+    Plain functions of its module that it calls by name are compiled with it, so that a formula can
+    stay plain Python for arrays. A division by zero gives inf as in numpy, without a check at every
+    division.
     """
-    return cast(F, njit(forceinline=True, **_LEAN)(function))
+    return cast(F, njit(forceinline=True, **_LEAN)(_with_callees(function)))
 
 
 def called(function: F) -> F:
     """Compile a large function once; repeating it at each place would cost seconds to compile."""
-    return cast(F, njit(**_LEAN)(function))
+    return cast(F, njit(**_LEAN)(_with_callees(function)))
+
+
+def _with_callees(function: F) -> F:
+    """`function` bound to compiled versions of the plain functions that it calls."""
+    own = function.__globals__
+    named = {name: own.get(name) for name in function.__code__.co_names}
+    plain = {name: inlined(f) for name, f in named.items() if isinstance(f, FunctionType)}
+    if not plain:
+        return function
+    code, defaults = function.__code__, function.__defaults__
+    bound = FunctionType(code, {**own, **plain}, function.__name__, defaults, function.__closure__)
+    return cast(F, bound)
 
 
 def entry_point(signature: str) -> Callable[[F], F]:
@@ -53,13 +69,18 @@ def fingerprint(*more: str) -> int:
     closes over this number is compiled anew after a change to any of the files.
 
     Args:
-        more: folders or files of `plant` beside the physics, such as "links/kernel.py".
+        more: folders or files of `plant` beside physics and effects, such as "links/kernel.py".
     """
     crc = 0
     for name in (*_ALWAYS, *more):
-        place = resources.files("plant").joinpath(*name.split("/"))
-        files = [place] if place.is_file() else sorted(place.iterdir(), key=lambda f: f.name)
-        for file in files:
-            if file.name.endswith(".py"):
-                crc = zlib.crc32(file.read_bytes(), crc)
+        for file in _sources(resources.files("plant").joinpath(*name.split("/"))):
+            crc = zlib.crc32(file.read_bytes(), crc)
     return crc
+
+
+def _sources(place: Traversable) -> Iterator[Traversable]:
+    if place.is_dir():
+        for inner in sorted(place.iterdir(), key=lambda f: f.name):
+            yield from _sources(inner)
+    elif place.name.endswith(".py"):
+        yield place

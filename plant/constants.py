@@ -21,6 +21,8 @@ REFERENCE_DENSITY_KG_M3 = 1.185
 REFERENCE_TEMPERATURE_K = 293.15
 """Temperature of the reference state of ISO 6358."""
 
+STANDARD_GRAVITY_M_S2 = 9.80665
+
 
 @dataclass(frozen=True)
 class Key:
@@ -84,7 +86,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class PlantConstants:
-    """All constants of one bench in SI (Pa gauge, m, s, N, K), as PLANT.md names them.
+    """All constants of one bench in SI (Pa gauge, m, s, N, K), named as in docs/reference/plant.md.
 
     `tolerances` holds, per plant-file key, one standard deviation as a number in that key's
     unit or as a share of the value ("5 %"); read it with `tolerance_si`.

@@ -6,10 +6,12 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+from analysis.reporting.derived import try_derive
 from daq.store.run import Run, open_run
 from rigs.execution.runner import Runner
-from rigs.execution.session import Result, run_isometric
-from rigs.protocols.isometric_method import Isometric, load_isometric
+from rigs.execution.session import Result, run_protocol
+from rigs.protocols.isometric import Isometric, load_isometric
+from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 
@@ -23,6 +25,16 @@ def quick(config: RigConfig, **changes: Any) -> Isometric:
         "precondition_cycles": 0,
     }
     return dataclasses.replace(base, **{**values, **changes})
+
+
+def run_isometric(
+    config: RigConfig, plan: Isometric, root: Path, derive: bool = True, **how: Any
+) -> Result:
+    """Run an isometric test and, with ``derive``, make its table, report and view as a command."""
+    result = run_protocol(procedure("isometric"), config, plan, root, **how)
+    if derive:
+        try_derive(result.folder, result.error)
+    return result
 
 
 def run_bench(

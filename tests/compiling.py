@@ -16,7 +16,7 @@ PARTS = (
     "import plant.simulator.kernel, plant.scene.kernel",
     """
 import numpy as np
-from rigs.execution.pictures import measure_stored
+from analysis.reduction.pictures import measure_stored
 from rigs.virtual.emulators.camera import render
 measure_stored(render(60.0, np.random.default_rng(0)), {})
 """,

@@ -1,4 +1,4 @@
-"""Writes the pictures that the commands of docs/length.md speak of, into a folder.
+"""Writes the pictures that the commands of docs/use/length.md speak of, into a folder.
 
 python tests/docs_pictures.py FOLDER
 """

@@ -71,7 +71,7 @@ def write_set(
     late_s: float = 0.0,
     opens_late_s: Sequence[float] = (),
 ) -> Path:
-    """Write a data set in the EXCHANGE form with `effects` of the plant switched on.
+    """Write a data set in the dataset format with `effects` of the plant switched on.
 
     Each replicate's commands come `late_s` later than those of the one before it; the outlet opens
     `opens_late_s` later at its first stroke of each trial, at its second, ..., than its command.

@@ -19,7 +19,7 @@ PRESSURES = (0.0, 60.0, 120.0, 200.0, 300.0, 400.0, 500.0)
 def settled_set(
     folder: Path, effects: dict[str, dict[str, Any]], replicates: int = 3, seed: int = 1
 ) -> Path:
-    """Isometric tables at five lengths, each `replicates` times, in the EXCHANGE form."""
+    """Isometric tables at five lengths, each `replicates` times, in the dataset format."""
     rng = np.random.default_rng(seed)
     on = Effects.from_config(effects)
     law = ForceLaw(nominal(), on)

@@ -57,9 +57,7 @@ def run_short(
             begin(runner)
 
     plan = plan_of(name, config, method, **changes)
-    result = run_protocol(
-        procedure(name), config, plan, root, on_start=keep, derive=False, **(how or {})
-    )
+    result = run_protocol(procedure(name), config, plan, root, on_start=keep, **(how or {}))
     return result, open_run(result.folder), kept[0]
 
 

@@ -27,7 +27,8 @@ from daq.errors import DeviceError
 from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig, open_rig
-from rigs.execution.session import BALANCE_SCHEMA, BALANCE_UNITS, software
+from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
+from rigs.execution.manifest import software
 from rigs.rigfile.config import RigConfig, load_rig
 
 SETPOINTS_KPA = (150.0, 300.0, 450.0, 250.0)
@@ -142,20 +143,21 @@ def sound(result: dict[str, Any]) -> bool:
     return not lost and result["rss_mb_per_hour"] <= MOST_MB_H
 
 
-TITLE = """# A day and an hour without a lost sample
+TITLE = """# Soak test: 24 virtual hours and one real hour
 
-Made by `make soak` (`python -m tests.soak --page docs/soak.md`: a virtual day) and, for the hour in
-real time over pseudo-terminals, `python -m tests.soak --real --page docs/soak.md`. The simulated
-controller runs the real firmware at 1 kHz and regulates from one set-point to the next each minute;
-real driver, real record. Samples are counted afterwards in the Arrow files, by their sequence
-numbers. Memory is the recording program's, read each minute; its slope is that of the second half.
+`make soak` writes this page: `python -m tests.soak --page docs/evidence/soak.md` runs a virtual
+day, and `python -m tests.soak --real --page docs/evidence/soak.md` runs one hour in real time
+over pseudo-terminals. The simulated controller runs the real firmware at 1 kHz and moves to a
+new set-point every minute. Driver and record are the real ones. Afterwards the samples in the
+Arrow files are counted by their sequence numbers. Memory is that of the recording program, read
+every minute; the slope is that of the second half.
 
-| Clock | Hours | Samples | Lost | Faults | Memory | At most | Slope | CPU | Took | On | Source |
+| Clock | Hours | Samples | Lost | Faults | Memory | Peak | Slope | CPU | Took | On | Source |
 |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|---|---|
 """
 LEGEND = """
-*Faults*: the controller vented because the host was starved of its processor for more than 300 ms
-(on the virtual clock that cannot be); it is armed again, and the samples go on meanwhile.
+*Faults*: the controller vented because the host got no processor time for more than 300 ms (this
+cannot happen on the virtual clock). The controller is armed again, and sampling continues.
 """
 
 

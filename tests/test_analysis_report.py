@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.figures.drawing import spread
+from analysis.figures.timeline import min_max
+from analysis.figures.wording import with_u
 from analysis.findings.hysteresis import hysteresis_findings
 from analysis.findings.isobaric import isobaric_findings
 from analysis.findings.isotonic import isotonic_findings
 from analysis.formats.importer import import_points, import_thesis
 from analysis.reduction.columns import points_frame
 from analysis.reduction.points import Reduction, reduce_isometric
-from analysis.reporting.drawing import spread
 from analysis.reporting.report import report_json, write_report
 from analysis.reporting.sections import section_parts
-from analysis.reporting.timeline import min_max
-from analysis.reporting.wording import with_u
 from analysis_bench import CALIBRATIONS, write_run
 from daq.clock import VirtualClock
 from daq.store.run import open_run

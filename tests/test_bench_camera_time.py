@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from analysis.figures.timeline import timeline_figure
 from analysis.reporting.report import report_json, write_report
-from analysis.reporting.timeline import timeline_figure
 from bench_runs import run_bench
 from daq.store.run import Run
 from rigs.rigfile.config import load_rig

@@ -1,6 +1,6 @@
 """Do settled points agree with the plant as often as their uncertainty says?
 
-The oracle is PLANT.md's muscle equation, written out here, not taken from the package.
+The oracle is the nominal plant's muscle equation, written out here, not taken from the package.
 """
 
 from __future__ import annotations
@@ -91,6 +91,6 @@ def test_stated_uncertainty_covers_the_plant_on_the_thesis_bench(tmp_path: Path)
 
 
 def test_the_equation_here_is_that_of_the_specification() -> None:
-    """PLANT.md check 2: F(600 kPa) at 52, 55, 60, 65 and 67 mm."""
+    """docs/reference/plant.md, check 2: F(600 kPa) at 52, 55, 60, 65 and 67 mm."""
     got = [force_n(600.0, length) for length in (52.0, 55.0, 60.0, 65.0, 67.0)]
     assert np.round(got, 2).tolist() == [4.13, 17.49, 41.42, 67.44, 78.43]

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from bench_runs import run_isometric
 from daq.store.run import open_run
 from daq.store.store import verify
-from rigs.execution.session import run_isometric
-from rigs.protocols.isometric_method import load_isometric
+from rigs.protocols.isometric import load_isometric
 from rigs.rigfile.config import load_rig
 
 

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 import pamrig
-from bench_runs import quick, run_bench
+from bench_runs import quick, run_bench, run_isometric
 from daq.interrupt import StopFlag
 from daq.store.run import open_run
 from rigs.execution.runner import Watch
-from rigs.execution.session import run_isometric
-from rigs.execution.steps import Measure, SetLength, SetPressure, Tare, Vent
-from rigs.protocols.isometric_method import steps
+from rigs.protocols.isometric import steps
 from rigs.rigfile.config import load_rig
+from rigs.steps.steps import Measure, SetLength, SetPressure, Tare, Vent
 
 
 def record_of(folder: Path) -> dict[str, bytes]:

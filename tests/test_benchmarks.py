@@ -35,7 +35,7 @@ def test_a_part_runs_at_its_tiny_size_and_renders(name: str) -> None:
         pytest.importorskip("mujoco")
     if name == "marker":
         pytest.importorskip("skimage")
-    module = importlib.import_module(f"benchmarks.{name}")
+    module = importlib.import_module(f"benchmarks.{PARTS[name]}")
     figures = json.loads(json.dumps(module.measure(True)))  # as it is kept
     text = "\n".join(module.lines(figures))
     assert "| " in text

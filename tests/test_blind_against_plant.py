@@ -1,6 +1,6 @@
 """Two implementations that share no code: where both are plain, they must say the same.
 
-The blind bench and `plant` were written apart from PLANT.md and EFFECTS.md. Nominal trials agree
+Both were written separately from the same contract (docs/reference). Nominal trials agree
 within the integrators' errors; every effect in its plainest form has the same sign and, where the
 catalogue leaves no shape open, the same size.
 """

@@ -1,4 +1,4 @@
-"""The blind bench's own physics, held against PLANT.md's checks and closed forms."""
+"""The blind bench's own physics against the checks of docs/reference/plant.md and closed forms."""
 
 from __future__ import annotations
 

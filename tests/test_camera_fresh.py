@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.reduction.pictures import measure_stored
 from daq.clock import RealClock, VirtualClock
 from daq.errors import DeviceError, DeviceTimeout
 from protocol_runs import run_short
@@ -17,7 +18,6 @@ from rigs.devices.camera import CallCamera, TriggeredUvc
 from rigs.devices.event_loop import Pump
 from rigs.devices.fresh_camera import AGAIN_S, FreshCamera
 from rigs.devices.uvc import UvcCamera, UvcFrame
-from rigs.execution.pictures import measure_stored
 from rigs.virtual.emulators.camera import render
 
 SHAPE = (8, 8)

@@ -218,7 +218,7 @@ BEYOND_ADAPTIVE = (
     "braid threads 5 % shorter",
     "braid friction 4 N, fibres slide twice as far",
 )
-"""Cases that put the adaptive law off the circle by more than 1 mm; docs/control.md says so."""
+"""Cases that put the adaptive law off the circle by more than 1 mm; docs/use/control.md says so."""
 
 
 def halving(law: str, valve: str, case: Case) -> float:

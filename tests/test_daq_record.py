@@ -684,7 +684,8 @@ def test_the_five_lines_in_the_docs_read_a_run(
     writer, clock = begin(tmp_path)
     fill(writer, clock)
     writer.finalize("clean")
-    text = (Path(__file__).parents[1] / "docs" / "record-format.md").read_text("utf-8")
+    page = Path(__file__).parents[1] / "docs" / "reference" / "record-format.md"
+    text = page.read_text("utf-8")
     code = text.split("```python\n")[1].split("```")[0]
     monkeypatch.chdir(writer.folder)
     names: dict[str, Any] = {}

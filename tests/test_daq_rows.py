@@ -141,7 +141,7 @@ def test_what_is_no_row_is_refused_and_nothing_is_lost_by_it(
 
 
 def test_what_the_docs_show_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = (Path(__file__).parent.parent / "docs" / "record-format.md").read_text()
+    page = (Path(__file__).parent.parent / "docs" / "reference" / "record-format.md").read_text()
     (block,) = re.findall(r"## Record something else\n\n```python\n(.*?)```", page, re.S)
     monkeypatch.chdir(tmp_path)
     exec(block, {})

@@ -20,10 +20,15 @@ from rigs.rigfile.toml_reader import find_config
 HOUSE = Path(__file__).resolve().parent.parent
 PAGES = [
     "README.md",
-    *sorted(p.relative_to(HOUSE).as_posix() for p in (HOUSE / "docs").glob("*.md")),
+    *sorted(p.relative_to(HOUSE).as_posix() for p in (HOUSE / "docs").rglob("*.md")),
 ]
 # A minute of computing each, of commands whose short forms other tests run: with the campaigns.
-LONG = {"docs/models.md", "docs/valve-tests.md", "docs/control.md", "docs/study-finger.md"}
+LONG = {
+    "docs/use/models.md",
+    "docs/use/valve-tests.md",
+    "docs/use/control.md",
+    "docs/evidence/study-finger.md",
+}
 # What a reader puts in for himself.
 PLACES = {"RUN": "last", "runs/<run>": "last"}
 # These serve until they are stopped.

@@ -13,15 +13,15 @@ from pathlib import Path
 
 import pytest
 
+from analysis.run_table import reduce_run
 from daq.store.run import Run, open_run
 from daq.store.store import list_runs, verify
-from rigs.execution.resume import reduce_run
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig
 
 HOUSE = Path(__file__).resolve().parent.parent
-PAGE = HOUSE / "docs" / "first-day.md"
+PAGE = HOUSE / "docs" / "start" / "first-day.md"
 ANSWER_S = 300.0
 QUESTION = re.compile(r">> (.*?press Enter.*?)\r?\n", re.DOTALL)
 
@@ -179,9 +179,7 @@ def test_nobody_at_the_terminal_ends_the_test_instead_of_waiting_for_ever(
     kind = procedure("isotonic")
     with Path(os.devnull).open() as nobody:
         monkeypatch.setattr(sys, "stdin", nobody)
-        result = run_protocol(
-            kind, config, kind.read("isotonic-short", config), tmp_path, derive=False
-        )
+        result = run_protocol(kind, config, kind.read("isotonic-short", config), tmp_path)
     assert result.outcome == "faulted"
     assert "nobody answers" in str(result.error)
     assert [e for e in open_run(result.folder).events if e["kind"] == "vented"]

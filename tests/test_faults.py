@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.run_table import reduce_run
 from daq.link.framer import CobsFramer
 from daq.store.run import open_run
 from faults.campaign import run_campaign
@@ -23,11 +24,12 @@ from faults.places import empty_s
 from faults.trial import Truth, run_trial
 from faults.values import check_step
 from protocol_runs import run_short
-from rigs.devices.instruments.modbus import ModbusForm
-from rigs.execution.actions.loads import HangLoad
-from rigs.execution.resume import reduce_run, remaining
-from rigs.execution.steps import EndTrial, Steps, Trial
+from rigs.execution.resume import remaining
 from rigs.rigfile.form import load_form
+from rigs.rigfile.modbus_form import ModbusForm
+from rigs.steps.custom_step import Steps
+from rigs.steps.loads import HangLoad
+from rigs.steps.steps import EndTrial, Trial
 from rigs.virtual.emulators.modbus import VirtualModbus
 from rigs.virtual.emulators.text import VirtualText
 from valvefw.wire import TELEMETRY

@@ -160,8 +160,8 @@ class TestTotals:
 
     def test_mimicked_sets_stand_apart(self) -> None:
         table = self.table()
-        assert table["mimicked: a single name given"]["hits"] == 1
-        assert table["mimicked: a single name given"]["met"] is False
+        assert table["with confounder: a single name given"]["hits"] == 1
+        assert table["with confounder: a single name given"]["met"] is False
 
     def test_nothing_to_count_is_no_success(self) -> None:
         line = self.table()["both of two named, each >= 2 floors"]

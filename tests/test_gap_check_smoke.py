@@ -1,7 +1,7 @@
 """Sixty small blind sets through the real diagnosis: the campaign's first minutes.
 
 Bounds are those of a run that has gone wrong, not of the targets: sixty sets cannot show two
-percent. The campaign itself is in docs/gap-check.md.
+percent. The campaign itself is in docs/evidence/gap-check.md.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from gap.data.dataset import Channel, DataSet
 from gap.data.duplicates import without_duplicates
 from gap.data.quality import unfit_channels
 from gap.data.reader import read_dataset
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem
 from gap_bench import write_set
 from gap_sets import settled_set
@@ -41,7 +41,7 @@ def test_amounts_stay_within_the_range_of_the_catalogue(tmp_path: Path) -> None:
     problem = FitProblem.of(
         read_dataset(settled_set(tmp_path / "table", {"force_gain": {"percent": 29.0}}))
     )
-    gain = next(s for s in SUSPECTS if s.id == "pressure_gain")
+    gain = next(s for s in CANDIDATES if s.id == "pressure_gain")
     assert abs(float(problem.fit([gain], [385.0]).amounts[0])) <= 30.0
 
 

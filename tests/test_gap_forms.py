@@ -10,8 +10,9 @@ import pytest
 from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.force import Active, Context
-from gap.model.residuals import _switch
 from plant.constants import nominal
+from plant.effects import pressure_stage as stage
+from plant.physics import layout
 from test_gap_shapes import still
 
 C = nominal()
@@ -27,19 +28,15 @@ def course(
     edges: list[tuple[float, int]],
 ) -> np.ndarray:
     """Predicted reading in Pa every millisecond of 0.4 s, the inlet switched at `edges`."""
-    problem = np.zeros(chamber.SIZE)
-    problem[chamber.ATMOSPHERE], problem[chamber.TEMPERATURE] = C.atmosphere_pa, C.gas_temperature_k
-    problem[chamber.BRAID], problem[chamber.TURNS] = C.braid_length_m, C.turns
-    problem[chamber.AREA_IN] = C.inlet_conductance_m3_s_pa
-    problem[chamber.AREA_OUT] = C.outlet_conductance_m3_s_pa
-    problem[chamber.RATIO_IN] = problem[chamber.RATIO_OUT] = C.critical_ratio
-    problem[chamber.VOLUME], problem[chamber.EXPONENT] = C.dead_volume_m3, 1.0
-    _switch(problem, name, option, amount, shape)
+    q = chamber.parameters(C, [(name, option, amount, shape)], C.supply_pa)
+    q[stage.FOLLOW] = 0.0
+    for k in range(4):
+        q[layout.DELAY + k] = q[layout.DELAY_SLOPE + k] = 0.0
     time = np.arange(0.0, 0.4, 1e-3)
     n = len(time)
     out = np.empty(n)
     chamber.predict(
-        problem, np.array([0, n]), time, np.zeros(n), np.full(n, HELD_M), np.full(n, SUPPLY_PA),
+        q, np.array([0, n]), time, np.zeros(n), np.full(n, HELD_M), np.full(n, SUPPLY_PA),
         np.array([0, len(edges)]), np.array([at for at, _ in edges]),
         np.array([float(to) for _, to in edges]), np.zeros(len(edges), dtype=np.int64), out,
         np.zeros(1),

@@ -8,7 +8,7 @@ from itertools import islice
 import pytest
 
 from gap.data.reader import read_dataset
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.search import SearchResult, search_effects
@@ -35,7 +35,7 @@ def named(earlier_and_all: tuple[FitProblem, FitProblem]) -> SearchResult:
 
 
 def fitted(problem: FitProblem, name: str) -> FitResult:
-    candidate = next(s for s in SUSPECTS if s.id == name)
+    candidate = next(s for s in CANDIDATES if s.id == name)
     return problem.polish(problem.fit([candidate], [candidate.step]))
 
 

@@ -213,8 +213,7 @@ def named(folder: Path, file: str, rig: str = "virtual-instruments") -> str:
 
 
 def test_a_rig_file_names_it_and_a_run_freezes_it(tmp_path: Path) -> None:
-    from bench_runs import quick
-    from rigs.execution.session import run_isometric
+    from bench_runs import quick, run_isometric
 
     done = calibrate_pressure(load_rig("virtual-instruments"), [0, 200, 400, 600], tmp_path / "c")
     write_calibration(tmp_path / "p.toml", done.file, done.points)
@@ -239,8 +238,7 @@ def test_a_rig_file_names_it_and_a_run_freezes_it(tmp_path: Path) -> None:
 
 def test_a_measurement_outside_its_domain_says_so(tmp_path: Path) -> None:
     from analysis.reduction.points import reduce_isometric
-    from bench_runs import quick
-    from rigs.execution.session import run_isometric
+    from bench_runs import quick, run_isometric
 
     done = calibrate_pressure(load_rig("virtual-instruments"), [0, 100, 200, 300], tmp_path / "c")
     write_calibration(tmp_path / "p.toml", done.file, done.points)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench_runs import quick
+from analysis.run_table import reduce_run
+from bench_runs import quick, run_isometric
 from daq.clock import VirtualClock
 from daq.errors import DeviceError
 from daq.store.run import open_run
@@ -16,10 +17,9 @@ from rigs.bench.doctor import examine
 from rigs.bench.rig import open_rig
 from rigs.devices.event_loop import Pump
 from rigs.devices.operator import ManualAxis, Request, ask_number
-from rigs.execution.resume import reduce_run
 from rigs.execution.runner import Runner
-from rigs.execution.session import run_isometric, run_protocol
-from rigs.protocols.isometric_method import load_isometric
+from rigs.execution.session import run_protocol
+from rigs.protocols.isometric import load_isometric
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.rigfile.toml_reader import find_config
@@ -234,7 +234,7 @@ def test_a_load_is_given_a_catch_and_the_record_says_so_when_it_was_needed(tmp_p
         runner.rig.pump.add(look)
 
     result = run_protocol(
-        kind, config, kind.read("isotonic-short", config), tmp_path, on_start=fail, derive=False
+        kind, config, kind.read("isotonic-short", config), tmp_path, on_start=fail
     )
     assert result.outcome == "faulted"
     events = open_run(result.folder).events

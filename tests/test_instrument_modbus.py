@@ -19,7 +19,8 @@ from daq.clock import RealClock, VirtualClock
 from daq.link.transport import SerialLink, memory_pair
 from instrument_desk import Desk
 from rigs.devices.event_loop import Pump
-from rigs.devices.instruments.modbus import KINDS, ORDERS, ModbusForm, ModbusInstrument
+from rigs.devices.instruments.modbus import ModbusInstrument
+from rigs.rigfile.modbus_form import KINDS, ORDERS, ModbusForm
 from rigs.virtual.emulators.modbus import VirtualModbus, crc16
 
 FORM = ModbusForm(

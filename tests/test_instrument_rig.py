@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from bench_process import BUSY
-from bench_runs import quick
+from bench_runs import quick, run_isometric
 from daq.errors import ConfigError
 from daq.interrupt import StopFlag
 from daq.store.derive import engineering
 from daq.store.run import Run, open_run
 from rigs.bench.doctor import examine
 from rigs.bench.rig import open_rig
-from rigs.execution.session import Result, run_isometric
+from rigs.execution.session import Result
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.server import open_server

@@ -128,7 +128,7 @@ MISHAPS = {
 def test_a_mishap_on_the_wire_is_counted_and_never_a_wrong_value(name: str, mishap: str) -> None:
     desk, driver, form = desk_of(name)
     if mishap == "checksum" and form.checksum == "none":
-        pytest.skip("without a checksum a flipped digit cannot be told: see docs/instruments.md")
+        pytest.skip("no checksum, no detection: see docs/reference/instruments.md")
     told: list[str] = []
     driver.faults.on_fault.append(lambda kind, words: told.append(kind))
     driver.connect("")
@@ -272,6 +272,11 @@ def test_tare_waits_for_readings_at_rest() -> None:
         ("[ 0-9]{3}", "( 0-9{3}", r"pattern: is no regular expression"),
         ("humidity_percent", "humidity", r"quantity: 'humidity' has no unit"),
         ("rate_hz", "rate_Hz", r"rate_Hz: unknown key"),
+        ("{value:5.1f}", "{value.__class__}", r"template: .* is no line with \{value\}"),
+        ("{value:5.1f}", "{value:999999999}", r"template: .* is no line with \{value\}"),
+        ("{value:5.1f}", "{value:{unit}}", r"template: .* is no line with \{value\}"),
+        ("{value:5.1f}", "{0}", r"template: .* is no line with \{value\}"),
+        ("{value:5.1f}", "{value", r"template: .* is no line with \{value\}"),
     ],
 )
 def test_a_description_that_cannot_work_is_refused(

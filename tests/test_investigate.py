@@ -21,10 +21,10 @@ from gap.data.run_trials import run_trials
 from gap.verdict import Experiment, Verdict
 from plant.effects.catalogue import CATALOGUE
 from rigs.bench.rig import open_rig
-from rigs.execution.schedule import outline
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig, load_rig
+from rigs.steps.schedule import outline
 from rigs.virtual.bench import VirtualBench
 from withheld_campaign import MIMICKED, RIG, entropy_of, judged, read_journal, seeds_of, totals
 
@@ -245,9 +245,7 @@ def test_a_sweep_is_a_trial_of_its_own_seen_by_the_camera_all_the_way(
     path.write_text(SWEPT.format(speeds="4.0"))
     config = load_rig("virtual")
     kind = procedure("isobaric")
-    result = run_protocol(
-        kind, config, kind.read(str(path), config), tmp_path / "runs", derive=False
-    )
+    result = run_protocol(kind, config, kind.read(str(path), config), tmp_path / "runs")
     assert result.outcome == "clean"
     stepped, swept = run_trials(open_run(result.folder))
     assert swept.row["slot"] == f"{stepped.row['slot']} swept"
@@ -267,9 +265,7 @@ def test_a_bench_that_hides_nothing_has_no_camera_out_of_time(tmp_path: Path) ->
     path.write_text(SWEPT.format(speeds="8.0"))
     config = load_rig(RIG)
     kind = procedure("isobaric")
-    result = run_protocol(
-        kind, config, kind.read(str(path), config), tmp_path / "runs", derive=False
-    )
+    result = run_protocol(kind, config, kind.read(str(path), config), tmp_path / "runs")
     (swept,) = (t for t in run_trials(open_run(result.folder)) if "swept" in t.row["slot"])
     seen = swept.samples[["time_s", "length_mm"]].dropna()
     pull = swept.samples[["time_s", "force_n"]].dropna()

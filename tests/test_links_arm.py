@@ -198,7 +198,7 @@ FULL = {"rod_diameter_mm": None, "com_mm": [-50, 0, 0]}
         ),
         (FULL | {"inertia_g_mm2": [5, 5, 5]}, "expected a list of 6 numbers"),
         ({"range_deg": [70, -20]}, "its range must rise"),
-        ({"joint": 3}, "joint = 3; expected a name"),
+        ({"joint": 3}, "joint = 3; expected a plain word"),
         ({"damping_n_m_s": -1}, "damping_n_m_s = -1 is out of range"),
     ],
 )

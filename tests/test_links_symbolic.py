@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -241,16 +243,50 @@ def test_a_cache_that_cannot_be_written_only_costs_time(
     assert "def inertia" in generated_source(load_arm("planar2"))
 
 
-def test_generated_functions_compile_with_numba() -> None:
+def test_generated_functions_compile_with_numba(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from numba import njit
 
     arm = load_arm("finger")
-    functions = generated(arm).functions
-    compiled = njit(functions["inverse_dynamics"])
+    (tmp_path / "finger_equations.py").write_text(generated_source(arm))
+    monkeypatch.syspath_prepend(tmp_path)
+    source = importlib.import_module("finger_equations")
+    compiled = njit(source.inverse_dynamics)
     q, qd, qdd = (x[0] for x in states(arm, 1))
     ours = np.array(compiled(tuple(q), tuple(qd), tuple(qdd)))
     theirs = dyn.inverse_dynamics(arm, q, qd, qdd)
     assert np.abs(ours - theirs).max() < 1e-12 * np.abs(theirs).max()
+
+
+def same(ours: Any, theirs: Any) -> bool:
+    """Tuples of tuples of numbers or arrays."""
+    if isinstance(theirs, tuple):
+        return len(ours) == len(theirs) and all(map(same, ours, theirs))
+    return np.array_equal(ours, theirs)
+
+
+@each_arm
+def test_evaluated_and_run_the_source_says_the_same(
+    arm: Arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bit by bit, on numbers and on arrays, with the arm's parameters and with others."""
+    (tmp_path / f"run_{arm.name}.py").write_text(generated_source(arm))
+    monkeypatch.syspath_prepend(tmp_path)
+    run = importlib.import_module(f"run_{arm.name}")
+    ours = generated(arm).functions
+    q, qd, tau = (tuple(x.T) for x in states(arm, 5))
+    first = [tuple(float(x[0]) for x in given) for given in (q, qd, tau)]
+    other = tuple(1.01 * value for value in run.P)
+    for given in ((q, qd, tau), first):
+        for name, count in (("inertia", 1), ("coriolis", 2), ("gravity", 1),
+                            ("inverse_dynamics", 3), ("forward_dynamics", 3)):  # fmt: skip
+            for p in (run.P, other):
+                theirs = getattr(run, name)(*given[:count], p)
+                assert same(ours[name](*given[:count], p=p), theirs)
+            assert same(ours[name](*given[:count]), getattr(run, name)(*given[:count]))
+    x = (*first[0], *first[1])
+    assert ours["state_space"](x, first[2]) == run.state_space(x, first[2])
 
 
 def test_nothing_calls_simplify() -> None:

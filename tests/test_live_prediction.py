@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench_runs import quick
+from bench_runs import quick, run_isometric
 from daq.errors import ConfigError
 from daq.store.run import open_run
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
 from rigs.execution.runner import Runner
-from rigs.execution.session import run_isometric
 from rigs.live.prediction import FORCE_PATH, PRESSURE_PATH, SHARE_PATHS, LivePrediction
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.plant_file import load_plant

@@ -10,7 +10,7 @@ from plant.audit.printed import same, truncated, unit_in_last_place
 from plant.audit.rest import full_regression_c8, full_regression_c9, full_regression_d1
 from plant.fitting.table43 import STATISTICS, describe, recover_braid, table
 from plant.fitting.tables import best_subsets, full_regression, subsets_text
-from plant.models.thesis_points import thesis_points
+from plant.fitting.thesis_points import thesis_points
 from plant.thesis import anomalies, array
 
 REPRODUCES = {

@@ -11,8 +11,8 @@ from plant.errors import PlantError
 from plant.fitting.compare import compare, floors
 from plant.fitting.data import Points, joined
 from plant.fitting.fit import fit
+from plant.fitting.thesis_points import thesis_points
 from plant.models import catalogue
-from plant.models.thesis_points import thesis_points
 
 CANDIDATES = ("chou-hannaford", "braid-bladder", "liner-braid", "quasi-static", "black-box")
 

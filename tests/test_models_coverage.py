@@ -1,6 +1,6 @@
 """Do 95 % intervals hold the truth of a virtual bench as often as they say?
 
-Every bench draws its own calibration errors; the truth is PLANT.md's braid.
+Every bench draws its own calibration errors; the truth is the nominal plant's braid.
 """
 
 from __future__ import annotations

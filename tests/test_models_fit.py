@@ -13,10 +13,10 @@ from scipy.stats import norm
 from plant.errors import PlantError
 from plant.fitting.data import Points, SensorErrors, joined
 from plant.fitting.fit import fit
+from plant.fitting.thesis_points import thesis_points
 from plant.models import catalogue
 from plant.models.law import History
 from plant.models.model import OutsideDomain
-from plant.models.thesis_points import thesis_points
 
 STATIC = [n for n in catalogue.names() if not catalogue.get(n).law.memory]
 SENSORS = {

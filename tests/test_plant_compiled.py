@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import plant
 from plant import compiled
@@ -19,23 +20,44 @@ FOLDER = Path(plant.__file__).parent
 
 
 def test_the_cache_is_renewed_by_every_source_that_is_compiled_in() -> None:
-    todo, seen = ["kernel"], set()
+    todo, seen = ["plant.simulator.kernel"], set()
     while todo:
         name = todo.pop()
-        seen.add(f"{name}.py")
-        text = (FOLDER / f"{name}.py").read_text()
-        found = re.findall(r"^from plant\.(\w+) import", text, re.M)
-        for names in re.findall(r"^from plant import (.+)$", text, re.M):
-            found += [part.split(" as ")[0].strip() for part in names.split(",")]
-        todo += [other for other in found if f"{other}.py" not in seen]
+        seen.add(name)
+        place = FOLDER.parent.joinpath(*name.split("."))
+        text = (place / "__init__.py" if place.is_dir() else place.with_suffix(".py")).read_text()
+        found = re.findall(r"^from (plant[\w.]*) import", text, re.M)
+        for room, names in re.findall(r"^from (plant[\w.]*) import ([\w, ]+)$", text, re.M):
+            parts = [f"{room}.{part.split(' as ')[0].strip()}" for part in names.split(",")]
+            found += [part for part in parts if _module(part)]
+        todo += [other for other in found if other not in seen and other != "plant"]
     # Errors and the reading of files carry no numbers into compiled code.
-    assert seen - {"errors.py", "tomlfile.py"} == set(compiled._SOURCES)
+    carried = {name for name in seen if name not in ("plant.errors", "plant.tomlfile")}
+    rooms = ("compiled", "constants", "effects", "physics", "simulator")
+    assert {name.split(".")[1] for name in carried} == set(rooms)
+    assert len(carried) > 40
+
+
+def _module(name: str) -> bool:
+    place = FOLDER.parent.joinpath(*name.split("."))
+    return place.is_dir() or place.with_suffix(".py").is_file()
+
+
+def test_a_change_in_an_inner_room_changes_the_fingerprint(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = compiled.fingerprint()
+    sources = compiled._sources
+    inner = [file.name for file in sources(FOLDER / "effects")]
+    assert {"creep.py", "leak.py", "wear.py"} <= set(inner)
+    monkeypatch.setattr(
+        compiled, "_sources", lambda place: [f for f in sources(place) if f.name != "creep.py"]
+    )
+    assert compiled.fingerprint() != before
 
 
 def test_the_fingerprint_is_part_of_what_the_cache_is_keyed_by() -> None:
     for entry in (kernel.advance, kernel.run):
         cells = [cell.cell_contents for cell in entry.py_func.__closure__]  # type: ignore[attr-defined]
-        assert compiled.fingerprint() in cells
+        assert compiled.fingerprint("simulator") in cells
 
 
 def test_the_same_commands_give_the_same_numbers_to_the_bit() -> None:

@@ -437,8 +437,7 @@ def test_an_effect_of_size_zero_changes_not_a_bit(name: str) -> None:
 
 def test_without_effects_the_kernel_takes_the_nominal_numbers_and_skips_every_addition() -> None:
     params = build_params(C)
-    off = (layout.MUSCLE_ADDITIONS, layout.REMEMBERS, layout.CREEP_GAIN, layout.SUPPLY_DROOP)
-    assert all(params[k] == 0.0 for k in (*off, layout.LINK_FRICTION, layout.PRESSURE_LAG))
+    assert np.all(params[layout.EFFECTS :] == 0.0)
     assert params[layout.DEAD_VOLUME] == C.dead_volume_m3
     assert params[layout.DELAY_MODE] == 0.0
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from analysis.reduction.points import reduce_isometric
-from bench_runs import quick
-from cli.test.request import tell_run
+from bench_runs import quick, run_isometric
+from cli.protocols.request import tell_run
 from daq.clock import NS_PER_S
 from daq.errors import ConfigError, RecordError
 from daq.store.run import Run, open_run
@@ -19,11 +19,10 @@ from daq.store.verify import verify
 from protocol_runs import run_short
 from rigs.execution.control import RunControl, control_file
 from rigs.execution.runner import Runner, Watch
-from rigs.execution.schedule import arrange, outline, path
-from rigs.execution.session import run_isometric
-from rigs.protocols.isometric_method import Isometric
+from rigs.protocols.isometric import Isometric
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig
+from rigs.steps.schedule import arrange, outline, path
 
 
 def steered(
@@ -184,7 +183,7 @@ def test_every_point_is_put_into_the_live_view(
     _, run, _ = run_short(name, tmp_path, how={"watch": watch})
     made = events(run, "point")
     assert len(shown) == len(made) == points
-    layout = procedure(name).layout(run.manifest["parameters"])
+    layout = procedure(name).analysis.layout(run.manifest["parameters"])
     panels = [p for column in layout.columns for p in column if getattr(p, "kind", "") == "points"]
     assert panels, "the view has a panel for them"
     for (x, y, label), event in zip(shown, made, strict=True):

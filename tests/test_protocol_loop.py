@@ -29,7 +29,7 @@ def measured(root: Path, name: str, keep: list[Any] | None = None, **changes: An
         if keep is not None:
             keep.append(runner.rig.bench)
 
-    result = run_protocol(kind, config, plan, root, derive=False, on_start=start)
+    result = run_protocol(kind, config, plan, root, on_start=start)
     assert result.error is None
     return open_run(result.folder)
 
@@ -74,10 +74,10 @@ def test_a_falling_step_overshoots_downwards() -> None:
 
 
 def test_schemes_are_told_apart_and_errors_hold_the_truth(tmp_path: Path) -> None:
-    """Bursts stay on the set-point, two-position swings (docs/valve-schemes.md)."""
+    """Bursts stay on the set-point, two-position swings (docs/reference/valve-schemes.md)."""
     kept: list[Any] = []
     run = measured(tmp_path, "step", kept, pressures_kpa=(200.0, 350.0, 150.0))
-    table = procedure("step").reduce(run).table.set_index(["scheme", "set_pressure_kpa"])
+    table = procedure("step").analysis.reduce(run).table.set_index(["scheme", "set_pressure_kpa"])
     assert table.loc["two", "ripple_kpa"].min() > 30.0
     assert table.loc["burst", "ripple_kpa"].max() < 5.0
     assert table.loc["burst", "settled"].all()
@@ -116,7 +116,7 @@ def test_a_ram_stops_at_each_switch_and_stays(tmp_path: Path) -> None:
     """Section 5.9, with a set-point a little above what carries the load."""
     kept: list[Any] = []
     run = measured(tmp_path, "ram", kept)
-    table = procedure("ram").reduce(run).table
+    table = procedure("ram").analysis.reduce(run).table
     assert list(table["slot"]) == ["up to A", "up to B"]
     assert table["settled"].all()
     assert (table["held_share"] == 1.0).all()
@@ -130,7 +130,7 @@ def test_a_ram_that_is_driven_hard_runs_through_its_switch_and_the_report_says_s
     tmp_path: Path,
 ) -> None:
     run = measured(tmp_path, "ram", rise_kpa=90.0, moves=("up to A",), hold_s=0.5)
-    (row,) = procedure("ram").reduce(run).table.to_dict("records")
+    (row,) = procedure("ram").analysis.reduce(run).table.to_dict("records")
     assert row["held_share"] < 0.5
     assert not report_json(run)["sections"][-1]["rows"][1]["same"]
 

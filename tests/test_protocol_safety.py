@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.reduction.pictures import measure_stored
 from bench_process import LIMIT_S, STARVED_MS, run_in_real_time
 from daq.interrupt import StopFlag
 from daq.store.run import open_run
 from daq.store.store import verify
 from plant.physics.layout import PRESSURE
 from protocol_runs import events, run_short
-from rigs.execution.actions.leak_check import LeakCheck
 from rigs.execution.control import RunControl
-from rigs.execution.pictures import measure_stored
 from rigs.execution.runner import Runner, Watch
 from rigs.protocols.names import PROTOCOLS
 from rigs.protocols.registry import procedure
+from rigs.steps.leak_check import LeakCheck
 from vision.marker.coarse import _bands
 
 STATIC = ("isometric", "isobaric", "isotonic", "isothermal", "hysteresis")
@@ -192,7 +192,7 @@ def test_no_interruption_loses_or_doubles_a_trial(tmp_path: Path, seed: int) -> 
 def check_whole(run: Any, name: str) -> None:
     """Sound to the byte; every point of the table once, in a trial that began, none invented."""
     assert all(problem.tail for problem in verify(run)), verify(run)
-    table = procedure(name).reduce(run).table
+    table = procedure(name).analysis.reduce(run).table
     assert table["order"].is_unique
     begun = [e["trial"] for e in events(run, "trial") if e["phase"] == "begin"]
     ended = [e["trial"] for e in events(run, "trial") if e["phase"] == "end"]

@@ -14,6 +14,7 @@ import pytest
 
 from analysis.findings.hysteresis import cycles_of
 from analysis.findings.isothermal import temperature_growth, temperature_lines
+from analysis.reduction.setpoint import at_set_pressure
 from daq.store.store import verify
 from plant.constants import nominal
 from plant.effects.effects import Effects
@@ -26,7 +27,6 @@ from protocol_runs import (
     run_short,
     with_virtual,
 )
-from rigs.execution.actions.setpoint import at_set_pressure
 from rigs.execution.runner import Runner
 from rigs.execution.session import run_protocol
 from rigs.protocols.names import default_rig
@@ -41,7 +41,7 @@ G = 9.80665
 
 
 def table_of(run: Any) -> Any:
-    return procedure(run.manifest["protocol"]).reduce(run).table
+    return procedure(run.manifest["protocol"]).analysis.reduce(run).table
 
 
 def true_kpa(bench: VirtualBench, run: Any, event: dict[str, Any]) -> float:
@@ -187,7 +187,9 @@ def test_isotonic_cycles_go_up_and_down_under_each_load(tmp_path: Path) -> None:
     table = table_of(run)
     assert len(table) == 2 * (6 + 4)
     assert sorted(set(table["mass_kg"])) == [0.751, 1.751]
-    found = procedure("hysteresis").findings(run, procedure("hysteresis").reduce(run))  # type: ignore[misc]
+    found = procedure("hysteresis").analysis.findings(
+        run, procedure("hysteresis").analysis.reduce(run)
+    )  # type: ignore[misc]
     assert found.headline
     assert [e["mass_kg"] for e in events(run, "load")] == [0.751, 1.751, 0.0]
 
@@ -291,7 +293,7 @@ def test_an_hour_of_protocol_takes_less_than_a_minute(name: str, tmp_path: Path)
             method = dataclasses.replace(getattr(plan, key), repeats=wanted)
             plan = dataclasses.replace(plan, **{key: method})
     cpu = time.process_time()
-    result = run_protocol(kind, config, plan, tmp_path, derive=False)
+    result = run_protocol(kind, config, plan, tmp_path)
     cpu = time.process_time() - cpu
     from daq.store.run import open_run
 

@@ -27,7 +27,7 @@ def measured(root: Path, name: str, seed: int = 1, **changes: Any) -> Run:
     config = load_rig(STAND, seed)
     kind = procedure(name)
     plan = dataclasses.replace(kind.read(f"{name}-short", config), **changes)  # type: ignore[type-var]
-    result = run_protocol(kind, config, plan, root, derive=False)
+    result = run_protocol(kind, config, plan, root)
     assert result.error is None
     assert result.points == result.planned
     return open_run(result.folder)
@@ -39,7 +39,7 @@ def test_switching_times_of_both_valves_come_back(tmp_path: Path) -> None:
     run = measured(
         tmp_path, "switching-time", valves=("inlet", "outlet"), pressures_kpa=(100.0, 350.0, 600.0)
     )
-    table = procedure("switching-time").reduce(run).table
+    table = procedure("switching-time").analysis.reduce(run).table
     assert len(table) == 6
     assert table["settled"].all()
     for row in table.itertuples():
@@ -58,7 +58,7 @@ def test_switching_voltages_of_both_valves_come_back(tmp_path: Path) -> None:
         tmp_path, "switching-voltage", valves=("inlet", "outlet"),
         pressures_kpa=(100.0, 500.0), step_v=0.06, tolerance_kpa=8.0,
     )  # fmt: skip
-    table = procedure("switching-voltage").reduce(run).table
+    table = procedure("switching-voltage").analysis.reduce(run).table
     assert len(table) == 4
     for row in table.itertuples():
         on = pull_in_v(row.valve, row.pressure_kpa * 1e3, c)
@@ -86,7 +86,7 @@ def test_conductance_and_critical_ratio_come_back_from_the_flow_test(tmp_path: P
 def test_flow_holds_over_many_benches(tmp_path: Path, seed: int) -> None:
     config = load_rig(STAND, seed)
     kind = procedure("flow")
-    result = run_protocol(kind, config, kind.read("flow", config), tmp_path, derive=False)
+    result = run_protocol(kind, config, kind.read("flow", config), tmp_path)
     results = report_json(open_run(result.folder))["results"]
     assert results["conductance_m3_s_pa"] == pytest.approx(1.25e-9, rel=0.02)
     assert results["critical_ratio"] == pytest.approx(0.5, abs=0.02)
@@ -94,7 +94,7 @@ def test_flow_holds_over_many_benches(tmp_path: Path, seed: int) -> None:
 
 def test_a_pulse_too_short_to_open_is_a_point_that_says_so(tmp_path: Path) -> None:
     run = measured(tmp_path, "switching-time", width_us=5000, pressures_kpa=(80.0,))
-    reduction = procedure("switching-time").reduce(run)
+    reduction = procedure("switching-time").analysis.reduce(run)
     (row,) = reduction.table.itertuples()
     assert not row.settled
     assert np.isnan(row.on_ms)
@@ -125,12 +125,10 @@ def test_a_repeated_point_counts_once_by_its_last_take(tmp_path: Path) -> None:
         runner.record.event = event
 
     plan = kind.read("switching-time-short", config)
-    result = run_protocol(
-        kind, config, plan, tmp_path, derive=False, control=control, on_start=again
-    )
+    result = run_protocol(kind, config, plan, tmp_path, control=control, on_start=again)
     run = open_run(result.folder)
     assert sum(e["kind"] == "point" for e in run.events) == 3
-    assert len(kind.reduce(run).table) == 2
+    assert len(kind.analysis.reduce(run).table) == 2
 
 
 @pytest.mark.parametrize(

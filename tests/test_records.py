@@ -22,11 +22,12 @@ from typer.testing import CliRunner
 from analysis.formats.export import export_run, with_unit
 from analysis.reporting.derived import derive_all
 from analysis.reporting.report import report_json
+from analysis.run_table import reduce_run
 from cli.data.records_commands import point_numbers
 from cli.main import app
-from cli.test.plan import load_plan, run_chain, standing
-from cli.test.request import tell_run
-from cli.test.resume import continue_run
+from cli.protocols.plan import load_plan, run_chain, standing
+from cli.protocols.request import tell_run
+from cli.protocols.resume import continue_run
 from daq.errors import ConfigError, PamrigError, PortError, RecordError
 from daq.interrupt import StopFlag
 from daq.record.runname import run_name
@@ -38,9 +39,9 @@ from daq.store.verify import verify
 from rigs.bench.locks import rig_lock
 from rigs.bench.rig import open_rig
 from rigs.execution.control import RunControl, control_file
-from rigs.execution.resume import reduce_run, whole_trials
+from rigs.execution.resume import whole_trials
 from rigs.execution.session import run_protocol
-from rigs.protocols.isometric_method import load_isometric
+from rigs.protocols.isometric import load_isometric
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig
 
@@ -74,7 +75,8 @@ def small_run(folder: Path, *, derive: bool = False, **how: Any) -> Run:
     config = load_rig("virtual", 1)
     plan = load_isometric(str(protocol_file(folder)), config.limits)
     kind = procedure("isometric")
-    return open_run(run_protocol(kind, config, plan, folder / "runs", derive=derive, **how).folder)
+    result = run_protocol(kind, config, plan, folder / "runs", **how)
+    return derive_all(result.folder) if derive else open_run(result.folder)
 
 
 @pytest.fixture(scope="module")
@@ -303,7 +305,7 @@ def broken_off(folder: Path, how: str, rounds: int, before: Run | None = None) -
     try:
         if before is None:
             return small_run(folder, stop=stop, on_start=start)
-        result = continue_run(before, stop=stop, on_start=start, derive=False)
+        result = continue_run(before, stop=stop, on_start=start)
         return open_run(result.folder)
     except Killed:
         return open_run(made[-1])
@@ -397,7 +399,7 @@ def test_a_continuation_says_what_it_continues_and_keeps_both_records(tmp_path: 
     assert first.outcome == "stopped"
     done = whole_trials(first)
     assert 0 < len(done) < 6
-    second = open_run(continue_run(first, derive=True).folder)
+    second = derive_all(continue_run(first).folder)
     assert second.manifest["continues"]["run_id"] == first.run_id
     assert second.manifest["continues"]["trials"] == done
     assert {e["trial"] for e in second.events if e["kind"] == "point"} == set(range(1, 7)) - set(
@@ -425,7 +427,7 @@ def test_a_continuation_broken_off_before_its_first_trial_is_gone_on_with(
     second = broken_off(tmp_path, how, 3, first)
     assert not [e for e in second.events if e["kind"] == "trial"]
     assert whole_trials(second) == done
-    third = open_run(continue_run(first, derive=False).folder)
+    third = open_run(continue_run(first).folder)
     assert third.manifest["continues"]["run_id"] == second.run_id
     assert third.outcome == "clean"
     assert sorted(reduce_run(third).table["order"]) == list(range(1, 13))

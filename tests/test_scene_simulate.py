@@ -15,13 +15,14 @@ import pytest
 import pamrig
 from analysis.findings.simulation import scene_figure
 from analysis.formats.export import export_run
+from analysis.reporting.derived import derive_all
+from analysis.run_table import reduce_run
 from daq.errors import ConfigError, RecordError
 from daq.interrupt import StopFlag
 from daq.store.run import open_run
 from daq.store.verify import verify
 from gap.data.from_runs import export_runs
 from gap.data.reader import read_dataset
-from rigs.execution.resume import reduce_run
 from rigs.rigfile.toml_reader import find_config
 from studies.simulation.scenario import load_scenario
 from studies.simulation.session import build_scene, simulate
@@ -47,7 +48,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_scenario_leaves_a_sound_run(name: str, runs: Path) -> None:
     scenario = load_scenario(name)
-    result = simulate(scenario, runs, derive=False)
+    result = simulate(scenario, runs)
     assert result.outcome == "clean", result.reason
     assert not verify(open_run(result.folder))
     run = open_run(result.folder)
@@ -57,7 +58,7 @@ def test_a_shipped_scenario_leaves_a_sound_run(name: str, runs: Path) -> None:
 
 
 def test_what_is_read_is_what_is_there_but_for_noise(runs: Path) -> None:
-    run = open_run(simulate(load_scenario("held-steps"), runs, derive=False).folder)
+    run = open_run(simulate(load_scenario("held-steps"), runs).folder)
     valve, truth = run.samples("valve"), run.samples("truth")
     read = run.calibration("pressure_kpa").apply(valve["counts"])
     true = np.interp(valve["host_ns"], truth["host_ns"], truth["muscle_pressure_kpa"])
@@ -82,7 +83,7 @@ def test_the_notebook_gets_table_and_streams(runs: Path) -> None:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_what_runs_are_for_works_on_a_simulated_one(name: str, tmp_path: Path) -> None:
     """Report, view and export, and the conversion for a diagnosis or why there is none."""
-    run = open_run(simulate(load_scenario(name), tmp_path / "runs").folder)
+    run = derive_all(simulate(load_scenario(name), tmp_path / "runs").folder)
     derived = {path.name for path in (run.folder / "derived").iterdir()}
     assert {"report.html", "view.rrd", "table.parquet"} <= derived
     truth = {path.name: path for path in export_run(run, "parquet", tmp_path / "out")}
@@ -101,7 +102,7 @@ def test_a_held_muscle_is_one_whole_trial_at_its_length(runs: Path, tmp_path: Pa
     text = scenario_text("held-steps") + (
         "[plant]\nsupply_kpa = 600\n[effects.leak]\nconductance_m3_s_pa = 1e-11\n"
     )
-    run = open_run(simulate(load_scenario(written(tmp_path, text)), runs, derive=False).folder)
+    run = open_run(simulate(load_scenario(written(tmp_path, text)), runs).folder)
     made = export_runs([run], tmp_path / "set")
     trial = pd.read_csv(made.folder / "trials.csv").iloc[0]
     assert trial["held_length_mm"] == 60.0
@@ -115,7 +116,7 @@ def test_a_held_muscle_is_one_whole_trial_at_its_length(runs: Path, tmp_path: Pa
 
 def test_a_hung_load_is_told_as_it_is_said_to_be(runs: Path, tmp_path: Path) -> None:
     text = scenario_text("hung-two-position") + "[effects.payload]\nmass_kg = 0.5\n"
-    run = open_run(simulate(load_scenario(written(tmp_path, text)), runs, derive=False).folder)
+    run = open_run(simulate(load_scenario(written(tmp_path, text)), runs).folder)
     made = export_runs([run], tmp_path / "set")
     assert pd.read_csv(made.folder / "trials.csv")["load_kg"].iloc[0] == 3.0
     read = pd.read_parquet(made.folder / "samples.parquet")["length_mm"].dropna()
@@ -130,13 +131,13 @@ def test_halving_the_step_changes_no_row_of_the_table(name: str, runs: Path) -> 
     tables = []
     for share in (1.0, 0.5):
         halved = dataclasses.replace(scenario, step_share=share)
-        run = open_run(simulate(halved, runs, derive=False).folder)
+        run = open_run(simulate(halved, runs).folder)
         tables.append(reduce_run(run).table[["pressure_kpa", "length_mm", "force_n"]])
     assert (tables[0] / tables[1] - 1.0).abs().to_numpy().max() < 1e-3
 
 
 def test_two_runs_of_one_seed_are_equal_to_the_bit(runs: Path) -> None:
-    first, second = (simulate(load_scenario("ram"), runs, derive=False).folder for _ in range(2))
+    first, second = (simulate(load_scenario("ram"), runs).folder for _ in range(2))
     for name in ("valve", "place", "truth", "edges"):
         a, b = (open_run(folder).samples(name) for folder in (first, second))
         assert all(np.array_equal(a[key], b[key]) for key in a)
@@ -159,7 +160,7 @@ def test_a_stop_keeps_what_was_simulated(runs: Path) -> None:
 def test_a_fault_of_the_firmware_ends_the_run_and_is_named(runs: Path, tmp_path: Path) -> None:
     text = scenario_text("held-steps").replace('"burst"', '"two"')
     text += "\n[controller]\nparameters = { trip = 700, sp_max = 700 }\n"
-    result = simulate(load_scenario(written(tmp_path, text)), runs, derive=False)
+    result = simulate(load_scenario(written(tmp_path, text)), runs)
     assert result.outcome == "faulted"
     assert "over_pressure" in result.reason
     assert "muscle" in result.reason
@@ -167,7 +168,7 @@ def test_a_fault_of_the_firmware_ends_the_run_and_is_named(runs: Path, tmp_path:
 
 def test_a_command_that_the_firmware_refuses_ends_the_run(runs: Path, tmp_path: Path) -> None:
     text = scenario_text("held-steps").replace("setpoint_kpa = 350", "setpoint_kpa = 700")
-    result = simulate(load_scenario(written(tmp_path, text)), runs, derive=False)
+    result = simulate(load_scenario(written(tmp_path, text)), runs)
     assert result.outcome == "faulted"
     assert "refused" in result.reason
 

@@ -7,14 +7,15 @@ from dataclasses import replace
 
 import pytest
 
+from analysis.reduction.switching import Block, air_delay_ms, switching_times
 from daq.clock import VirtualClock
 from daq.errors import DeviceError
 from plant.constants import PlantConstants
 from plant.physics.valve import off_delay_s, on_delay_s
 from rigs.devices.event_loop import Pump
 from rigs.devices.valve_controller import ValveController
-from rigs.execution.actions.switching import Block, air_delay_ms, capture_block, switching_times
 from rigs.rigfile.config import load_rig
+from rigs.steps.capture import capture_block
 from rigs.virtual.bench import VirtualBench
 from test_valvefw_safety import thesis, virtual
 from valvefw.wire import CAPTURE_LEAD_US, CAPTURE_N, CAPTURE_US

@@ -91,7 +91,7 @@ class Board:
         try:
             interpreter.run(
                 "import os, sys, binascii\nos.mkdir('/board')\nos.mkdir('/board/valvefw')\n"
-                "os.chdir('/board')\nsys.path[:] = ['']\n"
+                "os.mkdir('/board/valvefw/schemes')\nos.chdir('/board')\nsys.path[:] = ['']\n"
             )
             for name, content in files.items():
                 interpreter.run(
@@ -119,7 +119,7 @@ def test_check_names_what_differs() -> None:
     board = Board()
     firmware.install("/dev/pico", board.run)
     board.files["valvefw/safety.mpy"] += b" "
-    del board.files["valvefw/pwm.mpy"]
+    del board.files["valvefw/schemes/pwm.mpy"]
     board.files["valvefw/extra.py"] = b"x = 1\n"
     board.files["valvefw/__init__.py"] = b'VERSION = "0.0.9"\n'
     found = firmware.check("/dev/pico", board.run)

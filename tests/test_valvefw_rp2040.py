@@ -10,7 +10,7 @@ import rp2040_pins
 from rp2040_pins import StateMachine
 from valvefw.board import DRIVE_SILENCE_US
 from valvefw.controller import Controller
-from valvefw.valves import VENT_HOLD_US
+from valvefw.schemes.valves import VENT_HOLD_US
 from valvefw.wire import TICK_US
 
 

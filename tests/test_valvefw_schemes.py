@@ -23,15 +23,15 @@ from rigs.virtual.board.as_printed import (
 )
 from test_valvefw_pwm import Held
 from test_valvefw_safety import thesis
-from valvefw.bothduty import BothDuty
 from valvefw.config import defaults
-from valvefw.gas import Gas
-from valvefw.inletduty import InletDuty
-from valvefw.ram import Ram
-from valvefw.scheme import Scheme
-from valvefw.sliding import Sliding
-from valvefw.twoposition import TwoPosition
-from valvefw.valves import Valves
+from valvefw.schemes.bothduty import BothDuty
+from valvefw.schemes.gas import Gas
+from valvefw.schemes.inletduty import InletDuty
+from valvefw.schemes.ram import Ram
+from valvefw.schemes.scheme import Scheme
+from valvefw.schemes.sliding import Sliding
+from valvefw.schemes.twoposition import TwoPosition
+from valvefw.schemes.valves import Valves
 
 SP = 600  # 10-bit
 

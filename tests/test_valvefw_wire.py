@@ -18,7 +18,7 @@ from valvefw.config import PARAMETERS, config_crc, defaults
 from valvefw.deskboard import DeskBoard
 from valvefw.telemetry import Telemetry
 
-DOC = Path(__file__).parent.parent / "docs" / "wire-format.md"
+DOC = Path(__file__).parent.parent / "docs" / "reference" / "wire-format.md"
 
 FRAMES = [
     wire.encode_frame(b"Q17 arm 1a2b 4660"),
@@ -170,7 +170,7 @@ def test_telemetry_frame_layout_across_the_ring_border() -> None:
 
 def _doc_hex(label: str) -> bytes:
     found = re.search(rf"{re.escape(label)}:\n+((?:    [0-9a-f ]+\n)+)", DOC.read_text())
-    assert found, f"docs/wire-format.md has no example {label!r}"
+    assert found, f"docs/reference/wire-format.md has no example {label!r}"
     return bytes.fromhex(found.group(1))
 
 

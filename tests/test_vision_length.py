@@ -23,8 +23,8 @@ from rigs.calibration.camera import (
 from rigs.calibration.frames import FramesError, open_frames
 from rigs.devices.uvc import UvcCamera
 from rigs.virtual.emulators.camera import CameraModel, render
-from vision.lens import Lens
 from vision.marker.edge import measure_gap
+from vision.marker.lens import Lens
 from vision_truth import Scene, picture
 
 KEYS = ["file", "frame", "pixels", "u_pixels", "length_mm", "u_mm", "trusted", "reason"]

@@ -7,7 +7,7 @@ its ports, byte by byte on a virtual clock, and knows the rig file and the state
 The answer is opened when the investigation has ended. The journal takes one line a seed: stopped
 at any moment, the command goes on with the next seed.
 
-    python -m tests.withheld_campaign --seeds 0-39 --page docs/investigate-check.md
+    python -m tests.withheld_campaign --seeds 0-39 --page docs/evidence/investigate-check.md
 """
 
 from __future__ import annotations
@@ -34,20 +34,21 @@ RIG = "virtual-instruments"
 MIMICKED = 0.9
 Row = dict[str, Any]
 HOW = f"""
-Each seed draws an effect of the catalogue by the package `blind` (another integrator, other forms,
-other true constants within their tolerances), so large that its recalibrated gap is 3 to 6 floors
-on a mixed design of the generator's own, and puts it into the virtual bench of the rig `{RIG}`. It
-is drawn again where the rig's own protections end one of the first two tests: a sensor that reads
-24 kPa when vented is refused, as a real one is. The answer's salted SHA-256 is fixed before the
-first test. `pamrig gap investigate` knows the rig file and the stated constants, runs its tests
-over the bench's ports on a virtual clock, and stops when it can name the gap or has no test left. A
-name is the diagnosis' own (its status is given) or that of the one family left, once a later test
-came out as it predicted (*predicted*; see [investigate](investigate.md)). *Right*: one family is
-named, the hidden one. *Not told apart, confirmed*: the verdict offers a set that holds the hidden
-family (or finds no gap, but what is stated led to the end of its tolerance) and names references
-that would settle it, and by the generator's own measure one or two other entries take more than
-{100 * MIMICKED:.0f} % of what the effect leaves. Everything else is a miss. Intervals are Wilson's
-at 95 %.
+Each seed draws one effect of the catalogue with the package `blind` (another integrator, other
+functional forms, other true constants within their tolerances). Its size is such that the
+recalibrated gap is 3 to 6 floors on a mixed design of the generator. The effect is built into the
+virtual bench of the rig `{RIG}`. It is drawn again if the rig's own protections end one of the
+first two tests: a sensor that reads 24 kPa when vented is refused, as on a real bench. The salted
+SHA-256 of the answer is fixed before the first test. `pamrig gap investigate` knows the rig file
+and the stated constants. It runs its tests over the bench's ports on a virtual clock, and stops
+when it can name the gap or has no test left. A name comes from the diagnosis (its status is then
+given), or it is the only family left after a later test agreed with its prediction (*predicted*;
+see [investigate](../use/investigate.md)). *Right*: exactly one family is named, and it is the
+hidden one. *Not separable, confirmed*: the verdict offers a set that contains the hidden family
+(or finds no gap, but a stated value moved to the end of its tolerance) and names references that
+would decide, and by the generator's own measure one or two other entries take more than
+{100 * MIMICKED:.0f} % of what the effect leaves. Everything else is a miss. Intervals are Wilson
+intervals at 95 %.
 """.strip()
 
 
@@ -126,15 +127,15 @@ def totals(rows: list[Row]) -> dict[str, Share]:
     """The figures that the page begins with."""
     return {
         "right family named": share([r["right"] for r in rows]),
-        "of these, by a test that came out as foretold": share(
+        "of these, by a test that agreed with its prediction": share(
             [by_proof(r) for r in rows if r["right"]]
         ),
-        "not told apart, confirmed by the generator": share([r["confirmed"] for r in rows]),
-        "not told apart, set holds the family, not confirmed": share(
+        "not separable, confirmed by the generator": share([r["confirmed"] for r in rows]),
+        "not separable, set holds the family, not confirmed": share(
             [r["offered"] and not r["confirmed"] for r in rows]
         ),
         "wrong name": share([r["wrong"] for r in rows]),
-        "right family first, whatever the conclusion": share(
+        "right family ranked first, any conclusion": share(
             [[e["family"] for e in r["set"]][:1] == [r["family"]] for r in rows]
         ),
     }
@@ -174,7 +175,7 @@ def page(rows: list[Row], command: str) -> str:
     lines = [
         "# Investigations of withheld benches",
         "",
-        "Made by this command, which also writes this page; it can be stopped and goes on:",
+        "This command made the results and this page. You can stop it; it then continues later:",
         "",
         "```",
         command,
@@ -182,12 +183,12 @@ def page(rows: list[Row], command: str) -> str:
         "",
         HOW,
         "",
-        "| figure | asked | reached |",
+        "| figure | required | reached |",
         "|---|---|---|",
     ]  # fmt: skip
     asked = {
         "right family named": ">= 85 %",
-        "not told apart, confirmed by the generator": "<= 15 %",
+        "not separable, confirmed by the generator": "<= 15 %",
     }
     for name, value in totals(rows).items():
         low, high = value.interval
@@ -197,10 +198,10 @@ def page(rows: list[Row], command: str) -> str:
         )
     lines += [
         "",
-        f"{len(rows)} seeds, {cpu / 60:.0f} min of CPU; bench time a seed: "
-        f"{_middle([r.get('minutes', 0.0) for r in rows]):.0f} min in the median.",
+        f"{len(rows)} seeds, {cpu / 60:.0f} min of CPU; bench time per seed: "
+        f"{_middle([r.get('minutes', 0.0) for r in rows]):.0f} min (median).",
         "",
-        "| seed | hidden | amount | floors | mimic | tests | conclusion | set | judged "
+        "| seed | hidden | amount | floors | confounder | tests | conclusion | set | score "
         "| reference |",
         "|--:|---|---|--:|--:|---|---|---|---|---|",
     ]
@@ -234,7 +235,7 @@ def _table_row(row: Row) -> str:
 
 
 def _how(row: Row) -> str:
-    return "foretold" if by_proof(row) else str(row.get("status", row.get("error", "")))
+    return "predicted" if by_proof(row) else str(row.get("status", row.get("error", "")))
 
 
 def word_for(row: Row) -> str:
@@ -242,7 +243,7 @@ def word_for(row: Row) -> str:
     if row["right"]:
         return "right"
     if row["confirmed"]:
-        return "not told apart, confirmed"
+        return "not separable, confirmed"
     if row["offered"]:
         return "offered, not confirmed"
     return "**wrong name**" if row["wrong"] else "missed"

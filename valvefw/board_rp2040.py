@@ -4,7 +4,7 @@
 
 A Raspberry Pi Pico or a clone. The wire goes over UART0 and a USB adapter, not over the Pico's own
 USB, whose driver may wait half a second for a host that does not read; USB keeps the prompt for
-installing. Wiring and air: docs/wiring.md.
+installing. Wiring and air: docs/reference/wiring.md.
 
 Valve pulses are timed by the PIO, one state machine a valve, to 1 us. Each counts down what it was
 last told and lets go at the end, so that a dead processor leaves both coils without current 20 ms
@@ -38,6 +38,8 @@ BAUD = 115200
 WATCHDOG_MS = 200
 CPU_HZ = 200000000  # the chip's highest certified; a tick in Python needs it
 TX_BYTES = 2048
+RX_BYTES = 256  # taken in one tick
+MAKE_UP_US = 20000  # ticks that are later than this are left out
 REGULATOR_HZ = 10000
 
 PIO_HZ = 5000000  # five instructions a turn: 1 us
@@ -184,7 +186,9 @@ class RP2040(Board):
 
     def rx(self) -> bytes:
         """What the UART holds."""
-        return self._uart.read(256) or b"" if self._uart.any() else b""
+        # To ask for more than is there waits 1 to 2 ms for the rest.
+        held = self._uart.any()
+        return self._uart.read(held if held < RX_BYTES else RX_BYTES) or b"" if held else b""
 
     def tx(self, data: bytes) -> None:
         """Into the UART's buffer; dropped whole if it does not fit by what was sent so far."""
@@ -263,8 +267,11 @@ def run() -> None:
         controller = Controller(board)
         due_us = time.ticks_us()
         while True:
-            if time.ticks_diff(time.ticks_us(), due_us) >= 0:
-                due_us = time.ticks_add(due_us, TICK_US)
+            now_us = time.ticks_us()
+            late_us = time.ticks_diff(now_us, due_us)
+            if late_us >= 0:
+                # A debt that only grew would pass what ticks_diff can tell, and ticks would end.
+                due_us = time.ticks_add(due_us if late_us < MAKE_UP_US else now_us, TICK_US)
                 controller.tick()
     except KeyboardInterrupt:
         board.let_go()

@@ -1,6 +1,6 @@
 """Requests as text, `<id> <verb> [arg ...]`, to replies, `<id> ok ...` or `<id> err <code> ...`.
 
-Every argument is checked and refused, never clipped. All verbs: docs/wire-format.md.
+Every argument is checked and refused, never clipped. All verbs: docs/reference/wire-format.md.
 """
 
 from valvefw import config
@@ -132,7 +132,7 @@ class Commands:
             board.serial,
             c.telemetry.boot_id,
             board.reset_cause,
-            config.config_crc(c.values),
+            c.checksum.of(c.values),
         )
 
     def _help(self, args: list[str]) -> str:
@@ -155,7 +155,7 @@ class Commands:
         values = self._c.values
         rows = config.PARAMETERS
         if not args:
-            return "conf=%04x n=%d" % (config.config_crc(values), len(rows))
+            return "conf=%04x n=%d" % (self._c.checksum.of(values), len(rows))
         row = rows[_number(args[0], 0, len(rows) - 1, "index")]
         return "key=%s value=%d low=%d high=%d default=%d" % (
             row[0],
@@ -182,7 +182,7 @@ class Commands:
         self._need_disarmed()
         c.values[args[0]] = value
         c.safety.load(c.values)
-        return "conf=%04x" % config.config_crc(c.values)
+        return "conf=%04x" % c.checksum.of(c.values)
 
     def _arm(self, args: list[str]) -> str:
         c = self._c
@@ -192,7 +192,7 @@ class Commands:
         for char in args[0]:
             if char not in _HEX_DIGITS:
                 raise Refused("syntax", "conf_crc must be hexadecimal")
-        crc = config.config_crc(c.values)
+        crc = c.checksum.of(c.values)
         if len(args[0]) > 4 or int(args[0], 16) != crc:
             raise Refused("conf", "config is %04x: set the parameters again" % crc)
         boot = c.telemetry.boot_id

@@ -81,6 +81,79 @@ def config_crc(values: dict[str, int]) -> int:
     return crc16(text.encode())
 
 
+def _times(a: int, b: int) -> int:
+    """Product of two polynomials of 16 bits, modulo that of the CRC."""
+    out = 0
+    while b:
+        if b & 1:
+            out ^= a
+        a <<= 1
+        if a & 0x10000:
+            a ^= 0x11021
+        b >>= 1
+    return out
+
+
+class Checksum:
+    """``config_crc`` of values that change one at a time, without going through all the text.
+
+    On the RP2040 the whole text takes 20 ms and more, longer than a tick may take. A CRC is
+    linear: that of two pieces is ``crc(first) * x^(8 * len(second)) + crc(second)``. So a tree
+    keeps the CRC, from 0, and the power of x of every line, of every two, of every four and so
+    on. A changed line is taken through the CRC itself, and what is above it is put together anew.
+    """
+
+    def __init__(self) -> None:
+        leaves = 1
+        while leaves < len(PARAMETERS):
+            leaves *= 2
+        self._leaves = leaves
+        self._known: dict[str, int] = {}
+        self._crc = [0] * (2 * leaves)  # node 1 is the whole, 2k and 2k + 1 are the parts of k
+        self._power = [1] * (2 * leaves)
+        self._whole = 0
+
+    def of(self, values: dict[str, int]) -> int:
+        """The CRC of these values; where none has changed since the last call, no work."""
+        known = self._known
+        if values == known:
+            return self._whole
+        nodes: list[int] = []
+        node = self._leaves
+        for row in PARAMETERS:
+            key = row[0]
+            value = values[key]
+            if value != known.get(key):
+                known[key] = value
+                line = ("%s=%d\n" % (key, value)).encode()
+                self._crc[node] = crc16(line, 0)
+                self._power[node] = crc16(bytes(len(line)), 1)
+                _append_new(nodes, node >> 1)
+            node += 1
+        if nodes:
+            self._join(nodes)
+        return self._whole
+
+    def _join(self, nodes: list[int]) -> None:
+        """Put together these nodes of one level, in rising order, and all above them."""
+        crc = self._crc
+        power = self._power
+        while nodes[0]:
+            above: list[int] = []
+            for node in nodes:
+                right = 2 * node + 1
+                crc[node] = _times(crc[right - 1], power[right]) ^ crc[right]
+                power[node] = _times(power[right - 1], power[right])
+                _append_new(above, node >> 1)
+            nodes = above
+        self._whole = _times(0xFFFF, power[1]) ^ crc[1]
+
+
+def _append_new(nodes: list[int], node: int) -> None:
+    if not nodes or nodes[-1] != node:
+        nodes.append(node)
+
+
 def defaults() -> dict[str, int]:
     """A fresh set of default values."""
     values = {}

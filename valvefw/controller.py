@@ -6,22 +6,22 @@ Every tick drives the valves anew; nothing else does.
 
 from valvefw import VERSION, config
 from valvefw.board import Board
-from valvefw.bothduty import BothDuty
-from valvefw.burst import Burst
 from valvefw.capture import Capture
 from valvefw.commands import Commands
-from valvefw.inletduty import InletDuty
-from valvefw.openloop import OpenLoop
-from valvefw.pwm import Pwm
-from valvefw.ram import Ram
-from valvefw.regulated import Regulated
 from valvefw.safety import Safety
-from valvefw.scheme import Scheme
+from valvefw.schemes.bothduty import BothDuty
+from valvefw.schemes.burst import Burst
+from valvefw.schemes.inletduty import InletDuty
+from valvefw.schemes.openloop import OpenLoop
+from valvefw.schemes.pwm import Pwm
+from valvefw.schemes.ram import Ram
+from valvefw.schemes.regulated import Regulated
+from valvefw.schemes.scheme import Scheme
+from valvefw.schemes.sliding import Sliding
+from valvefw.schemes.twoposition import TwoPosition
+from valvefw.schemes.valves import VENT_HOLD_US, Valves
 from valvefw.sensorwatch import SensorWatch
-from valvefw.sliding import Sliding
 from valvefw.telemetry import Telemetry
-from valvefw.twoposition import TwoPosition
-from valvefw.valves import VENT_HOLD_US, Valves
 from valvefw.wire import EVENT, REPLY, REQUEST, TICK_US, Decoder, encode_frame, lfsr_next
 
 VENTED_READINGS = 8  # so many in a row below the threshold confirm a vent
@@ -39,6 +39,8 @@ class Controller:
         self.board = board
         self.version = VERSION
         self.values = config.defaults()
+        self.checksum = config.Checksum()
+        self.checksum.of(self.values)
         self.safety = Safety(self.values)
         self.valves = Valves()
         boot_id = board.random16() & 0xFFFF
@@ -189,7 +191,8 @@ class Controller:
         self.board.tx(encode_frame(bytes((EVENT,)) + text.encode()))
 
     def trip(self, cause: str) -> None:
-        """Latch a fault and vent."""
+        """Vent, latch a fault and tell; on the chip, telling takes longer than all else."""
+        self.board.drive(0, VENT_HOLD_US)
         known = len(self.safety.faults)
         if self.safety.latch(cause, self._last_us):
             self._black_box_due = True

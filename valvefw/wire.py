@@ -1,4 +1,4 @@
-"""The wire: COBS frames with a CRC-16, four kinds of payload (see docs/wire-format.md).
+"""The wire: COBS frames with a CRC-16, four kinds of payload (see docs/reference/wire-format.md).
 
 A frame is COBS(payload + crc16(payload), high byte first) + one zero byte. Zero bytes occur
 nowhere else, so whoever lost the thread finds it again at the next zero: garbage costs the
@@ -50,9 +50,8 @@ def _crc_table() -> list[int]:
     return table
 
 
-def crc16_table(data: bytes, table: list[int]) -> int:
-    """CRC-CCITT, polynomial 0x1021, initial value 0xFFFF, byte by byte from a table of 256."""
-    crc = 0xFFFF
+def crc16_table(data: bytes, table: list[int], crc: int = 0xFFFF) -> int:
+    """CRC-CCITT, polynomial 0x1021, byte by byte from a table of 256, going on from ``crc``."""
     for byte in data:
         crc = ((crc << 8) & 0xFF00) ^ table[(crc >> 8) ^ byte]
     return crc
@@ -63,12 +62,12 @@ _crc_hqx = getattr(binascii, "crc_hqx", None)
 _TABLE = _crc_table() if _crc_hqx is None else []
 
 
-def crc16(data: bytes) -> int:
-    """CRC-CCITT, polynomial 0x1021, initial value 0xFFFF, not reflected."""
+def crc16(data: bytes, crc: int = 0xFFFF) -> int:
+    """CRC-CCITT, polynomial 0x1021, not reflected, going on from ``crc``; 0xFFFF is the start."""
     if _crc_hqx is not None:
-        crc: int = _crc_hqx(data, 0xFFFF)
-        return crc
-    return crc16_table(data, _TABLE)
+        after: int = _crc_hqx(data, crc)
+        return after
+    return crc16_table(data, _TABLE, crc)
 
 
 _CODES = [bytes([code]) for code in range(256)]

@@ -87,7 +87,7 @@ def count_repeated(frames: list[npt.NDArray[Any]]) -> int:
     return sum(bool(np.array_equal(a, b)) for a, b in itertools.pairwise(frames))
 
 
-def find_delay(
+def find_delay(  # noqa: PLR0913 - what a camera states, each by name
     levels: F64,
     frame_s: F64,
     start_s: float,

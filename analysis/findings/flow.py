@@ -7,14 +7,18 @@ of ISO 6358 through the valve, with its conductance C and critical pressure rati
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from analysis.findings.findings import Analysis, Findings, Section
+from analysis.layouts.valve import valve_layout
+from analysis.reduction.valve import reduce_flow
 from analysis.regression.least_squares import Line, straight_line
-from rigs.execution.procedure import Findings, Section
+from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -372,7 +376,7 @@ def _shape_section(table: pd.DataFrame, fanning: Line | None) -> Section:
 def _figure(
     table: pd.DataFrame, fanning: Line | None, iso: IsoFit | None, meter: Meter | None
 ) -> Figure:
-    from analysis.reporting.drawing import COVERAGE, INK, MEASURED, SET, new_figure, style
+    from analysis.figures.drawing import COVERAGE, INK, MEASURED, SET, new_figure, style
 
     rows = table.dropna(subset=["pressure_kpa", "velocity_m_s"])
     with style():
@@ -398,3 +402,12 @@ def _figure(
         axes.set_ylabel("air velocity (m/s)")
         axes.legend(loc="lower right")
     return figure
+
+
+def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    return valve_layout("Flow test", parameters, flow=True)
+
+
+FLOW = Analysis("flow", "Flow test", reduce_flow, _layout, flow_findings)
+ANALYSES = (FLOW,)

@@ -8,13 +8,17 @@ what was held.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from rigs.execution.procedure import Findings, Section
+from analysis.findings.findings import Analysis, Findings, Section
+from analysis.reduction.points import reduce_points
+from analysis.reduction.setpoint import at_set_pressure
+from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,6 +30,8 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 LOWEST_MEAN_KPA = 200.0
 """The isometric means of the thesis (Table 4-4) run from here to one step below the turn."""
+
+EXTRA = {"mass_kg": "float64", "cycle_max_kpa": "float64"}
 
 
 @dataclass(frozen=True)
@@ -331,7 +337,7 @@ def _printed_means(
 
 
 def _figure(table: pd.DataFrame, cycles: list[Cycle], isotonic: bool) -> Figure:
-    from analysis.reporting.drawing import COVERAGE, MARKERS, QUIET, new_figure, sequence, style
+    from analysis.figures.drawing import COVERAGE, MARKERS, QUIET, new_figure, sequence, style
 
     value, label = ("length_mm", "length (mm)") if isotonic else ("force_n", "force (N)")
     held = table["mass_kg"] if isotonic else table["set_length_mm"].fillna(table["length_mm"])
@@ -376,3 +382,40 @@ def _figure(table: pd.DataFrame, cycles: list[Cycle], isotonic: bool) -> Figure:
         top.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
         figure.align_ylabels([top, bottom])
     return figure
+
+
+def _reduce(run: Run) -> Reduction:
+    """Settled points with the mass that hung and the turn of the cycle."""
+    return reduce_points(run, extra=EXTRA)
+
+
+def _findings(run: Run, reduction: Reduction) -> Findings:
+    """Of both kinds of cycle, each by itself, at the set pressures."""
+    hung = reduction.table["mass_kg"].notna()
+    parts = []
+    for use, value in ((~hung, "force_n"), (hung, "length_mm")):
+        table = at_set_pressure(reduction.table[use].reset_index(drop=True), value)
+        if len(table) or (value == "force_n" and not hung.any()):
+            parts.append(hysteresis_findings(run, replace(reduction, table=table)))
+    if len(parts) == 1:
+        return parts[0]
+    return Findings(
+        " ".join(part.headline for part in parts),
+        tuple(section for part in parts for section in part.sections),
+        {"isometric": parts[0].data, "isotonic": parts[1].data},
+    )
+
+
+def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    from analysis.layouts.static import hysteresis_layout
+
+    return hysteresis_layout(
+        parameters.get("lengths_mm") or (),
+        parameters.get("masses_kg") or (),
+        max(parameters.get("cycles_kpa") or [600.0]),
+    )
+
+
+HYSTERESIS = Analysis("hysteresis", "Hysteresis test", _reduce, _layout, _findings)
+ANALYSES = (HYSTERESIS,)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.findings.findings import Analysis, Findings, Section
+from analysis.reduction.points import reduce_points
 from analysis.regression.force_lines import line_uncertainty
 from analysis.regression.least_squares import Line, straight_line
-from rigs.execution.procedure import Findings, Section
+from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -203,7 +206,7 @@ def _against_c37(lines: list[tuple[float, Line]]) -> Section:
 
 
 def _figure(table: pd.DataFrame) -> Figure:
-    from analysis.reporting.drawing import (
+    from analysis.figures.drawing import (
         COVERAGE,
         MARKERS,
         labels_at_right,
@@ -238,3 +241,15 @@ def _figure(table: pd.DataFrame) -> Figure:
 
 def _signed(value: float, decimals: int) -> str:
     return f"{'−' if value < 0 else '+'} {abs(value):.{decimals}f}"
+
+
+def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    from analysis.layouts.static import isobaric_layout
+
+    del parameters
+    return isobaric_layout()
+
+
+ISOBARIC = Analysis("isobaric", "Isobaric test", reduce_points, _layout, isobaric_findings)
+ANALYSES = (ISOBARIC,)

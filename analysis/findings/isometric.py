@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from analysis.reduction.points import Reduction
+from analysis.figures.wording import headline
+from analysis.findings.findings import Analysis
+from analysis.reduction.points import Reduction, reduce_isometric
 from analysis.regression.force_lines import (
     THESIS_DIGITS,
     THESIS_REGION_KPA,
@@ -16,7 +19,7 @@ from analysis.regression.force_lines import (
     covered_kpa,
     per_length,
 )
-from analysis.reporting.wording import headline
+from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,8 +49,8 @@ def isometric_figures(
     reduction: Reduction, data: dict[str, Any], region_kpa: tuple[float, float]
 ) -> dict[str, Figure | None]:
     """Force against pressure, the coefficients against length, what the lines leave over."""
+    from analysis.figures import isometric as figures
     from analysis.findings.thesis_check import printed_law
-    from analysis.reporting import isometric_figures as figures
 
     made: dict[str, Figure | None] = dict.fromkeys(("force", "regression", "residual"))
     table = _coldest(reduction.table)
@@ -68,7 +71,7 @@ def timeline(run: Run) -> Figure | None:
     """The run as it went; None for an import, or where no samples survived."""
     if run.manifest.get("imported"):
         return None
-    from analysis.reporting.timeline import timeline_figure
+    from analysis.figures.timeline import timeline_figure
 
     return timeline_figure(run)
 
@@ -115,3 +118,14 @@ def _coldest(table: pd.DataFrame) -> pd.DataFrame:
 
 def _or(value: float, default: float) -> float:
     return value if math.isfinite(value) else default
+
+
+def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    from analysis.layouts.layouts import isometric_layout
+
+    return isometric_layout(pressure_max_kpa=max(parameters.get("pressures_kpa") or [600.0]))
+
+
+ISOMETRIC = Analysis("isometric", "Isometric test", reduce_isometric, _layout)
+ANALYSES = (ISOMETRIC,)

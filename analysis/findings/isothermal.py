@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.findings.findings import Analysis, Findings, Section
+from analysis.reduction.points import reduce_points
 from analysis.regression.force_lines import line_uncertainty
 from analysis.regression.least_squares import straight_line
 from daq.calibration import Calibration
-from rigs.execution.procedure import Findings, Section
+from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
 REGION_KPA = (150.0, 600.0)
 """Section 4.8.1: over these pressures the force is a straight line in pressure."""
+
+EXTRA = {"set_temperature_c": "float64"}
 
 
 def isothermal_findings(run: Run, reduction: Reduction) -> Findings:
@@ -201,7 +205,7 @@ def _headline(table: pd.DataFrame, growth: pd.DataFrame) -> str:
 def _figure(table: pd.DataFrame) -> Figure:
     from matplotlib.lines import Line2D
 
-    from analysis.reporting.drawing import (
+    from analysis.figures.drawing import (
         COVERAGE,
         MARKERS,
         QUIET,
@@ -243,3 +247,19 @@ def _figure(table: pd.DataFrame) -> Figure:
         axes.legend(handles=handles, ncols=len(warm), loc="lower left", bbox_to_anchor=(0.0, 1.0))
         labels_at_right(axes, ends, "length (mm)")
     return figure
+
+
+def _reduce(run: Run) -> Reduction:
+    """Settled points with the temperature that was asked for at each."""
+    return reduce_points(run, extra=EXTRA)
+
+
+def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    from analysis.layouts.static import isothermal_layout
+
+    return isothermal_layout(max(parameters.get("pressures_kpa") or [600.0]))
+
+
+ISOTHERMAL = Analysis("isothermal", "Isothermal test", _reduce, _layout, isothermal_findings)
+ANALYSES = (ISOTHERMAL,)

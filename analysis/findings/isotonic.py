@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rigs.execution.procedure import Findings, Section
+from analysis.findings.findings import Analysis, Findings, Section
+from analysis.reduction.points import reduce_points
+from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -16,6 +19,8 @@ if TYPE_CHECKING:
     from analysis.reduction.points import Reduction
     from daq.calibration import Calibration
     from daq.store.run import Run
+
+EXTRA = {"mass_kg": "float64"}
 
 
 def isotonic_findings(run: Run, reduction: Reduction) -> Findings:
@@ -193,7 +198,7 @@ def _thesis(curves: list[tuple[str, pd.DataFrame]], rows: list[dict[str, Any]]) 
 
 
 def _figure(curves: list[tuple[str, pd.DataFrame]]) -> Figure:
-    from analysis.reporting.drawing import (
+    from analysis.figures.drawing import (
         COVERAGE,
         MARKERS,
         directions_legend,
@@ -232,3 +237,19 @@ def _figure(curves: list[tuple[str, pd.DataFrame]]) -> Figure:
         if any((rows["direction"] == "down").any() for _, rows in curves):
             directions_legend(axes, "pressure", "upper right")
     return figure
+
+
+def _reduce(run: Run) -> Reduction:
+    """Settled points with the mass that hung at each."""
+    return reduce_points(run, extra=EXTRA)
+
+
+def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    from analysis.layouts.static import isotonic_layout
+
+    return isotonic_layout(pressure_max_kpa=max(parameters.get("pressures_kpa") or [600.0]))
+
+
+ISOTONIC = Analysis("isotonic", "Isotonic test", _reduce, _layout, isotonic_findings)
+ANALYSES = (ISOTONIC,)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.findings.findings import Analysis, Findings, Section
+from analysis.layouts.valve import valve_layout
 from analysis.reduction.points import Reduction, without_excluded
 from analysis.reduction.valve import ValveRecord
-from rigs.execution.procedure import Findings, Section
+from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -164,8 +167,8 @@ def ram_findings(run: Run, reduction: Reduction) -> Findings:
 
 
 def _figure(run: Run, table: pd.DataFrame) -> Figure:
-    from analysis.reporting.drawing import INK, MEASURED, QUIET, SET, new_figure, style
-    from analysis.reporting.timeline import min_max
+    from analysis.figures.drawing import INK, MEASURED, QUIET, SET, new_figure, style
+    from analysis.figures.timeline import min_max
 
     record = ValveRecord(run, "switching-time")
     windows = {int(e["order"]): e["valve_seq"] for e in record.events}
@@ -201,3 +204,16 @@ def _figure(run: Run, table: pd.DataFrame) -> Figure:
         bottom.grid(visible=False, axis="y")
         figure.align_ylabels([top, bottom])
     return figure
+
+
+def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    shown = {
+        "result_axis": ("time to the switch (s)", float(parameters.get("reach_s") or 10.0)),
+        "pressures_kpa": [2.0 * float(parameters.get("rise_kpa") or 100.0)],
+    }
+    return valve_layout("Ram test", {**parameters, **shown}, window_s=20.0)
+
+
+RAM = Analysis("ram", "Ram test", reduce_ram, _layout, ram_findings)
+ANALYSES = (RAM,)

@@ -8,18 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.findings.findings import Analysis, Findings, Section
 from analysis.reduction.columns import points_frame
 from analysis.reduction.points import Reduction
 from analysis.reduction.uncertainty import window_mean
-from daq.errors import ConfigError
 from daq.live.layout import LiveLayout
-from rigs.execution.procedure import Findings, Plan, Procedure, Section
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from daq.store.run import Run
-    from rigs.rigfile.config import RigConfig
 
 EXTRA = {"mass_kg": "float64"}
 
@@ -124,7 +122,7 @@ def findings(run: Run, reduction: Reduction) -> Findings:
 
 def scene_figure(run: Run) -> Figure:
     """Pressure of each muscle, its pull, and every place, against time."""
-    from analysis.reporting.drawing import QUIET, SET, new_figure, sequence, style
+    from analysis.figures.drawing import QUIET, SET, new_figure, sequence, style
 
     truth = run.samples("truth")
     t = (truth["host_ns"] - truth["host_ns"][0]) * 1e-9
@@ -201,8 +199,5 @@ def layout(parameters: Mapping[str, Any]) -> LiveLayout:
     )  # fmt: skip
 
 
-def _read(name: str, config: RigConfig) -> Plan:
-    raise ConfigError(name, "a scenario runs on no rig", "use pamrig simulate")
-
-
-PROCEDURE = Procedure("simulate", "Simulation", _read, reduce, layout, findings)
+SIMULATION = Analysis("simulate", "Simulation", reduce, layout, findings)
+ANALYSES = (SIMULATION,)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.findings.findings import Analysis, Findings, Section
+from analysis.layouts.valve import valve_layout
+from analysis.reduction.step import reduce_step
 from analysis.reduction.valve import ValveRecord
-from rigs.execution.procedure import Findings, Section
+from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -158,7 +162,7 @@ def _claims(rows: list[dict[str, Any]]) -> Section | None:
         (
             "The thesis gives no number, so that oscillation is held against 1 % of supply and"
             " considerable against 5 %. The listings of its programs have defects that may"
-            " explain what differs (docs/valve-schemes.md).",
+            " explain what differs (docs/reference/valve-schemes.md).",
         ),
         pd.DataFrame(said),
         (("claim", "said"), ("found", "measured"), ("same", "agrees")),
@@ -166,8 +170,8 @@ def _claims(rows: list[dict[str, Any]]) -> Section | None:
 
 
 def _figure(run: Run, table: pd.DataFrame) -> Figure:
-    from analysis.reporting.drawing import INK, MEASURED, SET, new_figure, style
-    from analysis.reporting.timeline import min_max
+    from analysis.figures.drawing import INK, MEASURED, SET, new_figure, style
+    from analysis.figures.timeline import min_max
 
     record = ValveRecord(run, "switching-time")
     first = table[table["repeat"] == table["repeat"].min()]
@@ -196,3 +200,13 @@ def _figure(run: Run, table: pd.DataFrame) -> Figure:
         np.atleast_1d(axes)[-1].set_xlabel("time (s)")
         figure.supylabel("pressure, gauge", fontsize=9)
     return figure
+
+
+def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    axis = {"result_axis": ("rms error of the second half of a step (kPa)", 100.0)}
+    return valve_layout("Step test", {**parameters, **axis}, window_s=10.0)
+
+
+STEP = Analysis("step", "Step test", reduce_step, _layout, step_findings)
+ANALYSES = (STEP,)

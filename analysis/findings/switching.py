@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.findings.findings import Analysis, Findings, Section
+from analysis.layouts.valve import valve_layout
+from analysis.reduction.valve import reduce_switching_time, reduce_switching_voltage
 from analysis.regression.least_squares import Line, mean_of_repeats, pooled, straight_line
-from rigs.execution.procedure import Findings, Section
+from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -263,7 +267,7 @@ def _figure(
     unit: str,
     label: str,
 ) -> Figure:
-    from analysis.reporting.drawing import COVERAGE, MEASURED, SET, new_figure, style
+    from analysis.figures.drawing import COVERAGE, MEASURED, SET, new_figure, style
 
     colours = {"inlet": MEASURED, "outlet": SET}
     markers = {"inlet": "o", "outlet": "s"}
@@ -291,3 +295,26 @@ def _figure(
         axes.margins(y=0.12)
         axes.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
     return figure
+
+
+def _time_layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    return valve_layout("Switching-time test", parameters)
+
+
+def _voltage_layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Its screen."""
+    return valve_layout("Switching-voltage test", parameters, voltage=True)
+
+
+SWITCHING_TIME = Analysis(
+    "switching-time", "Switching-time test", reduce_switching_time, _time_layout, time_findings
+)
+SWITCHING_VOLTAGE = Analysis(
+    "switching-voltage",
+    "Switching-voltage test",
+    reduce_switching_voltage,
+    _voltage_layout,
+    voltage_findings,
+)
+ANALYSES = (SWITCHING_TIME, SWITCHING_VOLTAGE)

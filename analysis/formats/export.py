@@ -56,8 +56,8 @@ def tables_of(run: Run) -> dict[str, pd.DataFrame]:
     """
     import pandas as pd
 
+    from analysis.run_table import reduce_run
     from daq.store.derive import engineering
-    from rigs.execution.resume import reduce_run
 
     out = {"table": reduce_run(run).table}
     for stream in run.streams:

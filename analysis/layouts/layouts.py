@@ -29,7 +29,7 @@ from daq.live.layout import (
 if TYPE_CHECKING:
     from daq.live.scene import Line
     from daq.store.run import Run
-    from vision.marker.edge import GapMeasurement
+    from vision.marker.gap import GapMeasurement
 
 Box = tuple[int, int, int, int]
 PROFILE_POINTS = 120
@@ -222,7 +222,7 @@ def measured_edges(run: Run) -> Callable[[bytes], list[Line]]:
     Raises:
         RecordError: run.json does not say how.
     """
-    from rigs.execution.pictures import camera_of, decode, measure_stored
+    from analysis.reduction.pictures import camera_of, decode, measure_stored
 
     camera = camera_of(run)
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.reporting.drawing import (
+from analysis.figures.drawing import (
     INK,
     MEASURED,
     QUIET,

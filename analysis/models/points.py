@@ -32,7 +32,7 @@ def load_points(data: str, runs: Path, warm: bool = False) -> Points:
     """
     from daq.store.store import find_run
     from plant.errors import PlantError
-    from plant.models.thesis_points import thesis_points
+    from plant.fitting.thesis_points import thesis_points
 
     if _THESIS.match(data) and not Path(data).exists():
         try:

@@ -277,7 +277,7 @@ class _Bench:
 
     def _gap(self, number: int) -> Any:
         """The measured gap, or the reason why there is none."""
-        from rigs.execution.pictures import camera_of, decode, measure_stored
+        from analysis.reduction.pictures import camera_of, decode, measure_stored
 
         try:
             gray = decode(self.run.frame_bytes(number))

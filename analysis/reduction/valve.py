@@ -135,7 +135,7 @@ def reduce_switching_time(run: Run) -> Reduction:
     """
     if is_imported(run):
         return without_excluded(run, imported_points(run, "switching-time"))
-    from rigs.execution.actions.switching import Block, air_delay_ms, switching_times
+    from analysis.reduction.switching import Block, air_delay_ms, switching_times
 
     record = ValveRecord(run, "switching-time")
     p = record.parameters

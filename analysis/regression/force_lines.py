@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -211,14 +211,6 @@ def against_length(lines: list[LengthLine], digits: int | None = None) -> Length
     if gradient is None or intercept is None:
         return None
     return LengthLaw(gradient=gradient, intercept=intercept, digits=digits)
-
-
-def lines_table(lines: list[LengthLine]) -> pd.DataFrame:
-    """The lines as a frame, one row a length."""
-    import pandas as pd
-
-    columns = list(LengthLine.__dataclass_fields__)
-    return pd.DataFrame([asdict(line) for line in lines], columns=columns)
 
 
 def calibration_share(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from daq.errors import PamrigError, RecordError
 from daq.store.run import Run, open_run
 from daq.store.store import rebuild
 
@@ -19,7 +20,7 @@ def derive_all(folder: Path | str) -> Run:
     """
     from analysis.reduction.points import write_table
     from analysis.reporting.report import write_report
-    from rigs.execution.resume import reduce_run
+    from analysis.run_table import reduce_run
 
     run = open_run(folder)
     reduction = reduce_run(run)
@@ -38,11 +39,26 @@ def derive_all(folder: Path | str) -> Run:
     return open_run(folder)
 
 
+def try_derive(folder: Path | str, error: BaseException | None = None) -> str:
+    """Make everything derived of a run; why that was not possible, or "".
+
+    The record stays as it is either way. Where the run itself ended because the disk refused to
+    store it (``error`` is a RecordError), nothing is derived.
+    """
+    if isinstance(error, RecordError):
+        return "the disk would not take it"
+    try:
+        derive_all(folder)
+    except PamrigError as problem:
+        return str(problem)
+    return ""
+
+
 def _view(run: Run, out: Path) -> None:
     from analysis.layouts.layouts import measured_edges
+    from analysis.registry import analysis_of
     from daq.live.viewfile import view_maker
-    from rigs.protocols.registry import procedure_of
 
-    kind = procedure_of(run.manifest.get("protocol"))
+    kind = analysis_of(run.manifest.get("protocol"))
     layout = kind.layout(run.manifest.get("parameters") or {})
     view_maker(layout, measured_edges(run))(run, out)

@@ -8,15 +8,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.figures.wording import outcome_sentence, signed, value_cell, with_u
+from analysis.findings.findings import Findings, Section
 from analysis.findings.isometric import isometric_figures, isometric_json, timeline
 from analysis.reduction.points import Reduction
+from analysis.registry import analysis_of
 from analysis.regression.force_lines import THESIS_REGION_KPA
 from analysis.reporting.sections import figure_address, section_parts
-from analysis.reporting.wording import outcome_sentence, signed, value_cell, with_u
+from analysis.run_table import reduce_run
 from daq.store.annotations import ANNOTATIONS, read_annotations
-from rigs.execution.procedure import Findings, Section
-from rigs.execution.resume import reduce_run
-from rigs.protocols.registry import procedure_of
 
 if TYPE_CHECKING:
     from daq.store.run import Run
@@ -58,7 +58,7 @@ def report_json(
         region_kpa: pressures over which the straight lines of an isometric test are fitted.
         findings: what its protocol finds in the table, if already made.
     """
-    kind = procedure_of(run.manifest.get("protocol"))
+    kind = analysis_of(run.manifest.get("protocol"))
     reduction = reduction or reduce_run(run)
     if findings is None and kind.findings is not None:
         findings = kind.findings(run, reduction)
@@ -152,7 +152,7 @@ def write_report(
         region_kpa: pressures over which the straight lines of an isometric test are fitted.
     """
     out = out or Path(run.folder) / "derived" / "report.html"
-    kind = procedure_of(run.manifest.get("protocol"))
+    kind = analysis_of(run.manifest.get("protocol"))
     reduction = reduction or reduce_run(run)
     findings = kind.findings(run, reduction) if kind.findings is not None else None
     data = report_json(run, reduction, region_kpa, findings)

@@ -7,12 +7,12 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from analysis.reporting.wording import value_cell, with_u
+from analysis.figures.wording import value_cell, with_u
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rigs.execution.procedure import Section
+    from analysis.findings.findings import Section
 
 
 SHADED = ("same", "settled")
@@ -44,7 +44,7 @@ def figure_address(figure: Figure | None) -> str:
     """A figure as an address that holds it; empty for none."""
     if figure is None:
         return ""
-    from analysis.reporting.drawing import as_svg
+    from analysis.figures.drawing import as_svg
 
     return "data:image/svg+xml;base64," + base64.b64encode(as_svg(figure)).decode()
 

@@ -39,12 +39,12 @@ def report_command(run: str, runs: Path, out: Path | None, as_json: bool) -> Non
 def view_command(run: str, runs: Path) -> None:
     """Open a run's view and keep it open until Ctrl-C or the viewer is closed."""
     from analysis.layouts.layouts import measured_edges
+    from analysis.registry import analysis_of
     from daq.live.viewfile import open_view
     from daq.store.store import find_run
-    from rigs.protocols.registry import procedure_of
 
     found = find_run(runs, run)
-    kind = procedure_of(found.manifest.get("protocol"))
+    kind = analysis_of(found.manifest.get("protocol"))
     layout = kind.layout(found.manifest.get("parameters") or {})
     # Ended by `kill`, the viewer's own program must not live on: let Python leave in good order.
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))

@@ -254,7 +254,7 @@ def draw_preview(
     row: LengthRow,
 ) -> None:
     """Write the preview of one frame. Raises ConfigError when it cannot be written."""
-    from vision.preview import draw
+    from vision.marker.preview import draw
 
     try:
         draw(

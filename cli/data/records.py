@@ -1,4 +1,4 @@
-"""Commands on recorded runs: index, find, export, annotate, exclude; continue; plans."""
+"""Commands on recorded runs: index, find, export, annotate, exclude."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WhoOption = Annotated[str, typer.Option("--who", help="By whom.")]
 RUNS = Path("runs")
 
 
-def add_records(app: typer.Typer, runs_app: typer.Typer) -> None:
+def add_records(runs_app: typer.Typer) -> None:
     """Add these commands."""
     runs_app.command("index")(index)
     runs_app.command("find")(find)
@@ -26,8 +26,6 @@ def add_records(app: typer.Typer, runs_app: typer.Typer) -> None:
     runs_app.command("annotate")(annotate)
     runs_app.command("exclude")(exclude)
     runs_app.command("include")(include)
-    app.command("continue")(go_on)
-    app.command("run")(run_plan)
 
 
 def index(runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
@@ -110,33 +108,3 @@ def include(
     from cli.data.records_commands import remark_command
 
     remark_command("include", run, runs, points, reason, who, as_json)
-
-
-def go_on(
-    run: RunArgument = "last",
-    rig: Annotated[str, typer.Option("--rig", help="Rig file, if it has moved since.")] = "",
-    protocol: Annotated[
-        str, typer.Option("--protocol", help="Protocol file, if it has moved since.")
-    ] = "",
-    operator: Annotated[str, typer.Option(help="Who tests.")] = "",
-    note: Annotated[str, typer.Option(help="Anything worth remembering.")] = "",
-    runs: RunsOption = RUNS,
-    as_json: JsonOption = False,
-) -> None:
-    """Go on with an interrupted test after its last whole trial, as a run linked to the first."""
-    from cli.test.resume import continue_command
-
-    raise typer.Exit(continue_command(run, runs, rig, protocol, operator, note, as_json))
-
-
-def run_plan(
-    plan: Annotated[Path, typer.Argument(help="Plan file (TOML): tests, one after another.")],
-    again: Annotated[
-        bool, typer.Option("--again", help="From the start, even if the plan was begun before.")
-    ] = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Run a chain of tests; stopped with Ctrl-C it goes on where it was when run again."""
-    from cli.test.plan import plan_command
-
-    raise typer.Exit(plan_command(plan, again, as_json))

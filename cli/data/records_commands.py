@@ -14,8 +14,9 @@ from daq.errors import ConfigError, PamrigError
 from daq.record.writer import OUTCOMES
 from daq.store.annotations import annotate
 from daq.store.index import rebuild_index
+from daq.store.info import RunInfo
 from daq.store.run import DAMAGED, INTERRUPTED
-from daq.store.store import RunInfo, find_run, list_runs
+from daq.store.store import find_run, list_runs
 from rigs.protocols.names import PROTOCOLS
 
 
@@ -90,7 +91,7 @@ def remark_command(
 ) -> None:
     """Append a remark; an exclusion makes table and report anew."""
     from analysis.reporting.derived import derive_all
-    from rigs.execution.resume import reduce_run
+    from analysis.run_table import reduce_run
 
     found = find_run(runs, run)
     numbers = point_numbers(points)

@@ -36,7 +36,7 @@ def gap_check(
     baselines: BaselinesOption = True,
     page: PageOption = None,
     purpose: PurposeOption = "",
-    ledger: LedgerOption = Path("docs/gap-check-ledger.csv"),
+    ledger: LedgerOption = Path("docs/evidence/gap-check-ledger.csv"),
     as_json: JsonOption = False,
 ) -> None:
     """Diagnose data whose effect is withheld, and score the verdicts."""

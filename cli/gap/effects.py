@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from plant.effects.entry import Entry, Parameter
+    from plant.effects.effect import Effect, Parameter
 
 
 def gap_effects(
@@ -41,13 +41,21 @@ def gap_effects(
             typer.echo(f"{entry.id:24}{entry.stage:9}{entry.family:17}{headline}")
 
 
-def _plain(entry: Entry) -> dict[str, Any]:
-    values = {**vars(entry), "mistaken_for": list(entry.mistaken_for)}
+_PAGE = (
+    "id", "family", "stage", "summary", "parameters", "untouched", "mistaken_for", "told_apart_by",
+    "equation", "source", "standard", "constants",
+)  # fmt: skip
+
+
+def _plain(entry: Effect) -> dict[str, Any]:
+    values: dict[str, Any] = {name: getattr(entry, name) for name in _PAGE}
+    for name in ("mistaken_for", "constants"):
+        values[name] = list(values[name])
     values["parameters"] = [{**vars(p), "choices": list(p.choices)} for p in entry.parameters]
     return values
 
 
-def _page(entry: Entry) -> str:
+def _page(entry: Effect) -> str:
     lines = [
         f"{entry.id} ({entry.family}, {entry.stage})",
         f"  {entry.summary}",
@@ -58,7 +66,9 @@ def _page(entry: Entry) -> str:
     lines += [
         f"  untouched   {entry.untouched}",
         f"  mistaken    {', '.join(entry.mistaken_for) or 'for none'}",
+        f"  constants   {', '.join(entry.constants) or 'none'}",
         f"  told apart  {entry.told_apart_by}",
+        f"  standard    {entry.standard}",
     ]
     return "\n".join(lines)
 

@@ -15,7 +15,7 @@ gap_app = typer.Typer(
 )
 add_check(gap_app)
 
-DataArgument = Annotated[Path, typer.Argument(help="Folder in the EXCHANGE form.")]
+DataArgument = Annotated[Path, typer.Argument(help="Folder in the dataset format.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON value, nothing else.")]
 WithoutOption = Annotated[
     str, typer.Option("--without", help="Effects to strike from the catalogue, by commas.")

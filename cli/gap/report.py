@@ -10,7 +10,7 @@ import typer
 
 
 def gap_report(
-    data: Annotated[Path, typer.Argument(help="Folder in the EXCHANGE form, or a run folder.")],
+    data: Annotated[Path, typer.Argument(help="Folder in the dataset format, or a run folder.")],
     out: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("gap.html"),
     without: Annotated[
         str, typer.Option("--without", help="Effects to strike from the catalogue, by commas.")

@@ -24,7 +24,7 @@ def gap_export(
         bool, typer.Option("--json", help="Print one JSON value, nothing else.")
     ] = False,
 ) -> None:
-    """Write recorded runs as one data set in the EXCHANGE form."""
+    """Write recorded runs as one data set in the dataset format."""
     from daq.store.store import find_run
     from gap.data.from_runs import export_runs
 

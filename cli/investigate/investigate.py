@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from analysis.reporting.derived import try_derive
 from cli.investigate.survey import FIRST_DIAGNOSIS_AFTER, Test, battery, protocol_text
 from daq.errors import PamrigError
 from daq.interrupt import StopFlag
@@ -163,7 +164,9 @@ def investigate(
         path.write_text(protocol_text(test, config), encoding="utf-8")
         kind = procedure(name)
         plan = kind.read(str(path), config)
-        result = run_protocol(kind, config, plan, out, stop=stop, derive=derive, bench=bench)
+        result = run_protocol(kind, config, plan, out, stop=stop, bench=bench)
+        if derive:
+            try_derive(result.folder, result.error)
         run = open_run(result.folder)
         if result.outcome == "stopped":
             report(f"  stopped; {run.run_id} is left out")

@@ -59,7 +59,7 @@ def refusal(config: RigConfig, secret: Secret) -> str | None:
             bench = WithheldBench(config, secret, VirtualClock())
             plan = kind.read(str(path), config)
             out = Path(scratch) / "runs"
-            result = run_protocol(kind, config, plan, out, derive=False, bench=bench)
+            result = run_protocol(kind, config, plan, out, bench=bench)
         if result.outcome != "clean":
             return str(result.error)
     return None

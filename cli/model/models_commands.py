@@ -128,7 +128,7 @@ def compare_command(
         learnt = _region(load_points(train, runs, warm), region) if train else None
         found = compare(chosen or _sensible(learnt or points), points, holdout, nested, learnt)
     except PlantError as error:
-        raise PamrigError(" ".join(data), str(error), "see docs/models.md") from None
+        raise PamrigError(" ".join(data), str(error), "see docs/use/models.md") from None
     if figure is not None:
         from analysis.models.figures import comparison_figure
 
@@ -269,7 +269,7 @@ def _write_model(model: Model, path: Path) -> None:
 
 
 def _save(figure: Any, path: Path) -> None:
-    from analysis.reporting.drawing import as_png, as_svg
+    from analysis.figures.drawing import as_png, as_svg
 
     try:
         path.write_bytes(as_svg(figure) if path.suffix == ".svg" else as_png(figure))

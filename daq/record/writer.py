@@ -1,6 +1,6 @@
 """The record of a run as it is written: raw, appended, every byte under a CRC.
 
-Layout, integrity rules and how to read it without this package: docs/record-format.md.
+Layout, integrity rules and how to read it without this package: docs/reference/record-format.md.
 """
 
 from __future__ import annotations

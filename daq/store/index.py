@@ -19,7 +19,7 @@ from daq.record.runname import by_start
 from daq.store.annotations import ANNOTATIONS
 
 if TYPE_CHECKING:
-    from daq.store.store import RunInfo
+    from daq.store.info import RunInfo
 
 INDEX = "index.sqlite"
 LAYOUT = 2
@@ -76,8 +76,8 @@ def update_index(root: Path | str) -> list[RunInfo]:
     Raises:
         RecordError: the index is damaged; `pamrig runs index` makes it anew.
     """
+    from daq.store.info import run_info
     from daq.store.run import Run
-    from daq.store.store import run_info
 
     folder = Path(root)
     path = index_path(root)
@@ -138,7 +138,7 @@ def _stamp(folder: Path) -> str:
 
 
 def _info(row: dict[str, Any], folder: Path) -> RunInfo:
-    from daq.store.store import RunInfo
+    from daq.store.info import RunInfo
 
     names = {field.name for field in fields(RunInfo)}
     return RunInfo(**{k: v for k, v in row.items() if k in names}, folder=str(folder))

@@ -288,13 +288,6 @@ class Run:
         """What is known of each frame: ``frame`` (its number), ``host_ns`` and more."""
         return [e.fields for e in self._frame_entries.values()]
 
-    @property
-    def frame_table(self) -> pd.DataFrame:
-        """:attr:`frames` as a pandas frame."""
-        import pandas as pd
-
-        return pd.DataFrame(self.frames)
-
     def frame_bytes(self, number: int) -> bytes:
         """The encoded image of frame ``number`` as it came from the camera.
 

@@ -41,7 +41,7 @@ ASKED = 0.4
 """Share of the features that each split chooses from."""
 MOST_RATIO = 5.0
 """A headline further from the truth than this factor counts as just so far."""
-LEDGER = Path("docs/gap-check-ledger.csv")
+LEDGER = Path("docs/evidence/gap-check-ledger.csv")
 
 
 @dataclass(frozen=True)

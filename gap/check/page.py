@@ -8,13 +8,13 @@ from typing import Any
 from gap.check import figures
 
 NOTE = """Every set was made by the package `blind`, which shares no code with the diagnosis or with
-`plant`: its own integrator, other functional forms for every effect, other noise, its own
-protocols. Answers were sealed by salted SHA-256 before the diagnosis ran and opened by the scorer
-after the verdict was stored. A gap's *size* is the rms of effect on less effect off, after the
-nominal constants are fitted anew within their tolerances, over the rms of the replicate scatter
-of the clearest channel. A set counts as *mimicked* where one or two other entries of the
-catalogue take more than 90 % of what the effect leaves on that very design. Intervals are
-Wilson's at 95 %. Definitions of every judgement stand in `gap/check/scoring/score.py`.
+`plant`: it has its own integrator, other functional forms for every effect, other noise and its
+own protocols. Answers were sealed by salted SHA-256 before the diagnosis ran. The scorer opened
+them after the verdict was stored. The *size* of a gap is the rms of (effect on minus effect off),
+after the nominal constants are fitted again within their tolerances, divided by the rms of the
+replicate scatter of the clearest channel. A set counts as having a *confounder* if one or two
+other entries of the catalogue take more than 90 % of what the effect leaves on that same design.
+Intervals are Wilson intervals at 95 %. Every score is defined in the package `gap.check`.
 """
 
 
@@ -56,14 +56,14 @@ def baseline_table(found: dict[str, Any]) -> list[str]:
     wanted = (
         "false alarm at nominal", "right family, gap >= 2 floors", "wrong name given, any size",
         "both of two named, each >= 2 floors", "false extras per pair",
-        "unknown flagged, nobody mimics it", "set at 90 % holds the truth",
+        "unknown flagged, no confounder", "set at 90 % holds the truth",
         "calibration error, debiased",
     )  # fmt: skip
     own = {line["figure"]: line for line in found["headline"]}
     tables = {n: {line["figure"]: line for line in found["baselines"][n]} for n in names}
-    lines = ["", "## What one would use instead", ""]
+    lines = ["", "## Comparison with simple methods", ""]
     if found["baseline_sets"] < found["sets"]:
-        lines += [f"The naive methods ran on {found['baseline_sets']} of the sets.", ""]
+        lines += [f"The simple methods ran on {found['baseline_sets']} of the sets.", ""]
     lines.append("| figure | this diagnosis | " + " | ".join(names) + " |")
     lines.append("|---" * (len(names) + 2) + "|")
     for figure in wanted:
@@ -78,8 +78,8 @@ def effect_table(found: dict[str, Any]) -> list[str]:
         return []
     bands = list(found["effects"][0]["bands"])
     head = " | ".join(f"{b} floors" for b in bands)
-    lines = ["", "## Effect by effect", "", "Right family / sets, by size of the gap.", ""]
-    lines.append(f"| effect | sets | mimicked | {head} | wrong names | limit (floors) |")
+    lines = ["", "## Results per effect", "", "Right family / sets, by gap size.", ""]
+    lines.append(f"| effect | sets | with confounder | {head} | wrong names | limit (floors) |")
     lines.append("|---" * (len(bands) + 5) + "|")
     for e in found["effects"]:
         cells = " | ".join(
@@ -94,8 +94,9 @@ def effect_table(found: dict[str, Any]) -> list[str]:
 
 
 def write_page(path: Path, found: dict[str, Any]) -> None:
-    """Write the page and its figures (images/gap-check-*.png beside it)."""
-    images = path.parent / "images"
+    """Write the page and its figures (gap-check-*.png in docs/images, or images beside it)."""
+    folder = "../images" if (path.parent.parent / "images").is_dir() else "images"
+    images = path.parent / folder
     images.mkdir(parents=True, exist_ok=True)
     figures.reliability(found, images / "gap-check-reliability.png")
     figures.sizes(found, images / "gap-check-sizes.png")
@@ -103,18 +104,18 @@ def write_page(path: Path, found: dict[str, Any]) -> None:
     figures.limits(found, images / "gap-check-limits.png")
     kinds = ", ".join(f"{count} {kind}" for kind, count in found["kinds"].items())
     lines = [
-        "# The blind check",
+        "# Blind check of the diagnosis",
         "",
         f"{found['sets']} sets of the stream `{found['stream']}`, numbers {found['first']} to "
         f"{found['last']}: {kinds}; {found['changed']} under protocols, rates, muscle sizes and "
-        "noise that no practice set has. Made by this command, which also writes this page:",
+        "noise that no practice set has. This command made the results and this page:",
         "",
         "```",
         f"pamrig gap check --stream {found['stream']} --sets {found['first']}-{found['last']} "
-        "--page docs/gap-check.md",
+        "--page docs/evidence/gap-check.md",
         "```",
         "",
-        "It can be stopped at any moment and goes on where it stopped. A few sets, to see it work:",
+        "You can stop it at any time; it then continues from there. To try it on a few sets:",
         "",
         "    pamrig gap check --sets 1,5 --no-baselines --jobs 1 --out few",
         "",
@@ -123,19 +124,19 @@ def write_page(path: Path, found: dict[str, Any]) -> None:
         "",
         *headline_table(found),
         "",
-        f"Processor time a set: median {found['seconds_median']} s, "
-        f"most {found['seconds_most']} s. "
+        f"Processor time per set: median {found['seconds_median']} s, "
+        f"maximum {found['seconds_most']} s. "
         f"Calibration error before debiasing: {found['calibration_error']}.",
         "",
-        "![Rates over the size of the gap](images/gap-check-sizes.png)",
+        f"![Rates over the size of the gap]({folder}/gap-check-sizes.png)",
         "",
-        "![Reliability of stated probabilities](images/gap-check-reliability.png)",
+        f"![Reliability of stated probabilities]({folder}/gap-check-reliability.png)",
         *baseline_table(found),
         *effect_table(found),
         "",
-        "![Limit of diagnosis](images/gap-check-limits.png)",
+        f"![Limit of diagnosis]({folder}/gap-check-limits.png)",
         "",
-        "![Confusion of families](images/gap-check-confusion.png)",
+        f"![Confusion of families]({folder}/gap-check-confusion.png)",
         "",
     ]
     path.write_text("\n".join(lines), encoding="utf-8")

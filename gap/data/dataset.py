@@ -44,7 +44,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial as the EXCHANGE form describes it; NaN where a number is not known.
+    """One trial as the dataset format describes it; NaN where a number is not known.
 
     Attributes:
         slot: names the setting; trials of one slot are replicates of each other.

@@ -1,4 +1,4 @@
-"""Recorded runs as a data set in the EXCHANGE form: trials.csv, samples.parquet, bench.toml; and
+"""Recorded runs as a data set in the dataset format: trials.csv, samples.parquet, bench.toml; and
 calibration.toml, what the sensors may be off by in all trials alike.
 """
 

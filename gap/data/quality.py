@@ -32,7 +32,7 @@ _PILE = 15.0
 """How many times more readings a rail holds than a level beside it."""
 _USUAL_RUN = 10
 _RANDOM = 1.5
-# Spread from which a channel carries more than its own noise (20 times PLANT.md's and more).
+# Spread from which a channel carries more than its own noise (20 times the nominal noise and more).
 _LIVELY = {"force_n": 1.0, "length_mm": 0.5}
 
 

@@ -1,4 +1,4 @@
-"""Reads a folder in the EXCHANGE form: trials.csv, samples.csv or .parquet, bench.toml.
+"""Reads a folder in the dataset format: trials.csv, samples.csv or .parquet, bench.toml.
 
 Beside them may lie calibration.toml: what the sensors may be off by in all trials alike.
 
@@ -36,7 +36,7 @@ MOST_UNCERTAIN = 1000.0
 
 
 def read_dataset(folder: str | Path) -> DataSet:
-    """Read a data set from a folder in the EXCHANGE form.
+    """Read a data set from a folder in the dataset format.
 
     Raises:
         GapError: names the file, the row and the column, what came and what was expected.

@@ -1,4 +1,4 @@
-"""A data set from wherever it lies: a folder in the EXCHANGE form, or a recorded run."""
+"""A data set from wherever it lies: a folder in the dataset format, or a recorded run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gap.data.reader import read_dataset
 
 
 def open_data(path: str | Path) -> DataSet:
-    """Read a folder in the EXCHANGE form, or a run folder as `pamrig gap export` would write it.
+    """Read a folder in the dataset format, or a run folder as `pamrig gap export` would write it.
 
     Raises:
         GapError: it is neither, or cannot be read.

@@ -29,7 +29,7 @@ _QUANTITIES: tuple[str, ...] = (
     "temperature",
 )
 _QUANTITIES += ("load", "start", "mass")
-# Ten times outside the range of the sensor (PLANT.md, sensors of the reference bench).
+# Ten times outside the range of the sensor (docs/reference/plant.md, sensors).
 _LIMITS = {
     "pressure_kpa": (-1000.0, 10000.0),
     "supply_kpa": (-1000.0, 12000.0),
@@ -56,7 +56,7 @@ class Table:
 def read_table(path: Path, required: tuple[str, ...], labels: tuple[str, ...]) -> Table:
     """Read a CSV or Parquet file; `labels` are columns of text. Raises `GapError`."""
     if not path.exists():
-        raise GapError(str(path), "no such file", "see the EXCHANGE form for what a folder holds")
+        raise GapError(str(path), "no such file", "see docs/reference/dataset-format.md")
     if path.stat().st_size == 0:
         raise GapError(str(path), "is empty")
     try:
@@ -152,7 +152,7 @@ def unit_check(table: Table, known: tuple[str, ...]) -> None:
             meant = (ours or lowered or [_closest(name, known)])[0]
             raise GapError(
                 f"{table.path}, row 1, column {name}",
-                "is not a column of the EXCHANGE form and looks like another unit or a slip",
+                "is not a column of the dataset format and looks like another unit or a slip",
                 f"convert it to {meant}",
             )
         table.notes.append(f"{table.path.name}: column {name} is not used")

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
 from gap.decision.classify import classify
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.selection.config import SELECTION
@@ -61,7 +61,7 @@ def diagnose_with_search(
     if unfit:
         return _unfit(unfit), None, None
     problem = FitProblem.of(
-        data, [candidate for candidate in SUSPECTS if candidate.id not in struck]
+        data, [candidate for candidate in CANDIDATES if candidate.id not in struck]
     )
     if not len(problem.rows):
         return nothing_to_compare(data), None, None

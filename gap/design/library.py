@@ -177,7 +177,7 @@ def _rates(problem: FitProblem, kind: str) -> tuple[float, float, float]:
     return made[0], made[1], made[2]
 
 
-def _simulated(
+def _simulated(  # noqa: PLR0913 - what a simulated experiment is made of
     bench: _Bench, protocol: str, events: list[Event], seconds: float, *, kind: str,
     length_mm: float = np.nan, mass_kg: float = np.nan, warm_c: float = 21.0, moves: bool = False,
 ) -> Trial:  # fmt: skip

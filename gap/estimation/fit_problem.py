@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from gap.data.dataset import DataSet
 from gap.data.duplicates import without_duplicates
-from gap.effects.candidates import SUSPECTS, Suspect
+from gap.effects.candidates import CANDIDATES, Candidate
 from gap.estimation.information import Evidence, gather, tolerance
 from gap.estimation.noise import Noise, learn_noise, usual_noise
 from gap.estimation.non_identical import non_identical, unexplainable
@@ -53,7 +53,7 @@ class FitResult:
     """
 
     shift: Array
-    candidates: tuple[Suspect, ...]
+    candidates: tuple[Candidate, ...]
     amounts: Array
     residual: Array
     cost: float
@@ -64,7 +64,7 @@ class FitResult:
         """Catalogue ids (or defects) in force, each once, in order of entry."""
         return tuple(dict.fromkeys(candidate.id for candidate in self.candidates))
 
-    def kept(self, keep: Callable[[Suspect], bool]) -> tuple[list[Suspect], list[float]]:
+    def kept(self, keep: Callable[[Candidate], bool]) -> tuple[list[Candidate], list[float]]:
         """Candidates for which `keep` holds, and their amounts: the start of another fit."""
         pairs = zip(self.candidates, self.amounts.tolist(), strict=True)
         kept = [(candidate, amount) for candidate, amount in pairs if keep(candidate)]
@@ -102,7 +102,7 @@ class FitProblem:
     """
 
     data: DataSet
-    candidates: tuple[Suspect, ...]
+    candidates: tuple[Candidate, ...]
     model: Model
     stated_effects: Active
     noise: Noise
@@ -115,7 +115,7 @@ class FitProblem:
     _kept: dict[str, tuple[Any, ...]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, data: DataSet, candidates: Sequence[Suspect] = SUSPECTS) -> FitProblem:
+    def of(cls, data: DataSet, candidates: Sequence[Candidate] = CANDIDATES) -> FitProblem:
         """Learn the noise of a data set and recalibrate its constants."""
         data = without_duplicates(data)
         # A table of settled points has no time in it, so nothing in it can be out of time.
@@ -151,7 +151,7 @@ class FitProblem:
         columns = self.columns_at(base.shift, (), np.empty(0))
         return replace(self, base=base, columns=columns, _kept={})
 
-    def restricted_to(self, usable: Callable[[Suspect], bool]) -> FitProblem:
+    def restricted_to(self, usable: Callable[[Candidate], bool]) -> FitProblem:
         """The same problem with the candidates for which `usable` holds."""
         return replace(self, candidates=tuple(s for s in self.candidates if usable(s)))
 
@@ -202,7 +202,9 @@ class FitProblem:
             changes[field] = value
         return replace(c, **changes)
 
-    def active_effects(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Active:
+    def active_effects(
+        self, shift: Array, candidates: Sequence[Candidate], amounts: Array
+    ) -> Active:
         """What the model takes: what is given, each mounting's offset, and candidates in force."""
         own = shift[len(self.names) - self.unnamed :]
         active = [
@@ -213,7 +215,7 @@ class FitProblem:
 
     def fit(
         self,
-        candidates: Sequence[Suspect],
+        candidates: Sequence[Candidate],
         start: Sequence[float] = (),
         near: FitResult | None = None,
     ) -> FitResult:
@@ -254,13 +256,13 @@ class FitProblem:
             kept = self._kept["near"] = (fit, columns)
         return np.asarray(kept[1])
 
-    def fit_afresh(self, candidates: Sequence[Suspect], start: Sequence[float] = ()) -> FitResult:
+    def fit_afresh(self, candidates: Sequence[Candidate], start: Sequence[float] = ()) -> FitResult:
         """Return what `fit` gives when it starts from the constants as stated."""
         amounts = np.array(start or [0.0] * len(candidates), dtype=np.float64)
         return self._descend(np.zeros(len(self.names)), candidates, amounts, self.stated_columns)
 
     def fit_from(
-        self, shift: Array, candidates: Sequence[Suspect], start: Sequence[float]
+        self, shift: Array, candidates: Sequence[Candidate], start: Sequence[float]
     ) -> FitResult:
         """Return what `fit` gives when it starts from given constants, in sd."""
         amounts = _bounded(candidates, np.array(start, dtype=np.float64))
@@ -285,7 +287,7 @@ class FitProblem:
         at = (fit.shift, fit.candidates, fit.amounts)
         return np.hstack([self.columns_at(*at), self.slopes(*at)])
 
-    def columns_at(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Array:
+    def columns_at(self, shift: Array, candidates: Sequence[Candidate], amounts: Array) -> Array:
         """Signatures of the constants, shape (rows, constants), with candidates in force."""
         active = self.active_effects(shift, candidates, amounts)
         c = self.constants(shift)
@@ -301,7 +303,7 @@ class FitProblem:
         return np.nan_to_num(made)
 
     def _descend(
-        self, shift: Array, candidates: Sequence[Suspect], amounts: Array, constants: Array
+        self, shift: Array, candidates: Sequence[Candidate], amounts: Array, constants: Array
     ) -> FitResult:
         n = len(self.names)
         shift = shift.copy()
@@ -330,7 +332,7 @@ class FitProblem:
         return FitResult(shift, tuple(candidates), amounts, residual, cost, covariance(matrix))
 
     def at(
-        self, shift: Array, candidates: Sequence[Suspect], amounts: Array, like: FitResult
+        self, shift: Array, candidates: Sequence[Candidate], amounts: Array, like: FitResult
     ) -> FitResult:
         """Return the fit at given constants and amounts, with the covariance of another."""
         amounts = _bounded(candidates, amounts)
@@ -338,16 +340,16 @@ class FitProblem:
         return FitResult(shift, tuple(candidates), amounts, residual, cost, like.cover)
 
     def _at(
-        self, shift: Array, candidates: Sequence[Suspect], amounts: Array
+        self, shift: Array, candidates: Sequence[Candidate], amounts: Array
     ) -> tuple[Array, float]:
         residual = self.residual_at(shift, candidates, amounts)
         return residual, self.whitened(residual) + tolerance(shift)[0]
 
-    def cost_at(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> float:
+    def cost_at(self, shift: Array, candidates: Sequence[Candidate], amounts: Array) -> float:
         """Whitened sum of squares at given constants and amounts, prior included."""
         return self._at(shift, candidates, amounts)[1]
 
-    def residual_at(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Array:
+    def residual_at(self, shift: Array, candidates: Sequence[Candidate], amounts: Array) -> Array:
         """Measured minus predicted at given constants and amounts, shape (rows,)."""
         return _stacked_residual(
             self.model, self.constants(shift), self.active_effects(shift, candidates, amounts)
@@ -372,7 +374,7 @@ class FitProblem:
                 total += float(self.noise.solve(trial, residual[rows][:, None])[0][0, 0])
         return total
 
-    def slopes(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Array:
+    def slopes(self, shift: Array, candidates: Sequence[Candidate], amounts: Array) -> Array:
         """Signatures of the candidates in force, at their present amounts."""
         made = np.zeros((len(self.rows), len(candidates)))
         c = self.constants(shift)
@@ -458,7 +460,7 @@ class FitProblem:
         return made
 
 
-def _bounded(candidates: Sequence[Suspect], amounts: Array) -> Array:
+def _bounded(candidates: Sequence[Candidate], amounts: Array) -> Array:
     ranges = np.array([s.bounds for s in candidates]).reshape(-1, 2)
     return np.asarray(np.clip(amounts, ranges[:, 0], ranges[:, 1]))
 
@@ -485,7 +487,7 @@ def _stated_effects(data: DataSet) -> Active:
     made: Active = []
     for name, table in data.effects.values.items():
         entry = CATALOGUE[name]
-        shape = next(s.shape for s in SUSPECTS if s.id == name)
+        shape = next(s.shape for s in CANDIDATES if s.id == name)
         option = next((str(v) for v in table.values() if isinstance(v, str)), "")
         amount = float(table[entry.headline]) if entry.headline else 1.0
         if name in ("flow_area", "polytropic"):

@@ -1,7 +1,7 @@
 """The noise of a data set, learnt from what replicates of a slot do not share.
 
 Rows of one trial vary together: sensor zeros and gains drawn per trial, slow drifts, white noise.
-Each kind has a variance, started from PLANT.md and moved towards what the differences between
+Each kind has a variance, started from the nominal one and moved towards what differences between
 replicates show (expectation-maximisation); nothing is learnt from the residual itself, which holds
 the gap that is being looked for.
 """
@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.model.features import BLOCKS
 from gap.model.residuals import Model
 from gap.model.sensitivities import (
@@ -138,7 +138,7 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
 
 
 def usual_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
-    """Noise as PLANT.md has it, before replicates tell; doubt and floor are not in it."""
+    """Noise of the nominal plant, before replicates are used; doubt and floor are not in it."""
     effects, shared = trial_columns(model, c)
     noise = Noise(_start_white(model, residual), [], [], [], {}, 0, 0)
     scales: dict[str, float] = {effect.kind: effect.sd for effect in effects}
@@ -288,7 +288,7 @@ def _trend(
     model: Model, c: PlantConstants, noise: Noise, pairs: list[_Pair]
 ) -> tuple[float, Array]:
     """The slow change over trials that replicates show best, one entry a row, and its z."""
-    wear = [candidate for candidate in SUSPECTS if candidate.id == "wear"]
+    wear = [candidate for candidate in CANDIDATES if candidate.id == "wear"]
     columns = suspect_columns(model, c, [], wear)
     best = (0.0, np.zeros(len(columns)))
     for j in range(columns.shape[1]):

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from gap.effects.candidates import Suspect
+from gap.effects.candidates import Candidate
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.normal_equations import damped_step
 
@@ -67,7 +67,7 @@ def fit_shapes(problem: FitProblem, fit: FitResult) -> FitResult:
     return fit
 
 
-def _numbers(candidates: Sequence[Suspect], free: list[tuple[int, str]]) -> Array:
+def _numbers(candidates: Sequence[Candidate], free: list[tuple[int, str]]) -> Array:
     return np.asarray(np.log([candidates[j].shape[key] for j, key in free]))
 
 
@@ -75,7 +75,9 @@ def _prior(fit: FitResult, free: list[tuple[int, str]], start: Array) -> float:
     return float(np.sum((_numbers(fit.candidates, free) - start) ** 2)) / _LOOSE**2
 
 
-def _with(candidates: Sequence[Suspect], free: list[tuple[int, str]], logs: Array) -> list[Suspect]:
+def _with(
+    candidates: Sequence[Candidate], free: list[tuple[int, str]], logs: Array
+) -> list[Candidate]:
     """Suspects with their free numbers set, each within its range."""
     made = list(candidates)
     for (j, key), log in zip(free, logs.tolist(), strict=True):

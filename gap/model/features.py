@@ -5,49 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.data.dataset import Array
-
-Whole = npt.NDArray[np.int64]
+from plant.effects.arguments import Points as Points
+from plant.effects.arguments import Whole as Whole
 
 BLOCKS = ("pressure", "force", "load", "camera")
 UNITS = {"pressure": "kPa", "force": "N", "load": "N", "camera": "mm"}
-
-
-@dataclass(frozen=True)
-class Points:
-    """Instants at which one block is compared, all trials one after the other; SI.
-
-    Attributes:
-        first: points of trial t are first[t]:first[t + 1].
-        mounting: number of the mounting each point was taken in.
-        row: feature row each point belongs to, counted within the block.
-        weight: samples that each point stands for.
-        path: pressure without its sampling noise, for what depends on turning points.
-        held: whether the length is the one written down, not one that was read.
-        settled: whether the trial is a table of settled points, whose `time_s` counts its rows.
-        reading: measured output: force in N, pressure in Pa or length in m.
-    """
-
-    first: Whole
-    trial: Whole
-    mounting: Whole
-    time_s: Array
-    row: Whole
-    weight: Array
-    pressure: Array
-    pressure_slope: Array
-    path: Array
-    length: Array
-    rate: Array
-    acceleration: Array
-    held: npt.NDArray[np.bool_]
-    settled: npt.NDArray[np.bool_]
-    temperature: Array
-    mass: Array
-    reading: Array
-    direction: Array
 
 
 @dataclass(frozen=True)

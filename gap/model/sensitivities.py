@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import CALIBRATION
-from gap.effects.candidates import Suspect
+from gap.effects.candidates import Candidate
+from gap.effects.terms import Active
 from gap.model.features import BLOCKS
-from gap.model.force import Active
 from gap.model.residuals import Model, shifted
 from plant.constants import PlantConstants
 
@@ -37,7 +37,7 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "outlet_off_ms": ("pressure",),
     "outlet_off_ms_per_kpa": ("pressure",),
 }
-"""Constants that are recalibrated, within PLANT.md's tolerances, and the blocks they move."""
+"""Constants that are recalibrated within their tolerances, and the blocks they move."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class TrialEffect:
     blocks: tuple[str, ...]
 
 
-# Zeros and gains of the sensors (PLANT.md), and what a hand or a clock leaves to chance.
+# Zeros and gains of the sensors (docs/reference/plant.md), and random errors of hand and clock.
 TRIAL_EFFECTS: tuple[TrialEffect, ...] = (
     TrialEffect(
         "pressure zero", 0.3, [("pressure_zero", "", 1.0, {})], ("pressure", "force", "load")
@@ -210,7 +210,7 @@ def suspect_columns(
     model: Model,
     c: PlantConstants,
     active: Active,
-    suspects: Sequence[Suspect],
+    suspects: Sequence[Candidate],
     amounts: Sequence[float] | None = None,
 ) -> Array:
     """Change of measured-minus-predicted explained by one unit of each suspect, (rows, suspects).

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from gap.data.dataset import Array, Channel, Trial
-from plant.constants import PlantConstants
+from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 
 _MOVED_M = 0.8e-3
 Mask = npt.NDArray[np.bool_]
@@ -20,7 +20,7 @@ _RISE_KPA = 25.0
 _FRAME_NOISE_M = 0.015e-3
 # Three sd of what white noise of one sd makes of a second difference's second difference.
 _NOISE_OF_BEND = 9.0
-# Stops stand where they should to half a millimetre (PLANT.md): three sd of that.
+# Stops stand where they should to half a millimetre (docs/reference/plant.md): three sd of that.
 _STOP_ZONE_M = 1.5e-3
 _REST_M = 0.35e-3
 _PROPPED_N = 2.0
@@ -249,7 +249,7 @@ class Signal:
                 made |= end & (float(end.mean()) > _LONG_REST)
             return made
         pull = np.interp(self._time, force.time_s, force.value)
-        hung = self.trial.load_kg * (9.80665 - self._acceleration) - pull
+        hung = self.trial.load_kg * (STANDARD_GRAVITY_M_S2 - self._acceleration) - pull
         usual = float(np.median(hung[between]))
         for end in (high, low):
             if end.sum() >= 5 and abs(float(np.median(hung[end])) - usual) > _PROPPED_N:

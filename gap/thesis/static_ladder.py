@@ -253,16 +253,16 @@ class Ladder:
             p = (table.pressure_kpa - effects.get("pressure_zero", "offset_kpa")) * 1e3
             length = (table.length_mm + effects.get("length_label", "offset_mm")) * 1e-3
             force = law.lasting(p, length, table.temperature_c)
-            if "braid_friction" in effects:
-                force = force - self._friction(law, table, p, length)
+            force = force + self._friction(law, table, p, length)
         except PlantError:
             return np.full(len(table.force_n), FAR_N)
         return np.asarray(table.force_n - read_force(force, effects))
 
     def _friction(self, law: ForceLaw, table: Table, p: Array, length: Array) -> Array:
-        """Friction along each path that is known; none where it is not."""
+        """What friction adds along each path that is known; nothing where it is not."""
         out = np.zeros(len(p))
         for number in np.unique(table.path[table.path >= 0]):
             here = table.path == number
-            out[here] = law.friction(p[here], length[here])
+            none = np.zeros(int(here.sum()))
+            out[here] = law.transient(none, p[here], length[here], none, none)
         return out

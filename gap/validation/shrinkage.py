@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 
 def shrinkage(problem: FitProblem, fit: FitResult, named: bool) -> dict[str, Any]:
-    """All of `pamrig gap shrink`'s tables as plain values; see docs/gap.md.
+    """All of `pamrig gap shrink`'s tables as plain values; see docs/use/gap.md.
 
     `named`: the verdict names the effects of the fit; if not, "after" is left out.
     """

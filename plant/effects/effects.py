@@ -10,7 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from plant.effects.catalogue import CATALOGUE, Entry, Parameter
+from plant.effects.arguments import Values
+from plant.effects.catalogue import CATALOGUE
+from plant.effects.effect import Effect, Parameter
 from plant.errors import PlantError
 
 
@@ -55,6 +57,14 @@ class Effects:
             raise PlantError(f"effect {name!r}: {parameter} is a number, {value!r}, not a word")
         return value
 
+    def active(self) -> list[tuple[Effect, Values]]:
+        """The effects in force with their parameters, in the order of the catalogue."""
+        return [(e, self.values[e.id]) for e in CATALOGUE.values() if e.id in self.values]
+
+    def headlines(self) -> list[tuple[Effect, float]]:
+        """The effects in force that have a headline parameter, with its value."""
+        return [(e, float(v[e.headline])) for e, v in self.active() if e.headline is not None]
+
     def as_config(self) -> dict[str, dict[str, float | str]]:
         """The tables that `from_config` would read back to equal effects."""
         return {name: dict(table) for name, table in self.values.items()}
@@ -64,7 +74,7 @@ NONE = Effects()
 """The nominal plant."""
 
 
-def _entry(name: str, origin: str) -> Entry:
+def _entry(name: str, origin: str) -> Effect:
     if name not in CATALOGUE:
         from difflib import get_close_matches
 
@@ -74,7 +84,7 @@ def _entry(name: str, origin: str) -> Entry:
     return CATALOGUE[name]
 
 
-def _read(entry: Entry, table: object, origin: str) -> dict[str, float | str]:
+def _read(entry: Effect, table: object, origin: str) -> dict[str, float | str]:
     known = {parameter.name: parameter for parameter in entry.parameters}
     listed = ", ".join(known) or "no parameters"
     if not isinstance(table, Mapping):

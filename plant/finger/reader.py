@@ -47,11 +47,6 @@ def valve_changes(source: str | Path) -> dict[str, Any]:
     return _table(str(source), "valves", "valve block")[0]
 
 
-def shipped_valves() -> list[str]:
-    """Names of the valve blocks that come with the package."""
-    return _names("valves")
-
-
 def _names(folder: str) -> list[str]:
     entries = resources.files("configs").joinpath("plant", folder).iterdir()
     return sorted(e.name.removesuffix(".toml") for e in entries if e.name.endswith(".toml"))

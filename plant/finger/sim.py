@@ -13,7 +13,6 @@ from plant.errors import PlantError
 from plant.finger import kernel
 from plant.finger.body import Finger
 from plant.links.dynamics import total_energy
-from plant.links.kinematics import tip_position
 from plant.physics import layout
 from plant.physics.muscle import braid_volume
 from plant.simulator.bench import build_params, build_state
@@ -159,11 +158,6 @@ class FingerSim:
     def pressure_kpa(self) -> Array:
         """True gauge pressures, (2 n,)."""
         return np.array(self.muscles[:, layout.PRESSURE] * 1e-3)
-
-    @property
-    def tip_m(self) -> Array:
-        """Position of the fingertip in the base frame, (3,)."""
-        return tip_position(self.finger.arm, self.q_rad)
 
     @property
     def energy_j(self) -> float:

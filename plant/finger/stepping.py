@@ -25,14 +25,14 @@ from plant.constants import (
 from plant.links.kernel import DAMPING, mass_matrix, recurse, solve, turn
 from plant.physics import flow
 from plant.physics import layout as at
+from plant.simulator import hooks
 from plant.simulator.rates import (
+    added_damping,
     chamber,
-    element,
     flows,
     outward,
     power,
     sealed,
-    slip_after,
     tension,
 )
 
@@ -70,8 +70,7 @@ _B = np.array([0.24212380706095346, -1.2232505839045147, 1.5452602553351020, 0.4
 @called
 def pull_of(state: Slots, params: Slots, p: float, length: float, rate: float) -> float:
     """Tension of a tendon after the fibres slid to a new pressure and length, N."""
-    slip = slip_after(state, params, p - state[at.PRESSURE], length - state[at.LENGTH])
-    return max(0.0, tension(state, params, p, length, rate, slip))
+    return max(0.0, tension(state, params, p, length, rate))
 
 
 @called
@@ -120,7 +119,7 @@ def _slopes(
             p = absolute * power(volume / more, par[at.EXPONENT]) - par[at.ATMOSPHERE]
             slope = (pull_of(state, par, p, length + step, rate) - pull) / step
             stiffness[int(tendons[i, 0])] += max(0.0, slope) * arm * arm
-            if par[at.VISCOUS] != 0.0:
+            if added_damping(par, state[at.PRESSURE], rate) != 0.0:
                 slope = pull_of(state, par, state[at.PRESSURE], length, rate + 1e-4) - pull
                 damping[int(tendons[i, 0])] += max(0.0, slope) / 1e-4 * arm * arm
         gas[i] = 0.0
@@ -277,11 +276,7 @@ def _accept(muscles: Array, params: Array, tendons: Array, box: Any) -> None:
         length = tendons[i, 1] + tendons[i, 2] * z[j]
         absolute = z[2 * n + i] / power(chamber(par, length), par[at.EXPONENT])
         p = absolute - par[at.ATMOSPHERE]
-        if par[at.FRICTION_FORCE] != 0.0:
-            travel = (p - state[at.PRESSURE]) / par[at.FRICTION_TRAVEL_PRESSURE]
-            travel -= (length - state[at.LENGTH]) / par[at.FRICTION_TRAVEL_LENGTH]
-            for e in range(at.SLIP_ELEMENTS):
-                state[at.SLIP + e] = element(state[at.SLIP + e], travel, e)
+        hooks.slide(state, par, p - state[at.PRESSURE], length - state[at.LENGTH])
         state[at.PRESSURE] = p
         state[at.LENGTH] = length
         state[at.LENGTH_RATE] = tendons[i, 2] * z[n + j]

@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from plant.fitting.data import Points
 from plant.fitting.fit import fit
+from plant.fitting.thesis_points import thesis_points
 from plant.models import catalogue
 from plant.models.law import Array, Law
 from plant.models.model import Model
-from plant.models.thesis_points import thesis_points
 from plant.thesis import load
 
 PARTS = (

@@ -17,6 +17,15 @@ from plant.links.inertia import Six, Three, check_inertia, rod_inertia, tensor
 Array = npt.NDArray[np.float64]
 
 
+def check_name(key: str, name: object, example: str) -> None:
+    """Refuse what is no plain word: names stand in generated source and in file names.
+
+    Raises `LinkError`.
+    """
+    if not isinstance(name, str) or not name.isidentifier():
+        raise LinkError(f'{key} = {name!r}; expected a plain word, e.g. {key} = "{example}"')
+
+
 @dataclass(frozen=True)
 class Link:
     """One row of the table, SI: the joint, the way to the link's frame, and the body.
@@ -43,6 +52,7 @@ class Link:
 
     def __post_init__(self) -> None:
         where = f"link of joint {self.joint!r}"
+        check_name("joint", self.joint, "flexion")
         if not all(map(math.isfinite, (self.a_m, self.alpha_rad, self.d_m, self.offset_rad))):
             raise LinkError(f"{where}: a, alpha, d and offset must be finite numbers")
         if not self.damping_n_m_s >= 0.0:
@@ -88,6 +98,7 @@ class Arm:
     gravity_m_s2: Three = (0.0, -9.80665, 0.0)
 
     def __post_init__(self) -> None:
+        check_name("name", self.name, "finger")
         if not self.links:
             raise LinkError(f"arm {self.name!r}: has no links; give it at least one")
         names = self.joints

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from plant import tomlfile
-from plant.links.arm import Arm, Link
+from plant.links.arm import Arm, Link, check_name
 from plant.links.errors import LinkError
 from plant.links.inertia import Six, Three, rod_inertia
 
@@ -82,8 +82,7 @@ def _parsed(text: str, origin: str) -> Arm:
 def _arm(table: Mapping[str, Any], origin: str) -> Arm:
     _known(table, _ARM_KEYS, origin)
     name = table.get("name")
-    if not isinstance(name, str) or not name.isidentifier():
-        raise LinkError(f'{origin}: name = {name!r}; expected a plain word, e.g. name = "finger"')
+    _word("name", name, "finger", origin)
     rows = table.get("link")
     if not isinstance(rows, list) or not 1 <= len(rows) <= MOST_LINKS:
         raise LinkError(f"{origin}: expected 1 to {MOST_LINKS} tables [[link]], got {rows!r:.40}")
@@ -93,7 +92,7 @@ def _arm(table: Mapping[str, Any], origin: str) -> Arm:
     x, y, z = _list(gravity, "gravity_m_s2", 3, -100.0, 100.0, origin)
     links = tuple(_link(row, f"{origin}, link {i + 1}") for i, row in enumerate(rows))
     try:
-        return Arm(name, links, (x, y, z))
+        return Arm(str(name), links, (x, y, z))
     except LinkError as error:
         raise LinkError(f"{origin}: {error}") from None
 
@@ -102,8 +101,7 @@ def _link(row: object, origin: str) -> Link:
     if not isinstance(row, Mapping):
         raise LinkError(f"{origin}: expected a table, got {row!r}")
     joint = row.get("joint")
-    if not isinstance(joint, str) or not joint:
-        raise LinkError(f'{origin}: joint = {joint!r}; expected a name, e.g. joint = "flexion"')
+    _word("joint", joint, "flexion", origin)
     origin = f"{origin} ({joint})"
     _known(row, _LINK_KEYS, origin)
     for key in ("a_mm", "mass_g"):
@@ -118,7 +116,7 @@ def _link(row: object, origin: str) -> Link:
         low, high = ends[0] * _DEG, ends[1] * _DEG
     try:
         return Link(
-            joint,
+            str(joint),
             length,
             value.get("alpha_deg", 0.0),
             value.get("d_mm", 0.0),
@@ -130,6 +128,13 @@ def _link(row: object, origin: str) -> Link:
             low,
             high,
         )
+    except LinkError as error:
+        raise LinkError(f"{origin}: {error}") from None
+
+
+def _word(key: str, value: object, example: str, origin: str) -> None:
+    try:
+        check_name(key, value, example)
     except LinkError as error:
         raise LinkError(f"{origin}: {error}") from None
 

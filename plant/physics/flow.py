@@ -50,30 +50,6 @@ def subsonic_slope(ratio: float, critical_ratio: float) -> float:
     return (1.0 - share) / (width * math.sqrt(share * (2.0 - share)))
 
 
-def drooped_supply(supply: float, downstream: float, droop: float, critical_ratio: float) -> float:
-    """Absolute pressure at the inlet of a source that falls in proportion to the flow it gives.
-
-        P1 = P_s - droop q / q_choked,    q_choked: the flow choked at P_s - droop
-
-    the droop line of a regulator's flow characteristic (ISO 6953-2). With the ellipse of ISO 6358
-    this is a quadratic in P1; the result is P_s - droop when choked and P_s without flow. A droop
-    beyond 45 % of the supply counts as that much.
-    """
-    if downstream >= supply:
-        return supply
-    fall = min(droop, 0.45 * supply)
-    choked = supply - fall
-    if downstream <= critical_ratio * choked:
-        return choked
-    slope = (fall / choked) ** 2
-    bend = slope / (1.0 - critical_ratio) ** 2
-    a = 1.0 - slope + bend * critical_ratio * critical_ratio
-    b = supply + bend * downstream * critical_ratio
-    c = supply * supply + bend * downstream * downstream
-    # The smaller root, in the form that does not cancel.
-    return c / (b + math.sqrt(max(0.0, b * b - a * c)))
-
-
 def mass_flow_kg_s(
     upstream_pa: float,
     downstream_pa: float,

@@ -1,8 +1,8 @@
 """The two solenoids of a valve block: what a command has to overcome before the valve moves.
 
 The kernel steps the valves; this module says the same in closed form, for planning pulses and for
-checking. Delays follow PLANT.md: on_ms + on_ms_per_kpa P, with P the gauge pressure upstream of
-that solenoid (supply for the inlet, muscle for the outlet) when the command changes.
+checking. Delays (docs/reference/plant.md): on_ms + on_ms_per_kpa P, with P the gauge pressure
+upstream of that solenoid (supply for the inlet, muscle for the outlet) when the command changes.
 """
 
 from __future__ import annotations

@@ -13,12 +13,11 @@ from plant.physics import layout as at
 from plant.physics import muscle
 from plant.scene import layout as sc
 from plant.scene.layout import Array
+from plant.simulator import hooks
 from plant.simulator.rates import (
-    _added_damping,
-    _added_stiffness,
+    added_damping,
+    added_stiffness,
     chamber,
-    link_slip,
-    slip_after,
     tension,
 )
 
@@ -109,8 +108,7 @@ def unit_force(w: sc.World, k: int, p: float, length: float, rate: float) -> flo
     """
     state, params = w.units[k], w.params[k]
     if w.kinds[k] == sc.BRAID:
-        slip = slip_after(state, params, p - state[at.PRESSURE], length - state[at.LENGTH])
-        pull = tension(state, params, p, length, rate, slip)
+        pull = tension(state, params, p, length, rate)
     elif w.kinds[k] == sc.TABLE:
         pull = _table_force(w.tables, w.axes, int(w.shape[k, sc.TABLE_ROW]), p, length)
         if w.shape[k, sc.MEMORY_KIND] != sc.NO_MEMORY:
@@ -125,21 +123,16 @@ def unit_force(w: sc.World, k: int, p: float, length: float, rate: float) -> flo
 @inlined
 def link_drag(w: sc.World, k: int, length: float) -> float:
     """Friction in the joint or slide that unit `k` pulls on, as a force along the unit, N."""
-    params = w.params[k]
-    if params[at.LINK_FRICTION] == 0.0:
-        return 0.0
-    return float(
-        params[at.LINK_FRICTION] * link_slip(w.units[k], params, length - w.units[k, at.LENGTH])
-    )
+    return float(hooks.drag(0.0, w.units[k], w.params[k], length))
 
 
 @inlined
 def unit_damping(w: sc.World, k: int) -> float:
     """How steeply the force of unit `k` may change with its speed, N s/m."""
     params = w.params[k]
-    if w.kinds[k] != sc.BRAID or params[at.MUSCLE_ADDITIONS] == 0.0:
+    if w.kinds[k] != sc.BRAID or params[at.FORCE_EFFECTS] == 0.0:
         return 0.0
-    return _added_damping(params, w.units[k, at.PRESSURE], w.units[k, at.LENGTH_RATE])
+    return added_damping(params, w.units[k, at.PRESSURE], w.units[k, at.LENGTH_RATE])
 
 
 @inlined
@@ -151,11 +144,8 @@ def unit_stiffness(w: sc.World, k: int, absolute: float, volume: float) -> float
     stiffness = params[at.EXPONENT] * absolute * area * area / volume
     if w.kinds[k] == sc.BRAID:
         stiffness += abs(_braid_slope(state[at.PRESSURE], length, params[at.TURNS]))
-        if params[at.FRICTION_FORCE] != 0.0:
-            first = params[at.FRICTION_TRAVEL_LENGTH] * 2.0 ** (1 - at.SLIP_ELEMENTS)
-            stiffness += abs(params[at.FRICTION_FORCE] * state[at.PRESSURE]) / 300e3 / first
-        if params[at.MUSCLE_ADDITIONS] != 0.0:
-            stiffness += _added_stiffness(params, state[at.PRESSURE], length)
+        if params[at.FORCE_EFFECTS] != 0.0:
+            stiffness += added_stiffness(params, state[at.PRESSURE], length)
     elif w.kinds[k] == sc.TABLE:
         p, row = state[at.PRESSURE], int(w.shape[k, sc.TABLE_ROW])
         span = 1e-4

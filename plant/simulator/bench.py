@@ -7,11 +7,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from plant.constants import PlantConstants
+from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects.effects import NONE, Effects
+from plant.effects.reference import TEMPERATURE_C as REFERENCE_TEMPERATURE_C
 from plant.errors import PlantError
 from plant.physics import layout
-from plant.physics.friction import element_slip
 from plant.physics.layout import (
     FORCE,
     INLET_COMMAND,
@@ -26,8 +26,11 @@ from plant.physics.layout import (
     TIME,
 )
 from plant.physics.muscle import braid_volume
+from plant.physics.nominal import nominal_slots
+from plant.simulator import hooks
 from plant.simulator.effect_slots import effect_slots
 from plant.simulator.kernel import advance as _advance
+from plant.simulator.rates import LEAST_MASS_KG
 
 __all__ = [
     "FORCE",
@@ -38,7 +41,9 @@ __all__ = [
     "OUTLET_COMMAND",
     "OUTLET_OPEN",
     "PRESSURE",
+    "REFERENCE_TEMPERATURE_C",
     "REGULATOR_SET",
+    "STANDARD_GRAVITY_M_S2",
     "SUPPLY",
     "TIME",
     "BenchSim",
@@ -53,9 +58,6 @@ Array = npt.NDArray[np.float64]
 Source = Literal["valve", "regulator"]
 Load = Literal["isometric", "isotonic"]
 
-STANDARD_GRAVITY_M_S2 = 9.80665
-REFERENCE_TEMPERATURE_C = 21.0
-"""Of the muscle, where none is given: that of the column of Table C-1 behind the constants."""
 REGULATOR_LAG_S = 1.0
 REGULATOR_MAX_PA = 700e3
 STEP_MAX_S = 1e-3
@@ -90,54 +92,34 @@ def build_params(
         raise PlantError(f"load = {load!r}; allowed 'isometric' or 'isotonic'")
     if not 1e-3 <= mass_kg <= 1e3:
         raise PlantError(f"mass_kg = {mass_kg!r}; allowed 0.001 to 1000")
-    if load == "isotonic":
-        _check_carried(mass_kg, effects)
-    c = constants
-    at: dict[int, float] = {
+    at = {
+        **nominal_slots(constants),
         layout.SOURCE: 1.0 if source == "regulator" else 0.0,
         layout.LOAD: 1.0 if load == "isotonic" else 0.0,
-        layout.ATMOSPHERE: c.atmosphere_pa,
-        layout.GAS_TEMPERATURE: c.gas_temperature_k,
-        layout.BRAID_LENGTH: c.braid_length_m,
-        layout.TURNS: c.turns,
-        layout.INLET_CONDUCTANCE: c.inlet_conductance_m3_s_pa,
-        layout.OUTLET_CONDUCTANCE: c.outlet_conductance_m3_s_pa,
-        layout.INLET_CRITICAL_RATIO: c.critical_ratio,
-        layout.OUTLET_CRITICAL_RATIO: c.critical_ratio,
-        layout.DEAD_VOLUME: c.dead_volume_m3,
-        layout.EXPONENT: c.polytropic_exponent,
-        layout.LENGTH_MIN: c.length_min_m,
-        layout.LENGTH_MAX: c.length_max_m,
-        layout.STOP_STIFFNESS: c.stop_stiffness_n_m,
-        layout.STOP_DAMPING: c.stop_damping_n_s_m,
-        layout.LOAD_DAMPING: c.load_damping_n_s_m,
         layout.MASS: mass_kg,
         layout.GRAVITY: gravity_m_s2,
         layout.REGULATOR_LAG: REGULATOR_LAG_S,
-        layout.DELAY_MODE: 1.0 if c.delay_mode == "transport" else 0.0,
-        layout.DELAY: c.inlet_on_s,
-        layout.DELAY + 1: c.inlet_off_s,
-        layout.DELAY + 2: c.outlet_on_s,
-        layout.DELAY + 3: c.outlet_off_s,
-        layout.DELAY_SLOPE: c.inlet_on_s_per_pa,
-        layout.DELAY_SLOPE + 1: c.inlet_off_s_per_pa,
-        layout.DELAY_SLOPE + 2: c.outlet_on_s_per_pa,
-        layout.DELAY_SLOPE + 3: c.outlet_off_s_per_pa,
         layout.STEP_MAX: STEP_MAX_S,
         layout.STEP_SAFETY: STEP_SAFETY,
     }
     params = np.zeros(layout.PARAMS_SIZE)
-    for slot, value in {**at, **effect_slots(c, effects)}.items():
+    for slot, value in {**at, **effect_slots(constants, effects)}.items():
         params[slot] = value
+    if load == "isotonic":
+        _check_carried(mass_kg, params, effects)
     return params
 
 
-def _check_carried(mass_kg: float, effects: Effects) -> None:
-    extra = effects.get("payload", "mass_kg")
-    if not mass_kg + extra >= 1e-3:
-        raise PlantError(
-            f"effect 'payload': {extra:g} kg beside a load of {mass_kg:g} kg carries nothing"
-        )
+def _check_carried(mass_kg: float, params: Array, effects: Effects) -> None:
+    carried = mass_kg
+    for effect, _ in effects.active():
+        if effect.plant.mass is not None:
+            carried = effect.plant.mass(carried, params)
+            if not carried >= LEAST_MASS_KG:
+                raise PlantError(
+                    f"effect {effect.id!r}: {carried - mass_kg:g} kg beside a load of "
+                    f"{mass_kg:g} kg carries nothing"
+                )
 
 
 def build_state(
@@ -299,12 +281,9 @@ class BenchSim:
 
     def _jump(self, pressure_pa: float, length_m: float) -> None:
         """Go to a pressure and length at once, sliding the fibres on the way."""
-        travel = (pressure_pa - self.state[PRESSURE]) / self.params[
-            layout.FRICTION_TRAVEL_PRESSURE
-        ] - (length_m - self.state[LENGTH]) / self.params[layout.FRICTION_TRAVEL_LENGTH]
-        for i in range(layout.SLIP_ELEMENTS):
-            slot = layout.SLIP + i
-            self.state[slot] = element_slip(float(self.state[slot]), float(travel), i)
+        change = pressure_pa - float(self.state[PRESSURE]), length_m - float(self.state[LENGTH])
+        for slide in hooks.functions("slide"):
+            slide(self.state, self.params, *change)
         self.state[PRESSURE] = pressure_pa
         self.state[LENGTH] = length_m
         self._refresh()

@@ -11,7 +11,7 @@ from typing import Any
 
 from plant.compiled import Slots, called, entry_point, fingerprint, inlined
 from plant.physics import layout as at
-from plant.simulator.rates import slip_after, tension
+from plant.simulator.rates import tension
 from plant.simulator.stepping import integrate
 
 SAME_INSTANT_S = 1e-9
@@ -89,9 +89,8 @@ def _run_until(state: Slots, params: Slots, end: float) -> None:
 
 @inlined
 def _measure(state: Slots, params: Slots) -> None:
-    slip = slip_after(state, params, 0.0, 0.0)
-    rate = state[at.LENGTH_RATE]
-    state[at.FORCE] = tension(state, params, state[at.PRESSURE], state[at.LENGTH], rate, slip)
+    p, length, rate = state[at.PRESSURE], state[at.LENGTH], state[at.LENGTH_RATE]
+    state[at.FORCE] = tension(state, params, p, length, rate)
 
 
 @inlined

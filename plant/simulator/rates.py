@@ -14,9 +14,12 @@ from plant.constants import (
     REFERENCE_DENSITY_KG_M3,
     REFERENCE_TEMPERATURE_K,
 )
-from plant.physics import additions, flow, muscle
+from plant.physics import flow, muscle
 from plant.physics import layout as at
-from plant.physics.friction import REFERENCE_PRESSURE_PA, element_slip
+from plant.simulator import hooks
+
+LEAST_MASS_KG = 1e-3
+"""A payload never takes away more than this leaves."""
 
 _factor = inlined(flow.subsonic_factor)
 _factor_slope = inlined(flow.subsonic_slope)
@@ -24,48 +27,22 @@ _force = inlined(muscle.braid_force)
 _force_slope = inlined(muscle.braid_force_slope)
 _volume = inlined(muscle.braid_volume)
 _volume_slope = inlined(muscle.braid_volume_slope)
-_liner = inlined(muscle.liner_pressure)
-_stretched = inlined(additions.stretched)
-_effective_length = inlined(additions.effective_length)
-_bladder = inlined(additions.bladder_force)
-_bladder_slope = inlined(additions.bladder_slope)
-_limit = inlined(additions.limit_force)
-_viscous = inlined(additions.viscous_force)
-_drooped = inlined(flow.drooped_supply)
-element = inlined(element_slip)
 
 
 @inlined
-def tension(
-    state: Slots, params: Slots, p: float, length: float, rate: float, slip: float
-) -> float:
-    """Force of the muscle in N; `slip` is the mean slip of the friction elements."""
-    if params[at.MUSCLE_ADDITIONS] != 0.0 or params[at.CREEP_GAIN] != 0.0:
-        pull = float(_with_additions(state, params, p, length, rate))
-    else:
-        pull = braid(params, p, length)
-    if params[at.FRICTION_FORCE] != 0.0 and p > 0.0:
-        pull -= params[at.FRICTION_FORCE] * p / REFERENCE_PRESSURE_PA * slip
-    return pull
-
-
-@inlined
-def braid(params: Slots, p: float, length: float) -> float:
-    """Force of the braid of nominal geometry behind its liner, N."""
-    push = p
-    if params[at.LINER_LOST] > 0.0:
-        push = _liner(p, params[at.LINER_LOST], params[at.LINER_WIDTH])
-    return _force(push, length, params[at.BRAID_LENGTH], params[at.TURNS])
+def tension(state: Slots, params: Slots, p: float, length: float, rate: float) -> float:
+    """Force of the muscle in N at the end of a step that began as `state` says."""
+    if params[at.FORCE_EFFECTS] == 0.0:
+        return _force(p, length, params[at.BRAID_LENGTH], params[at.TURNS])
+    return _with_effects(state, params, p, length, rate)
 
 
 @inlined
 def _deformed(params: Slots, p: float, length: float) -> float:
-    """Force of the braid with threads that stretch and ends that taper, N."""
-    push = p
-    if params[at.LINER_LOST] > 0.0:
-        push = _liner(p, params[at.LINER_LOST], params[at.LINER_WIDTH])
-    threads = _stretched(params[at.BRAID_LENGTH], p, params[at.STRETCH])
-    inner = _effective_length(length, params[at.CAP_SHARE], params[at.CAP_REST])
+    """Force of the braid for the pressure, threads and length that count, N."""
+    push = hooks.push(p, params, p)
+    threads = hooks.threads(params[at.BRAID_LENGTH], params, p)
+    inner = hooks.inner(length, params, length)
     pull: float = _force(push, inner, threads, params[at.TURNS])
     return pull
 
@@ -74,82 +51,33 @@ def _deformed(params: Slots, p: float, length: float) -> float:
 def lasting(state: Slots, params: Slots, p: float, length: float) -> float:
     """Force in N that would stay if pressure and length did: no friction, speed or creep."""
     pull = _deformed(params, p, length)
-    if params[at.WARMING] != 0.0:
-        grown = pull
-        flat = params[at.WARMING_FLAT]
-        if flat != 0.0:
-            grown += flat * (_deformed(params, additions.STRETCH_PRESSURE_PA, length) - pull)
-        warmer = state[at.TEMPERATURE] - params[at.WARMING_FROM]
-        pull += params[at.WARMING] * warmer * grown
-    pull *= 1.0 + params[at.WEAR] * state[at.TRIAL]
-    if params[at.BLADDER] != 0.0:
-        rest = params[at.BLADDER_REST]
-        pull += _bladder(length, params[at.BLADDER], rest, params[at.BLADDER_HARDENING])
-    if params[at.LIMIT_FORCE] != 0.0:
-        lost = params[at.LIMIT_FORCE]
-        pull -= _limit(length, lost, params[at.LENGTH_MIN], params[at.LIMIT_SCALE])
-    return pull
+    temperature, trials = state[at.TEMPERATURE], state[at.TRIAL]
+    pull = hooks.scale(pull, params, p, length, temperature, trials, _deformed)
+    return float(hooks.add(pull, params, p, length))
 
 
 @called
-def _with_additions(state: Slots, params: Slots, p: float, length: float, rate: float) -> float:
+def _with_effects(state: Slots, params: Slots, p: float, length: float, rate: float) -> float:
     pull = lasting(state, params, p, length)
-    if params[at.CREEP_GAIN] != 0.0:
-        crept = 0.0
-        for i in range(at.CREEP_ELEMENTS):
-            crept += state[at.CREEP + i]
-        pull -= params[at.CREEP_GAIN] * crept
-    if params[at.VISCOUS] != 0.0:
-        damping = params[at.VISCOUS]
-        power_law = params[at.VISCOUS_EXPONENT]
-        pull += _viscous(rate, p, damping, power_law, params[at.VISCOUS_PRESSURE])
-    return pull
+    return float(hooks.transient(pull, state, params, p, length, rate))
 
 
 @called
-def _added_stiffness(params: Slots, p: float, length: float) -> float:
-    """How steeply the additions may change the force with length, N/m; never too little."""
-    braid_share = params[at.CAP_SHARE] * abs(_force_slope(p, length, params[at.TURNS]))
-    rest = params[at.BLADDER_REST]
-    tube = abs(_bladder_slope(length, params[at.BLADDER], rest, params[at.BLADDER_HARDENING]))
-    wall = 0.0
-    if params[at.LIMIT_FORCE] != 0.0:
-        lost = abs(params[at.LIMIT_FORCE])
-        scale = params[at.LIMIT_SCALE]
-        wall = _limit(length, lost, params[at.LENGTH_MIN], scale) / scale
-    total: float = braid_share + tube + wall
-    return total
+def added_stiffness(params: Slots, p: float, length: float) -> float:
+    """How steeply effects may change the force with length, N/m; never too little."""
+    return float(hooks.stiffness(0.0, params, p, length))
 
 
 @called
-def _added_damping(params: Slots, p: float, rate: float) -> float:
-    """How steeply the additions change the force with speed, N s/m."""
-    exponent = params[at.VISCOUS_EXPONENT]
-    pace = max(abs(rate), additions.VISCOUS_FLOOR_M_S)
-    force = _viscous(pace, p, params[at.VISCOUS], exponent, params[at.VISCOUS_PRESSURE])
-    slope: float = 1.5 * max(1.0, exponent) * abs(force) / pace
-    return slope
-
-
-@inlined
-def slip_after(state: Slots, params: Slots, dp: float, dlength: float) -> float:
-    """Mean slip after a further change of pressure and length; `state` is left alone.
-
-    Exact whatever the step, as long as the path between does not turn.
-    """
-    if params[at.FRICTION_FORCE] == 0.0:
-        return 0.0
-    travel = dp / params[at.FRICTION_TRAVEL_PRESSURE] - dlength / params[at.FRICTION_TRAVEL_LENGTH]
-    total = 0.0
-    for i in range(at.SLIP_ELEMENTS):
-        total += element(state[at.SLIP + i], travel, i)
-    return total / at.SLIP_ELEMENTS
+def added_damping(params: Slots, p: float, rate: float) -> float:
+    """How steeply effects change the force with speed, N s/m."""
+    return float(hooks.damping(0.0, params, p, rate))
 
 
 @inlined
 def carried(params: Slots) -> float:
-    """Mass in kg that really hangs on the muscle; a payload never takes more than is there."""
-    return max(params[at.MASS] + params[at.EXTRA_MASS], 1e-3)
+    """Mass in kg that really hangs on the muscle."""
+    return float(max(hooks.mass(params[at.MASS], params), LEAST_MASS_KG))
 
 
 @inlined
@@ -183,24 +111,20 @@ def sealed(state: Slots, params: Slots) -> bool:
     return (
         state[at.INLET_OPEN] == 0.0
         and state[at.OUTLET_OPEN] == 0.0
-        and params[at.LEAK_CONDUCTANCE] == 0.0
+        and hooks.outward(0.0, params) == 0.0
     )
 
 
 @inlined
 def outward(state: Slots, params: Slots) -> float:
     """Conductance of every way from the muscle to the atmosphere, without a valve that is shut."""
-    return params[at.OUTLET_CONDUCTANCE] * state[at.OUTLET_OPEN] + params[at.LEAK_CONDUCTANCE]
+    return float(hooks.outward(params[at.OUTLET_CONDUCTANCE] * state[at.OUTLET_OPEN], params))
 
 
 @inlined
 def inlet_pressure(state: Slots, params: Slots, absolute: float) -> float:
     """Absolute pressure upstream of the open inlet; `absolute` is that in the muscle."""
-    supply = state[at.SUPPLY] + params[at.ATMOSPHERE]
-    if params[at.SUPPLY_DROOP] > 0.0:
-        critical = params[at.INLET_CRITICAL_RATIO]
-        supply = _drooped(supply, absolute, params[at.SUPPLY_DROOP], critical)
-    return supply
+    return float(hooks.upstream(state[at.SUPPLY] + params[at.ATMOSPHERE], params, absolute))
 
 
 @inlined
@@ -258,32 +182,15 @@ def fastest_load(state: Slots, params: Slots, absolute: float, volume: float, st
     stiffness = abs(_force_slope(state[at.PRESSURE], length, params[at.TURNS]))
     stiffness += params[at.EXPONENT] * absolute * area * area / volume
     damping = params[at.LOAD_DAMPING]
-    if params[at.FRICTION_FORCE] != 0.0:
-        first = params[at.FRICTION_TRAVEL_LENGTH] * 2.0 ** (1 - at.SLIP_ELEMENTS)
-        limit = params[at.FRICTION_FORCE] * abs(state[at.PRESSURE]) / REFERENCE_PRESSURE_PA
-        stiffness += abs(limit) / first
-    if params[at.LINK_FRICTION] != 0.0:
-        stiffness += params[at.LINK_FRICTION] / params[at.LINK_TRAVEL]
-    if params[at.MUSCLE_ADDITIONS] != 0.0:
-        stiffness += _added_stiffness(params, state[at.PRESSURE], length)
-        damping += _added_damping(params, state[at.PRESSURE], state[at.LENGTH_RATE])
+    stiffness = hooks.drag_stiffness(stiffness, params)
+    if params[at.FORCE_EFFECTS] != 0.0:
+        stiffness += added_stiffness(params, state[at.PRESSURE], length)
+        damping += added_damping(params, state[at.PRESSURE], state[at.LENGTH_RATE])
     if stop:
         stiffness += params[at.STOP_STIFFNESS]
         damping += params[at.STOP_DAMPING]
     mass = carried(params)
     return math.sqrt(stiffness / mass) + damping / mass
-
-
-@inlined
-def link_slip(state: Slots, params: Slots, dlength: float) -> float:
-    """Slip of the joint or slide that carries the load after a further `dlength` of motion.
-
-    One elasto-slip element (Prandtl; Armstrong-Helouvry, Dupont and Canudas de Wit 1994 on
-    pre-sliding): it sticks like a stiff spring and slips at its limit, whatever the speed.
-    """
-    if params[at.LINK_FRICTION] == 0.0:
-        return 0.0
-    return min(1.0, max(-1.0, state[at.LINK_SLIP] + dlength / params[at.LINK_TRAVEL]))
 
 
 @inlined

@@ -14,9 +14,8 @@ import numpy.typing as npt
 
 from plant.constants import PlantConstants
 from plant.effects.effects import Effects
-from plant.errors import PlantError
-from plant.physics.additions import follow
-from plant.physics.flow import drooped_supply
+from plant.physics.lag import follow
+from plant.simulator.bench import build_params
 from plant.simulator.simulate import Traces
 
 Array = npt.NDArray[np.float64]
@@ -40,47 +39,45 @@ def readings(traces: Traces, constants: PlantConstants, effects: Effects) -> Rea
         time_s=traces.time_s,
         pressure_kpa=read_pressure(traces.pressure_read_kpa, effects),
         force_n=read_force(traces.force_n, effects),
-        length_mm=delayed(traces.time_s, length, effects.get("camera_delay", "delay_ms") * 1e-3),
+        length_mm=delayed(traces.time_s, length, camera_delay_s(effects)),
         supply_kpa=_supply(traces, constants, effects),
     )
 
 
 def read_pressure(true_kpa: npt.ArrayLike, effects: Effects) -> Array:
-    """Transducer with gain and zero, kPa: true (1 + percent / 100) + offset."""
-    gain = effects.get("pressure_gain", "percent") / 100.0
-    return np.asarray(true_kpa) * (1.0 + gain) + effects.get("pressure_zero", "offset_kpa")
+    """Transducer with gain and zero, kPa: true (1 + gain) + zero."""
+    hooks = [(effect.sensors.pressure, amount) for effect, amount in effects.headlines()]
+    return _linear(true_kpa, [hook(amount) for hook, amount in hooks if hook is not None])
 
 
 def read_force(true_n: npt.ArrayLike, effects: Effects) -> Array:
-    """Force sensor with gain and zero, N: true (1 + percent / 100) + offset."""
-    gain = effects.get("force_gain", "percent") / 100.0
-    return np.asarray(true_n) * (1.0 + gain) + effects.get("force_zero", "offset_n")
+    """Force sensor with gain and zero, N: true (1 + gain) + zero."""
+    hooks = [(effect.sensors.force, amount) for effect, amount in effects.headlines()]
+    return _linear(true_n, [hook(amount) for hook, amount in hooks if hook is not None])
+
+
+def _linear(true: npt.ArrayLike, errors: list[tuple[float, float]]) -> Array:
+    gain, zero = sum(gain for gain, _ in errors), sum(zero for _, zero in errors)
+    return np.asarray(np.asarray(true) * (1.0 + gain) + zero)
 
 
 def read_length(true_mm: npt.ArrayLike, constants: PlantConstants, effects: Effects) -> Array:
-    """Length that the camera gives for a true one, delay apart, mm.
+    """Length that the camera gives for a true one, delay apart, mm; each error is of the true one.
 
-        L = L_0 + (1 + percent / 100) (L_true - L_0) + distortion ((L_true - c) / (L_max - c))^3
-
-    Radial distortion of the third order (Brown 1966), c being where it vanishes. Raises
-    `PlantError` where that place is beyond the range.
+    Raises `PlantError` where an error has no meaning for these constants.
     """
-    true = np.asarray(true_mm, dtype=np.float64)
-    read = true
-    if "camera_scale" in effects:
-        still = effects.get("camera_scale", "still_mm")
-        read = still + (true - still) * (1.0 + effects.get("camera_scale", "percent") / 100.0)
-    if "camera_distortion" in effects:
-        low, high = constants.length_min_m * 1e3, constants.length_max_m * 1e3
-        centre = (low + high) / 2.0 + effects.get("camera_distortion", "centre_mm")
-        if not low - 1e-9 <= centre <= high - 0.1 * (high - low):
-            raise PlantError(
-                f"effect 'camera_distortion': centre_mm puts its centre at {centre:g} mm; it must "
-                f"lie within {low:g} to {high - 0.1 * (high - low):g} mm"
-            )
-        bend = effects.get("camera_distortion", "distortion_mm")
-        read = read + bend * ((true - centre) / (high - centre)) ** 3
-    return np.asarray(read)
+    read = np.asarray(true_mm, dtype=np.float64)
+    true_m = read * 1e-3
+    for effect, values in effects.active():
+        if effect.sensors.camera is not None:
+            read = read + effect.sensors.camera(true_m, values, constants) * 1e3
+    return read
+
+
+def camera_delay_s(effects: Effects) -> float:
+    """How late the time stamps of the camera's frames are, in s."""
+    hooks = [(effect.sensors.camera_delay, amount) for effect, amount in effects.headlines()]
+    return sum(hook(amount) for hook, amount in hooks if hook is not None)
 
 
 def delayed(time_s: Array, values: Array, delay_s: float) -> Array:
@@ -107,17 +104,16 @@ def lagged(time_s: Array, values: Array, time_constant_s: float) -> Array:
 
 
 def _supply(traces: Traces, constants: PlantConstants, effects: Effects) -> Array:
-    """The supply channel: it shows the share `shown` of a droop at the inlet."""
-    shown = effects.get("supply_droop", "shown")
-    if shown == 0.0:
-        return traces.supply_kpa
-    droop = effects.get("supply_droop", "droop_kpa") * 1e3
-    ratio = effects.get("critical_ratio", "critical_ratio", constants.critical_ratio)
-    atmosphere = constants.atmosphere_pa
-    supply = traces.supply_kpa * 1e3 + atmosphere
-    inside = traces.pressure_kpa * 1e3 + atmosphere
-    fallen = [
-        drooped_supply(float(s), float(p), droop, ratio) if is_open else float(s)
-        for s, p, is_open in zip(supply, inside, traces.inlet_open, strict=True)
-    ]
-    return np.asarray(traces.supply_kpa - shown * (supply - np.array(fallen)) * 1e-3)
+    """The supply channel, which may show part of what the pressure at the inlet falls by."""
+    shown = traces.supply_kpa
+    params = build_params(constants, effects)
+    supply = traces.supply_kpa * 1e3 + constants.atmosphere_pa
+    inside = traces.pressure_kpa * 1e3 + constants.atmosphere_pa
+    for effect, values in effects.active():
+        if effect.sensors.supply is not None:
+            fall = [
+                effect.sensors.supply(float(s), float(p), params, values) if is_open else 0.0
+                for s, p, is_open in zip(supply, inside, traces.inlet_open, strict=True)
+            ]
+            shown = shown - np.array(fall) * 1e-3
+    return shown

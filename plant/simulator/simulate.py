@@ -101,7 +101,7 @@ def pulse_train(
     return Commands(time_s, (channel,) * (2 * count), np.tile([1.0, 0.0], count))
 
 
-def run_commands(
+def run_commands(  # noqa: PLR0913 - a recording has that many named conditions
     constants: PlantConstants,
     inputs: Commands,
     duration_s: float,
@@ -135,7 +135,7 @@ def run_commands(
         raise PlantError(f"pressure_kpa = {pressure_kpa!r}; allowed above vacuum and up to 1200")
     params = build_params(constants, effects, source, load, mass_kg)
     if load == "isometric":
-        length_m += effects.get("length_label", "offset_mm") * 1e-3
+        length_m += held_offset_m(effects)
     state = build_state(constants, length_m, temperature_c, trials)
     state[layout.PRESSURE] = state[layout.PRESSURE_READ] = pressure_kpa * 1e3
     sample_s = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
@@ -154,6 +154,12 @@ def run_commands(
         supply_kpa=out[:, layout.SUPPLY] * 1e-3,
         pressure_read_kpa=out[:, layout.PRESSURE_READ if lagging else layout.PRESSURE] * 1e-3,
     )
+
+
+def held_offset_m(effects: Effects) -> float:
+    """True minus written length of a muscle that is held, in m."""
+    hooks = [(effect.sensors.held, amount) for effect, amount in effects.headlines()]
+    return sum(hook(amount) for hook, amount in hooks if hook is not None)
 
 
 def _checked(inputs: Commands) -> tuple[npt.NDArray[np.int64], Array]:

@@ -14,23 +14,20 @@ import numpy as np
 
 from plant.compiled import Slots, called, inlined
 from plant.constants import GAS_CONSTANT_J_KG_K
-from plant.physics import additions
 from plant.physics import layout as at
+from plant.simulator import hooks
 from plant.simulator.rates import (
     carried,
     chamber,
-    element,
     fastest_gas,
     fastest_load,
     flows,
     lagged,
     lasting,
-    link_slip,
     outward,
     power,
     regulated,
     sealed,
-    slip_after,
     stop_push,
     tension,
 )
@@ -44,7 +41,6 @@ _TRAVEL_HIGH = 0.99
 _MEMORY_STEP_S = 1e-3
 # A load so near to a stop is on it.
 _ON_STOP_M = 1e-11
-_follow = inlined(additions.follow)
 _STAGE = np.array([0.0, 0.5, 0.5, 1.0])
 _WEIGHT = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 
@@ -52,12 +48,7 @@ _WEIGHT = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 @inlined
 def _accept(state: Slots, params: Slots, p: float, length: float) -> None:
     """Take a new pressure and length into the state, sliding the fibres on the way."""
-    if params[at.FRICTION_FORCE] != 0.0:
-        travel = (p - state[at.PRESSURE]) / params[at.FRICTION_TRAVEL_PRESSURE]
-        travel -= (length - state[at.LENGTH]) / params[at.FRICTION_TRAVEL_LENGTH]
-        for i in range(at.SLIP_ELEMENTS):
-            state[at.SLIP + i] = element(state[at.SLIP + i], travel, i)
-    state[at.LINK_SLIP] = link_slip(state, params, length - state[at.LENGTH])
+    hooks.slide(state, params, p - state[at.PRESSURE], length - state[at.LENGTH])
     state[at.PRESSURE] = p
     state[at.LENGTH] = length
 
@@ -209,12 +200,10 @@ def _trial(
             dy *= volume ** (exponent - 1.0)
         dlength = rate
         if hung:
-            slip = slip_after(state, params, p - p0, length - length0)
-            pull = tension(state, params, p, length, rate, slip)
+            pull = tension(state, params, p, length, rate)
             push = stop_push(params, touched, length, rate)
             net = push - pull - params[at.LOAD_DAMPING] * rate
-            if params[at.LINK_FRICTION] != 0.0:
-                net -= params[at.LINK_FRICTION] * link_slip(state, params, length - length0)
+            net -= hooks.drag(0.0, state, params, length)
             drate = params[at.GRAVITY] + net / carried(params)
         weight = _WEIGHT[stage]
         dy_mean += weight * dy
@@ -241,16 +230,9 @@ def _still(state: Slots, params: Slots) -> bool:
 
 @called
 def _remember(state: Slots, params: Slots, p0: float, pull0: float, duration: float) -> None:
-    """Let creep and the transducer's lag follow a step in which both inputs ran straight."""
-    if params[at.CREEP_GAIN] != 0.0:
-        pull = lasting(state, params, state[at.PRESSURE], state[at.LENGTH])
-        for i in range(at.CREEP_ELEMENTS):
-            time = params[at.CREEP_TIME + i]
-            state[at.CREEP + i] = _follow(state[at.CREEP + i], pull0, pull, duration, time)
-    if params[at.PRESSURE_LAG] > 0.0:
-        seen = state[at.PRESSURE_READ]
-        lag = params[at.PRESSURE_LAG]
-        state[at.PRESSURE_READ] = _follow(seen, p0, state[at.PRESSURE], duration, lag)
+    """Let effects with a memory follow a step in which pressure and force ran straight."""
+    pull = lasting(state, params, state[at.PRESSURE], state[at.LENGTH])
+    hooks.follow(state, params, p0, pull0, pull, duration)
 
 
 @called

@@ -13,7 +13,7 @@ import typer
 from daq.clock import Clock
 from daq.errors import PamrigError
 from rigs.bench.rig import Rig, open_rig
-from rigs.execution.runner import ALIVE_S
+from rigs.devices.valve_controller import ALIVE_S
 from rigs.rigfile.config import RigConfig, load_rig
 
 MARKS = {"ok": "ok  ", "warn": "WARN", "stop": "STOP"}

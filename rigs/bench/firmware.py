@@ -22,6 +22,7 @@ Run = Callable[[Sequence[str]], str]
 
 SOURCE = Path(valvefw.__file__).parent
 FOLDER = "valvefw"
+FOLDERS = ("schemes",)
 NOT_ON_BOARD = ("deskboard.py",)
 # As source: the version must be readable whatever else is wrong.
 AS_SOURCE = ("__init__.py",)
@@ -31,12 +32,22 @@ AS_BYTECODE = ("board.py", "board_rp2040.py", "commands.py", "config.py", "captu
 MAIN = "from valvefw.board_rp2040 import run\n\nrun()\n"
 SECONDS = 120.0
 
-MAKE_FOLDER = f"""
+MAKE_FOLDERS = f"""
 import os
-if "{FOLDER}" not in os.listdir():
+def clear(folder):
+    for name in os.listdir(folder):
+        path = folder + "/" + name
+        if os.stat(path)[0] & 0x4000:
+            clear(path)
+            os.rmdir(path)
+        else:
+            os.remove(path)
+if "{FOLDER}" in os.listdir():
+    clear("{FOLDER}")
+else:
     os.mkdir("{FOLDER}")
-for name in os.listdir("{FOLDER}"):
-    os.remove("{FOLDER}/" + name)
+for name in {FOLDERS!r}:
+    os.mkdir("{FOLDER}/" + name)
 """
 
 # Runs on the board: version and CRC-32 of every file.
@@ -50,10 +61,16 @@ def crc(path):
             if not part:
                 return value
             value = binascii.crc32(part, value)
+def below(folder):
+    found = []
+    for name in os.listdir(folder):
+        path = folder + "/" + name
+        found += below(path) if os.stat(path)[0] & 0x4000 else [path]
+    return found
 names = os.listdir()
 paths = ["main.py"] if "main.py" in names else []
 if "{FOLDER}" in names:
-    paths += ["{FOLDER}/" + name for name in os.listdir("{FOLDER}")]
+    paths += below("{FOLDER}")
 for path in sorted(paths):
     print(path, crc(path))
 try:
@@ -131,11 +148,12 @@ def board_files() -> dict[str, bytes]:
         PamrigError: the compiler is not installed, or refuses a file.
     """
     files = {"main.py": MAIN.encode()}
-    for path in sorted(SOURCE.glob("*.py")):
+    for path in sorted(SOURCE.rglob("*.py")):
+        name = f"{FOLDER}/{path.relative_to(SOURCE).as_posix()}"
         if path.name in AS_SOURCE:
-            files[f"{FOLDER}/{path.name}"] = path.read_bytes()
+            files[name] = path.read_bytes()
         elif path.name not in NOT_ON_BOARD:
-            files[f"{FOLDER}/{path.stem}.mpy"] = _compile(path)
+            files[name.removesuffix(".py") + ".mpy"] = _compile(path)
     return files
 
 
@@ -170,18 +188,18 @@ def install(port: str, run: Run = run_mpremote) -> Comparison:
     files = board_files()
     connect = ("connect", port)
     run((*connect, "exec", "import os\ntry:\n    os.remove('main.py')\nexcept OSError:\n    pass"))
-    run((*connect, "exec", MAKE_FOLDER))
+    run((*connect, "exec", MAKE_FOLDERS))
     with tempfile.TemporaryDirectory() as folder:
-        local = []
+        there: dict[str, list[str]] = {}
         for name, content in files.items():
+            path = Path(folder) / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
             if name != "main.py":
-                path = Path(folder) / Path(name).name
-                path.write_bytes(content)
-                local.append(str(path))
-        run((*connect, "fs", "cp", *local, f":{FOLDER}/"))
-        main = Path(folder) / "main.py"
-        main.write_bytes(files["main.py"])
-        run((*connect, "fs", "cp", str(main), ":main.py"))
+                there.setdefault(name.rpartition("/")[0], []).append(str(path))
+        for place, local in there.items():
+            run((*connect, "fs", "cp", *local, f":{place}/"))
+        run((*connect, "fs", "cp", str(Path(folder) / "main.py"), ":main.py"))
     found = check(port, run)
     if not found.equal:
         raise DeviceError(

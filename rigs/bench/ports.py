@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.reduction.pictures import measure_stored
 from daq.clock import Clock
 from daq.errors import ConfigError, DeviceError, PamrigError
 from daq.link.transport import Link, SerialLink
@@ -20,7 +21,7 @@ from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
 from rigs.devices.operator import ConsoleOperator, ManualAxis, ManualStage, Operator
 from rigs.devices.operator_port import RemoteOperator
-from rigs.rigfile.config import Device, RigConfig
+from rigs.rigfile.config import Device, RigConfig, camera_values
 from rigs.rigfile.instruments import ModbusDevice, TextDevice
 
 if TYPE_CHECKING:
@@ -164,9 +165,6 @@ def camera_length(config: RigConfig, camera: Camera) -> float:
     Raises:
         DeviceError: no trusted length in any of them.
     """
-    from rigs.execution.pictures import measure_stored
-    from rigs.execution.session import camera_values
-
     how = camera_values(config)
     gaps = [measure_stored(camera.trigger().gray, how) for _ in range(CHECK_FRAMES)]
     pixels = [g.pixels for g in gaps if g.trusted]

@@ -26,8 +26,8 @@ from rigs.rigfile.camera_calibration import (
     load_camera_calibration,
     save_camera_calibration,
 )
-from vision.lens import Lens
-from vision.marker.edge import GapMeasurement
+from vision.marker.gap import GapMeasurement
+from vision.marker.lens import Lens
 
 __all__ = [
     "CameraCalibration",
@@ -164,7 +164,7 @@ def _fit_lens(gaps: list[GapMeasurement], lengths: F64, start: Lens) -> Lens | N
     return replace(start, k1=k1, u_k1=u_k1)
 
 
-def _finish(
+def _finish(  # noqa: PLR0913 - what a calibration states, each by name
     pixels: F64,
     u_px: F64,
     lengths: F64,
@@ -212,7 +212,7 @@ def _finish(
     return CameraCalibration(straight, lens, per_mm, u_per_mm, u_off_plane_mm)
 
 
-def calibrate_from_board(
+def calibrate_from_board(  # noqa: PLR0913 - what a calibration states, each by name
     picture: Path,
     squares: tuple[int, int],
     square_mm: float,

@@ -34,7 +34,7 @@ TARES = 6
 """So many tares after the weights tell what a tare leaves."""
 
 
-def calibrate_force(
+def calibrate_force(  # noqa: PLR0913 - what a calibration states, each by name
     config: RigConfig,
     masses_kg: Sequence[float],
     root: Path,

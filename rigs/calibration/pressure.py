@@ -31,9 +31,9 @@ from rigs.calibration.run import (
 )
 from rigs.devices.operator import Operator, Request, ask_number
 from rigs.execution.runner import Runner, Watch
-from rigs.execution.session import camera_values
-from rigs.execution.steps import Dwell, SetPressure, Settle, SettleCriterion, State, Steps, Vent
-from rigs.rigfile.config import RigConfig
+from rigs.rigfile.config import RigConfig, camera_values
+from rigs.steps.custom_step import Steps
+from rigs.steps.steps import Dwell, SetPressure, Settle, SettleCriterion, State, Vent
 
 SETTLE = SettleCriterion(window_s=0.5, pressure_kpa=2.0, drift_kpa=0.5, drift_n=1.0, timeout_s=10.0)
 VENTED_KPA = 5.0
@@ -42,7 +42,7 @@ MOST_CLIPPED = 0.4
 """A point with more of its samples at the end of the sensor's range tells nothing."""
 
 
-def calibrate_pressure(
+def calibrate_pressure(  # noqa: PLR0913 - what a calibration states, each by name
     config: RigConfig,
     pressures_kpa: Sequence[float],
     root: Path,

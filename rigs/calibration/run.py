@@ -18,8 +18,8 @@ from daq.clock import NS_PER_S
 from daq.errors import PamrigError
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig
+from rigs.execution.manifest import software
 from rigs.execution.runner import outcome_of
-from rigs.execution.session import software
 from rigs.rigfile.calibration_file import CalibrationFile
 
 BLOCKS = 10

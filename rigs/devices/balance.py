@@ -26,6 +26,9 @@ CLOSE_NS = 10_000_000
 computer was busy."""
 PAUSE_NS = 300_000_000
 """A balance makes ten readings a second or more: after this they were held up on the way."""
+BALANCE_SCHEMA = {"row": "int64", "host_ns": "int64", "grams": "float64", "stable": "uint8"}
+BALANCE_UNITS = {"host_ns": "ns", "grams": "g"}
+"""Columns and units of the balance's stream in a record."""
 
 
 class Balance(LineDevice):

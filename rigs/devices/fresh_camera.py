@@ -8,7 +8,7 @@ from daq.clock import Clock
 from daq.deadline import Deadline
 from daq.errors import DeviceError, DeviceTimeout, PamrigError
 from rigs.devices.camera import Camera, Frame, is_lit
-from rigs.devices.instruments.faults import Faults
+from rigs.devices.faults import Faults
 
 AGAIN_S = 0.15
 """So long an old picture is asked for anew. Shorter than the controller's patience without a

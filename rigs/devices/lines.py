@@ -9,7 +9,7 @@ from daq.errors import DeviceTimeout, LinkLost
 from daq.link.framer import LineFramer
 from daq.link.transport import Link
 from rigs.devices.event_loop import Pump
-from rigs.devices.instruments.faults import Faults
+from rigs.devices.faults import Faults
 
 
 class LineDevice:

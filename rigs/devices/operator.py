@@ -191,7 +191,7 @@ class ManualAxis:
         before: called before anything is asked.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - an axis has that many named settings
         self,
         name: str,
         unit: str,

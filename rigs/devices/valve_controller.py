@@ -31,6 +31,8 @@ PROTOCOL_VERSION = "1"
 _COUNT = re.compile(r"\d{1,10}\Z", re.ASCII)
 
 Batch = dict[str, npt.NDArray[np.generic]]
+ALIVE_S = 1.0
+"""A step must report progress at least so often, or the heartbeat stops."""
 
 
 class ValveController:

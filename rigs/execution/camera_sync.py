@@ -11,10 +11,11 @@ import math
 
 import numpy as np
 
+from analysis.reduction.pictures import decode
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig
-from rigs.execution.pictures import decode, store
 from rigs.rigfile.config import CameraSync
+from rigs.steps.pictures import store
 from vision.syncled import SyncError, find_delay, led_level, patch_row_shift
 
 SEED = 0xACE1

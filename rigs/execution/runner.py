@@ -18,16 +18,17 @@ from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import SAFE_KPA, Rig
 from rigs.devices.operator import ManualAxis, ManualSetting
-from rigs.execution.actions.hand_regulator import turn_by_hand
-from rigs.execution.actions.loads import lower_load
+from rigs.devices.valve_controller import ALIVE_S
 from rigs.execution.control import RunControl
 from rigs.execution.recording import temperature
-from rigs.execution.schedule import cost_s
 from rigs.execution.settling import SAMPLE_S, has_settled
 from rigs.execution.steering import Steering
-from rigs.execution.steps import (
-    Act,
-    Answer,
+from rigs.steps.context import RunFault
+from rigs.steps.custom_step import Answer, CustomStep, Step, Steps
+from rigs.steps.hand_regulator import turn_by_hand
+from rigs.steps.loads import lower_load
+from rigs.steps.schedule import cost_s
+from rigs.steps.steps import (
     Dwell,
     EndTrial,
     Measure,
@@ -35,24 +36,16 @@ from rigs.execution.steps import (
     SetPressure,
     Settle,
     State,
-    Step,
-    Steps,
     Tare,
     Trial,
     Vent,
     Zero,
 )
-from rigs.execution.watching import Progress as Progress
-from rigs.execution.watching import Watch as Watch
+from rigs.steps.watching import Progress as Progress
+from rigs.steps.watching import Watch as Watch
 
-ALIVE_S = 1.0
-"""A step must report progress at least so often, or the heartbeat stops."""
 BALANCE_SILENCE_S = 2.0
 TELEMETRY_SILENCE_S = 0.5
-
-
-class RunFault(PamrigError):
-    """The bench reported a fault, or went silent, while a protocol ran."""
 
 
 class Runner:
@@ -172,7 +165,7 @@ class Runner:
                 except StopIteration:
                     break
                 self.steering.hold()
-                if isinstance(step, Measure) or (isinstance(step, Act) and step.points):
+                if isinstance(step, Measure) or (isinstance(step, CustomStep) and step.points):
                     answer = self.steering.point(step)
                 else:
                     self.steering.note(step)
@@ -225,11 +218,11 @@ class Runner:
                 return self._settle(step)
             case Zero():
                 self._zero(step)
-            case Act():
+            case CustomStep():
                 return step.perform(self)
         return None
 
-    def make(self, step: Measure | Act) -> Answer:
+    def make(self, step: Measure | CustomStep) -> Answer:
         """One step that makes a point."""
         if isinstance(step, Measure):
             return self._measure(step)
@@ -348,7 +341,7 @@ class Runner:
         )
 
     def _measure(self, step: Measure) -> None:
-        from rigs.execution.pictures import take_picture
+        from rigs.steps.pictures import take_picture
 
         frames, lengths = [], []
 

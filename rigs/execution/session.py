@@ -1,15 +1,11 @@
-"""One test from start to finish: open, check, record, run, finalise, derive."""
+"""One test from start to finish: open, check, record, run, finalise."""
 
 from __future__ import annotations
 
 import contextlib
-import platform
-import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,142 +13,47 @@ from daq.clock import NS_PER_S
 from daq.errors import DeviceError, PamrigError, RecordError
 from daq.interrupt import StopFlag, Stopped
 from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
+from daq.record.space import check_disk
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig, firmware_parameters, open_rig
+from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
 from rigs.devices.lines import LineDevice
 from rigs.devices.operator import ConsoleOperator
 from rigs.devices.stage import Stage
 from rigs.execution.control import RunControl, control_file
+from rigs.execution.manifest import manifest
 from rigs.execution.procedure import Plan, Procedure
 from rigs.execution.recording import (
     instrument_counters,
-    instrument_manifest,
     record_instruments,
     recorder,
 )
 from rigs.execution.resume import remaining
 from rigs.execution.runner import Runner, Watch, outcome_of
-from rigs.execution.schedule import outline
-from rigs.execution.steps import Steps
-from rigs.protocols.registry import procedure
-from rigs.rigfile.config import RigConfig
+from rigs.rigfile.config import RigConfig, camera_values
+from rigs.steps.custom_step import Steps
+from rigs.steps.schedule import outline
+from rigs.steps.watching import LiveView
 
 if TYPE_CHECKING:
-    from rigs.live.feed import LiveFeed
     from rigs.virtual.bench import VirtualBench
 
-BALANCE_SCHEMA = {"row": "int64", "host_ns": "int64", "grams": "float64", "stable": "uint8"}
-BALANCE_UNITS = {"host_ns": "ns", "grams": "g"}
 HEAR_OUT_S = 0.3
 """So long a line, or an answer, may be on its way when all is done."""
-BYTES_PER_POINT = 400_000
-"""Record size of one settled point, generously: 1 kHz for some seconds, and a frame."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """How a test ended; ``not_derived`` says why table and report could not be made."""
+    """How a test ended: its record, and how many of the planned points it holds."""
 
     folder: Path
     outcome: str
     error: BaseException | None
     points: int
-    not_derived: str = ""
     planned: int = 0
 
 
-def software() -> dict[str, Any]:
-    """Versions that a result depends on, and the revision of the source where it is a checkout."""
-    out: dict[str, Any] = {"python": platform.python_version(), "platform": platform.platform()}
-    for name in ("pamrig", "numpy", "numba", "opencv-python-headless", "pyarrow"):
-        try:
-            out[name] = version(name)
-        except PackageNotFoundError:
-            out[name] = None
-    here = Path(__file__).resolve().parent.parent
-    out["git"] = None
-    if (here / ".git").exists() and shutil.which("git"):
-
-        def git(*words: str) -> str:
-            done = subprocess.run(
-                ["git", "-C", str(here), *words],
-                capture_output=True,
-                text=True,
-                timeout=10,
-                check=False,
-            )
-            return done.stdout.strip() if done.returncode == 0 else ""
-
-        out["git"] = {"revision": git("rev-parse", "HEAD") or None,
-                      "dirty": bool(git("status", "--porcelain"))}  # fmt: skip
-    return out
-
-
-def manifest(
-    rig: Rig, protocol: str, plan: Plan, specimen: str, operator: str, note: str
-) -> dict[str, Any]:
-    """What is known before the run; it goes to disk before anything is armed."""
-    config = rig.config
-    out: dict[str, Any] = {
-        "protocol": protocol,
-        "parameters": plan.as_dict(),
-        "specimen": specimen,
-        "operator": operator,
-        "note": note,
-        "rig": {"name": config.name, "description": config.description, "source": config.source,
-                "crc32": config.crc32, "text": config.text},
-        "limits": dict(vars(config.limits)),
-        "conditions": dict(vars(config.conditions)),
-        "camera": camera_values(config),
-        "calibrations": {k: c.to_dict() for k, c in config.calibrations.items()},
-        "devices": rig.identities,
-        "software": software(),
-    }  # fmt: skip
-    out.update(instrument_manifest(rig))
-    out["load"] = dict(vars(config.instruments.load))
-    if config.virtual is not None:
-        out["virtual"] = {"seed": config.virtual.seed}
-    return out
-
-
-def camera_values(config: RigConfig) -> dict[str, Any]:
-    """How pictures are to be measured: what a replay must know."""
-    camera = config.camera
-    return {
-        "region": list(camera.region) if camera.region else None,
-        "sync": {**vars(camera.sync), "patch": list(camera.sync.patch)} if camera.sync else None,
-        "lens": camera.lens,
-    }
-
-
-def check_disk(root: Path, points: int) -> None:
-    """Refuse to start a run that the disk cannot hold.
-
-    Raises:
-        RecordError: says what is needed and what is free.
-    """
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordError(
-            str(root), f"cannot hold runs: {error.strerror}", "choose another folder with --out"
-        ) from None
-    free = shutil.disk_usage(root).free
-    need = 20_000_000 + points * BYTES_PER_POINT
-    if free < need:
-        raise RecordError(
-            str(root),
-            f"{free / 1e6:.0f} MB free, this run may need {need / 1e6:.0f} MB",
-            "make room or choose another folder with --out",
-        )
-
-
-def run_isometric(config: RigConfig, protocol: Plan, root: Path, **how: Any) -> Result:
-    """Run an isometric test; see :func:`run_protocol`."""
-    return run_protocol(procedure("isometric"), config, protocol, root, **how)
-
-
-def run_protocol(
+def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by name; its phases stand in one place
     kind: Procedure,
     config: RigConfig,
     plan: Plan,
@@ -163,10 +64,9 @@ def run_protocol(
     note: str = "",
     stop: StopFlag | None = None,
     control: RunControl | None = None,
-    make_live: Callable[[str], LiveFeed] | None = None,
+    make_live: Callable[[str], LiveView] | None = None,
     watch: Watch | None = None,
     on_start: Callable[[Runner, RecordWriter], None] | None = None,
-    derive: bool = True,
     wire: bool = False,
     continues: dict[str, Any] | None = None,
     bench: VirtualBench | None = None,
@@ -185,7 +85,6 @@ def run_protocol(
         make_live: makes the live view once the run's id is known.
         watch: hooks for a progress line.
         on_start: called with the runner just before the first step.
-        derive: also make table, figures, report and view from the record.
         wire: also record every byte that came in: a fixture, or evidence after a fault.
         continues: the run that this one goes on with (``rigs.execution.resume.continuation``); its
             whole trials are not made again.
@@ -218,7 +117,7 @@ def run_protocol(
         record.stream("valve", VALVE_COLUMNS, VALVE_UNITS)
         record.stream("balance", BALANCE_SCHEMA, BALANCE_UNITS)
         error: BaseException | None = None
-        live: LiveFeed | None = None
+        live: LiveView | None = None
         camera = camera_values(config)
         runner = Runner(rig, record, stop, watch, camera, control)
         try:
@@ -252,22 +151,7 @@ def run_protocol(
                 # The last words did not reach the disk: the run is not what it seemed to be.
                 error = error or record.failed
                 outcome = outcome_of(error)
-    if isinstance(error, RecordError):
-        not_derived = "the disk would not take it"
-    else:
-        not_derived = _derive(record.folder) if derive else ""
-    return Result(record.folder, outcome, error, runner.progress.done, not_derived, points)
-
-
-def _derive(folder: Path) -> str:
-    """Make what is derived; why it could not be made, or "". The record is safe either way."""
-    from analysis.reporting.derived import derive_all
-
-    try:
-        derive_all(folder)
-    except PamrigError as error:
-        return str(error)
-    return ""
+    return Result(record.folder, outcome, error, runner.progress.done, points)
 
 
 def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> None:
@@ -280,7 +164,7 @@ def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> Non
         DeviceError: no length can be had of the picture.
     """
     from rigs.execution.camera_sync import measure_camera_delay
-    from rigs.execution.pictures import take_picture
+    from rigs.steps.pictures import take_picture
 
     gap = take_picture(rig, record, camera).gap
     if not gap.trusted:

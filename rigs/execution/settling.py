@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.clock import NS_PER_S
 from rigs.bench.rig import Rig
-from rigs.execution.steps import Settle
+from rigs.steps.steps import Settle
 
 SAMPLE_S = 1e-3
 
@@ -75,7 +75,7 @@ class _Length:
 
     def rests(self) -> bool:
         """Whether this picture and the one a window ago give the same length."""
-        from rigs.execution.pictures import measure_stored
+        from analysis.reduction.pictures import measure_stored
 
         if self._rig.clock.now_ns() < self._next_ns:
             return False

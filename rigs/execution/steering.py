@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 from daq.clock import NS_PER_S
 from rigs.execution.control import RunControl
-from rigs.execution.steps import Act, Answer, Measure, SetLength, SetPressure, Settle, Step, Vent
+from rigs.steps.custom_step import Answer, CustomStep, Step
+from rigs.steps.steps import Measure, SetLength, SetPressure, Settle, Vent
 
 if TYPE_CHECKING:
-    from rigs.execution.runner import Runner
+    from rigs.steps.context import StepContext
 
 LOOK_S = 0.25
 """How often the control file is looked at, in bench time."""
@@ -30,7 +31,7 @@ class Steering:
         take: of the point that is being made, from 1.
     """
 
-    def __init__(self, runner: Runner, control: RunControl) -> None:
+    def __init__(self, runner: StepContext, control: RunControl) -> None:
         self._runner = runner
         self._control = control
         self.paused = False
@@ -41,7 +42,9 @@ class Steering:
         self._next_look_ns = 0
         self._settle: Settle | None = None
         self._settings: dict[str, Setting] = {}
-        self._last: tuple[dict[str, Setting], Settle | None, Measure | Act, int] | None = None
+        self._last: tuple[dict[str, Setting], Settle | None, Measure | CustomStep, int] | None = (
+            None
+        )
 
     def look(self) -> None:
         """Take what was asked since; called in every round of the bench."""
@@ -105,7 +108,7 @@ class Steering:
             self._settle = step
             self._held = False
 
-    def point(self, step: Measure | Act) -> Answer:
+    def point(self, step: Measure | CustomStep) -> Answer:
         """Make a point, unless it is skipped; and again, as often as that is asked for."""
         if self._again and self._last is not None:
             self._return()
@@ -118,7 +121,7 @@ class Steering:
             answer = self._make(step, self.take + 1)
         return answer
 
-    def _make(self, step: Measure | Act, take: int) -> Answer:
+    def _make(self, step: Measure | CustomStep, take: int) -> Answer:
         self._again = False
         self.take = take
         answer: Answer = None
@@ -148,7 +151,9 @@ class Steering:
                 self._settings[axis] = step
                 self._runner.do(step)
 
-    def _settle_again(self, settle: Settle | None, point: Measure | Act) -> Measure | Act:
+    def _settle_again(
+        self, settle: Settle | None, point: Measure | CustomStep
+    ) -> Measure | CustomStep:
         """Settle once more; the point with how that went."""
         if settle is None:
             return point

@@ -11,18 +11,18 @@ import numpy.typing as npt
 
 from analysis.layouts import layouts as paths
 from analysis.layouts.layouts import edge_lines, profile_lines
+from analysis.reduction.pictures import decode
 from daq.clock import NS_PER_S
 from daq.live.layout import LiveLayout
 from daq.live.live import LiveView
 from daq.record.writer import RecordWriter
 from daq.store.derive import scaled
 from rigs.bench.rig import Rig
-from rigs.execution.pictures import decode
 from rigs.execution.runner import Watch
-from rigs.execution.steps import Measure
+from rigs.steps.steps import Measure
 
 if TYPE_CHECKING:
-    from vision.marker.edge import GapMeasurement
+    from vision.marker.gap import GapMeasurement
 
 Batch = dict[str, npt.NDArray[np.generic]]
 
@@ -41,7 +41,7 @@ class LiveFeed:
         self._feeds = layout.feeds
         self._start_ns = 0
 
-    def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:
+    def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:  # noqa: C901 - one small hook after another
         """Listen to everything; called once before the run."""
         self._start_ns = record.start_ns
         self._rig = rig

@@ -25,9 +25,9 @@ from plant.effects.effects import NONE, Effects
 from plant.simulator.bench import PRESSURE, BenchSim
 from rigs.bench.rig import Rig
 from rigs.execution.runner import Runner, Watch
-from rigs.execution.steps import Measure
 from rigs.live.stage_share import LiveShare
 from rigs.rigfile.plant_file import load_plant
+from rigs.steps.steps import Measure
 
 if TYPE_CHECKING:
     from rigs.live.feed import LiveFeed

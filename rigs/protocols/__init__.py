@@ -9,9 +9,9 @@ To add a protocol NAME:
    ``layout`` of its screen; ``firmware`` settings that differ from the rig's;
 3. ``configs/protocols/NAME.toml`` and ``NAME-short.toml`` (at most 15 s).
 
-A step that only this protocol knows is a dataclass derived from ``rigs.execution.steps.Act``: it
-says how long it takes and how many points it makes, and ``perform(runner)`` does it with
-``runner.rig``, ``runner.record`` (streams and events) and ``runner.window`` (samples of the next
-seconds). ``steps()`` is walked through without a bench beforehand (``schedule.outline``), so it
-must take None for the answer of an Act.
+A step that only this protocol knows is a dataclass derived from
+``rigs.steps.custom_step.CustomStep``: it says how long it takes and how many points it makes,
+and ``perform(runner)`` does it with ``runner.rig``, ``runner.record`` (streams and events) and
+``runner.window`` (samples of the next seconds). ``steps()`` is walked through without a bench
+beforehand (``schedule.outline``), so it must take None for the answer of an Act.
 """

@@ -6,25 +6,22 @@ the meter in its line and the pressure sensor are read over the same stretches o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.findings.flow import Meter, flow_findings, flow_share
-from analysis.layouts.valve import valve_layout
-from analysis.reduction.valve import reduce_flow
-from rigs.execution.actions.valve import ValvePoint, pressure_now
+from analysis.findings.flow import FLOW, Meter, flow_share
 from rigs.execution.procedure import Procedure
-from rigs.execution.schedule import arrange
-from rigs.execution.steps import EndTrial, State, Steps, Trial
 from rigs.rigfile.toml_reader import load_toml
+from rigs.steps.custom_step import Steps
+from rigs.steps.schedule import arrange
+from rigs.steps.steps import EndTrial, State, Trial
+from rigs.steps.valve import ValvePoint, pressure_now
 
 if TYPE_CHECKING:
-    from daq.live.layout import LiveLayout
-    from rigs.execution.runner import Runner
     from rigs.rigfile.config import RigConfig
+    from rigs.steps.context import StepContext
 
 THESIS_CONDUCTANCE = 1.25e-9
 """m3/(s Pa) of a 1.0 mm orifice: what the live view draws beside the readings."""
@@ -80,7 +77,7 @@ class FlowPoint(ValvePoint):
     plan: Flow
     seconds = 5.0
 
-    def perform(self, runner: Runner) -> None:
+    def perform(self, runner: StepContext) -> None:
         """Fill, open, read, record."""
         rig, p = runner.rig, self.plan
         _, came = self.upstream(runner, p.tolerance_kpa, p.supply_kpa)
@@ -135,11 +132,7 @@ def read(name: str, config: RigConfig) -> Flow:
     return plan
 
 
-def layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    return valve_layout("Flow test", parameters, flow=True)
-
-
 PROCEDURE = Procedure(
-    "flow", "Flow test", read, reduce_flow, layout, flow_findings, firmware={"rise_ms": 300}
-)
+    FLOW, read,
+    firmware={"rise_ms": 300},
+)  # fmt: skip

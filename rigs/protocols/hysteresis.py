@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.findings.hysteresis import hysteresis_findings
-from analysis.reduction.points import Reduction, reduce_points
-from daq.live.layout import LiveLayout
-from rigs.execution.actions.loads import HangLoad
-from rigs.execution.actions.setpoint import at_set_pressure
-from rigs.execution.procedure import Findings, Procedure
-from rigs.execution.steps import State, Steps
+from analysis.findings.hysteresis import HYSTERESIS
+from rigs.execution.procedure import Procedure
 from rigs.protocols.isotonic import read_masses
 from rigs.protocols.method import Method, read_method
 from rigs.protocols.trials import Logbook, Path
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
+from rigs.steps.custom_step import Steps
+from rigs.steps.loads import HangLoad
+from rigs.steps.steps import State
 
 if TYPE_CHECKING:
-    from daq.store.run import Run
-
-EXTRA = {"mass_kg": "float64", "cycle_max_kpa": "float64"}
+    pass
 
 
 @dataclass(frozen=True)
@@ -117,41 +112,8 @@ def read(name: str, config: RigConfig) -> Hysteresis:
     return out
 
 
-def reduce(run: Run) -> Reduction:
-    """Settled points with the mass that hung and the turn of the cycle."""
-    return reduce_points(run, extra=EXTRA)
-
-
-def findings(run: Run, reduction: Reduction) -> Findings:
-    """Of both kinds of cycle, each by itself, at the set pressures."""
-    hung = reduction.table["mass_kg"].notna()
-    parts = []
-    for use, value in ((~hung, "force_n"), (hung, "length_mm")):
-        table = at_set_pressure(reduction.table[use].reset_index(drop=True), value)
-        if len(table) or (value == "force_n" and not hung.any()):
-            parts.append(hysteresis_findings(run, replace(reduction, table=table)))
-    if len(parts) == 1:
-        return parts[0]
-    return Findings(
-        " ".join(part.headline for part in parts),
-        tuple(section for part in parts for section in part.sections),
-        {"isometric": parts[0].data, "isotonic": parts[1].data},
-    )
-
-
-def layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    from analysis.layouts.static import hysteresis_layout
-
-    return hysteresis_layout(
-        parameters.get("lengths_mm") or (),
-        parameters.get("masses_kg") or (),
-        max(parameters.get("cycles_kpa") or [600.0]),
-    )
-
-
 PROCEDURE = Procedure(
-    "hysteresis", "Hysteresis test", read, reduce, layout, findings,
+    HYSTERESIS, read,
     # A load that moves squeezes the air that is shut in: no leak.
     firmware={"leak_counts": 0},
 )  # fmt: skip

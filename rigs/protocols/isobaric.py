@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from analysis.findings.isobaric import isobaric_findings
-from analysis.reduction.points import reduce_points
-from daq.live.layout import LiveLayout
-from rigs.execution.actions.sweep import Sweeps, read_sweeps
+from analysis.findings.isobaric import ISOBARIC
 from rigs.execution.procedure import Procedure
-from rigs.execution.steps import State, Steps
 from rigs.protocols.method import Method, read_method
 from rigs.protocols.trials import VENTED_KPA, Logbook
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
+from rigs.steps.custom_step import Steps
+from rigs.steps.steps import State
+from rigs.steps.sweep import Sweeps, read_sweeps
 
 
 @dataclass(frozen=True)
@@ -80,16 +78,8 @@ def read(name: str, config: RigConfig) -> Isobaric:
     return out
 
 
-def layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    from analysis.layouts.static import isobaric_layout
-
-    del parameters
-    return isobaric_layout()
-
-
 PROCEDURE = Procedure(
-    "isobaric", "Isobaric test", read, reduce_points, layout, isobaric_findings,
+    ISOBARIC, read,
     # The stage squeezes the air that is shut in: the controller would take that for a leak.
     firmware={"leak_counts": 0},
 )  # fmt: skip

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from analysis.findings.isothermal import isothermal_findings
-from analysis.reduction.points import Reduction, reduce_points
-from daq.live.layout import LiveLayout
-from rigs.execution.actions.temperature import SetTemperature, SoakCriterion
+from analysis.findings.isothermal import ISOTHERMAL
 from rigs.execution.procedure import Procedure
-from rigs.execution.steps import State, Steps
 from rigs.protocols.method import Method, read_method
 from rigs.protocols.trials import Logbook
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
+from rigs.steps.custom_step import Steps
+from rigs.steps.steps import State
+from rigs.steps.temperature import SetTemperature, SoakCriterion
 
 if TYPE_CHECKING:
-    from daq.store.run import Run
-
-EXTRA = {"set_temperature_c": "float64"}
+    pass
 
 
 @dataclass(frozen=True)
@@ -80,7 +76,7 @@ def read(name: str, config: RigConfig) -> Isothermal:
         raise t.fail(
             "protocol",
             f"needs a thermometer, and {config.source} has no [thermometer]",
-            "add it (docs/instruments.md), or try --rig virtual-instruments",
+            "add it (docs/reference/instruments.md), or try --rig virtual-instruments",
         )
     low, high = config.limits.length_min_mm, config.limits.length_max_mm
     top = config.limits.pressure_kpa
@@ -116,20 +112,8 @@ def read(name: str, config: RigConfig) -> Isothermal:
     return out
 
 
-def reduce(run: Run) -> Reduction:
-    """Settled points with the temperature that was asked for at each."""
-    return reduce_points(run, extra=EXTRA)
-
-
-def layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    from analysis.layouts.static import isothermal_layout
-
-    return isothermal_layout(max(parameters.get("pressures_kpa") or [600.0]))
-
-
 PROCEDURE = Procedure(
-    "isothermal", "Isothermal test", read, reduce, layout, isothermal_findings,
+    ISOTHERMAL, read,
     # The stage squeezes the air that is shut in: the controller would take that for a leak.
     firmware={"leak_counts": 0},
 )  # fmt: skip

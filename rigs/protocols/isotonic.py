@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from analysis.findings.isotonic import isotonic_findings
-from analysis.reduction.points import Reduction, reduce_points
-from daq.live.layout import LiveLayout
-from rigs.execution.actions.loads import HangLoad
+from analysis.findings.isotonic import ISOTONIC
 from rigs.execution.procedure import Procedure
-from rigs.execution.steps import State, Steps
 from rigs.protocols.method import Method, read_method
 from rigs.protocols.trials import Logbook
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import Table, load_toml
+from rigs.steps.custom_step import Steps
+from rigs.steps.loads import HangLoad
+from rigs.steps.steps import State
 
 if TYPE_CHECKING:
-    from daq.store.run import Run
-
-EXTRA = {"mass_kg": "float64"}
+    pass
 
 
 @dataclass(frozen=True)
@@ -85,20 +81,8 @@ def read_masses(t: Table, config: RigConfig) -> tuple[float, ...]:
     return t.numbers("masses_kg", 0.01, heaviest, unit="kg")
 
 
-def reduce(run: Run) -> Reduction:
-    """Settled points with the mass that hung at each."""
-    return reduce_points(run, extra=EXTRA)
-
-
-def layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    from analysis.layouts.static import isotonic_layout
-
-    return isotonic_layout(pressure_max_kpa=max(parameters.get("pressures_kpa") or [600.0]))
-
-
 PROCEDURE = Procedure(
-    "isotonic", "Isotonic test", read, reduce, layout, isotonic_findings,
+    ISOTONIC, read,
     # A load that moves squeezes the air that is shut in: no leak.
     firmware={"leak_counts": 0},
 )  # fmt: skip

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from rigs.execution.actions.leak_check import LeakCheck
-from rigs.execution.schedule import ORDERS, Place, T, arrange
-from rigs.execution.steps import SettleCriterion
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import Table
+from rigs.steps.leak_check import LeakCheck
+from rigs.steps.schedule import ORDERS, Place, T, arrange
+from rigs.steps.steps import SettleCriterion
 
 
 @dataclass(frozen=True)

@@ -7,25 +7,23 @@ first.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from analysis.findings.ram import ram_findings, reduce_ram
-from analysis.layouts.valve import valve_layout
+from analysis.findings.ram import RAM
 from daq.clock import NS_PER_S
-from rigs.execution.actions.valve import Release
 from rigs.execution.procedure import Procedure
-from rigs.execution.steps import Act, EndTrial, State, Steps, Trial
 from rigs.rigfile.toml_reader import load_toml
+from rigs.steps.custom_step import CustomStep, Steps
+from rigs.steps.steps import EndTrial, State, Trial
+from rigs.steps.valve import Release
 
 if TYPE_CHECKING:
-    from daq.live.layout import LiveLayout
-    from rigs.execution.runner import Runner
     from rigs.rigfile.config import RigConfig
+    from rigs.steps.context import StepContext
 
 SWITCHES = {"A": 0x40, "B": 0x80}
-"""Flags of the telemetry that carry the two proximity inputs (docs/wire-format.md)."""
+"""Flags of the telemetry that carry the two proximity inputs (docs/reference/wire-format.md)."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class RamTest:
 
 
 @dataclass(frozen=True)
-class Move(Act):
+class Move(CustomStep):
     """One move to a switch, and the hold there."""
 
     trial: int
@@ -90,7 +88,7 @@ class Move(Act):
         """About how long it takes."""
         return self.reach_s / 4 + self.hold_s
 
-    def perform(self, runner: Runner) -> None:
+    def perform(self, runner: StepContext) -> None:
         """Ask, wait for the switch, hold."""
         valve, pump = runner.rig.valve, runner.rig.pump
         take = runner.steering.take
@@ -164,16 +162,7 @@ def read(name: str, config: RigConfig) -> RamTest:
     return plan
 
 
-def layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    shown = {
-        "result_axis": ("time to the switch (s)", float(parameters.get("reach_s") or 10.0)),
-        "pressures_kpa": [2.0 * float(parameters.get("rise_kpa") or 100.0)],
-    }
-    return valve_layout("Ram test", {**parameters, **shown}, window_s=20.0)
-
-
 PROCEDURE = Procedure(
-    "ram", "Ram test", read, reduce_ram, layout, ram_findings,
+    RAM, read,
     firmware={"leak_counts": 0, "rise_ms": 300},
 )  # fmt: skip

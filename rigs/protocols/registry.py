@@ -20,10 +20,3 @@ def procedure(name: str) -> Procedure:
     found = import_module(f"rigs.protocols.{name.replace('-', '_')}").PROCEDURE
     assert isinstance(found, Procedure)
     return found
-
-
-def procedure_of(name: object) -> Procedure:
-    """The protocol of a record; the isometric one for records of a protocol unknown here."""
-    if name == "simulate":  # records of `pamrig simulate`; no rig runs it
-        return import_module("analysis.findings.simulation").PROCEDURE  # type: ignore[no-any-return]
-    return procedure(name if isinstance(name, str) and name in PROTOCOLS else "isometric")

@@ -6,25 +6,22 @@ is recorded at 1 kHz and judged from the record alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.findings.step import step_findings
-from analysis.layouts.valve import valve_layout
-from analysis.reduction.step import reduce_step
-from rigs.execution.actions.valve import Release
+from analysis.findings.step import STEP
 from rigs.execution.procedure import Procedure
-from rigs.execution.steps import Act, EndTrial, SetLength, State, Steps, Trial
 from rigs.protocols.trials import BREATH_KPA, BREATH_S
 from rigs.rigfile.toml_reader import load_toml
+from rigs.steps.custom_step import CustomStep, Steps
+from rigs.steps.steps import EndTrial, SetLength, State, Trial
+from rigs.steps.valve import Release
 
 if TYPE_CHECKING:
-    from daq.live.layout import LiveLayout
-    from rigs.execution.runner import Runner
     from rigs.rigfile.config import RigConfig
+    from rigs.steps.context import StepContext
 
 SCHEMES = ("two", "duty_in", "duty", "slide", "burst", "pwm")
 
@@ -78,20 +75,20 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Breath(Act):
+class Breath(CustomStep):
     """A breath of air: moving the muscle may draw a vacuum, which an outlet need not let go."""
 
     scheme: str
     seconds = BREATH_S
 
-    def perform(self, runner: Runner) -> None:
+    def perform(self, runner: StepContext) -> None:
         """Ask for a little; the trial that follows lets it out."""
         runner.rig.valve.request(f"scheme {self.scheme}")
         _ask(runner, BREATH_KPA)
         runner.rig.pump.for_seconds(BREATH_S)
 
 
-def _ask(runner: Runner, pressure_kpa: float) -> None:
+def _ask(runner: StepContext, pressure_kpa: float) -> None:
     counts = float(runner.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
     runner.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
     runner.watch.set_point("pressure", pressure_kpa)
@@ -99,7 +96,7 @@ def _ask(runner: Runner, pressure_kpa: float) -> None:
 
 
 @dataclass(frozen=True)
-class Response(Act):
+class Response(CustomStep):
     """One step of the set-point, and what follows it."""
 
     trial: int
@@ -118,7 +115,7 @@ class Response(Act):
         """About how long it takes."""
         return self.step_s
 
-    def perform(self, runner: Runner) -> None:
+    def perform(self, runner: StepContext) -> None:
         """Ask, and let the time pass; a repeated step begins at the pressure before it again."""
         valve = runner.rig.valve
         take = runner.steering.take
@@ -143,7 +140,7 @@ class Response(Act):
         )  # fmt: skip
         runner.progress.done += 1 if take == 1 else 0
 
-    def _show(self, runner: Runner) -> None:
+    def _show(self, runner: StepContext) -> None:
         """The rms error of the step's second half goes to the live view."""
         counts = runner.rig.valve.recent_counts(round(self.step_s / 2 * 1000))
         kpa = runner.rig.config.calibrations["pressure_kpa"].apply(counts)
@@ -186,14 +183,8 @@ def read(name: str, config: RigConfig) -> Step:
     return plan
 
 
-def layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    axis = {"result_axis": ("rms error of the second half of a step (kPa)", 100.0)}
-    return valve_layout("Step test", {**parameters, **axis}, window_s=10.0)
-
-
 PROCEDURE = Procedure(
-    "step", "Step test", read, reduce_step, layout, step_findings,
+    STEP, read,
     # Schemes that swing keep their valves busy; what they do to a valve is the test's business.
     firmware={"leak_counts": 0},
 )  # fmt: skip

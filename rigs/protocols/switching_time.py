@@ -7,37 +7,34 @@ record; when the air came and when it stayed away is found anew from them by the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.ma  # np.median loads it when first called: that must not be while air is on
 
-from analysis.findings.switching import time_findings
-from analysis.layouts.valve import valve_layout
-from analysis.reduction.valve import reduce_switching_time
-from daq.errors import DeviceError
-from plant.constants import nominal
-from plant.physics.valve import off_delay_s, on_delay_s
-from rigs.execution.actions.switching import (
+from analysis.findings.switching import SWITCHING_TIME
+from analysis.reduction.switching import (
     AIR_M_S,
     LINE_MM,
     SwitchingTimes,
     air_delay_ms,
-    capture_block,
     switching_times,
 )
-from rigs.execution.actions.valve import ValvePoint, has_supply_axis
+from daq.errors import DeviceError
+from plant.constants import nominal
+from plant.physics.valve import off_delay_s, on_delay_s
 from rigs.execution.procedure import Procedure
-from rigs.execution.schedule import arrange
-from rigs.execution.steps import EndTrial, State, Steps, Trial
 from rigs.rigfile.toml_reader import load_toml
+from rigs.steps.capture import capture_block
+from rigs.steps.custom_step import Steps
+from rigs.steps.schedule import arrange
+from rigs.steps.steps import EndTrial, State, Trial
+from rigs.steps.valve import ValvePoint, has_supply_axis
 
 if TYPE_CHECKING:
-    from daq.live.layout import LiveLayout
-    from rigs.execution.runner import Runner
     from rigs.rigfile.config import RigConfig
+    from rigs.steps.context import StepContext
 
 VALVES = ("inlet", "outlet")
 CAPTURE = {"order": "int64", "take": "int64", "k": "int64", "counts": "uint16"}
@@ -100,7 +97,7 @@ class CapturePoint(ValvePoint):
     plan: SwitchingTime
     seconds = 4.0
 
-    def perform(self, runner: Runner) -> None:
+    def perform(self, runner: StepContext) -> None:
         """Set the pressure, capture, record; a pulse without flow is recorded as such."""
         p = self.plan
         supply, came = self.upstream(runner, p.tolerance_kpa, p.supply_kpa)
@@ -135,7 +132,9 @@ class CapturePoint(ValvePoint):
         )  # fmt: skip
 
 
-def show_delays(runner: Runner, valve: str, pressure_kpa: float, found: SwitchingTimes) -> None:
+def show_delays(
+    runner: StepContext, valve: str, pressure_kpa: float, found: SwitchingTimes
+) -> None:
     """Both delays in the live view, beside those of the thesis's own valve (its lines)."""
     which: Literal["inlet", "outlet"] = "inlet" if valve == "inlet" else "outlet"
     thesis = (
@@ -189,17 +188,7 @@ def read(name: str, config: RigConfig) -> SwitchingTime:
     return plan
 
 
-def layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    return valve_layout("Switching-time test", parameters)
-
-
 PROCEDURE = Procedure(
-    "switching-time",
-    "Switching-time test",
-    read,
-    reduce_switching_time,
-    layout,
-    time_findings,
+    SWITCHING_TIME, read,
     firmware={"rise_ms": 300},
-)
+)  # fmt: skip

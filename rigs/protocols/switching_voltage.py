@@ -8,25 +8,23 @@ is told to stay open. Whether it was open shows in the pressure.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from analysis.findings.switching import voltage_findings
-from analysis.layouts.valve import valve_layout
-from analysis.reduction.valve import open_in, reduce_switching_voltage
-from rigs.execution.actions.valve import ValvePoint, has_supply_axis, pressure_now, release
+from analysis.findings.switching import SWITCHING_VOLTAGE
+from analysis.reduction.valve import open_in
 from rigs.execution.procedure import Procedure
-from rigs.execution.runner import RunFault
-from rigs.execution.schedule import arrange
-from rigs.execution.steps import EndTrial, State, Steps, Trial
 from rigs.rigfile.toml_reader import load_toml
+from rigs.steps.context import RunFault
+from rigs.steps.custom_step import Steps
+from rigs.steps.schedule import arrange
+from rigs.steps.steps import EndTrial, State, Trial
+from rigs.steps.valve import ValvePoint, has_supply_axis, pressure_now, release
 
 if TYPE_CHECKING:
-    from daq.live.layout import LiveLayout
     from rigs.devices.instruments.supply import Supply
-    from rigs.execution.runner import Runner
     from rigs.rigfile.config import RigConfig
+    from rigs.steps.context import StepContext
 
 VALVES = ("inlet", "outlet")
 ON_MS = 80
@@ -95,7 +93,7 @@ class VoltagePoint(ValvePoint):
     plan: SwitchingVoltage
     seconds = 25.0
 
-    def perform(self, runner: Runner) -> None:
+    def perform(self, runner: StepContext) -> None:
         """Halve the interval for turning on, then that for letting go."""
         supply = runner.rig.supply
         assert supply is not None
@@ -110,7 +108,7 @@ class VoltagePoint(ValvePoint):
         self.put(runner, settled=came, supply_kpa=read_kpa)
 
     def _halve(
-        self, runner: Runner, supply: Supply, edge: str, shut_v: float, open_v: float
+        self, runner: StepContext, supply: Supply, edge: str, shut_v: float, open_v: float
     ) -> float:
         """Both ends are tried, then the middle of what is left; returns the lowest that opened."""
         tries = 0
@@ -127,7 +125,13 @@ class VoltagePoint(ValvePoint):
         return open_v
 
     def _try(
-        self, runner: Runner, supply: Supply, edge: str, volts: float, number: int, again: int = 0
+        self,
+        runner: StepContext,
+        supply: Supply,
+        edge: str,
+        volts: float,
+        number: int,
+        again: int = 0,
     ) -> bool:
         """One command; whether the valve was open at that voltage."""
         rig, valve = runner.rig, runner.rig.valve
@@ -176,7 +180,7 @@ class VoltagePoint(ValvePoint):
         runner.record.event("try", **event, **more, opened=opened)
         return opened
 
-    def _restore(self, runner: Runner, supply: Supply) -> None:
+    def _restore(self, runner: StepContext, supply: Supply) -> None:
         """The valve's upstream side back to its pressure, at the solenoids' normal voltage."""
         if abs(supply.set_v - supply.voltage_v) > 1e-9:
             supply.set_voltage(supply.voltage_v)
@@ -186,7 +190,7 @@ class VoltagePoint(ValvePoint):
             self.upstream(runner, self.plan.tolerance_kpa, self.plan.supply_kpa)
 
 
-def _recent(runner: Runner, first: int) -> dict[str, Any]:
+def _recent(runner: StepContext, first: int) -> dict[str, Any]:
     """The valve's newest samples from a sequence number on."""
     rig = runner.rig
     n = rig.valve.seq_end - first
@@ -236,17 +240,7 @@ def read(name: str, config: RigConfig) -> SwitchingVoltage:
     return plan
 
 
-def layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    return valve_layout("Switching-voltage test", parameters, voltage=True)
-
-
 PROCEDURE = Procedure(
-    "switching-voltage",
-    "Switching-voltage test",
-    read,
-    reduce_switching_voltage,
-    layout,
-    voltage_findings,
+    SWITCHING_VOLTAGE, read,
     firmware={"rise_ms": 300},
-)
+)  # fmt: skip

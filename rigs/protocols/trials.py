@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rigs.execution.actions.loads import HangLoad, LowerLoad
-from rigs.execution.actions.mounting import Remount
-from rigs.execution.actions.sweep import Sweep
-from rigs.execution.schedule import Place, path
-from rigs.execution.steps import (
+from rigs.protocols.method import Method
+from rigs.steps.custom_step import Steps
+from rigs.steps.loads import HangLoad, LowerLoad
+from rigs.steps.mounting import Remount
+from rigs.steps.schedule import Place, path
+from rigs.steps.steps import (
     Dwell,
     EndTrial,
     Measure,
@@ -22,13 +23,12 @@ from rigs.execution.steps import (
     SetPressure,
     Settle,
     State,
-    Steps,
     Tare,
     Trial,
     Vent,
     Zero,
 )
-from rigs.protocols.method import Method
+from rigs.steps.sweep import Sweep
 
 BREATH_KPA = 20.0
 BREATH_S = 0.5

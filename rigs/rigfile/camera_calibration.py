@@ -11,8 +11,8 @@ from typing import Any
 from daq.calibration import Calibration
 from daq.errors import ConfigError
 from plant import tomlfile
-from vision.lens import Lens
-from vision.marker.edge import GapMeasurement
+from vision.marker.gap import GapMeasurement
+from vision.marker.lens import Lens
 
 
 @dataclass(frozen=True)

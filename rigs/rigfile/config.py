@@ -10,9 +10,10 @@ from typing import Any
 
 from daq.calibration import Calibration
 from daq.errors import ConfigError
-from rigs.devices.instruments.load_cell import GRAMS
 from rigs.rigfile.calibration_file import load_calibration, read_fields
+from rigs.rigfile.camera_calibration import load_camera_calibration
 from rigs.rigfile.device import Device as Device
+from rigs.rigfile.form import GRAMS
 from rigs.rigfile.instruments import InstrumentSettings, read_instruments
 from rigs.rigfile.toml_reader import Table, find_config, load_toml
 
@@ -323,8 +324,6 @@ def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
 
 def _camera_calibration(t: Table) -> tuple[Calibration, dict[str, float] | None]:
     """What ``pamrig calibrate camera`` wrote; leaving the plane widens the gain's part."""
-    from rigs.calibration.camera import load_camera_calibration
-
     path = Path(t.source).parent / t.text("calibration")
     found = load_camera_calibration(path)
     straight = found.calibration
@@ -397,3 +396,13 @@ def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
     sensors.finish()
     t.finish()
     return out
+
+
+def camera_values(config: RigConfig) -> dict[str, Any]:
+    """How pictures are to be measured: what a replay must know."""
+    camera = config.camera
+    return {
+        "region": list(camera.region) if camera.region else None,
+        "sync": {**vars(camera.sync), "patch": list(camera.sync.patch)} if camera.sync else None,
+        "lens": camera.lens,
+    }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import string
 from dataclasses import dataclass
 
 from daq.errors import ConfigError
@@ -10,6 +11,13 @@ from rigs.rigfile.toml_reader import Table, load_toml
 
 ENDS = {"crlf": b"\r\n", "lf": b"\n", "cr": b"\r"}
 NUMBER = re.compile(r"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?")
+STANDARD_GRAVITY_M_S2 = 9.80665
+GRAMS = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / STANDARD_GRAVITY_M_S2,
+         "lb": 453.59237, "kN": 1e6 / STANDARD_GRAVITY_M_S2}  # fmt: skip
+"""Grams in a unit that indicators print; newtons are the indicator's own, at standard gravity."""
+FIELDS = ("value", "unit", "status")
+SPEC = re.compile(r"([<>=^])?[-+ ]?0?\d{0,2}(\.\d{1,2})?[defgs]?")
+"""Of a template: an alignment, a sign, a width and a precision, both short."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +25,7 @@ class Parsed:
     """What a line turned out to be.
 
     Attributes:
-        fault: kind of fault (see ``rigs.devices.instruments.faults``), or "" for a good reading.
+        fault: kind of fault (see ``rigs.devices.faults``), or "" for a good reading.
         value: the reading in the instrument's unit.
         stable: False where the instrument says that it still moves.
         detail: words for a message.
@@ -187,6 +195,12 @@ def _check(t: Table, form: TextForm) -> None:
         form.identify_pattern is None or "serial" not in form.identify_pattern.groupindex
     ):
         raise t.fail("identify_pattern", "has no group (?P<serial>...)", "mark the serial number")
+    if not _plain_template(form.template):
+        raise t.fail(
+            "template",
+            f"{form.template!r} is no line with {{value}}, {{unit}} and {{status}}",
+            'write formats such as "{value:6.2f} {unit}"',
+        )
     parsed = form.parse(form.example)
     if parsed.fault:
         raise t.fail(
@@ -196,10 +210,24 @@ def _check(t: Table, form: TextForm) -> None:
         )
 
 
+def _plain_template(template: str) -> bool:
+    """Whether it formats the three fields, and reaches for nothing within or behind them."""
+    try:
+        for _, field, spec, conversion in string.Formatter().parse(template):
+            if field is not None and (field not in FIELDS or conversion):
+                return False
+            if not SPEC.fullmatch(spec or ""):
+                return False
+        template.format(value=0.0, unit="", status="")
+    except ValueError:
+        return False
+    return True
+
+
 def _needed(t: Table, key: str) -> re.Pattern[str]:
     pattern = _pattern(t, key)
     if pattern is None:
-        raise t.fail(key, "this key is required and missing", "see docs/instruments.md")
+        raise t.fail(key, "this key is required and missing", "see docs/reference/instruments.md")
     return pattern
 
 

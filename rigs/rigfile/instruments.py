@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, field
 
 from daq.calibration import Calibration
-from rigs.devices.instruments.modbus import KINDS, MOST_REGISTERS, ORDERS, ModbusForm
 from rigs.rigfile.calibration_file import load_calibration
 from rigs.rigfile.device import Device
 from rigs.rigfile.form import TextForm, load_form, read_form
+from rigs.rigfile.modbus_form import KINDS, MOST_REGISTERS, ORDERS, ModbusForm
 from rigs.rigfile.toml_reader import Table
 
 NAMED = ("thermometer", "load_cell", "flow")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,14 +14,13 @@ from daq.clock import Clock
 from plant.constants import GAS_CONSTANT_J_KG_K
 from plant.physics.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MASS_OUT
 from plant.simulator.bench import PRESSURE, BenchSim
+from rigs.rigfile.config import RigConfig
 from rigs.rigfile.instruments import TextDevice
 from rigs.virtual.emulators.modbus import VirtualModbus
 from rigs.virtual.emulators.operator import VirtualOperator
+from rigs.virtual.emulators.sensor_error import Misreading
 from rigs.virtual.emulators.supply import VirtualSupply
 from rigs.virtual.emulators.text import VirtualText
-
-if TYPE_CHECKING:
-    from rigs.virtual.bench import VirtualBench
 
 CELL_NOISE_N = 0.05
 CELL_SLOW_N = 0.2
@@ -53,6 +52,28 @@ def hang(plant: BenchSim, mass_kg: float) -> None:
     plant.state[LENGTH_RATE] = 0.0
 
 
+class Surroundings(Protocol):
+    """The bench that these instruments belong to."""
+
+    config: RigConfig
+    plant: BenchSim
+    misreading: Misreading
+
+    @property
+    def clock(self) -> Clock | None:
+        """The virtual clock of the bench, if it has one."""
+        ...
+
+    @property
+    def time_s(self) -> float:
+        """Time of the bench since power-on."""
+        ...
+
+    def transmit(self, name: str, data: bytes) -> None:
+        """Send an instrument's bytes to the host."""
+        ...
+
+
 class Extras:
     """Makes the emulators that a rig file asks for and joins them to the plant.
 
@@ -62,7 +83,7 @@ class Extras:
         hung_kg: dead weight on the force sensor in place of the muscle, None for the muscle.
     """
 
-    def __init__(self, bench: VirtualBench) -> None:
+    def __init__(self, bench: Surroundings) -> None:
         self._bench = bench
         self._config = bench.config
         settings = self._config.instruments

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.reporting.drawing import INK, MEASURED, QUIET, SET, new_figure, style
+from analysis.figures.drawing import INK, MEASURED, QUIET, SET, new_figure, style
 from plant.finger import Finger
 from studies.comparison.study import BARE, LADEN, STEP_JOINT, run_trial
 from studies.controllers.laws import TITLES

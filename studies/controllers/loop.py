@@ -55,7 +55,7 @@ class Trial:
     notes: dict[str, Array] = field(default_factory=dict)
 
 
-def run_law(
+def run_law(  # noqa: PLR0913 - what a trial may change, each by name
     finger: Finger,
     constants: PlantConstants,
     law: Law,

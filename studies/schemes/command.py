@@ -36,7 +36,7 @@ def study_command(name: str, full: bool, out: Path | None, as_json: bool) -> int
     else:
         typer.echo(study.markdown())
     if out is not None:
-        from analysis.reporting.drawing import as_png
+        from analysis.figures.drawing import as_png
 
         try:
             out.mkdir(parents=True, exist_ok=True)

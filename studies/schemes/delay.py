@@ -95,7 +95,7 @@ def _apart(a: tuple[float, float, int], b: tuple[float, float, int]) -> bool:
 
 def _figure() -> Figure:
     """Pressure that one pulse leaves, against its length."""
-    from analysis.reporting.drawing import MEASURED, SET, new_figure, style
+    from analysis.figures.drawing import MEASURED, SET, new_figure, style
 
     widths = np.arange(0.5, 20.01, 0.25)
     with style():

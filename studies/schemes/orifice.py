@@ -187,7 +187,7 @@ def _figure(
     """A map for each scheme, with lines of equal burst."""
     from matplotlib.colors import LogNorm
 
-    from analysis.reporting.drawing import new_figure, style
+    from analysis.figures.drawing import new_figure, style
 
     with style():
         figure, axes = new_figure(8.6, 7.0, rows=2, columns=2)

@@ -23,8 +23,8 @@ from studies.schemes.command import Progress
 from studies.schemes.result import CONFIRMED, CONTRADICTED, PARTLY, Grid, Statement, Study
 from studies.schemes.trial import INTENDED, TITLES, Bench, run_trial, summary
 from valvefw.config import defaults
-from valvefw.ram import Ram as RamScheme
-from valvefw.valves import Valves
+from valvefw.schemes.ram import Ram as RamScheme
+from valvefw.schemes.valves import Valves
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -260,7 +260,7 @@ def _statements(
 
 def _figure(base: Sequence[Lift]) -> Figure:
     """Height and pressure of each lift against time."""
-    from analysis.reporting.drawing import SET, new_figure, sequence, style
+    from analysis.figures.drawing import SET, new_figure, sequence, style
 
     with style():
         figure, (top, bottom) = new_figure(7.2, 4.6, rows=2, sharex=True)

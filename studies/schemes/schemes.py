@@ -305,7 +305,7 @@ def _valve_alone(found: dict[tuple[str, str, str, str], Summary]) -> bool:
 
 def _traces_figure() -> Figure:
     """Small multiples: a row a scheme, a column a load; as printed behind as intended."""
-    from analysis.reporting.drawing import INK, MEASURED, QUIET, SET, new_figure, style
+    from analysis.figures.drawing import INK, MEASURED, QUIET, SET, new_figure, style
 
     with style():
         figure, axes = new_figure(8.6, 7.2, rows=4, columns=2, sharex=True)
@@ -331,7 +331,7 @@ def _traces_figure() -> Figure:
 
 def _causes_figure(found: dict[tuple[str, str, str, str], Summary]) -> Figure:
     """Ripple of each scheme with neither, one or both of the suspects."""
-    from analysis.reporting.drawing import new_figure, sequence, style
+    from analysis.figures.drawing import new_figure, sequence, style
 
     groups = (
         ("neither", "small and fast", "intended"),

@@ -21,14 +21,14 @@ from plant.simulator.bench import FINE_STEP_SHARE, BenchSim
 from rigs.virtual.board import as_printed as asprinted
 from rigs.virtual.board.pressure_sensor import ADC_TOP
 from rigs.virtual.board.tuning import burst_parameters
-from valvefw.bothduty import BothDuty
-from valvefw.burst import Burst
 from valvefw.config import defaults
-from valvefw.inletduty import InletDuty
-from valvefw.scheme import Scheme
-from valvefw.sliding import Sliding
-from valvefw.twoposition import TwoPosition
-from valvefw.valves import Valves
+from valvefw.schemes.bothduty import BothDuty
+from valvefw.schemes.burst import Burst
+from valvefw.schemes.inletduty import InletDuty
+from valvefw.schemes.scheme import Scheme
+from valvefw.schemes.sliding import Sliding
+from valvefw.schemes.twoposition import TwoPosition
+from valvefw.schemes.valves import Valves
 
 Floats = npt.NDArray[np.float64]
 

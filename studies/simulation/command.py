@@ -16,6 +16,7 @@ def simulate_command(
     name: str, out: Path, seed: int | None, as_json: bool, plant: Path | None = None
 ) -> int:
     """Read, simulate, record, say what came of it; returns the exit status."""
+    from analysis.reporting.derived import try_derive
     from daq.interrupt import stop_on_signals
     from studies.first_use import tell_of_compiling
 
@@ -30,6 +31,7 @@ def simulate_command(
     with stop_on_signals() as stop:
         result = simulate(scenario, out, stop=stop, progress=line.show)
     line.close()
+    not_derived = try_derive(result.folder)
     if as_json:
         from analysis.reporting.report import report_json
         from daq.store.run import open_run
@@ -43,8 +45,8 @@ def simulate_command(
     )
     if result.reason:
         typer.echo(f"  because: {result.reason}")
-    if result.not_derived:
-        typer.echo(f"  table and report could not be made: {result.not_derived}")
+    if not_derived:
+        typer.echo(f"  table and report could not be made: {not_derived}")
     else:
         typer.echo(f"  report: {result.folder / 'derived' / 'report.html'}")
     return STATUS.get(result.outcome, 2)

@@ -25,7 +25,7 @@ def plant_stated(scenario: Scenario) -> dict[str, Any]:
 
 def manifest(scenario: Scenario) -> dict[str, Any]:
     """What is known before the run."""
-    from rigs.execution.session import software
+    from rigs.execution.manifest import software
 
     range_kpa = scenario.sensors.pressure_range_kpa
     pressure = Calibration(

@@ -17,6 +17,7 @@ from daq.errors import PamrigError, RecordError
 from daq.interrupt import StopFlag, Stopped
 from daq.link.clockfit import ClockMap
 from daq.link.codec import CodecError
+from daq.record.space import check_disk
 from daq.record.writer import RecordWriter
 from plant.errors import PlantError
 from plant.scene.layout import SUBSTEPS
@@ -50,7 +51,6 @@ class Outcome:
     reason: str
     simulated_s: float
     took_s: float
-    not_derived: str = ""
 
 
 def build_scene(scenario: Scenario) -> Scene:
@@ -121,7 +121,6 @@ def simulate(
     *,
     stop: StopFlag | None = None,
     progress: Progress | None = None,
-    derive: bool = True,
 ) -> Outcome:
     """Run a scenario and leave a finished record.
 
@@ -130,14 +129,11 @@ def simulate(
         root: folder of runs.
         stop: set from outside to end the run in good order.
         progress: called with simulated and whole time in s, ten times a simulated second.
-        derive: also make table, report and view.
 
     Raises:
         ConfigError: the scenario's parts do not fit each other; nothing was recorded yet.
         RecordError: the run cannot be recorded there.
     """
-    from rigs.execution.session import check_disk
-
     scene = build_scene(scenario)
     check_disk(Path(root), 0)
     clock = VirtualClock()
@@ -176,13 +172,8 @@ def simulate(
         outcome = _outcome(error)
         readings.flush()
         _finish(record, controllers, loop, outcome, error, runner.time_s, took)
-    not_derived = ""
-    if derive and not isinstance(error, RecordError):
-        from rigs.execution.session import _derive
-
-        not_derived = _derive(record.folder)
     reason = str(error) if error is not None else ""
-    return Outcome(record.folder, outcome, reason, runner.time_s, took, not_derived)
+    return Outcome(record.folder, outcome, reason, runner.time_s, took)
 
 
 class _Runner:
@@ -206,7 +197,7 @@ class _Runner:
         self.time_s = 0.0
         self._counts_x16 = 16.0 * ADC_TOP / scenario.sensors.pressure_range_kpa
 
-    def run(self, stop: StopFlag, progress: Progress | None) -> None:
+    def run(self, stop: StopFlag, progress: Progress | None) -> None:  # noqa: C901 - one tick, top to bottom
         """Boot, arm, then the scenario's duration tick by tick."""
         record, loop = self.record, self.loop
         record.event("state", state="boot")
@@ -247,14 +238,14 @@ class _Runner:
                 raise SimulationFault(
                     self.scenario.source,
                     f"the firmware refused a command, {self.controllers.refused}",
-                    "correct the table [[command]]; docs/wire-format.md says what it takes",
+                    "correct the table [[command]]; see docs/reference/wire-format.md",
                 )
             if loop.faults:
                 name, cause = loop.faults[0]
                 raise SimulationFault(
                     f"{self.scenario.source}: muscle {name!r}",
                     f"the firmware latched {cause} after {self.time_s:.3f} s",
-                    "look at the trace; see docs/safety-contract.md for what it guards",
+                    "look at the trace; see docs/reference/safety-contract.md for what it guards",
                 )
         record.event("trial", phase="end", trial=1)
         record.event("state", state="done")

@@ -13,7 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from rigs.execution.session import software
+from rigs.execution.manifest import software
 from rigs.protocols.names import PROTOCOLS
 
 from .judge import Verdict, judge

@@ -1,4 +1,4 @@
-"""The page of results, docs/faults.md: written by the campaign, from its journal."""
+"""The page of results, docs/evidence/faults.md: written by the campaign, from its journal."""
 
 from __future__ import annotations
 
@@ -16,37 +16,39 @@ from .places import CLASSES
 Z95 = 1.6449
 """Of a one-sided bound at 95 %."""
 TITLE = (
-    "# Faults survived",
+    "# Fault injection campaign",
     "",
-    "Made by `make faults` (`python -m tests.faults --page docs/faults.md`): tiny runs of every",
-    "protocol on the virtual clock, judged by the bench's own truth and by the bytes on disk.",
-    "First every kind of fault by itself, early, midway and late in every protocol; then one to",
-    "three layers at once, kind, moment, length and strength at random. A run's number names",
-    "protocol, bench and faults: `python -m tests.faults --only NUMBER` makes it again, and keeps",
-    "it.",
+    "`make faults` (`python -m tests.faults --page docs/evidence/faults.md`) writes this page. It",
+    "makes short runs of every protocol on the virtual clock and injects faults. Each run is",
+    "checked against the true state of the virtual bench and against the bytes on disk. First,",
+    "each kind of fault is injected alone, early, midway and late in every protocol. Then one to",
+    "three layers fail at the same time, with random kind, time, duration and strength. The",
+    "number of a run defines protocol, bench and faults: `python -m tests.faults --only NUMBER`",
+    "repeats the run and keeps it.",
     "",
 )
 HEAD = (
-    "| Fault | Protocols | Runs | Untold | Vent late | Unreadable | Wrong value | Cannot go on"
-    " | Bound | Slowest command | Slowest emptying |"
+    "| Fault | Protocols | Runs | Not reported | Vent late | Unreadable | Wrong value"
+    " | Cannot continue | Bound | Slowest command | Slowest emptying |"
 )
 LEGEND = (
-    "*Untold*: neither record nor message shows that something was wrong. *Vent late*: beyond",
-    "the deadlines of docs/safety-contract.md, or air in the muscle 3 s after the end that could",
-    "have gone. *Unreadable*: a row that the host had taken before the fault is gone or reads",
-    "otherwise (events and pictures too), or `runs verify` finds damage. *Wrong value*: a sample",
-    "or a number in the table that is not the truth of its moment, beyond six of its own standard",
-    "uncertainties and what moved meanwhile; of switching and step tests, beyond that from what",
-    "the same bench gives without a fault. *Cannot go on*: `pamrig continue` does not make the",
-    "table whole. *Bound*: upper 95 % Wilson bound of the share of runs with any finding. A run",
-    "with several faults counts for each.",
+    "*Not reported*: neither record nor message shows that something was wrong. *Vent late*:",
+    "later than the deadlines of docs/reference/safety-contract.md, or air that could have left",
+    "the muscle is still there 3 s after the end. *Unreadable*: a row that the host had received",
+    "before the fault is missing or changed (events and pictures too), or `runs verify` finds",
+    "damage. *Wrong value*: a sample or a number in the table differs from the true value at its",
+    "time by more than six of its own standard uncertainties plus the change in the meantime.",
+    "Switching and step tests are compared with the same bench without a fault. *Cannot",
+    "continue*: `pamrig continue` does not complete the table. *Bound*: upper 95 % Wilson bound",
+    "of the share of runs with any finding. A run with several faults counts for each of them.",
 )
 EXEMPT = (
-    "Not held against a run: a heartbeat, command or single reading that was lost and made good;",
-    "a digit flipped into another digit on a line whose protocol has no checksum (MT-SICS), as",
-    "long as no value is wrong by it; a supply or valve fault after which every value is right;",
-    "a pressure read as 0 by a wire that broke in an empty muscle. A valve or control test",
-    "measures the valve: what it says of one that is stuck, slow or short of air is not judged.",
+    "These are not findings: a lost heartbeat, command or single reading that was recovered; a",
+    "digit flipped into another digit on a line whose protocol has no checksum (MT-SICS), as long",
+    "as it causes no wrong value; a supply or valve fault after which every value is right; a",
+    "pressure read as 0 because a wire broke while the muscle was empty. A valve or control test",
+    "measures the valve: its results for a valve that is stuck, slow or short of air are not",
+    "checked.",
 )
 MARK = "<!-- below this line the page is written by hand -->"
 
@@ -84,17 +86,17 @@ def _lines(results: Sequence[dict[str, Any]]) -> list[str]:
     about = f"{datetime.now(UTC):%Y-%m-%d}, {versions()}; {cpu_min:.0f} min of CPU"
     lines = [
         *TITLE,
-        f"{len(results)} runs, numbers {min(numbers)} to {max(numbers)}, in {len(hit)} of which a"
-        f" fault came to act and in {several} several; {about}. They ended"
-        f" {', '.join(f'{n} {k}' for k, n in ends.most_common())}; {gone_on} that did not come to"
-        " their end were gone on with (`pamrig continue`; every other one was tried).",
+        f"{len(results)} runs, numbers {min(numbers)} to {max(numbers)}. A fault took effect in"
+        f" {len(hit)} of them, several faults in {several}. {about}. Outcomes:"
+        f" {', '.join(f'{n} {k}' for k, n in ends.most_common())}. {gone_on} incomplete runs"
+        " were continued (`pamrig continue`; every second one was tried).",
         "",
-        "Source that made them: "
+        "Source revisions (runs): "
         + ", ".join(f"{k} ({n})" for k, n in made.items())
         + "."
         + (
-            f" {again} had a finding, of product or judge, and were made again after the mend;"
-            f" {mended} of these have none now."
+            f" {again} runs had a finding, in the product or in the checker, and were repeated"
+            f" after the correction; {mended} of these have none now."
             if again
             else ""
         ),

@@ -38,7 +38,7 @@ CLASSES = {
 EMPTY_KPA = 20.0
 EMPTY_SHARE, EMPTY_MORE_S = 1.15, 0.05
 """Empty in time: below 20 kPa in 1.15 times what ISO 6358 gives for the open outlet and the rig's
-largest chamber, and 50 ms for the valves (docs/safety-contract.md)."""
+largest chamber, and 50 ms for the valves (docs/reference/safety-contract.md)."""
 STEP_S = 1e-3
 
 assert set(CLASSES) == set(PROTOCOLS)
@@ -89,7 +89,7 @@ def empty_s(protocol: str, kpa: float) -> float:
 
 def tellable_kpa(protocol: str) -> float:
     """From here on a reading that falls to 0 at once is no pressure: four samples at ``slew`` and
-    one ``jump`` (docs/safety-contract.md), with 2 kPa for noise and zero."""
+    one ``jump`` (docs/reference/safety-contract.md), with 2 kPa for noise and zero."""
     rig = rig_of(protocol)
     told = {**defaults(), **rig.valve.parameters}
     counts = JUMP_N * told["slew"] + told["jump"]

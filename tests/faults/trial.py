@@ -23,10 +23,10 @@ from daq.errors import PamrigError
 from plant.constants import GAS_CONSTANT_J_KG_K
 from plant.physics.layout import MASS, MASS_OUT
 from rigs.execution.runner import Runner
-from rigs.execution.schedule import outline
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig
+from rigs.steps.schedule import outline
 from rigs.virtual.board.board import SimBoard
 
 from . import kinds
@@ -147,9 +147,7 @@ class Trial:
         truth.noise_kpa = config.virtual.pressure_noise_kpa
         with self._clocks(), self.disk.fitted():
             try:
-                result = run_protocol(
-                    kind, config, plan, self.root, derive=False, on_start=self._start
-                )
+                result = run_protocol(kind, config, plan, self.root, on_start=self._start)
                 truth.outcome = result.outcome
                 truth.error = str(result.error) if result.error else ""
             except PamrigError as error:  # what the command line prints

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from cli.test.resume import continue_run
+from analysis.run_table import reduce_run
+from cli.protocols.resume import continue_run
 from daq.errors import PamrigError
 from daq.store.run import open_run
-from rigs.execution.resume import reduce_run
 
 from .judge import SIGMAS, Bytes, Verdict
 from .places import CLASSES
@@ -252,7 +252,7 @@ def check_continuing(truth: Truth, verdict: Verdict) -> None:
         run = open_run(truth.folder)
         if run.outcome == "clean":
             return
-        result = continue_run(run, derive=False)
+        result = continue_run(run)
         table = reduce_run(open_run(result.folder)).table
     except PamrigError as error:
         verdict.stuck.append(str(error))

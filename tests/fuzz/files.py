@@ -14,6 +14,8 @@ import numpy as np
 import pandas as pd
 
 from analysis.layouts.layouts import measured_edges
+from analysis.reduction.pictures import decode, measure_stored
+from analysis.run_table import reduce_run
 from daq.calibration import Calibration
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
@@ -27,8 +29,6 @@ from gap.data.reader import read_dataset
 from plant.errors import PlantError
 from plant.models.catalogue import load as load_model
 from rigs.calibration.frames import open_frames
-from rigs.execution.pictures import decode, measure_stored
-from rigs.execution.resume import reduce_run
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.toml_reader import load_toml
 
@@ -179,7 +179,7 @@ def _line(line: bytes) -> bytes:
 
 # ---- data sets and pictures ----------------------------------------------------------------
 
-EXCHANGE = {
+DATASET = {
     "trials.csv": b"trial,slot,replicate,protocol,mounting,order,held_length_mm,load_kg,"
     b"temperature_c,start_s\nt1,a,1,isometric,m1,1,60,,21,0\nt2,a,2,isometric,m1,2,60,,21,9\n",
     "bench.toml": b"supply_kpa = 700\n[effects.creep]\nrelaxation_percent = 4.0\n",
@@ -194,11 +194,11 @@ def _exchange() -> Target:
     csv, parquet = place / "csv", place / "parquet"
     for folder in (csv, parquet):
         folder.mkdir()
-        for name, data in EXCHANGE.items():
+        for name, data in DATASET.items():
             (folder / name).write_bytes(data)
     pd.read_csv(csv / "samples.csv").to_parquet(parquet / "samples.parquet")
     (parquet / "samples.csv").unlink()
-    paths = [*(csv / name for name in EXCHANGE), parquet / "samples.parquet"]
+    paths = [*(csv / name for name in DATASET), parquet / "samples.parquet"]
     sound = {path: path.read_bytes() for path in paths}
 
     def run(data: bytes) -> None:
@@ -211,7 +211,7 @@ def _exchange() -> Target:
 
     corpus = [bytes([k]) + sound[path] for k, path in enumerate(paths)]
     words = (b",", b"\n", b'"', b"pressure_bar", b"1e308", b"inf", b"t1", b"up", b"=", b"[")
-    return Target("EXCHANGE folder", "a data set, CSV and Parquet", run, corpus, LINK, words)
+    return Target("dataset folder", "a data set, CSV and Parquet", run, corpus, LINK, words)
 
 
 def _pictures() -> list[bytes]:
@@ -244,7 +244,7 @@ TARGETS: dict[str, Callable[[], Target]] = {
     "model file": _model,
     "run folder": lambda: _folder("run folder", ENDED, True),
     "killed run": lambda: _folder("killed run", KILLED, False),
-    "EXCHANGE folder": _exchange,
+    "dataset folder": _exchange,
     "picture": _picture,
     "picture file": _picture_file,
 }

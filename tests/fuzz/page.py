@@ -14,15 +14,15 @@ from .shares import SHARES
 
 HAND = "<!-- below this line the page is written by hand -->"
 HEAD = """\
-# Inputs that nobody would write
+# Fuzzing of inputs
 
-Made by `make fuzz` (`python -m tests.fuzz --page docs/fuzz.md`). Everything that reads bytes of an
-instrument, a file or a folder of others gets inputs made from sound ones by mutation; one that
-takes a branch no other took is kept and mutated further (`tests/fuzz/cover.py` marks the branches,
-so that every input is watched). Half of the inputs of a sealed or framed form get sound seals, so
-that what lies behind them is reached. Each target runs in a process of its own. A *finding* is an
-exception that is not the documented error, the end of the process, more than {hang:g} s of
-processor time for one input, or more than {more:g} MB beyond what the sound inputs took.
+`make fuzz` (`python -m tests.fuzz --page docs/evidence/fuzz.md`) writes this page. Everything that
+reads bytes from an instrument, a file or a folder of unknown origin gets mutated valid inputs. An
+input that takes a new branch is kept and mutated further (`tests/fuzz/cover.py` marks the branches,
+so every input is monitored). Half of the inputs in a sealed or framed format get valid checksums,
+so that they reach the code behind the check. Each target runs in its own process. A *finding* is
+an exception that is not the documented error, the end of the process, more than {hang:g} s of
+processor time for one input, or more than {more:g} MB above the memory that the valid inputs took.
 """
 
 
@@ -38,7 +38,7 @@ def page(totals: list[dict[str, Any]], seed: int) -> str:
         f"**{count:,} inputs, {found} findings**; {datetime.now(UTC):%Y-%m-%d}, seed {seed}, "
         f"{seconds / 60:.0f} min on one core; revision {_revision()}, Python "
         f"{platform.python_version()}, {versions}, {platform.system()}.\n",
-        "| Target | Reads | Inputs | Refused | Kept | Branches | us an input | Slowest, s | "
+        "| Target | Reads | Inputs | Refused | Kept | Branches | us per input | Slowest, s | "
         "MB more | Findings |",
         "|--|--|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
@@ -52,10 +52,10 @@ def page(totals: list[dict[str, Any]], seed: int) -> str:
         )
     out += [
         "",
-        "*Refused*: answered with the documented error; the others were read, or bytes of a wire "
-        "that are no message and are passed over. *Kept*: inputs that took a new branch. "
-        "*Branches*: taken in the marked modules, start-up included. *MB more*: growth of the "
-        "largest resident size since the sound inputs.",
+        "*Refused*: rejected with the documented error. The others were read, or were bytes on a "
+        "line that are not a message and are skipped. *Kept*: inputs that took a new branch. "
+        "*Branches*: taken in the marked modules, including start-up. *MB more*: growth of the "
+        "peak resident size after the valid inputs.",
     ]
     if len(totals) < len(SHARES):
         missing = [n for n in SHARES if n not in {t["name"] for t in totals}]

@@ -22,7 +22,7 @@ SHARES = {
     "model file": 0.0035,
     "run folder": 0.0015,
     "killed run": 0.0010,
-    "EXCHANGE folder": 0.0015,
+    "dataset folder": 0.0015,
     "picture": 0.0040,
     "picture file": 0.0015,
 }
@@ -43,7 +43,7 @@ MARKED = (
     "rigs.calibration.frames",
     "rigs.devices.instruments",
     "rigs.devices.lines",
-    "rigs.execution.pictures",
+    "rigs.steps.pictures",
     "analysis.reduction.points",
     "rigs.execution.resume",
     "rigs.devices.stage",

@@ -14,12 +14,13 @@ from daq.link.telemetry import TelemetryStream
 from daq.link.transport import memory_pair
 from rigs.devices.balance import Balance
 from rigs.devices.event_loop import Pump
-from rigs.devices.instruments.modbus import ModbusForm, ModbusInstrument
+from rigs.devices.instruments.modbus import ModbusInstrument
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
 from rigs.devices.stage import Stage
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.form import load_form
+from rigs.rigfile.modbus_form import ModbusForm
 from rigs.virtual.emulators.modbus import crc16
 from rigs.virtual.emulators.supply import VirtualSupply
 from valvefw import wire

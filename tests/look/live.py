@@ -96,7 +96,7 @@ def look_at_bench(
     config = load_rig(default_rig(protocol))
     kind = procedure(protocol)
     plan = kind.read(protocol, config)
-    layout = kind.layout(plan.as_dict())
+    layout = kind.analysis.layout(plan.as_dict())
     stop, done = StopFlag(), []
     taken: list[npt.NDArray[np.uint8]] = []
 
@@ -119,7 +119,7 @@ def look_at_bench(
         return LiveFeed(view, layout)
 
     with Browser(width, height) as browser:
-        run_protocol(kind, config, plan, root, stop=stop, make_live=make_live, derive=False)
+        run_protocol(kind, config, plan, root, stop=stop, make_live=make_live)
     return taken[0]
 
 

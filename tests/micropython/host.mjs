@@ -13,12 +13,17 @@ const mp = await loadMicroPython({
     printed += typeof bytes === "string" ? bytes : Buffer.from(bytes).toString("utf8");
   },
 });
-mp.FS.mkdir("/valvefw");
-for (const name of fs.readdirSync(process.argv[2])) {
-  if (name.endsWith(".py")) {
-    mp.FS.writeFile("/valvefw/" + name, fs.readFileSync(path.join(process.argv[2], name)));
+function put(from, to) {
+  mp.FS.mkdir(to);
+  for (const entry of fs.readdirSync(from, { withFileTypes: true })) {
+    if (entry.isDirectory() && entry.name !== "__pycache__") {
+      put(path.join(from, entry.name), to + "/" + entry.name);
+    } else if (entry.name.endsWith(".py")) {
+      mp.FS.writeFile(to + "/" + entry.name, fs.readFileSync(path.join(from, entry.name)));
+    }
   }
 }
+put(process.argv[2], "/valvefw");
 mp.runPython("import sys; sys.path.append('/')");
 for await (const line of readline.createInterface({ input: process.stdin })) {
   printed = "";

@@ -8,7 +8,16 @@ import numpy as np
 from numba import njit
 
 from vision.marker.edgeprofile import TABLE
-from vision.marker.edgesweep import CORE_MAX, HIST, PARAMETERS, median_from, shift_levels, sweep
+from vision.marker.edgesweep import (
+    CORE_MAX,
+    HIST,
+    PARAMETERS,
+    Rows,
+    Sums,
+    median_from,
+    shift_levels,
+    sweep,
+)
 
 
 @njit(cache=True, nogil=True)
@@ -89,35 +98,19 @@ def drop_misfits(misfit, used, levels):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def refine(  # type: ignore[no-untyped-def]
-    img,
-    rows,
-    group_of,
-    y_mid,
-    p,
-    levels,
-    used,
-    room,
-    box_left,
-    box_right,
-    least_scale,
-    may_bend,
-    hot_from,
-    resid,
-    keep,
-    out,
-):
-    """Iterate ``sweep`` to convergence; fills p, levels, resid, keep and out.
+def refine(view, line, least_scale, may_bend, resid, keep, out):  # type: ignore[no-untyped-def]
+    """Iterate ``sweep`` to convergence; fills ``line``, resid, keep and out.
 
     out: 0..2 covariance aa, ab, bb (white noise), 3 noise sd near the edge, 4 share of
     outlier pixels near it, 5 rows used, 6 rows refused, 7 mean contrast, 8 over-exposed
     rows, 9 share of outliers in the flat parts, 10 groups refused, 11 kappa was freed, 12
     variance of sums over 8 image rows against that of white noise, 13 the same for sums over
     all rows, 14 the variance (grey levels squared) that the covariance is scaled by.
-    ``hot_from`` is the grey level that counts as over-exposed.
     ``may_bend`` False: p and levels come from an earlier fit, kappa stays 0.
     Returns True when it converged on enough rows.
     """
+    img, rows, group_of, y_mid, room, box_left, box_right, hot_from = view
+    p, levels, used = line
     groups = levels.shape[0]
     table = np.empty((3, TABLE))
     hist = np.zeros(HIST, np.int64)
@@ -136,6 +129,9 @@ def refine(  # type: ignore[no-untyped-def]
     some = rows[chosen]
     some_group = group_of[chosen]
     some_keep = np.zeros(some.shape[0], np.uint8)
+    part = Rows(img, some, some_group, y_mid, room, box_left, box_right, hot_from)
+    every = Sums(table, hist, normal, right, blocks, misfit, keep, resid, stats)
+    some_sums = Sums(table, hist, normal, right, blocks, misfit, some_keep, none, stats)
     some_ids = np.unique(some_group)
     all_ids = np.arange(groups)
     scale = max(least_scale, 0.3 * abs(np.median(levels[:, 1] - levels[:, 0])))
@@ -151,55 +147,9 @@ def refine(  # type: ignore[no-untyped-def]
     for it in range(18):
         full = it >= coarse
         if full:
-            sweep(
-                img,
-                rows,
-                group_of,
-                y_mid,
-                p,
-                levels,
-                used,
-                room,
-                box_left,
-                box_right,
-                scale,
-                free,
-                hot_from,
-                table,
-                hist,
-                normal,
-                right,
-                blocks,
-                misfit,
-                keep,
-                resid,
-                stats,
-            )
+            sweep(view, line, scale, free, every)
         else:
-            sweep(
-                img,
-                some,
-                some_group,
-                y_mid,
-                p,
-                levels,
-                used,
-                room,
-                box_left,
-                box_right,
-                scale,
-                free,
-                hot_from,
-                table,
-                hist,
-                normal,
-                right,
-                blocks,
-                misfit,
-                some_keep,
-                none,
-                stats,
-            )
+            sweep(part, line, scale, free, some_sums)
         if stats[1] < 4 or (full and stats[1] < 8):
             if scale > 60.0:
                 return False

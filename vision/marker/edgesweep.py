@@ -20,6 +20,7 @@ fit much worse than the rest.
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -100,40 +101,64 @@ def _eliminate(u, v, c, arm, block, normal, right):  # type: ignore[no-untyped-d
     return True
 
 
+class Rows(NamedTuple):
+    """Pixels that an edge is fitted to.
+
+    Attributes:
+        img: the grey picture, (h, w).
+        rows: row numbers, (n,), in groups that share one pair of levels.
+        group_of: group of each row, (n,).
+        y_mid: row at which the edge's column is stated.
+        room: columns left and right of the edge that belong to it, (2,).
+        box_left, box_right: columns of the box, the last one excluded.
+        hot_from: grey level that counts as over-exposed.
+    """
+
+    img: Any
+    rows: Any
+    group_of: Any
+    y_mid: float
+    room: Any
+    box_left: int
+    box_right: int
+    hot_from: float
+
+
+class Line(NamedTuple):
+    """The edge so far: ``p`` (PARAMETERS,), ``levels`` (groups, 2), ``used`` (groups,)."""
+
+    p: Any
+    levels: Any
+    used: Any
+
+
+class Sums(NamedTuple):
+    """What a pass fills; made once and used by every pass of a fit."""
+
+    table: Any
+    hist: Any
+    normal: Any
+    right: Any
+    blocks: Any
+    misfit: Any
+    keep: Any
+    resid: Any
+    stats: Any
+
+
 @njit(cache=True, nogil=True)
-def sweep(  # type: ignore[no-untyped-def]
-    img,
-    rows,
-    group_of,
-    y_mid,
-    p,
-    levels,
-    used,
-    room,
-    box_left,
-    box_right,
-    scale,
-    near_only,
-    hot_from,
-    table,
-    hist,
-    normal,
-    right,
-    blocks,
-    misfit,
-    keep,
-    resid,
-    stats,
-):
+def sweep(view, line, scale, near_only, sums):  # type: ignore[no-untyped-def]
     """One pass over the pixels: normal equations, residual histogram, statistics.
 
-    ``rows`` with their ``group_of`` index; ``p`` are the PARAMETERS, ``levels`` (groups, 2);
-    groups with ``used`` 0 are skipped; ``near_only`` keeps to the neighbourhood of the edge,
-    where light that bends is still straight; ``room`` the (left, right) px that belong to this
-    edge. ``keep`` (rows) gets 1 where the row counted; ``misfit`` (groups) the mean bounded
-    squared residual; ``resid`` (rows, CORE_MAX) the weighted residuals near the edge, column
-    CORE_MAX/2 holding the pixel that the edge runs through.
+    ``view`` is a ``Rows``, ``line`` a ``Line`` (groups with ``used`` 0 are skipped); ``near_only``
+    keeps to the neighbourhood of the edge, where light that bends is still straight. Of ``sums``
+    ``keep`` (rows) gets 1 where the row counted; ``misfit`` (groups) the mean bounded squared
+    residual; ``resid`` (rows, CORE_MAX) the weighted residuals near the edge, column CORE_MAX/2
+    holding the pixel that the edge runs through.
     """
+    img, rows, group_of, y_mid, room, box_left, box_right, hot_from = view
+    p, levels, used = line
+    table, hist, normal, right, blocks, misfit, keep, resid, stats = sums
     a = p[0]
     b = p[1]
     sigma = p[2]
@@ -231,9 +256,9 @@ def sweep(  # type: ignore[no-untyped-def]
         v3 = 0.0
         v4 = 0.0
         v5 = 0.0
-        line = img[y]
+        pixels = img[y]
         size = c_last - c_first + 1
-        near = line[c_first : c_last + 1]
+        near = pixels[c_first : c_last + 1]
         d0 = c_first + 0.5 - x0
         for j in range(size):
             d = d0 + j
@@ -341,7 +366,7 @@ def sweep(  # type: ignore[no-untyped-def]
                 x_from, x_to = c_last + 1, last + 1
             level = low if part == 0 else high
             slope = sl if part == 0 else sh
-            s0, s1, s2, r0, r1, flat_rho = _flat(line, x_from, x_to, x0, level, slope, inv2)
+            s0, s1, s2, r0, r1, flat_rho = _flat(pixels, x_from, x_to, x0, level, slope, inv2)
             j = 2 + part
             sign = -1.0 if part == 0 else 1.0
             u[j, j] += s0

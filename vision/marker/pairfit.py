@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from vision.gray import Box
 from vision.marker.coarse import EdgeGuess, Image, find_edges
-from vision.marker.edge import EdgeLine, GapMeasurement
 from vision.marker.edgefit import refine
 from vision.marker.edgestart import start_line
-from vision.marker.edgesweep import CORE_MAX, GROUP
+from vision.marker.edgesweep import CORE_MAX, GROUP, Line, Rows
+from vision.marker.gap import EdgeLine, GapMeasurement
 from vision.marker.jpegerror import find_quantiser, position_variance
 
 F64 = npt.NDArray[np.float64]
@@ -144,24 +144,10 @@ def _refit(gray: Image, box: Box, fit: Fit, guess: EdgeGuess, least_scale: float
     p, levels, on, out = fit.p.copy(), fit.levels.copy(), np.ones_like(fit.on), np.zeros(16)
     p[4] = 0.0
     resid, keep = np.zeros_like(fit.resid), np.zeros_like(fit.keep)
-    if not refine(
-        gray,
-        fit.rows,
-        fit.group_of,
-        fit.y_mid,
-        p,
-        levels,
-        on,
-        _room(guess),
-        box[0],
-        box[0] + box[2],
-        least_scale,
-        False,
-        OVEREXPOSED,
-        resid,
-        keep,
-        out,
-    ):
+    view = Rows(
+        gray, fit.rows, fit.group_of, fit.y_mid, _room(guess), box[0], box[0] + box[2], OVEREXPOSED
+    )
+    if not refine(view, Line(p, levels, on), least_scale, False, resid, keep, out):
         return None
     cov = np.array([[out[0], out[1]], [out[1], out[2]]])
     return replace(
@@ -242,24 +228,8 @@ def _fit_edge(gray: Image, box: Box, guess: EdgeGuess, exclude: tuple[Box, ...])
     resid = np.zeros((len(rows), CORE_MAX), dtype=np.float32)
     keep = np.zeros(len(rows), dtype=np.uint8)
     out = np.zeros(16)
-    if not refine(
-        gray,
-        rows,
-        group_of,
-        own_mid,
-        p,
-        levels,
-        on,
-        _room(guess),
-        left,
-        left + width,
-        least,
-        True,
-        hot_from,
-        resid,
-        keep,
-        out,
-    ):
+    view = Rows(gray, rows, group_of, own_mid, _room(guess), left, left + width, hot_from)
+    if not refine(view, Line(p, levels, on), least, True, resid, keep, out):
         return None
     cov = np.array([[out[0], out[1]], [out[1], out[2]]])
     return Fit(

@@ -3,6 +3,7 @@
 The source lies in `$PAMRIG_CACHE/links`, or `~/.cache/pamrig/links`; its name depends on the arm,
 and on the files that derive it, so that an old one is never taken for a new one.
 With the source at hand SymPy is not needed. A folder that cannot be written to costs time only.
+The source is never run, here it is only evaluated (see `evaluate`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy.typing as npt
 
 from plant.links.arm import Arm
 from plant.links.errors import LinkError
+from plant.links.symbolic.evaluate import equations_of
 
 Array = npt.NDArray[np.float64]
 
@@ -37,8 +39,8 @@ class GeneratedDynamics:
     def __init__(self, arm: Arm, source: str) -> None:
         self.arm = arm
         self.source = source
-        self.functions: dict[str, Any] = {}
-        exec(compile(source, f"<equations of {arm.name}>", "exec"), self.functions)
+        self.functions: dict[str, Callable[..., Any]] = {**equations_of(source)}
+        self.functions["state_space"] = self._state_space
 
     def inertia_matrix(self, q: npt.ArrayLike) -> Array:
         """D, (n, n) or (batch, n, n)."""
@@ -63,8 +65,13 @@ class GeneratedDynamics:
         return self._called("forward_dynamics", q, qd, torque)
 
     def _called(self, name: str, *given: npt.ArrayLike) -> Array:
-        function: Callable[..., Any] = self.functions[name]
-        return self._stacked(function(*map(self._columns, given)), np.shape(given[0])[:-1])
+        return self._stacked(
+            self.functions[name](*map(self._columns, given)), np.shape(given[0])[:-1]
+        )
+
+    def _state_space(self, x: Any, tau: Any, p: Any = None) -> tuple[Any, ...]:
+        n = self.arm.degrees
+        return (*x[n:], *self.functions["forward_dynamics"](x[:n], x[n:], tau, p=p))
 
     def _columns(self, values: npt.ArrayLike) -> tuple[Any, ...]:
         array = np.asarray(values, dtype=np.float64)

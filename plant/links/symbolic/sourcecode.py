@@ -60,9 +60,9 @@ def as_python(equations: Equations) -> str:
         ),
     ]
     values = equations.parameters
+    joints = ", ".join(equations.joints)
     head = [
-        f'"""Equations of motion of {equations.name} ({", ".join(equations.joints)}); '
-        'written by pamrig links."""',
+        f'"""Equations of motion of {equations.name} ({joints}); written by pamrig links."""',
         "",
         "from numpy import cos, sin",
         "",

@@ -46,7 +46,7 @@ class Instrument(Readings):
             so it must be for an instrument that a test cannot do without.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - an instrument has that many named settings
         self,
         link: Link,
         pump: Pump,

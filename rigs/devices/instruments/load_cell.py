@@ -10,11 +10,7 @@ import numpy.typing as npt
 from daq.errors import ConfigError
 from rigs.devices.instruments.readings import Batch
 from rigs.devices.instruments.text import TextInstrument
-
-STANDARD_GRAVITY_M_S2 = 9.80665
-GRAMS = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / STANDARD_GRAVITY_M_S2,
-         "lb": 453.59237, "kN": 1e6 / STANDARD_GRAVITY_M_S2}  # fmt: skip
-"""Grams in a unit that indicators print; newtons are the indicator's own, at standard gravity."""
+from rigs.rigfile.form import GRAMS
 
 
 class LoadCell:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.calibration import Calibration
-from rigs.devices.instruments.faults import Faults
+from rigs.devices.faults import Faults
 from rigs.rigfile.form import Parsed
 
 KEEP_ROWS = 4096

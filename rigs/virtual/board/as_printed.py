@@ -23,8 +23,8 @@ count of the timer a microsecond, 20 us for one turn of an empty loop.
 from __future__ import annotations
 
 from rigs.virtual.board.board import SimBoard
-from valvefw.scheme import HOLD_US, Scheme
-from valvefw.valves import Valves
+from valvefw.schemes.scheme import HOLD_US, Scheme
+from valvefw.schemes.valves import Valves
 
 BAUD = 4800
 LOOP_US = 20

@@ -21,7 +21,7 @@ from rigs.virtual.board.pressure_sensor import ADC_TOP
 from rigs.virtual.board.pressure_sensor import PressureSensor as PressureSensor
 from valvefw.board import DRIVE_SILENCE_US, Board
 from valvefw.controller import Controller
-from valvefw.valves import VENT_HOLD_US
+from valvefw.schemes.valves import VENT_HOLD_US
 from valvefw.wire import TICK_US
 
 TICK_S = TICK_US * 1e-6
@@ -61,7 +61,7 @@ class SimBoard(Board):
     (``ticks_us``) restarts with each reset and wraps.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - a board has that many named properties
         self,
         plant: SimulatedPlant,
         rng: np.random.Generator,
@@ -351,10 +351,6 @@ class SimBoard(Board):
         """The firmware goes on where it hung, unless it has been reset."""
         if self._boot_at_us is None:
             self._halted = False
-
-    def hold_sensor(self) -> None:
-        """The sensor repeats its present reading for ever."""
-        self.sensor_override = self._counts
 
     def forget_truth(self) -> None:
         """Keep no log of the true pressure from now on."""

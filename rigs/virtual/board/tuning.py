@@ -2,7 +2,7 @@
 
 The burst scheme wants the valve's delays, the supply, and how fast each orifice moves the pressure
 in the muscle. On a real bench the first come from the switching capture and the last from one long
-fill and one long vent (docs/valve-schemes.md).
+fill and one long vent (docs/reference/valve-schemes.md).
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class VirtualBalance:
         wire: arranges mishaps.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - a balance has that many named properties
         self,
         force_n: Callable[[], float],
         send: Callable[[bytes], None],

@@ -59,10 +59,6 @@ class CameraModel:
         bottom = min(self.height, int(np.ceil(y + reach)))
         return left, top, right - left, bottom - top
 
-    def gap_px(self, length_mm: float) -> float:
-        """The true gap between the marks, in pixels, for a muscle of ``length_mm``."""
-        return (length_mm - self.offset_mm) / self.mm_per_pixel
-
 
 def render(
     length_mm: float,

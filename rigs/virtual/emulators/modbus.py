@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from rigs.devices.instruments.modbus import ModbusForm
+from rigs.rigfile.modbus_form import ModbusForm
 from rigs.virtual.emulators.injected_fault import Wire
 
 READY_NS = 5_000_000

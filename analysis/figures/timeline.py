@@ -1,0 +1,94 @@
+"""The raw time line of a run: pressure, force, and when its points were taken."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.figures.drawing import INK, MEASURED, SET, new_figure, style
+from daq.errors import RecordError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from daq.store.run import Run
+
+Floats = npt.NDArray[np.float64]
+
+
+def timeline_figure(run: Run) -> Figure | None:
+    """Set-point and measured pressure, force, and when the points were taken; None if no samples.
+
+    Decimated to the lowest and highest value of each bin, so that nothing short is lost. Force is
+    drawn from its first tare on: what else a balance reads is none.
+    """
+    try:
+        valve, balance = run.samples("valve"), run.samples("balance")
+    except RecordError:
+        return None
+    if not len(valve.get("seq", ())):
+        return None
+    pressure_cal, force_cal = run.calibration("pressure_kpa"), run.calibration("force_n")
+    start_ns = int(valve["host_ns"][0])
+    time_s = (valve["host_ns"].astype(np.int64) - start_ns) / 1e9
+    pressure = np.asarray(pressure_cal.apply(valve["counts"].astype(np.float64)))
+    setpoint = np.asarray(pressure_cal.apply(valve["setpoint_x16"] / 16.0))
+    tares = [event["t_ns"] for event in run.events if event.get("kind") == "tare"]
+    forces = run.manifest.get("protocol") == "simulate" or bool(tares)
+    with style():
+        if forces:
+            figure, (top, bottom) = new_figure(7.2, 4.2, rows=2, sharex=True)
+        else:
+            figure, top = new_figure(7.2, 2.6)
+            bottom = top
+        top.plot(*min_max(time_s, setpoint), color=SET, linewidth=1.4, label="set-point")
+        top.plot(*min_max(time_s, pressure), color=MEASURED, linewidth=0.7, label="measured")
+        top.set_ylabel("pressure (kPa)")
+        if forces and len(balance.get("grams", ())):
+            force = np.asarray(force_cal.apply(balance["grams"].astype(np.float64)))
+            force_ns = balance["host_ns"].astype(np.int64)
+            zero_ns = int(run.manifest["started"]["monotonic_ns"])
+            tared = force_ns >= (zero_ns + tares[0] if tares else 0)
+            force_s = (force_ns[tared] - start_ns) / 1e9
+            bottom.plot(
+                *min_max(force_s, force[tared]), color=MEASURED, linewidth=0.8, label="force"
+            )
+        if forces:
+            bottom.set_ylabel("force (N)")
+            figure.align_ylabels([top, bottom])
+        bottom.set_xlabel("time since the first sample (s)")
+        middles = _point_times(run, valve["seq"], time_s)
+        top.plot(
+            middles,
+            np.full(len(middles), 0.03),
+            "|",
+            color=INK,
+            markersize=7,
+            transform=top.get_xaxis_transform(),
+            label="settled point",
+        )
+        top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8)
+    return figure
+
+
+def min_max(x: Floats, y: Floats, bins: int = 1200) -> tuple[Floats, Floats]:
+    """First the lowest, then the highest value of each of ``bins`` equal runs of samples."""
+    if len(x) <= 2 * bins:
+        return x, y
+    edges = np.linspace(0, len(x), bins + 1).astype(int)[:-1]
+    low, high = np.minimum.reduceat(y, edges), np.maximum.reduceat(y, edges)
+    return np.repeat(x[edges], 2), np.column_stack([low, high]).ravel()
+
+
+def _point_times(run: Run, seq: npt.NDArray[Any], time_s: Floats) -> Floats:
+    """Middle of each settled window, s on the figure's axis."""
+    middles = []
+    for event in run.events:
+        if event.get("kind") == "point" and "valve_seq" in event:
+            first, end = event["valve_seq"]
+            index = int(np.searchsorted(seq, (first + end) // 2))
+            if index < len(time_s):
+                middles.append(float(time_s[index]))
+    return np.array(middles)

@@ -1,0 +1,1 @@
+"""The diagnosis timed: beside other methods, over size and number of cores."""

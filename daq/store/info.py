@@ -1,0 +1,70 @@
+"""What a list of runs shows of each run."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from daq.errors import RecordError
+from daq.store.annotations import excluded_points
+from daq.store.run import DAMAGED, Run
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """One line of a list of runs.
+
+    Attributes:
+        run_id: name of the folder.
+        started_utc: ISO time; empty if run.json is damaged.
+        protocol, specimen: as in run.json.
+        outcome: see :attr:`daq.store.run.Run.outcome`.
+        duration_s: from start to final.json; None if interrupted.
+        folder: where it lies.
+        operator, rig: as in run.json.
+        excluded: points excluded afterwards.
+        continues: run that this one went on with; empty for none.
+    """
+
+    run_id: str
+    started_utc: str
+    protocol: str
+    specimen: str
+    outcome: str
+    duration_s: float | None
+    folder: str
+    operator: str = ""
+    rig: str = ""
+    excluded: int = 0
+    continues: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``--json``."""
+        return asdict(self)
+
+
+def run_info(run: Run) -> RunInfo:
+    """One line of a list, from the folder itself."""
+    manifest = run.sealed("run.json") or {}
+    ended = (run.final or {}).get("ended", {}).get("t_ns")
+    return RunInfo(
+        run_id=run.run_id,
+        started_utc=str(manifest.get("started", {}).get("utc", "")),
+        protocol=str(manifest.get("protocol", DAMAGED if not manifest else "")),
+        specimen=str(manifest.get("specimen", "")),
+        outcome=run.outcome,
+        duration_s=None if ended is None else ended * 1e-9,
+        folder=str(run.folder),
+        operator=str(manifest.get("operator") or ""),
+        rig=str((manifest.get("rig") or {}).get("name", "")),
+        excluded=_excluded(run.folder),
+        continues=str((manifest.get("continues") or {}).get("run_id", "")),
+    )
+
+
+def _excluded(folder: Path) -> int:
+    try:
+        return len(excluded_points(folder))
+    except RecordError:  # `pamrig runs verify` says what is wrong with it
+        return -1

@@ -1,0 +1,66 @@
+"""What the functions of effects are given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from plant.constants import PlantConstants
+
+Values = Mapping[str, float | str]
+"""The parameters of an effect in force, by name, in the units of their names."""
+Shape = Mapping[str, float]
+"""Numbers that pick one of the forms in which the diagnosis tries an effect."""
+Params = Any
+"""Array of numbers by slot: of the plant, or of the pressure stage of the diagnosis."""
+Array = Any
+"""Floats or float64 arrays: in compiled code one number, elsewhere one a sample."""
+Floats = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Points:
+    """Instants at which one block is compared, all trials one after the other; SI.
+
+    Attributes:
+        first: points of trial t are first[t]:first[t + 1].
+        mounting: number of the mounting each point was taken in.
+        row: feature row each point belongs to, counted within the block.
+        weight: samples that each point stands for.
+        path: pressure without its sampling noise, for what depends on turning points.
+        held: whether the length is the one written down, not one that was read.
+        settled: whether the trial is a table of settled points, whose `time_s` counts its rows.
+        reading: measured output: force in N, pressure in Pa or length in m.
+    """
+
+    first: Whole
+    trial: Whole
+    mounting: Whole
+    time_s: Floats
+    row: Whole
+    weight: Floats
+    pressure: Floats
+    pressure_slope: Floats
+    path: Floats
+    length: Floats
+    rate: Floats
+    acceleration: Floats
+    held: npt.NDArray[np.bool_]
+    settled: npt.NDArray[np.bool_]
+    temperature: Floats
+    mass: Floats
+    reading: Floats
+    direction: Floats
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a force needs beside the points: constants, and the order of the trials from 0."""
+
+    constants: PlantConstants
+    order: Array

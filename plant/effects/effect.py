@@ -1,0 +1,255 @@
+"""What a file of the catalogue says of one effect, and the functions by which it acts.
+
+One file defines one effect for all who use it: the compiled plant and its form for arrays
+(`InPlant`), the readings of the sensors (`InSensors`), the diagnosis (`InDiagnosis`, `Search`) and
+the page of the catalogue (the other fields of `Effect`).
+
+Order of application. Effects of the same step follow each other in the order of the catalogue.
+
+    muscle   push, threads, inner       what the formula of the braid gets for p, b and L
+             scale                      change of the braid's force
+             add                        force beside the braid
+             transient                  force that depends on speed or on the past
+    gas      upstream, outward          pressure before the inlet, conductance to the atmosphere
+    load     mass, drag                 what hangs, and what rubs
+    sensors  camera, camera_delay, pressure, force, supply
+
+Functions are plain Python. Those of `InPlant` are compiled into the kernel as they stand and are
+called with arrays as well: no branch on anything but `params`, `np.maximum` instead of `max`.
+`params` and `state` are the arrays of `plant.physics.layout`; pressures are gauge Pa, lengths m,
+forces N, temperatures K, times s, unless a name says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from plant.constants import PlantConstants
+from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect: a number within bounds, or a word out of `choices`.
+
+    `default` None means that it must be given.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    low: float = 0.0
+    high: float = 0.0
+    default: float | str | None = None
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class InPlant:
+    """What an effect adds to the plant. All functions may be left out.
+
+    The first argument of a function is the value so far, which it returns changed.
+
+    Attributes:
+        slots: (values, constants) -> slots of the parameter array that differ from the nominal
+            ones. Raises `PlantError` where the effect cannot be.
+        push: (push, params, p) -> pressure that reaches the braid.
+        threads: (b, params, p) -> length of the braid's threads.
+        inner: (inner, params, length) -> length that counts for the force.
+        scale: (pull, params, p, length, temperature, trials, braid) -> force of the braid;
+            `braid(params, p, length)` is that without any scale.
+        add: (pull, params, p, length) -> force that stays while nothing moves.
+        transient: (pull, state, params, p, length, rate) -> force in all. `state` is that at the
+            beginning of the step which ends at `p` and `length`.
+        stiffness: (bound, params, p, length) -> bound on |dF/dL| in N/m, for the step size.
+        damping: (bound, params, p, rate) -> bound on |dF/dv| in N s/m, for the step size.
+        slide: (state, params, dp, dlength) updates `state` after a change of pressure and length.
+        follow: (state, params, p0, pull0, pull, duration) updates `state` after a step in which
+            pressure and lasting force ran straight. Needs the slot REMEMBERS.
+        upstream: (supply, params, absolute) -> absolute pressure before the open inlet;
+            `absolute` is that in the muscle.
+        outward: (conductance, params) -> conductance in m3/(s Pa) to the atmosphere.
+        mass: (mass, params) -> kg that hang.
+        drag: (drag, state, params, length) -> friction against a lengthening load.
+        drag_stiffness: (bound, params) -> bound on its slope in N/m, for the step size.
+    """
+
+    slots: Callable[[Values, PlantConstants], Mapping[int, float]] | None = None
+    push: Callable[[Array, Params, Array], Array] | None = None
+    threads: Callable[[Array, Params, Array], Array] | None = None
+    inner: Callable[[Array, Params, Array], Array] | None = None
+    scale: Callable[[Array, Params, Array, Array, Array, Array, Any], Array] | None = None
+    add: Callable[[Array, Params, Array, Array], Array] | None = None
+    transient: Callable[[Array, Params, Params, Array, Array, Array], Array] | None = None
+    stiffness: Callable[[float, Params, float, float], float] | None = None
+    damping: Callable[[float, Params, float, float], float] | None = None
+    slide: Callable[[Params, Params, float, float], None] | None = None
+    follow: Callable[[Params, Params, float, float, float, float], None] | None = None
+    upstream: Callable[[float, Params, float], float] | None = None
+    outward: Callable[[float, Params], float] | None = None
+    mass: Callable[[float, Params], float] | None = None
+    drag: Callable[[float, Params, Params, float], float] | None = None
+    drag_stiffness: Callable[[float, Params], float] | None = None
+
+    @property
+    def on_force(self) -> bool:
+        """Whether it changes the force of the muscle."""
+        hooks = (self.push, self.threads, self.inner, self.scale, self.add, self.transient)
+        return any(hook is not None for hook in hooks)
+
+
+@dataclass(frozen=True)
+class InSensors:
+    """What an effect adds to readings. `amount` is the value of the headline parameter.
+
+    Attributes:
+        pressure: (amount) -> gain and zero in kPa: read = true (1 + gain) + zero.
+        force: (amount) -> gain and zero in N.
+        camera: (true length, values, constants) -> read minus true length. Raises `PlantError`.
+        camera_delay: (amount) -> s by which the time stamps of frames are late.
+        held: (amount) -> m, true minus written length of a muscle that is held.
+        supply: (supply, inside, params, values) -> Pa by which the supply channel shows less,
+            for absolute pressures of supply and muscle while the inlet is open.
+    """
+
+    pressure: Callable[[float], tuple[float, float]] | None = None
+    force: Callable[[float], tuple[float, float]] | None = None
+    camera: Callable[[Array, Values, PlantConstants], Array] | None = None
+    camera_delay: Callable[[float], float] | None = None
+    held: Callable[[float], float] | None = None
+    supply: Callable[[float, float, Params, Values], float] | None = None
+
+
+@dataclass(frozen=True)
+class InDiagnosis:
+    """What an effect adds to the diagnosis's prediction from measured inputs.
+
+    `amount` is that of the headline parameter beyond `Effect.neutral`, in the headline's unit, or
+    1 for an effect that is there or not. All functions may be left out.
+
+    Attributes:
+        length: (points, amount, shape) -> m, true minus read or written length.
+        camera: (true length, amount, shape, constants) -> m, read minus true, at all times alike.
+        camera_bends: whether `camera` is no straight line of the length.
+        pressure: (p, points, amount) -> true pressure before gain and zero of the gauge.
+        lost: (p, amount, shape) -> pressure that does not reach the braid.
+        shortened: (length, amount, shape, constants) -> m that the inner length is shorter.
+        stretch: (p, length, amount, shape, constants) -> relative lengthening of the threads.
+        force: (points, p, length, base, shape, context) -> force for an amount of one; `base` is
+            the force of the braid.
+        at_rest: whether `force` needs neither pressure nor a past, so that a tare takes it away.
+        force_shown: (force, points, amount) -> force after what the record does to it.
+        pressure_shown: (pressure, points, amount) -> pressure after what the record does to it.
+        mass: (points, amount, shape, constants) -> kg beside the stated load.
+        drag: (points, shape) -> friction of the load for an amount of one.
+        gas: (params, amount, option, shape) writes slots of `plant.effects.pressure_stage`.
+    """
+
+    length: Callable[[Points, float, Shape], Array] | None = None
+    camera: Callable[[Array, float, Shape, PlantConstants], Array] | None = None
+    camera_bends: bool = False
+    pressure: Callable[[Array, Points, float], Array] | None = None
+    lost: Callable[[Array, float, Shape], Array] | None = None
+    shortened: Callable[[Array, float, Shape, PlantConstants], Array] | None = None
+    stretch: Callable[[Array, Array, float, Shape, PlantConstants], Array] | None = None
+    force: Callable[[Points, Array, Array, Array, Shape, Context], Array] | None = None
+    at_rest: bool = False
+    force_shown: Callable[[Array, Points, float], Array] | None = None
+    pressure_shown: Callable[[Array, Points, float], Array] | None = None
+    mass: Callable[[Points, float, Shape, PlantConstants], Array] | None = None
+    drag: Callable[[Points, Shape], Array] | None = None
+    gas: Callable[[Params, float, str, Shape], None] | None = None
+
+
+@dataclass(frozen=True)
+class Search:
+    """How the diagnosis tries an effect.
+
+    A real bench never has the form one wrote down, so each effect is tried in a few shapes (where
+    its knee is, how soon it saturates, whether it scales with pressure).
+
+    Attributes:
+        step: amount at which its signature is taken.
+        sign: +1 where only positive amounts make sense, 0 where both do.
+        blocks: which blocks of features it can touch.
+        shapes: the forms, the usual one first.
+        free: numbers of a shape that a fit may move, with what a bench could have.
+        fixed_by: keys of shapes none of whose numbers are moved.
+        bounded: whether the range of the headline parameter bounds the amount.
+        plant_shape: the shape nearest to the form of the plant, the first where None.
+        plant_misfit: share of the effect that this shape leaves of the plant's form (rms).
+    """
+
+    step: float
+    sign: int
+    blocks: tuple[str, ...]
+    shapes: tuple[Shape, ...] = ({},)
+    free: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fixed_by: tuple[str, ...] = ()
+    bounded: bool = True
+    plant_shape: Shape | None = None
+    plant_misfit: float = 0.05
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect: where it acts, its parameters (the headline first), how to recognise it.
+
+    Attributes:
+        equation: what it adds to the nominal plant, in the symbols of its parameters.
+        source: where that form comes from.
+        untouched: what stays as it is.
+        mistaken_for: effects that it can be taken for.
+        constants: plant-file keys that a fit may move instead of it.
+        told_apart_by: the experiment that tells it from them.
+        standard: the reference standard that settles it.
+        neutral: value of the headline parameter that is no effect, or the plant-file key of the
+            constant that the headline parameter replaces.
+    """
+
+    id: str
+    family: str
+    stage: str
+    summary: str
+    parameters: tuple[Parameter, ...]
+    untouched: str
+    mistaken_for: tuple[str, ...]
+    told_apart_by: str
+    equation: str
+    source: str
+    standard: str
+    search: Search
+    constants: tuple[str, ...] = ()
+    neutral: float | str = 0.0
+    plant: InPlant = InPlant()
+    sensors: InSensors = InSensors()
+    diagnosis: InDiagnosis = InDiagnosis()
+
+    @property
+    def headline(self) -> str | None:
+        """Name of the headline parameter; None for an effect that is there or not."""
+        return self.parameters[0].name if self.parameters else None
+
+    @property
+    def unit(self) -> str:
+        """Unit of the headline parameter."""
+        return self.parameters[0].unit if self.parameters else ""
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Words that go with the headline parameter (a side, an edge); one empty word if none."""
+        return next((p.choices for p in self.parameters if p.choices), ("",))
+
+    def neutral_in(self, constants: PlantConstants) -> float:
+        """Value of the headline parameter that is no effect on a bench of these constants."""
+        if isinstance(self.neutral, str):
+            return constants.value(self.neutral)
+        return self.neutral
+
+    def amount(self, values: Values, constants: PlantConstants) -> float:
+        """How much of the effect these parameters are, as the diagnosis counts it."""
+        if self.headline is None:
+            return 1.0
+        return float(values[self.headline]) - self.neutral_in(constants)

@@ -1,0 +1,43 @@
+"""The flow chokes at another pressure ratio."""
+
+from __future__ import annotations
+
+from plant.constants import PlantConstants
+from plant.effects import pressure_stage as stage
+from plant.effects.arguments import Params, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.physics import layout
+
+
+def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
+    ratio = float(values["critical_ratio"])
+    return {layout.INLET_CRITICAL_RATIO: ratio, layout.OUTLET_CRITICAL_RATIO: ratio}
+
+
+def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
+    if "outlet" not in shape:
+        params[stage.INLET_CRITICAL_RATIO] += amount
+    if "inlet" not in shape:
+        params[stage.OUTLET_CRITICAL_RATIO] += amount
+
+
+CRITICAL_RATIO = Effect(
+    "critical_ratio",
+    "flow",
+    "valve",
+    "the flow chokes at another pressure ratio",
+    (Parameter("critical_ratio", "", "ISO 6358 b", 0.0, 0.9),),
+    "choked flow (filling from low pressure, venting from high); all settled points",
+    ("flow_area", "supply_droop"),
+    "the last third of a fill and of a vent against the first, supply recorded",
+    equation="r_c -> critical_ratio in the ISO 6358 ellipse, both valves",
+    source="ISO 6358-1",
+    standard="a flow meter in the line, at several pressure ratios",
+    constants=("critical_ratio",),
+    neutral="critical_ratio",
+    plant=InPlant(slots=_slots),
+    diagnosis=InDiagnosis(gas=_gas),
+    search=Search(
+        step=0.03, sign=0, blocks=("pressure",), shapes=({}, {"inlet": 1.0}, {"outlet": 1.0})
+    ),
+)

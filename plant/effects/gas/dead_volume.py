@@ -1,0 +1,52 @@
+"""Line and fittings hold more gas than assumed."""
+
+from __future__ import annotations
+
+from plant.constants import PlantConstants
+from plant.effects import pressure_stage as stage
+from plant.effects.arguments import Params, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.physics import layout
+
+_STATED_PA = 300e3
+"""Gauge pressure at which the extra volume of an elastic hose is stated."""
+
+
+def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
+    return {layout.DEAD_VOLUME: c.dead_volume_m3 + float(values["volume_ml"]) * 1e-6}
+
+
+def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
+    if "elastic" in shape:
+        params[stage.ELASTIC] += amount * 1e-6 / _STATED_PA
+    elif "line_s" in shape:
+        params[stage.LINE] = max(amount, 0.0) * 1e-6
+        params[stage.LINE_TIME] = shape["line_s"]
+    else:
+        params[stage.DEAD_VOLUME] += amount * 1e-6
+
+
+DEAD_VOLUME = Effect(
+    "dead_volume",
+    "gas",
+    "chamber",
+    "more volume in line and fittings than assumed",
+    (Parameter("volume_ml", "ml", "extra volume", 0, 100),),
+    "all settled points; the pressure finally reached",
+    ("flow_area", "polytropic", "leak"),
+    "fill at a short and a long length: extra volume weighs less when the muscle is large; "
+    "seal the muscle and move the length",
+    equation="V_0 -> V_0 + volume",
+    source="ideal gas in one more vessel",
+    standard="the line filled with water and weighed, or a known extra vessel",
+    constants=("dead_volume_ml", "inlet_conductance_m3_s_pa", "outlet_conductance_m3_s_pa"),
+    plant=InPlant(slots=_slots),
+    diagnosis=InDiagnosis(gas=_gas),
+    search=Search(
+        step=0.1,
+        sign=1,
+        blocks=("pressure",),
+        shapes=({}, {"elastic": 1.0}, {"line_s": 0.01}, {"line_s": 0.06}),
+        free={"line_s": (0.001, 0.3)},
+    ),
+)

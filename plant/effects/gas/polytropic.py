@@ -1,0 +1,46 @@
+"""The gas does not stay isothermal."""
+
+from __future__ import annotations
+
+from plant.constants import PlantConstants
+from plant.effects import pressure_stage as stage
+from plant.effects.arguments import Params, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.physics import layout
+
+
+def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
+    return {layout.EXPONENT: float(values["exponent"])}
+
+
+def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
+    params[stage.EXPONENT] += amount
+    params[stage.HEAT_RATE] = 1.0 / shape["heat_s"] if "heat_s" in shape else 0.0
+
+
+POLYTROPIC = Effect(
+    "polytropic",
+    "gas",
+    "chamber",
+    "the gas does not stay isothermal",
+    (Parameter("exponent", "", "polytropic exponent above 1", 1, 1.4),),
+    "all settled points; closed valves at constant length",
+    ("dead_volume", "flow_area", "leak"),
+    "seal the muscle and move it fast and slowly: the pressure swing shows the exponent",
+    equation="P V^k constant when sealed, dP/dt = k (...) / V with k the exponent",
+    source="Richer and Hurmuzlu 2000 (between isothermal and adiabatic)",
+    standard="none needed: the sealed muscle moved at two speeds",
+    constants=("polytropic_exponent", "dead_volume_ml"),
+    neutral=1.0,
+    plant=InPlant(slots=_slots),
+    diagnosis=InDiagnosis(gas=_gas),
+    search=Search(
+        step=0.02,
+        sign=1,
+        blocks=("pressure",),
+        shapes=({}, {"heat_s": 0.2}, {"heat_s": 1.0}, {"heat_s": 5.0}),
+        # Air in a tube 10 mm wide takes the wall's temperature within seconds (r^2 / 5.8 of its
+        # thermal diffusivity, 1 s at 5 bar); what falls for longer leaks.
+        free={"heat_s": (0.05, 6.0)},
+    ),
+)

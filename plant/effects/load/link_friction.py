@@ -1,0 +1,108 @@
+"""The joint or slide that carries the load rubs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plant.constants import PlantConstants
+from plant.effects.arguments import Array, Params, Points, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.physics.layout import LENGTH
+
+FORCE, TRAVEL = 60, 61  # N; m of motion after which the link slips
+STATE = 28  # slip, -1 to 1
+
+
+def slip_after(state: Params, params: Params, dlength: float) -> float:
+    """Slip after a further `dlength` of motion.
+
+    One elasto-slip element (Prandtl; Armstrong-Helouvry, Dupont and Canudas de Wit 1994 on
+    pre-sliding): it sticks like a stiff spring and slips at its limit, whatever the speed.
+    """
+    return float(min(1.0, max(-1.0, state[STATE] + dlength / params[TRAVEL])))
+
+
+def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
+    return {FORCE: float(values["friction_n"]), TRAVEL: float(values["travel_mm"]) * 1e-3}
+
+
+def _slide(state: Params, params: Params, dp: float, dlength: float) -> None:
+    if params[FORCE] != 0.0:
+        state[STATE] = slip_after(state, params, dlength)
+
+
+def _drag(drag: float, state: Params, params: Params, length: float) -> float:
+    if params[FORCE] != 0.0:
+        return float(drag + params[FORCE] * slip_after(state, params, length - state[LENGTH]))
+    return drag
+
+
+def _drag_stiffness(bound: float, params: Params) -> float:
+    if params[FORCE] != 0.0:
+        return float(bound + params[FORCE] / params[TRAVEL])
+    return bound
+
+
+def _sliding(points: Points, shape: Shape) -> Array:
+    """Direction of sliding, -1 to 1; settled points have come the way their table says."""
+    if "travel_mm" in shape:
+        from plant.physics import paths
+
+        slip = np.zeros(len(points.length))
+        travel = points.length / (shape["travel_mm"] * 1e-3)
+        paths.slip(points.first, np.ascontiguousarray(travel), slip)
+    else:
+        speed = points.rate * 1e3
+        slip = np.tanh(speed / shape["knee_mm_s"])
+        if "fall_mm_s" in shape:  # Stribeck's part, gone at speed
+            slip = slip * np.exp(-((speed / shape["fall_mm_s"]) ** 2))
+    come = -points.direction
+    if "step_mm" in shape:
+        # A load still creeps where a point is called settled, the less the shorter its last step.
+        step = np.abs(np.diff(points.length, prepend=np.nan)) * 1e3
+        step[points.first[:-1][points.first[:-1] < len(step)]] = np.inf
+        come = come * -np.expm1(-step / shape["step_mm"])
+    return np.where(points.direction != 0.0, come, slip)
+
+
+LINK_FRICTION = Effect(
+    "link_friction",
+    "load",
+    "load",
+    "friction in the joint or slide that carries the load",
+    (
+        Parameter("friction_n", "N", "friction force of the slide", 0, 100),
+        Parameter("travel_mm", "mm", "motion after which it slips", 0.002, 2, 0.02),
+    ),
+    "isometric tests altogether; gas traces at constant length",
+    ("braid_friction", "viscosity", "payload"),
+    "isometric against isotonic loops: friction of the slide is only in the latter",
+    equation="m L'' = m g - F - c L' - friction z, dz = dL / travel, |z| <= 1",
+    source="Armstrong-Helouvry, Dupont and Canudas de Wit 1994 (pre-sliding)",
+    standard="a force sensor between muscle and load",
+    constants=("load_damping_n_s_mm",),
+    plant=InPlant(slots=_slots, slide=_slide, drag=_drag, drag_stiffness=_drag_stiffness),
+    diagnosis=InDiagnosis(drag=_sliding),
+    search=Search(
+        step=0.5,
+        sign=1,
+        blocks=("load",),
+        shapes=(
+            {"knee_mm_s": 0.3},
+            {"knee_mm_s": 2.0},
+            {"knee_mm_s": 10.0},
+            {"travel_mm": 0.1},
+            {"travel_mm": 0.5},
+            {"knee_mm_s": 0.3, "fall_mm_s": 4.0},
+            {"knee_mm_s": 1.0, "step_mm": 1.5},
+        ),
+        free={
+            "knee_mm_s": (0.05, 30.0),
+            "travel_mm": (0.02, 3.0),
+            "fall_mm_s": (1.0, 30.0),
+            "step_mm": (0.2, 10.0),
+        },
+        plant_shape={"travel_mm": 0.02},
+        plant_misfit=0.5,  # a stiff slide: the direction of a bouncing load hangs on the frames
+    ),
+)

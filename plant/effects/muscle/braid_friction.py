@@ -1,0 +1,106 @@
+"""Fibres of the braid rub on each other; the operator is that of `plant.physics.friction`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plant.constants import PlantConstants
+from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.effects.reference import MIDDLE_PRESSURE_PA
+from plant.effects.trials import without_noise_turns
+from plant.physics.friction import element_slip
+from plant.physics.layout import LENGTH, PRESSURE, SLIP, SLIP_ELEMENTS
+
+FORCE, TRAVEL_PRESSURE, TRAVEL_LENGTH = 34, 35, 36  # N, Pa, m
+_TRAVELS = ((40.0, 0.4), (10.0, 0.1), (120.0, 1.2), (40.0, 0.1), (10.0, 0.5), (60.0, 2.5))
+"""Rise of pressure (kPa) and shortening (mm) after which all fibres slip."""
+_PRESSED_PA = 2e3
+"""Gauge pressure from which fibres rub in the form that does not scale with pressure."""
+
+
+def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
+    return {
+        FORCE: float(values["friction_n"]),
+        TRAVEL_PRESSURE: float(values["travel_kpa"]) * 1e3,
+        TRAVEL_LENGTH: float(values["travel_mm"]) * 1e-3,
+    }
+
+
+def _transient(
+    pull: Array, state: Params, params: Params, p: Array, length: Array, rate: Array
+) -> Array:
+    """Exact whatever the step, as long as the path between does not turn."""
+    if params[FORCE] == 0.0 or p <= 0.0:
+        return pull
+    travel = (p - state[PRESSURE]) / params[TRAVEL_PRESSURE]
+    travel -= (length - state[LENGTH]) / params[TRAVEL_LENGTH]
+    total = 0.0
+    for i in range(SLIP_ELEMENTS):
+        total += element_slip(state[SLIP + i], travel, i)
+    slip = total / SLIP_ELEMENTS
+    return pull - params[FORCE] * p / MIDDLE_PRESSURE_PA * slip
+
+
+def _slide(state: Params, params: Params, dp: float, dlength: float) -> None:
+    if params[FORCE] != 0.0:
+        travel = dp / params[TRAVEL_PRESSURE] - dlength / params[TRAVEL_LENGTH]
+        for i in range(SLIP_ELEMENTS):
+            state[SLIP + i] = element_slip(state[SLIP + i], travel, i)
+
+
+def _stiffness(bound: float, params: Params, p: float, length: float) -> float:
+    if params[FORCE] != 0.0:
+        first = params[TRAVEL_LENGTH] * 2.0 ** (1 - SLIP_ELEMENTS)
+        return float(bound + abs(params[FORCE] * abs(p) / MIDDLE_PRESSURE_PA) / first)
+    return bound
+
+
+def _force(
+    points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
+) -> Array:
+    from plant.physics import paths
+
+    travel = points.path / (shape["kpa"] * 1e3) - length / (shape["mm"] * 1e-3)
+    # Settled points bring their own direction where the table does not hold the whole path.
+    slip = np.zeros(len(p))
+    paths.slip(points.first, without_noise_turns(points, travel), slip)
+    slip = np.where(points.direction != 0.0, points.direction, slip)
+    if shape["pressure"]:
+        return -slip * (np.maximum(p, 0.0) / MIDDLE_PRESSURE_PA)
+    return -slip * np.where(p > _PRESSED_PA, 1.0, 0.0)
+
+
+BRAID_FRICTION = Effect(
+    "braid_friction",
+    "friction",
+    "muscle",
+    "rate-independent friction between fibres: up and down differ",
+    (
+        Parameter("friction_n", "N", "half the loop height at 300 kPa", 0, 100),
+        Parameter(
+            "travel_kpa", "kPa", "rise of pressure after which all fibres slip", 1, 150, 40.0
+        ),
+        Parameter("travel_mm", "mm", "shortening after which all fibres slip", 0.01, 5, 0.4),
+    ),
+    "the mean of up and down; gas and valve traces; anything measured at zero pressure",
+    ("viscosity", "creep", "link_friction"),
+    "the same loop at two speeds, and with a wait at each point: friction keeps its height",
+    equation="F - friction p / 300 kPa mean(z_i), four Maxwell-slip elements driven by p and L",
+    source="Iwan 1966; Davis and Caldwell 2006; Vo-Minh et al. 2010",
+    standard="none needed: a slow loop of pressure at one length",
+    plant=InPlant(slots=_slots, transient=_transient, slide=_slide, stiffness=_stiffness),
+    diagnosis=InDiagnosis(force=_force),
+    search=Search(
+        step=0.5,
+        sign=1,
+        blocks=("force", "load"),
+        shapes=tuple(
+            {"kpa": kpa, "mm": mm, "pressure": pressure}
+            for kpa, mm in _TRAVELS
+            for pressure in (1.0, 0.0)
+        ),
+        free={"kpa": (3.0, 300.0), "mm": (0.03, 5.0)},
+        plant_misfit=0.15,
+    ),
+)

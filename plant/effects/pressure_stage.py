@@ -1,0 +1,47 @@
+"""Slots of the diagnosis's pressure stage (`gap.model.pressure`) that effects write to; SI.
+
+Those that the plant has as well are numbered as in `plant.physics.layout`.
+"""
+
+from __future__ import annotations
+
+from plant.physics.layout import (
+    DEAD_VOLUME,
+    DELAY,
+    DELAY_MODE,
+    DELAY_SLOPE,
+    EXPONENT,
+    INLET_CONDUCTANCE,
+    INLET_CRITICAL_RATIO,
+    OUTLET_CONDUCTANCE,
+    OUTLET_CRITICAL_RATIO,
+    PARAMS_SIZE,
+)
+
+LEAK = PARAMS_SIZE  # m3/(s Pa), choked and subsonic flow
+LEAK_LAMINAR = PARAMS_SIZE + 1  # m3/(s Pa)
+DROOP = PARAMS_SIZE + 2  # Pa
+DROOP_TIME = PARAMS_SIZE + 3  # s
+DROOP_BACK = PARAMS_SIZE + 4  # s, on the way back; DROOP_TIME where 0
+HEAT_RATE = PARAMS_SIZE + 5  # 1/s
+ZERO = PARAMS_SIZE + 6  # Pa, of the gauge
+GAIN = PARAMS_SIZE + 7
+LAG = PARAMS_SIZE + 8  # s, of the gauge
+LAG_BEFORE = PARAMS_SIZE + 9  # s, of a tube before it
+CLOCK = PARAMS_SIZE + 10  # s that the pressure is stamped early
+FOLLOW = PARAMS_SIZE + 11  # s in which the prediction is drawn to the reading; 0 runs free
+ELASTIC = PARAMS_SIZE + 12  # m3/Pa
+LINE = PARAMS_SIZE + 13  # m3 behind a throttle
+LINE_TIME = PARAMS_SIZE + 14  # s
+INLET_DROP = PARAMS_SIZE + 15  # change of the areas at 500 kPa over the valve
+OUTLET_DROP = PARAMS_SIZE + 16
+SUPPLY_SHIFT = PARAMS_SIZE + 17  # Pa
+SIZE = PARAMS_SIZE + 20
+
+__all__ = [
+    "CLOCK", "DEAD_VOLUME", "DELAY", "DELAY_MODE", "DELAY_SLOPE", "DROOP", "DROOP_BACK",
+    "DROOP_TIME", "ELASTIC", "EXPONENT", "FOLLOW", "GAIN", "HEAT_RATE", "INLET_CONDUCTANCE",
+    "INLET_CRITICAL_RATIO", "INLET_DROP", "LAG", "LAG_BEFORE", "LEAK", "LEAK_LAMINAR", "LINE",
+    "LINE_TIME", "OUTLET_CONDUCTANCE", "OUTLET_CRITICAL_RATIO", "OUTLET_DROP", "SIZE",
+    "SUPPLY_SHIFT", "ZERO",
+]  # fmt: skip

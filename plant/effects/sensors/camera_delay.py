@@ -1,0 +1,36 @@
+"""The camera's clock is late against the others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plant.effects.arguments import Array, Points, Shape
+from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
+from plant.effects.trials import moved
+
+
+def _delay(amount: float) -> float:
+    return amount * 1e-3
+
+
+def _length(points: Points, amount: float, shape: Shape) -> Array:
+    late = moved(points, points.length, _delay(amount)) - points.length
+    return np.where(points.held, 0.0, late)
+
+
+CAMERA_DELAY = Effect(
+    "camera_delay",
+    "length_sensor",
+    "sensor",
+    "frame times are late against the other clocks",
+    (Parameter("delay_ms", "ms", "frame time minus true", -200, 200),),
+    "everything at rest",
+    ("viscosity", "pressure_lag"),
+    "the blinking light in the picture against the device clock",
+    equation="read(t) = true(t - delay)",
+    source="none needed",
+    standard="the sync light in the picture",
+    sensors=InSensors(camera_delay=_delay),
+    diagnosis=InDiagnosis(length=_length),
+    search=Search(step=4.0, sign=0, blocks=("pressure", "force", "load")),
+)

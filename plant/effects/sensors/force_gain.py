@@ -1,0 +1,27 @@
+"""The force sensor has a wrong scale."""
+
+from __future__ import annotations
+
+from plant.effects.effect import Effect, InSensors, Parameter, Search
+
+
+def _reading(amount: float) -> tuple[float, float]:
+    return amount / 100.0, 0.0
+
+
+FORCE_GAIN = Effect(
+    "force_gain",
+    "force_sensor",
+    "sensor",
+    "scale of the force reading",
+    (Parameter("percent", "%", "read over true", -30, 30),),
+    "the unloaded reading; pressure and length; timing",
+    ("pressure_gain", "fibre_stretch", "temperature_stiffening"),
+    "dead weights over the range",
+    equation="read = true (1 + percent / 100)",
+    source="VIM 4.12 (sensitivity)",
+    standard="dead weights over the range",
+    constants=("braid_length_mm", "turns"),
+    sensors=InSensors(force=_reading),
+    search=Search(step=0.5, sign=0, blocks=("force", "load")),
+)

@@ -1,0 +1,34 @@
+"""The pressure gauge has a wrong scale."""
+
+from __future__ import annotations
+
+from plant.effects import pressure_stage as stage
+from plant.effects.arguments import Params, Shape
+from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
+
+
+def _reading(amount: float) -> tuple[float, float]:
+    return amount / 100.0, 0.0
+
+
+def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
+    params[stage.GAIN] = _reading(amount)[0]
+
+
+PRESSURE_GAIN = Effect(
+    "pressure_gain",
+    "pressure_sensor",
+    "sensor",
+    "scale of the pressure reading",
+    (Parameter("percent", "%", "read over true", -30, 30),),
+    "the vented reading; timing",
+    ("force_gain", "fibre_stretch"),
+    "a reference gauge on the same line at one high pressure",
+    equation="read = true (1 + percent / 100)",
+    source="VIM 4.12 (sensitivity)",
+    standard="a reference pressure gauge",
+    constants=("supply_kpa", "braid_length_mm", "turns"),
+    sensors=InSensors(pressure=_reading),
+    diagnosis=InDiagnosis(gas=_gas),
+    search=Search(step=0.5, sign=0, blocks=("pressure", "force", "load")),
+)

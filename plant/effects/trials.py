@@ -1,0 +1,57 @@
+"""Signals of a data set, trial by trial."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from plant.effects.arguments import Points
+
+_NOISE_TURNS = 3.0
+"""Sd of a path's noise that is no turning back."""
+
+
+def moved(points: Points, values: Any, ahead_s: float) -> Any:
+    """Values of a signal `ahead_s` later, trial by trial, ends held; settled points stay."""
+    if ahead_s == 0.0:
+        return values
+    made = values.copy()
+    for a, b in pairwise(points.first.tolist()):
+        if b - a > 2 and not points.settled[a]:
+            t = points.time_s[a:b]
+            made[a:b] = np.interp(t + ahead_s, t, values[a:b])
+    return made
+
+
+def bend(points: Points, values: Any) -> Any:
+    """Second derivative in time; settled points have none."""
+    return _slope(points, _slope(points, values))
+
+
+def _slope(points: Points, values: Any) -> Any:
+    made = np.zeros(len(values))
+    for a, b in pairwise(points.first.tolist()):
+        if b - a > 2 and not points.settled[a]:
+            made[a:b] = np.gradient(values[a:b], points.time_s[a:b])
+    return made
+
+
+def without_noise_turns(points: Points, travel: Any) -> Any:
+    """A path without the turns that only its reading noise makes.
+
+    Fibres that slip would come to rest at each of them, and friction would look too small.
+    """
+    from plant.physics import paths
+
+    if np.any(points.direction != 0.0):
+        return np.ascontiguousarray(travel)
+    half = np.zeros(len(points.first) - 1)
+    for trial, (a, b) in enumerate(pairwise(points.first.tolist())):
+        if b - a > 4:
+            rough = travel[a + 1 : b - 1] - 0.5 * (travel[a : b - 2] + travel[a + 2 : b])
+            half[trial] = _NOISE_TURNS * 1.4826 * float(np.median(np.abs(rough))) / np.sqrt(1.5)
+    made = np.empty(len(travel))
+    paths.play(points.first, np.ascontiguousarray(travel), half, made)
+    return made

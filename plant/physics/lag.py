@@ -1,0 +1,19 @@
+"""A first-order lag behind an input that is known at two instants."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def follow(value: float, before: float, after: float, duration: float, tau: float) -> float:
+    """First-order follower of an input that runs straight from `before` to `after`.
+
+    Exact for any duration: with z = t / tau and e = exp(-z),
+    y' = e y + (1 - e) after - (after - before) ((1 - e) / z - e).
+    """
+    z = duration / tau
+    if z < 1e-9:
+        return value + z * (0.5 * (before + after) - value)
+    e = np.exp(-z)
+    mean = -np.expm1(-z) / z
+    return float(e * value + (1.0 - e) * after - (after - before) * (mean - e))

@@ -1,1 +1,0 @@
-"""Steps that only some protocols need: loads, sweeps, temperatures, valves."""

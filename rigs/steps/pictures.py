@@ -1,0 +1,63 @@
+"""Pictures of the muscle: exposed, encoded, stored, and measured as they were stored."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import cv2
+
+from analysis.reduction.pictures import decode, measure_stored
+from daq.errors import DeviceError
+from daq.record.writer import RecordWriter
+from rigs.bench.rig import Rig
+from rigs.devices.camera import Frame
+from vision.marker.gap import GapMeasurement
+
+if TYPE_CHECKING:
+    pass
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A stored picture: its number in the record, when it was taken, its bytes, its gap."""
+
+    number: int
+    host_ns: int
+    jpeg: bytes
+    gap: GapMeasurement
+
+
+def store(rig: Rig, record: RecordWriter, frame: Frame, **meta: Any) -> tuple[int, bytes]:
+    """Encode a frame and append it to the record; its number and its bytes."""
+    quality = [cv2.IMWRITE_JPEG_QUALITY, rig.config.camera.jpeg_quality]
+    ok, data = cv2.imencode(".jpg", frame.gray, quality)
+    if not ok:
+        raise DeviceError("camera", f"frame {frame.seq} cannot be encoded as JPEG")
+    jpeg = data.tobytes()
+    return record.frame(jpeg, frame.host_ns, seq=frame.seq, **meta), jpeg
+
+
+def take_picture(rig: Rig, record: RecordWriter, camera: Mapping[str, Any]) -> Picture:
+    """Trigger, encode, store, decode, measure.
+
+    The decoded JPEG is measured, not the frame as it came, so that a replay of the record
+    gives the same length to the bit.
+    """
+    frame = rig.camera.trigger()
+    number, jpeg = store(rig, record, frame)
+    gray = decode(jpeg)
+    assert gray is not None
+    gap = measure_stored(gray, camera)
+    known = math.isfinite(gap.pixels)
+    record.event(
+        "length",
+        frame=number,
+        pixels=gap.pixels if known else None,
+        u_pixels=gap.u_pixels if known else None,
+        trusted=gap.trusted,
+        reason=gap.reason,
+    )
+    return Picture(number, frame.host_ns, jpeg, gap)

@@ -1,0 +1,176 @@
+"""What the valve tests ask of a bench: a supply turned, a vessel filled, both valves shut.
+
+Every point of these tests makes its own setting, so that it can be repeated by itself. After
+:func:`fill` and :func:`release` the controller is in scheme ``open`` with both valves shut.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.errors import DeviceError
+from rigs.steps.context import RunFault
+from rigs.steps.custom_step import CustomStep
+
+if TYPE_CHECKING:
+    from rigs.rigfile.config import RigConfig
+    from rigs.steps.context import StepContext
+
+RELEASED_KPA = 2.0
+LOOK = 100
+"""So many of the newest pressure samples, at 1 kHz, are looked at."""
+FILL_S = 40.0
+RELEASE_S = 15.0
+QUIET_S = 0.06
+
+
+@dataclass(frozen=True)
+class Release(CustomStep):
+    """Let the air out, whatever scheme a test has chosen meanwhile, and shut both valves."""
+
+    seconds = 1.0
+
+    def perform(self, runner: StepContext) -> None:
+        """See :func:`release`."""
+        release(runner)
+
+
+@dataclass(frozen=True)
+class Supply(CustomStep):
+    """Have the pressure of the supply set by hand; a rig without that axis keeps its own."""
+
+    pressure_kpa: float
+    seconds = 6.0
+
+    def perform(self, runner: StepContext) -> float:
+        """Returns what was read, in kPa."""
+        return set_supply(runner, self.pressure_kpa)
+
+
+def set_supply(runner: StepContext, pressure_kpa: float) -> float:
+    """Have the supply's regulator turned to a pressure, unless it is there; returns the reading.
+
+    The reading is 0.0 on a rig without a ``[manual.supply]``.
+    """
+    axis = runner.rig.axes.get("supply")
+    if axis is None:
+        return 0.0
+    if axis.settings and axis.settings[-1].asked == pressure_kpa:
+        return axis.settings[-1].read
+    runner.say(f"supply to {pressure_kpa:g} kPa")
+    return axis.set(pressure_kpa).read
+
+
+def has_supply_axis(config: RigConfig) -> bool:
+    """Whether the rig's supply pressure can be set."""
+    return "supply" in config.instruments.manual
+
+
+def pressure_now(runner: StepContext, samples: int = LOOK) -> float:
+    """Mean of the newest samples in kPa."""
+    counts = runner.rig.valve.recent_counts(samples)
+    return float(runner.rig.config.calibrations["pressure_kpa"].apply(np.mean(counts)))
+
+
+def fill(
+    runner: StepContext, pressure_kpa: float, tolerance_kpa: float, timeout_s: float = FILL_S
+) -> bool:
+    """Bring the pressure between the valves to a value and shut both; whether it got there.
+
+    Raises:
+        DeviceError: beyond the rig's limit.
+    """
+    limit = runner.rig.config.limits.pressure_kpa
+    if pressure_kpa > limit:
+        raise DeviceError(
+            runner.rig.config.source,
+            f"set-point {pressure_kpa:g} kPa is above limits.pressure_kpa = {limit:g} kPa",
+            "correct the protocol or the limit",
+        )
+    valve, pump = runner.rig.valve, runner.rig.pump
+    runner.watch.set_point("pressure", pressure_kpa)
+    counts = float(runner.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
+    runner.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
+    valve.request(f"scheme {runner.rig.config.valve.static_scheme}")
+    valve.set_point(counts)
+    begin = valve.seq_end
+
+    def there() -> bool:
+        near = abs(pressure_now(runner) - pressure_kpa) <= tolerance_kpa
+        return near and valve.seq_end > begin + LOOK
+
+    came = pump.until(there, timeout_s)
+    valve.request("scheme open")
+    pump.for_seconds(QUIET_S)
+    return came
+
+
+def release(runner: StepContext) -> None:
+    """Let the air out and shut both valves.
+
+    Raises:
+        RunFault: the pressure does not go.
+    """
+    valve = runner.rig.valve
+    runner.watch.set_point("pressure", 0.0)
+    valve.request("vent")
+    if not runner.rig.pump.until(lambda: pressure_now(runner, 50) < RELEASED_KPA, RELEASE_S):
+        raise RunFault(
+            valve.name,
+            f"told to vent, pressure still reads {pressure_now(runner):.0f} kPa"
+            f" after {RELEASE_S:g} s",
+            "shut the supply by hand; check the outlet and the pressure zero",
+        )
+    valve.request("scheme open")
+    runner.rig.pump.for_seconds(QUIET_S)
+
+
+@dataclass(frozen=True)
+class ValvePoint(CustomStep):
+    """A point of a valve test: where it belongs.
+
+    Attributes:
+        valve: "inlet" or "outlet".
+        set_pressure_kpa: upstream of that valve.
+    """
+
+    trial: int
+    slot: str
+    replicate: int
+    order: int
+    mounting: str
+    valve: str
+    set_pressure_kpa: float
+    points = 1
+
+    @property
+    def command(self) -> str:
+        """The valve as the controller calls it."""
+        return "inlet" if self.valve == "inlet" else "vent"
+
+    def put(self, runner: StepContext, **fields: Any) -> None:
+        """The point's event in the record; it counts as done."""
+        own = ("trial", "slot", "replicate", "order", "mounting", "valve", "set_pressure_kpa")
+        take = {"take": runner.steering.take} if runner.steering.take > 1 else {}
+        runner.record.event(
+            "point", **{k: getattr(self, k) for k in own}, direction="single", **take, **fields
+        )
+        runner.progress.done += 1 if not take else 0
+
+    def upstream(
+        self, runner: StepContext, tolerance_kpa: float, top_kpa: float
+    ) -> tuple[float, bool]:
+        """Bring this valve's upstream side to its pressure: (supply as read, got there).
+
+        The inlet's is the supply, with the vessel behind it vented; the outlet's is the vessel,
+        filled from a supply of ``top_kpa``.
+        """
+        if self.valve == "inlet":
+            supply = set_supply(runner, self.set_pressure_kpa)
+            release(runner)
+            return supply, True
+        supply = set_supply(runner, top_kpa)
+        return supply, fill(runner, self.set_pressure_kpa, tolerance_kpa)

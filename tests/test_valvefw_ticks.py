@@ -1,0 +1,231 @@
+"""What one tick may cost: one that takes longer than 20 ms on the chip latches `loop_stalled`."""
+
+from __future__ import annotations
+
+import random
+import sys
+from types import FrameType
+from typing import Any
+
+import pytest
+
+import rp2040_pins
+from valvefw import config, wire
+from valvefw.config import PARAMETERS, config_crc
+from valvefw.deskboard import DeskBoard
+from valvefw.schemes.valves import VENT_HOLD_US
+from valvefw.wire import EVENT, TICK_US, Decoder, crc16, encode_frame
+
+
+class Work:
+    """Counts bytes that go through the CRC, and lines of firmware that are executed."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.bytes = self.lines = 0
+
+        def counted(data: bytes, *start: int) -> int:
+            self.bytes += len(data)
+            return crc16(data, *start)
+
+        for module in (config, wire):
+            monkeypatch.setattr(module, "crc16", counted)
+
+    def _trace(self, frame: FrameType, event: str, argument: object) -> Any:
+        if "valvefw" not in frame.f_code.co_filename:
+            return None
+        self.lines += event == "line"
+        return self._trace
+
+    def of(self, board: DeskBoard, text: str) -> tuple[int, int, str]:
+        """Bytes besides those of the frames, lines, and the reply, of one tick with a request."""
+        request = encode_frame(b"Q1 " + text.encode())
+        before = sys.gettrace()
+        self.bytes = self.lines = 0
+        sys.settrace(self._trace)
+        try:
+            sent = board.run(1, request)
+        finally:
+            sys.settrace(before)
+        took, lines = self.bytes, self.lines
+        decoder = Decoder()
+        decoder.push(sent)
+        payloads = []
+        while (payload := decoder.next()) is not None:
+            payloads.append(payload)
+        reply = next(p for p in payloads if p[:1] == b"R")
+        own = len(b"Q1 " + text.encode()) + sum(map(len, payloads))
+        return took - own, lines, reply.decode()
+
+
+def test_arming_computes_no_crc_of_the_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """57 lines of text took 24 to 34 ms on an RP2040, and the tick after `arm` was too late."""
+    board = DeskBoard()
+    work = Work(monkeypatch)
+    board.run(12)
+    plain = work.of(board, "hb 1")[1]
+    word = f"{config_crc(board.controller.values):04x}"
+    for text in ("id", "conf", f"arm {word} 4660"):
+        took, lines, reply = work.of(board, text)
+        assert reply.startswith("R1 ok")
+        assert took == 0
+        assert lines < plain + 6 * len(PARAMETERS)
+    board.run(1)
+    assert board.controller.safety.armed
+    assert board.controller.safety.faults == []
+
+
+def test_a_changed_parameter_costs_its_own_line_not_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    board = DeskBoard()
+    work = Work(monkeypatch)
+    board.run(12)
+    for row in (PARAMETERS[0], PARAMETERS[len(PARAMETERS) // 2], PARAMETERS[-1]):
+        took, lines, reply = work.of(board, f"set {row[0]} {row[3]}")
+        assert reply == f"R1 ok conf={config_crc(board.controller.values):04x}"
+        assert took <= 2 * len(f"{row[0]}={row[3]}\n")
+        assert lines < 2000
+
+
+def test_the_crc_kept_is_that_of_the_text_whatever_changes() -> None:
+    rng = random.Random(5)
+    values = config.defaults()
+    kept = config.Checksum()
+    assert kept.of(values) == config_crc(values)
+    for _ in range(400):
+        for _ in range(rng.choice((0, 1, 1, 1, 2, 60))):
+            row = rng.choice(PARAMETERS)
+            values[row[0]] = rng.choice((row[1], row[2], row[3], rng.randint(row[2], row[3])))
+        assert kept.of(values) == config_crc(values)
+
+
+class Logged(DeskBoard):
+    """Writes down in which order the firmware drives, listens and sends."""
+
+    def __init__(self) -> None:
+        self.log: list[str] = []
+        super().__init__()
+
+    def drive(self, inlet_us: int, vent_us: int) -> None:
+        super().drive(inlet_us, vent_us)
+        self.log.append(f"drive {inlet_us} {vent_us}")
+
+    def rx(self) -> bytes:
+        self.log.append("rx")
+        return super().rx()
+
+
+@pytest.mark.parametrize("cause", ["over_pressure", "inlet_bound", "host_silent"])
+def test_a_fault_vents_before_anything_is_told(cause: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Event and held samples take 3 to 5 ms to encode, and the valve stayed open meanwhile."""
+    board = Logged()
+    c = board.controller
+    c.values["hb_ms"] = 200 if cause == "host_silent" else 1000
+    c.values["inlet_max_ms"] = 60
+    c.values["stuck_ms"] = 0
+    c.safety.arm(c.values)
+    c.choose("pwm" if cause == "host_silent" else "two")
+    board.run(5)
+    if cause != "host_silent":
+        c.set_setpoint(40_000)
+        board.run(5)
+        assert board.inlet_us > 0
+    if cause == "over_pressure":
+        board.override = 2800
+
+    def encoded(payload: bytes) -> bytes:
+        board.log.append("event" if payload[0] == EVENT else "frame")
+        return encode_frame(payload)
+
+    monkeypatch.setattr("valvefw.controller.encode_frame", encoded)
+    monkeypatch.setattr("valvefw.telemetry.encode_frame", encoded)
+    ticks = 0
+    while not c.safety.faults:
+        board.log.clear()
+        board.run(1)
+        ticks += 1
+        assert ticks < 300
+    assert c.safety.faults[0][0] == cause
+    log = board.log
+    if cause == "inlet_bound":  # which is found only when the scheme has had its say
+        log.remove("rx")
+    assert log[0] == f"drive 0 {VENT_HOLD_US}"
+    assert {word for word in log if word[:5] == "drive"} == {log[0]}
+    assert "event" in log
+
+
+class Uart:
+    """As the chip's: a read of more than is held waits."""
+
+    def __init__(self, held: bytes) -> None:
+        self.held = held
+
+    def any(self) -> int:
+        return len(self.held)
+
+    def read(self, n: int) -> bytes:
+        assert n <= len(self.held), "this read would wait"
+        out, self.held = self.held[:n], self.held[n:]
+        return out
+
+
+def test_the_board_reads_only_what_the_uart_holds() -> None:
+    module: Any = rp2040_pins.load()[0]
+    board = module.RP2040()
+    sent = bytes(range(256)) * 3 + b"end"
+    for part in (b"", sent[:1], sent):
+        board._uart = Uart(part)
+        got = []
+        while board._uart.held:
+            got.append(board.rx())
+        assert b"".join(got) == part
+        assert max(map(len, got), default=0) <= 256
+        assert board.rx() == b""
+
+
+class Clock:
+    """MicroPython's `time`: 30 bits, differences from -2^29 to 2^29 - 1."""
+
+    def __init__(self) -> None:
+        self.now = 2**30 - 100_000
+        self.idle = 0
+
+    def ticks_us(self) -> int:
+        self.now += 50
+        self.idle += 1
+        assert self.idle < 1000, "no tick is due any more"
+        return self.now % 2**30
+
+    @staticmethod
+    def ticks_add(at: int, more: int) -> int:
+        return (at + more) % 2**30
+
+    @staticmethod
+    def ticks_diff(a: int, b: int) -> int:
+        return (a - b + 2**29) % 2**30 - 2**29
+
+
+@pytest.mark.parametrize(("tick_us", "share"), [(500, 1.0), (15_000, 0.0664)])
+def test_ticks_that_take_too_long_leave_no_debt_that_ends_them(tick_us: int, share: float) -> None:
+    """135 ms behind in each second were more than `ticks_diff` can tell after 66 minutes."""
+    module, machine = rp2040_pins.load()
+    pico: Any = module
+    clock = pico.time = Clock()
+    machine.freq = lambda hz: None  # type: ignore[attr-defined]
+    ticks = 0
+
+    class Ticking:
+        def __init__(self, board: object) -> None:
+            self.begin = clock.now
+
+        def tick(self) -> None:
+            nonlocal ticks
+            ticks += 1
+            clock.idle = 0
+            clock.now += tick_us
+            if ticks == 60_000:
+                raise KeyboardInterrupt
+
+    pico.Controller = Ticking
+    begin = clock.now
+    with pytest.raises(KeyboardInterrupt):
+        pico.run()
+    assert ticks * TICK_US / (clock.now - begin) == pytest.approx(share, rel=0.01)
