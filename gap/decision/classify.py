@@ -215,7 +215,7 @@ def _explained(case: _Case) -> _Finding:
         )  # fmt: skip
     traits = traits_of(problem, search, case.held)
     reliability = shipped_reliability().of(traits)
-    found = posterior(search, reliability, min(search.chance, 0.5))
+    found = posterior(search, reliability, min(search.chance, 0.5), config)
     one, two = _confounders(case)
     finding = _Finding(
         Status.UNKNOWN,
@@ -249,7 +249,7 @@ def _explained(case: _Case) -> _Finding:
             reason=f"a gap of which {names} explains a part and no drift over the trials: the "
             f"contrast {drift.name} still stands at {drift.z:.1f} sd",
         )
-    entries = credible_set(found)
+    entries = credible_set(found, config)
     status, reason = _status(case, entries, nearest_confounder(search, problem.base.cost, one), two)
     right, partly = reliability["right"], reliability["right"] + reliability["part"]
     several = len(fit.ids) > 1
