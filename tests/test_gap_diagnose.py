@@ -18,7 +18,7 @@ from gap.decision.classify import nearest_confounder
 from gap.decision.config import DECISION
 from gap.decision.confounders import Confounder
 from gap.decision.diagnose import diagnose
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.selection.candidate_fits import Hypothesis, keys_of_shifted_constants
 from gap.selection.search import SearchResult, search_effects
@@ -98,7 +98,7 @@ def test_a_liner_is_named_with_its_threshold(tmp_path: Path) -> None:
 
 
 def fitted(name: str, cost: float) -> Hypothesis:
-    candidate = next(s for s in SUSPECTS if s.id == name)
+    candidate = next(s for s in CANDIDATES if s.id == name)
     none = np.empty(0)
     return Hypothesis((name,), FitResult(none, (candidate,), np.ones(1), none, cost, np.eye(1)))
 

@@ -18,7 +18,7 @@ from gap.data.sources import open_data
 from gap.design.advise import ENOUGH, REFERENCES, advise, protocol_text
 from gap.design.foresight import Products, on_experiment, products, separation
 from gap.design.library import LibraryExperiment, library_experiments
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import tolerance
 from gap.verdict import Experiment
@@ -71,7 +71,7 @@ def test_a_rival_bends_as_far_as_the_tolerances_of_its_constants_let_it() -> Non
     rng = np.random.default_rng(3)
     columns, gap = rng.normal(size=(40, 3)), rng.normal(size=40)
     gap += 4.0 * columns[:, 0]
-    one = next(s for s in SUSPECTS if s.id == "payload")
+    one = next(s for s in CANDIDATES if s.id == "payload")
 
     def fit(shift: list[float]) -> FitResult:
         nothing = np.zeros(0)

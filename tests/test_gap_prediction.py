@@ -8,18 +8,12 @@ from itertools import islice
 import pytest
 
 from gap.data.reader import read_dataset
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.search import SearchResult, search_effects
-from gap.validation.prediction import (
-    LEAST_RIVALS,
-    PREDICTED,
-    SHOWN,
-    margins,
-    predict_trials,
-    rivals_of,
-)
+from gap.validation.config import VALIDATION
+from gap.validation.prediction import margins, predict_trials, rivals_of
 from gap_bench import write_set
 from plant.effects.catalogue import CATALOGUE
 
@@ -41,7 +35,7 @@ def named(earlier_and_all: tuple[FitProblem, FitProblem]) -> SearchResult:
 
 
 def fitted(problem: FitProblem, name: str) -> FitResult:
-    candidate = next(s for s in SUSPECTS if s.id == name)
+    candidate = next(s for s in CANDIDATES if s.id == name)
     return problem.polish(problem.fit([candidate], [candidate.step]))
 
 
@@ -55,9 +49,9 @@ def test_what_is_there_is_foretold_and_what_merely_fitted_is_not(
     found = predict_trials(everything, new, right, [wrong])
     assert found.shown
     assert found.confirmed
-    assert found.share > PREDICTED
+    assert found.share > VALIDATION.predicted_share
     assert found.left < 1.3 * found.rows
-    assert found.rivals[("creep",)] > found.left + SHOWN
+    assert found.rivals[("creep",)] > found.left + VALIDATION.shown_chi2
     turned = predict_trials(everything, new, wrong, [right])
     assert not turned.confirmed
     # Beside one that predicts as much nothing is confirmed.
@@ -71,7 +65,9 @@ def test_an_explanation_that_nothing_came_near_is_held_against_other_families_al
     wrong = fitted(earlier, "creep")
     alone = dataclasses.replace(named, best=Hypothesis(("creep",), wrong), rivals=[])
     rivals = list(rivals_of(earlier, alone))
-    assert len({CATALOGUE[r.ids[0]].family for r in rivals}) == len(rivals) == LEAST_RIVALS
+    assert (
+        len({CATALOGUE[r.ids[0]].family for r in rivals}) == len(rivals) == VALIDATION.least_rivals
+    )
     assert rivals[0].ids == ("liner_threshold",)  # what is there was not fitted, but stood first
     # An entry of the verdict is held against too, though none of the search's.
     entry = next(rivals_of(earlier, alone, [("viscosity",), ("end_cap", "wear")]))
@@ -103,4 +99,4 @@ def test_explanations_part_where_the_effect_is(
         for protocol in ("isometric", "step")
     }  # fmt: skip
     assert by["isometric"] > by["step"]
-    assert by["isometric"] > SHOWN
+    assert by["isometric"] > VALIDATION.shown_chi2

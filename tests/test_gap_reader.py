@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from gap.data.reader import read_dataset
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
 from gap.selection.candidate_fits import linear_gains
@@ -131,7 +131,7 @@ def test_what_a_sensor_may_be_off_by_in_all_trials_is_no_effect(tmp_path: Path) 
     for text in ("", "pressure_zero_kpa = 1.0\n"):
         (path / "calibration.toml").write_text(text)
         data = read_dataset(path)
-        problem = FitProblem.of(data, [s for s in SUSPECTS if s.id == "pressure_zero"])
+        problem = FitProblem.of(data, [s for s in CANDIDATES if s.id == "pressure_zero"])
         gains.append(float(linear_gains(problem, problem.base).gain.max()))
         assert problem.unnamed == problem.mountings + len(data.calibration)
     assert gains[1] < 0.2 * gains[0]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gap.data.reader import read_dataset
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.shape_fit import fit_shapes
 from gap.selection.backward import drop_needless, swapped
@@ -67,7 +67,7 @@ def test_an_effect_whose_place_a_constant_took_counts_although_it_shows_little(
         "flow_area": {"side": "outlet", "ratio": 1.25},
     }
     data = read_dataset(write_set(tmp_path, hidden, seed=4, replicates=2))
-    problem = FitProblem.of(data, [s for s in SUSPECTS if s.id in hidden])
+    problem = FitProblem.of(data, [s for s in CANDIDATES if s.id in hidden])
     liner = fitted(problem, "liner_threshold")
     linear = linear_gains(problem, liner.fit)
     both = fit_further(problem, liner, "flow_area:outlet", linear)

@@ -118,7 +118,7 @@ def test_entries_of_one_family_that_fit_alike_need_a_reference_as_well() -> None
     ("closed_low", "doubtful"), [(-5.4, True), (0.4, True), (None, True), (0.8, False)]
 )
 def test_a_name_not_certain_to_close_half_of_the_gap_waits_for_the_tests_left(
-    closed_low: float | None, doubtful: bool, status: str
+    closed_low: float | None, uncertain: bool, status: str
 ) -> None:
     """An inlet of 0.997 was named before the muscle had been warm (seeds 62 and 194)."""
     named = verdict_with(status, ("flow_area",))
@@ -126,4 +126,4 @@ def test_a_name_not_certain_to_close_half_of_the_gap_waits_for_the_tests_left(
     standing = SequentialVerdict(verdict=dataclasses.replace(named, gap=gap))
     assert standing.conclusion == "named"
     assert standing.settled
-    assert standing.doubtful == doubtful
+    assert standing.uncertain == uncertain

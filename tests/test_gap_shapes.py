@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from gap.data.reader import read_dataset
 from gap.decision.diagnose import diagnose_with_search
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.shape_fit import fit_shapes
 from gap.model import force as laws
@@ -98,7 +98,7 @@ def tube(tmp_path_factory: pytest.TempPathFactory) -> FitProblem:
 def test_a_shape_between_two_suspects_is_found_from_either_side(tube: FitProblem) -> None:
     rests = []
     for share in (0.57, 0.82):
-        candidate = next(s for s in SUSPECTS if dict(s.shape) == {"rest": share})
+        candidate = next(s for s in CANDIDATES if dict(s.shape) == {"rest": share})
         picked = tube.fit([candidate], [0.3])
         fitted = tube.polish(fit_shapes(tube, picked))
         assert fitted.cost < picked.cost
@@ -121,7 +121,7 @@ def test_a_hardening_tube_is_one_effect_not_two_of_its_family(tmp_path: Path) ->
 def test_the_improved_plant_has_the_fitted_shape(tube: FitProblem) -> None:
     from gap.validation.improved_plant import improved_plant
 
-    candidate = next(s for s in SUSPECTS if dict(s.shape) == {"rest": 0.68})
+    candidate = next(s for s in CANDIDATES if dict(s.shape) == {"rest": 0.68})
     written = improved_plant(tube, tube.polish(fit_shapes(tube, tube.fit([candidate], [0.3]))))
     rest = float(next(x for x in written.splitlines() if x.startswith("rest_mm")).split("=")[1])
     assert rest == pytest.approx(66.0, abs=1.5)

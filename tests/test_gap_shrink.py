@@ -16,7 +16,7 @@ from gap.check.scoring.closed import silent
 from gap.data.sources import open_data
 from gap.estimation.cross_validation import HeldOut, held_out, left_out
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.intervals import settled
+from gap.estimation.intervals import undamped_step
 from gap.validation.free_run import free_running
 from gap.validation.improved_plant import improved_plant
 from gap.validation.learner import generic, splines
@@ -52,7 +52,7 @@ def test_a_leak_leaves_the_constants_their_own_uncertainty(tmp_path: Path) -> No
     leak = {"leak": {"conductance_m3_s_pa": 2e-12}}
     problem = FitProblem.of(open_data(write_set(tmp_path, leak, seed=5, replicates=2)))
     candidate = next(s for s in problem.candidates if s.key == "leak")
-    fit = settled(problem, problem.fit_afresh([candidate], [2e-12]))
+    fit = undamped_step(problem, problem.fit_afresh([candidate], [2e-12]))
     constants = range(len(problem.names) - problem.unnamed)
     spread = np.sqrt(np.diag(fit.cover))[constants]
     assert np.all(spread > 0.01)
@@ -143,7 +143,7 @@ def test_the_improved_plant_holds_constants_and_effects(
     constants, effects = load_plant(path)
     assert effects.get("flow_area", "ratio") == pytest.approx(RATIO, abs=0.08)
     assert effects.get("bladder_elasticity", "stiffness_n_mm") == pytest.approx(STIFFNESS, rel=0.15)
-    moved = problem.constants(settled(problem, fit).shift)
+    moved = problem.constants(undamped_step(problem, fit).shift)
     assert constants.braid_length_m == pytest.approx(moved.braid_length_m, rel=1e-6)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import cli.investigate.investigate as loop
 from cli.investigate.investigate import investigate
-from cli.investigate.survey import BEFORE_NAMING, REPEATS, Test, battery, protocol_text
+from cli.investigate.survey import FIRST_DIAGNOSIS_AFTER, REPEATS, Test, battery, protocol_text
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
 from daq.interrupt import StopFlag
@@ -94,11 +94,11 @@ def test_what_is_advised_is_run_next_and_otherwise_the_next_of_the_list(
 ) -> None:
     left, again = battery(load_rig("virtual")), battery(load_rig("virtual"), again=True)
     experiment = Experiment(protocol, {}, 1.0, 4.0, 2, ("a", "b"), why)
-    begun = loop._Begun(load_rig("virtual"), tmp_path, None)
-    begun.verdict = Verdict("unknown", "", None, (), 0.0, 1.0, None, (), (), {}, experiment, {})
+    running = loop._Running(load_rig("virtual"), tmp_path, None)
+    running.verdict = Verdict("unknown", "", None, (), 0.0, 1.0, None, (), (), {}, experiment, {})
     for tests in (left, again) if protocol != "reference" else (left,):
         count = len(tests)
-        chosen = begun.next(left, again)
+        chosen = running.next(left, again)
         assert chosen is not None
         assert chosen[0].what.startswith(expected)
         assert chosen[1].startswith("advised") == (protocol != "reference")
@@ -122,9 +122,9 @@ def test_an_effect_of_the_plant_is_named_after_the_first_two_tests(
     monkeypatch.setattr(loop, "battery", few)
     config = rig_with(tmp_path, "[effects.liner_threshold]\nthreshold_kpa = 80\n")
     told: list[str] = []
-    found = investigate(config, tmp_path / "runs", tell=told.append, derive=False)
+    found = investigate(config, tmp_path / "runs", report=told.append, derive=False)
     assert found.conclusion == "named"
-    assert len(found.rounds) == BEFORE_NAMING
+    assert len(found.rounds) == FIRST_DIAGNOSIS_AFTER
     assert found.rounds[0].status == ""
     assert found.rounds[-1].effects[0] == "liner_threshold"
     value = found.verdict.effects[0].parameters["threshold_kpa"].value
@@ -164,11 +164,11 @@ def test_a_fault_in_a_later_test_ends_it_with_what_the_tests_before_allow_to_say
     config = rig_with(tmp_path, "")
     bench = VirtualBench(config, VirtualClock())
 
-    def tell(text: str) -> None:
+    def report(text: str) -> None:
         if text.startswith("round 2"):
             bench.board.sensor_override = 0  # the wire comes off between two tests
 
-    found = investigate(config, tmp_path / "runs", bench=bench, tell=tell, derive=False)
+    found = investigate(config, tmp_path / "runs", bench=bench, report=report, derive=False)
     assert [r.protocol for r in found.rounds] == ["isometric"]
     assert found.conclusion == "no gap"
     assert "sensor_no_rise" in str(found.ended)
@@ -189,7 +189,7 @@ def test_delays_that_look_alike_are_named_by_their_family_once_steps_elsewhere_a
     first, again = found.rounds[1:]
     assert first.status == again.status == "indistinguishable"
     assert {"valve_delay", "valve_delay_pressure"} <= set(again.effects)
-    assert again.why == "at other settings, to see whether valve_delay foretells it"
+    assert again.why == "at other settings, to see whether valve_delay predicts it"
     assert first.predicted is None
     assert again.predicted is not None
     assert again.predicted["confirmed"]

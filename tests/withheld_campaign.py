@@ -59,7 +59,7 @@ def entropy_of(seed: int) -> int:
 
 def one(seed: int, config: RigConfig, out: Path, budget_min: float) -> Row:
     """Hide, seal, investigate, open, judge."""
-    begun = time.process_time()
+    running = time.process_time()
     secret = draw_runnable(config, entropy=entropy_of(seed))
     bench = WithheldBench(config, secret, VirtualClock())
     drawn = time.process_time()
@@ -71,7 +71,7 @@ def one(seed: int, config: RigConfig, out: Path, budget_min: float) -> Row:
         row |= {"conclusion": "failed", "error": str(error), "set": [], "rounds": []}
     ended = time.process_time()
     envelope = bench.reveal()
-    row |= {"cpu_draw_s": round(drawn - begun, 1), "cpu_s": round(ended - drawn, 1)}
+    row |= {"cpu_draw_s": round(drawn - running, 1), "cpu_s": round(ended - drawn, 1)}
     row["answer"] = envelope["answer"]
     return row | judged(row)
 

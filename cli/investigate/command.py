@@ -29,12 +29,12 @@ def gap_investigate(
     from daq.interrupt import stop_on_signals
     from rigs.rigfile.config import load_rig
 
-    def tell(text: str) -> None:
+    def report(text: str) -> None:
         typer.echo(text, err=as_json)
 
     with stop_on_signals() as stop:
         found = investigate(
-            load_rig(rig, seed), out, budget_min=budget, plant=plant, stop=stop, tell=tell
+            load_rig(rig, seed), out, budget_min=budget, plant=plant, stop=stop, report=report
         )
     if as_json:
         typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.reporting.derived import try_derive
-from cli.investigate.survey import BEFORE_NAMING, Test, battery, protocol_text
+from cli.investigate.survey import FIRST_DIAGNOSIS_AFTER, Test, battery, protocol_text
 from daq.errors import PamrigError
 from daq.interrupt import StopFlag
 from daq.store.run import Run, open_run
@@ -34,7 +34,8 @@ from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
 from gap.reporting.sequential import conclusion_text
 from gap.selection.search import SearchResult
-from gap.validation.prediction import SHOWN, families, margins, predict_trials, rivals_of
+from gap.validation.config import VALIDATION
+from gap.validation.prediction import families, margins, predict_trials, rivals_of
 from gap.verdict import Status, Verdict
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
@@ -45,12 +46,12 @@ if TYPE_CHECKING:
 
 VALVE_TESTS = ("step",)
 """Tests whose valve commands are diagnosed: elsewhere a loop only holds a pressure."""
-LIKELY = 0.7
+NEARLY_CERTAIN = 0.7
 """Reliability of one family from which it is tested before anything else is looked at."""
 FAILED = 2
 """Tests that did not come out as predicted after which no more are made for that."""
 Array = npt.NDArray[np.float64]
-Told = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def investigate(
     budget_min: float = 60.0,
     plant: Path | None = None,
     stop: StopFlag | None = None,
-    tell: Told = lambda text: None,
+    report: Report = lambda text: None,
     bench: VirtualBench | None = None,
     derive: bool = True,
 ) -> Investigation:
@@ -149,17 +150,17 @@ def investigate(
         from rigs.virtual.bench import VirtualBench
 
         bench = VirtualBench(config, VirtualClock())
-    begun = _Begun(config, folder, plant)
+    running = _Running(config, folder, plant)
     left, again = battery(config), battery(config, again=True)
     used_min = 0.0
     while used_min < budget_min and not stop.reason:
-        chosen = begun.next(left, again)
+        chosen = running.next(left, again)
         if chosen is None:
             break
         test, why = chosen
         name = test.protocol
-        tell(f"round {len(begun.rounds) + 1}: {name}, {test.what} ({why})")
-        path = folder / f"{len(begun.rounds) + 1:02d}-{name}.toml"
+        report(f"round {len(running.rounds) + 1}: {name}, {test.what} ({why})")
+        path = folder / f"{len(running.rounds) + 1:02d}-{name}.toml"
         path.write_text(protocol_text(test, config), encoding="utf-8")
         kind = procedure(name)
         plan = kind.read(str(path), config)
@@ -168,29 +169,29 @@ def investigate(
             try_derive(result.folder, result.error)
         run = open_run(result.folder)
         if result.outcome == "stopped":
-            tell(f"  stopped; {run.run_id} is left out")
+            report(f"  stopped; {run.run_id} is left out")
             break
         if result.outcome != "clean":
             error = PamrigError(
                 str(result.folder), f"the test ended {result.outcome}: {result.error}",
                 "find the cause and begin again; what was recorded is safe",
             )  # fmt: skip
-            if not begun.runs:
+            if not running.runs:
                 raise error
             # No machine goes on by itself after a fault; what was measured before it is diagnosed.
-            begun.ended = str(error)
-            tell(f"  {error}")
+            running.ended = str(error)
+            report(f"  {error}")
             break
-        begun.take(test, why, run, result.outcome)
-        used_min += begun.rounds[-1].minutes
-        tell(f"  {begun.rounds[-1].headline}")
-        if begun.settled and not (begun.doubtful and left):
+        running.take(test, why, run, result.outcome)
+        used_min += running.rounds[-1].minutes
+        report(f"  {running.rounds[-1].headline}")
+        if running.settled and not (running.uncertain and left):
             break
-    return begun.concluded()
+    return running.concluded()
 
 
 @dataclass
-class _Begun(SequentialVerdict):
+class _Running(SequentialVerdict):
     """An investigation under way: the tests so far, and what is known after them."""
 
     config: RigConfig
@@ -207,14 +208,14 @@ class _Begun(SequentialVerdict):
     def next(self, left: list[Test], again: list[Test]) -> tuple[Test, str] | None:
         """The next test, taken from those left or to be made again, and why; None at the end."""
         verdict = self.verdict
-        telling = None
-        if self._of_valves_alone(left):
-            telling = self._telling([t for t in again if t.protocol in VALVE_TESTS], -np.inf)
-        if telling is None and self._likely:
-            telling = self._telling(again)
-        if telling is not None:
-            again.remove(telling)
-            return telling, self._to_see
+        repeated = None
+        if self._shows_valves_alone(left):
+            repeated = self._repeated_test([t for t in again if t.protocol in VALVE_TESTS], -np.inf)
+        if repeated is None and self._nearly_certain:
+            repeated = self._repeated_test(again)
+        if repeated is not None:
+            again.remove(repeated)
+            return repeated, self._reason_to_repeat
         if verdict is not None and verdict.next_experiment is not None:
             advised = verdict.next_experiment
             for tests in (left, again):
@@ -226,28 +227,30 @@ class _Begun(SequentialVerdict):
         if left:
             why = "to begin with" if verdict is None else "nothing so far has shown what it shows"
             return left.pop(0), why
-        telling = self._telling(again)
-        if telling is None:
+        repeated = self._repeated_test(again)
+        if repeated is None:
             return None
-        again.remove(telling)
-        return telling, self._to_see
+        again.remove(repeated)
+        return repeated, self._reason_to_repeat
 
     @property
-    def _likely(self) -> bool:
+    def _nearly_certain(self) -> bool:
         """Whether one family is left, all but named, and no test has put it to the proof yet."""
         if self.family is None or self.family in self.predicted or self.verdict is None:
             return False
         reliability = self.verdict.evidence.get("belief", {})
-        return float(reliability.get("right", 0.0) + reliability.get("part", 0.0)) >= LIKELY
+        return float(reliability.get("right", 0.0) + reliability.get("part", 0.0)) >= NEARLY_CERTAIN
 
-    def _of_valves_alone(self, left: list[Test]) -> bool:
+    def _shows_valves_alone(self, left: list[Test]) -> bool:
         """Whether what was found shows where valves act, and no test left looks there."""
         if self.search is None or any(test.protocol in VALVE_TESTS for test in left):
             return False
         blocks = {b for candidate in self.search.best.fit.candidates for b in candidate.blocks}
         return blocks == {"pressure"}
 
-    def _telling(self, again: list[Test], least: float = SHOWN) -> Test | None:
+    def _repeated_test(
+        self, again: list[Test], least: float = VALIDATION.shown_chi2
+    ) -> Test | None:
         """The test to be made again: where the explanation and its nearest rival part most.
 
         None where no test parts them by more than `least`, or two have failed already.
@@ -263,15 +266,15 @@ class _Begun(SequentialVerdict):
         for run, made in zip(self.runs, self.tests, strict=True):
             apart = float(self._margins[:, _trials_of(self.problem, run)].sum(axis=1).min())
             for test in again:
-                if test.what == made.what and apart > best[0]:
+                if test.kind == made.kind and apart > best[0]:
                     best = (apart, test)
         return best[1]
 
     @property
-    def _to_see(self) -> str:
+    def _reason_to_repeat(self) -> str:
         assert self.search is not None
         names = " and ".join(self.search.best.fit.ids)
-        return f"at other settings, to see whether {names} foretells it"
+        return f"at other settings, to see whether {names} predicts it"
 
     def take(self, test: Test, why: str, run: Run, outcome: str) -> None:
         """Join a run to those before it and diagnose all of them."""
@@ -280,7 +283,7 @@ class _Begun(SequentialVerdict):
         minutes = float((run.final or {}).get("duration_s") or 0.0) / 60.0
         known: tuple[str, tuple[str, ...], str] = ("", (), "the survey is not whole yet")
         predicted: dict[str, Any] | None = None
-        if len(self.runs) >= BEFORE_NAMING:
+        if len(self.runs) >= FIRST_DIAGNOSIS_AFTER:
             predicted = self._diagnose()
             assert self.verdict is not None
             ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)

@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from blind.live import Secret
-from cli.investigate.survey import BEFORE_NAMING, battery, protocol_text
+from cli.investigate.survey import FIRST_DIAGNOSIS_AFTER, battery, protocol_text
 from daq.clock import VirtualClock
 from daq.errors import ConfigError
 from rigs.execution.session import run_protocol
@@ -29,7 +29,7 @@ def draw_runnable(
     config: RigConfig,
     effects: Sequence[str] = (),
     entropy: int | None = None,
-    tell: Callable[[str], None] = lambda text: None,
+    report: Callable[[str], None] = lambda text: None,
 ) -> Secret:
     """As :func:`rigs.virtual.withheld.bench.draw`, drawn again where the bench could not be run.
 
@@ -43,7 +43,7 @@ def draw_runnable(
         refused = refusal(config, secret)
         if refused is None:
             return secret
-        tell("the rig's protections refuse this one; drawing another")
+        report("the rig's protections refuse this one; drawing another")
     raise ConfigError(
         config.source, f"refuses to run with each of {TRIES} drawn effects: {refused}"
     )
@@ -51,7 +51,7 @@ def draw_runnable(
 
 def refusal(config: RigConfig, secret: Secret) -> str | None:
     """What ends the first tests on a bench with this secret; None if nothing."""
-    for test in battery(config)[:BEFORE_NAMING]:
+    for test in battery(config)[:FIRST_DIAGNOSIS_AFTER]:
         with TemporaryDirectory() as scratch:
             path = Path(scratch) / f"{test.protocol}.toml"
             path.write_text(protocol_text(test, config), encoding="utf-8")

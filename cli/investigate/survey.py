@@ -10,7 +10,7 @@ from typing import Any
 from rigs.rigfile.config import RigConfig
 
 REPEATS = 3
-BEFORE_NAMING = 2
+FIRST_DIAGNOSIS_AFTER = 2
 """Tests before the first diagnosis: muscle and sensors at rest, and the valves. A name given on
 either alone would be one among what that test can show."""
 HOLD_S = 60.0
@@ -30,12 +30,15 @@ class Test:
 
     __test__ = False  # not a test of pytest's
 
+    @property
+    def kind(self) -> tuple[str, bool]:
+        """The protocol, and whether it holds each setting for a minute."""
+        return self.protocol, "measure" in self.settings
+
     def answers(self, protocol: str, settings: Mapping[str, Any]) -> bool:
-        """Whether an advised experiment is this one; one with `measure` holds for a minute."""
+        """Whether an advised experiment is this one."""
         held = "measure" in settings
-        if protocol == self.protocol:
-            return held == ("measure" in self.settings)
-        return protocol in self.also and not held
+        return (protocol, held) == self.kind or (protocol in self.also and not held)
 
 
 @dataclass(frozen=True)

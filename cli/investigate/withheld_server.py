@@ -32,7 +32,7 @@ def serve_withheld(
 
     config = load_rig(rig, seed)
     typer.echo("drawing an effect, and trying whether the rig runs with it ...")
-    secret = draw_runnable(config, tell=typer.echo)
+    secret = draw_runnable(config, report=typer.echo)
     benches: list[WithheldBench] = []
 
     def make(config: RigConfig, origin_ns: int) -> VirtualBench:

@@ -14,7 +14,7 @@ _LEAST = 20
 _MEASURED = ("pressure_kpa", "force_n", "length_mm")
 
 
-def without_copies(data: DataSet) -> DataSet:
+def without_duplicates(data: DataSet) -> DataSet:
     """The data set without trials whose measured samples all equal those of an earlier trial."""
     kept: list[Trial] = []
     seen: set[str] = set()

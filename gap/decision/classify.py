@@ -23,7 +23,7 @@ from gap.selection.config import SELECTION
 from gap.selection.per_stroke import with_per_stroke_delays
 from gap.selection.pruning import prune
 from gap.selection.search import SearchResult, why_not
-from gap.validation.where import contrasts_of, drifting, stage_shares
+from gap.validation.where import contrasts_of, remaining_drift, stage_shares
 from gap.verdict import Explanation, Gap, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
@@ -215,7 +215,7 @@ def _explained(case: _Case) -> _Finding:
         )  # fmt: skip
     traits = traits_of(problem, search, case.held)
     reliability = shipped_reliability().of(traits)
-    found = posterior(search, reliability, min(search.chance, 0.5))
+    found = posterior(search, reliability, min(search.chance, 0.5), config)
     one, two = _confounders(case)
     finding = _Finding(
         Status.UNKNOWN,
@@ -241,7 +241,7 @@ def _explained(case: _Case) -> _Finding:
     )  # fmt: skip
     if reliability["unknown"] > config.unknown:
         return finding
-    drift = drifting(problem, fit)
+    drift = remaining_drift(problem, fit)
     if drift is not None:
         return replace(
             finding,
@@ -249,7 +249,7 @@ def _explained(case: _Case) -> _Finding:
             reason=f"a gap of which {names} explains a part and no drift over the trials: the "
             f"contrast {drift.name} still stands at {drift.z:.1f} sd",
         )
-    entries = credible_set(found)
+    entries = credible_set(found, config)
     status, reason = _status(case, entries, nearest_confounder(search, problem.base.cost, one), two)
     right, partly = reliability["right"], reliability["right"] + reliability["part"]
     several = len(fit.ids) > 1
@@ -372,9 +372,7 @@ def _to_tell_apart(case: _Case, finding: _Finding) -> list[FitResult]:
     if not finding.entries:
         return []
     others = [hypothesis.fit for hypothesis, _ in finding.entries[1:]]
-    for confounder in finding.confounders:
-        own = [next(s for s in case.problem.candidates if s.id == i) for i in confounder.ids]
-        others.append(case.problem.fit(own, [s.step for s in own]))
+    others += [case.problem.fit_effects(confounder.ids) for confounder in finding.confounders]
     return others or [c.fit for c in case.search.rivals[:1]]
 
 

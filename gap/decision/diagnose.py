@@ -11,13 +11,13 @@ from collections.abc import Iterable
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
 from gap.decision.classify import classify
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult, search_effects
-from gap.selection.timing import mistimed_channel
+from gap.selection.timing import channel_with_timing_fault
 from gap.verdict import Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
@@ -61,14 +61,14 @@ def diagnose_with_search(
     if unfit:
         return _unfit(unfit), None, None
     problem = FitProblem.of(
-        data, [candidate for candidate in SUSPECTS if candidate.id not in struck]
+        data, [candidate for candidate in CANDIDATES if candidate.id not in struck]
     )
     if not len(problem.rows):
         return nothing_to_compare(data), None, None
     if excess_chi2(problem, problem.base) > SELECTION.timing_excess_per_row * len(problem.rows):
-        mistimed = mistimed_channel(problem)
-        if mistimed is not None:
-            return _unfit([Unfit(mistimed.channel, mistimed.defect)]), None, None
+        timing_fault = channel_with_timing_fault(problem)
+        if timing_fault is not None:
+            return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
     verdict, search = classify(problem, search_effects(problem))
     return verdict, problem, search
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gap.decision.config import DECISION
+from gap.decision.config import DECISION, DecisionConfig
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.search import SearchResult
 
@@ -26,12 +26,17 @@ class Posterior:
     unknown: float
 
 
-def posterior(search: SearchResult, reliability: Mapping[str, float], none: float) -> Posterior:
+def posterior(
+    search: SearchResult,
+    reliability: Mapping[str, float],
+    none: float,
+    config: DecisionConfig = DECISION,
+) -> Posterior:
     """The best explanation has its own reliability; the rivals share what others have."""
     known = [hypothesis for hypothesis in search.rivals if hypothesis.keys != search.best.keys]
     more = np.array([max(hypothesis.cost - search.best.cost, 0.0) for hypothesis in known])
-    blunt = max(1.0, search.left / DECISION.tail_left)
-    weights = (1.0 + more / blunt / (2.0 * DECISION.tail)) ** -DECISION.tail
+    blunt = max(1.0, search.left / config.tail_left)
+    weights = (1.0 + more / blunt / (2.0 * config.tail)) ** -config.tail
     # A rival that fits as well is as likely, whatever such an explanation is worth on its own.
     # Where none does, being wrong means something that was not thought of.
     alike = 1.0 + float(weights.sum())
@@ -44,13 +49,15 @@ def posterior(search: SearchResult, reliability: Mapping[str, float], none: floa
     return Posterior(entries, none, max(unknown, 0.0))
 
 
-def credible_set(weighted: Posterior) -> list[tuple[Hypothesis, float]]:
+def credible_set(
+    weighted: Posterior, config: DecisionConfig = DECISION
+) -> list[tuple[Hypothesis, float]]:
     """Best explanations until together they hold most of what none and unknown leave."""
     whole = sum(p for _, p in weighted.entries)
     kept: list[tuple[Hypothesis, float]] = []
     held = 0.0
     for hypothesis, p in weighted.entries:
-        if kept and (held >= DECISION.credible * whole or p < DECISION.least_probability):
+        if kept and (held >= config.credible * whole or p < config.least_probability):
             break
         kept.append((hypothesis, p))
         held += p

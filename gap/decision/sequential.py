@@ -7,7 +7,8 @@ from enum import StrEnum
 
 from gap.decision.config import DECISION
 from gap.design.advise import reference_for
-from gap.validation.prediction import PREDICTED, SHOWN, Prediction, families
+from gap.validation.config import VALIDATION
+from gap.validation.prediction import Prediction, families
 from gap.verdict import Explanation, Status, Verdict
 
 NAMED = (Status.NAMED, Status.NAMED_FORM_INADEQUATE)
@@ -74,11 +75,11 @@ class SequentialVerdict:
                 break
             against = [families(ids) for ids in found.rivals]
             held = all(any(other & one for one in against) for other in self._others)
-            if found.share < PREDICTED or not held:
+            if found.share < VALIDATION.predicted_share or not held:
                 continue
             last = last or (protocol, found)
             gained += found.gained
-            if gained > SHOWN:
+            if gained > VALIDATION.shown_chi2:
                 return last
         return None
 
@@ -118,14 +119,14 @@ class SequentialVerdict:
             for _, found in self.predicted.get(joint(several), [])
             for ids, left in found.rivals.items()
             for gone in several - families(ids)
-            if families(ids) == several - {gone} and left - found.left > SHOWN
+            if families(ids) == several - {gone} and left - found.left > VALIDATION.shown_chi2
         }
         if len(several) < 2 or not needed or self.settled:
             return self.verdict.effects[0].family
         return joint(frozenset(needed))
 
     @property
-    def doubtful(self) -> bool:
+    def uncertain(self) -> bool:
         """Whether a name stands that is not certain to close half of the gap.
 
         Tests that were not made yet may then show another effect, or none. So it is where nobody

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gap.effects.candidates import Suspect
+from gap.effects.candidates import Candidate
 from gap.estimation.agreement import shared_chi2
 from gap.estimation.cross_validation import HeldOut
 from gap.estimation.fit_problem import FitProblem
@@ -61,7 +61,7 @@ def traits_of(
     }
 
 
-def at_an_end(candidate: Suspect, amount: float) -> bool:
+def at_an_end(candidate: Candidate, amount: float) -> bool:
     """Whether an amount, or a number of its shape, could not go further."""
     low, high = candidate.bounds
     shapes = [(candidate.shape[key], ends) for key, ends in candidate.free.items()]

@@ -8,7 +8,6 @@ this bench would do, a reference standard is named instead.
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ import numpy as np
 from gap.design.foresight import Products, by_trial, on_experiment, products, separation, sum_of
 from gap.design.library import LibraryExperiment, library_experiments
 from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.output import toml_value
 from gap.verdict import Experiment
 from plant.effects.catalogue import CATALOGUE
 from plant.errors import PlantError
@@ -255,19 +255,8 @@ def protocol_text(experiment: Experiment) -> str | None:
         f"# {experiment.trials} trials; separation {experiment.separation_now:.1f} now, "
         f"{experiment.separation_after:.1f} afterwards (3.3 is right 95 times in 100).",
     ]
-    lines += [f"{k} = {_toml(v)}" for k, v in table.items() if not isinstance(v, dict)]
+    lines += [f"{k} = {toml_value(v)}" for k, v in table.items() if not isinstance(v, dict)]
     for key, value in table.items():
         if isinstance(value, dict):
-            lines += ["", f"[{key}]", *(f"{k} = {_toml(v)}" for k, v in value.items())]
+            lines += ["", f"[{key}]", *(f"{k} = {toml_value(v)}" for k, v in value.items())]
     return "\n".join(lines) + "\n"
-
-
-def _toml(value: Any) -> str:
-    """A value as TOML writes it."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    return repr(value.item() if hasattr(value, "item") else value)

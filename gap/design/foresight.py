@@ -18,7 +18,7 @@ from gap.design.library import LibraryExperiment, as_data
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import tolerance
 from gap.estimation.noise import WHITE, Noise, usual
-from gap.estimation.normal_equations import solved
+from gap.estimation.normal_equations import damped_step
 from gap.model.features import BLOCKS
 from gap.model.grid import make_grid
 from gap.model.residuals import Model
@@ -87,7 +87,7 @@ def separation(found: Products, best: FitResult, rival: FitResult) -> float:
         _, slope, stiffness = tolerance(rival.shift + bend[:n])
         matrix = found.gram + np.diag(np.r_[stiffness, range_prior])
         steep = found.gram @ bend - found.across + np.r_[slope, range_prior * bend[n:]]
-        bend -= solved(matrix, steep, 0.0)
+        bend -= damped_step(matrix, steep, 0.0)
     left = found.difference - 2.0 * found.across @ bend + bend @ found.gram @ bend
     left += float(range_prior @ bend[n:] ** 2)
     left += tolerance(rival.shift + bend[:n])[0] - tolerance(best.shift)[0]

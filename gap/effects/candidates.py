@@ -102,7 +102,3 @@ CANDIDATES: tuple[Candidate, ...] = tuple(
 
 DEFECTS: dict[str, str] = {d.id: d.meaning for d in RECORDING if d.search is not None}
 """What each defect means to a person."""
-
-# Former names, until the rooms above have changed theirs.
-Suspect = Candidate
-SUSPECTS = CANDIDATES

@@ -15,7 +15,7 @@ from scipy.stats import t as student
 
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import gather, tolerance
-from gap.estimation.normal_equations import solved
+from gap.estimation.normal_equations import damped_step
 from gap.model.features import BLOCKS, UNITS
 from gap.verdict import Gap
 
@@ -149,7 +149,7 @@ def left_out(problem: FitProblem, fit: FitResult, of_trial: npt.NDArray[np.int64
         right[:n] -= slope
         matrix[range(n, width), range(n, width)] += loose
         right[n:] -= loose * fit.amounts
-        beta = solved(matrix, right, 0.0)
+        beta = damped_step(matrix, right, 0.0)
         beta[n:] = np.clip(fit.amounts + beta[n:], low, high) - fit.amounts
         change[unit] = beta
         vector = np.r_[-beta, 1.0]

@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import DataSet
-from gap.data.duplicates import without_copies
-from gap.effects.candidates import SUSPECTS, Suspect
+from gap.data.duplicates import without_duplicates
+from gap.effects.candidates import CANDIDATES, Candidate
 from gap.estimation.information import Evidence, gather, tolerance
 from gap.estimation.noise import Noise, learn_noise, usual_noise
 from gap.estimation.non_identical import non_identical, unexplainable
-from gap.estimation.normal_equations import covariance, solved
+from gap.estimation.normal_equations import covariance, damped_step
 from gap.model.features import Rows
 from gap.model.force import Active
 from gap.model.grid import Grid, make_grid
@@ -53,7 +53,7 @@ class FitResult:
     """
 
     shift: Array
-    candidates: tuple[Suspect, ...]
+    candidates: tuple[Candidate, ...]
     amounts: Array
     residual: Array
     cost: float
@@ -63,6 +63,12 @@ class FitResult:
     def ids(self) -> tuple[str, ...]:
         """Catalogue ids (or defects) in force, each once, in order of entry."""
         return tuple(dict.fromkeys(candidate.id for candidate in self.candidates))
+
+    def kept(self, keep: Callable[[Candidate], bool]) -> tuple[list[Candidate], list[float]]:
+        """Candidates for which `keep` holds, and their amounts: the start of another fit."""
+        pairs = zip(self.candidates, self.amounts.tolist(), strict=True)
+        kept = [(candidate, amount) for candidate, amount in pairs if keep(candidate)]
+        return [candidate for candidate, _ in kept], [amount for _, amount in kept]
 
     @property
     def active(self) -> Active:
@@ -96,7 +102,7 @@ class FitProblem:
     """
 
     data: DataSet
-    candidates: tuple[Suspect, ...]
+    candidates: tuple[Candidate, ...]
     model: Model
     stated_effects: Active
     noise: Noise
@@ -109,9 +115,9 @@ class FitProblem:
     _kept: dict[str, tuple[Any, ...]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, data: DataSet, candidates: Sequence[Suspect] = SUSPECTS) -> FitProblem:
+    def of(cls, data: DataSet, candidates: Sequence[Candidate] = CANDIDATES) -> FitProblem:
         """Learn the noise of a data set and recalibrate its constants."""
-        data = without_copies(data)
+        data = without_duplicates(data)
         # A table of settled points has no time in it, so nothing in it can be out of time.
         timed = not data.settled
         usable = tuple(s for s in candidates if timed or not (s.defect or s.id == "camera_delay"))
@@ -145,7 +151,7 @@ class FitProblem:
         columns = self.columns_at(base.shift, (), np.empty(0))
         return replace(self, base=base, columns=columns, _kept={})
 
-    def restricted_to(self, usable: Callable[[Suspect], bool]) -> FitProblem:
+    def restricted_to(self, usable: Callable[[Candidate], bool]) -> FitProblem:
         """The same problem with the candidates for which `usable` holds."""
         return replace(self, candidates=tuple(s for s in self.candidates if usable(s)))
 
@@ -196,7 +202,9 @@ class FitProblem:
             changes[field] = value
         return replace(c, **changes)
 
-    def active_effects(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Active:
+    def active_effects(
+        self, shift: Array, candidates: Sequence[Candidate], amounts: Array
+    ) -> Active:
         """What the model takes: what is given, each mounting's offset, and candidates in force."""
         own = shift[len(self.names) - self.unnamed :]
         active = [
@@ -207,7 +215,7 @@ class FitProblem:
 
     def fit(
         self,
-        candidates: Sequence[Suspect],
+        candidates: Sequence[Candidate],
         start: Sequence[float] = (),
         near: FitResult | None = None,
     ) -> FitResult:
@@ -235,6 +243,11 @@ class FitProblem:
             )
         return found
 
+    def fit_effects(self, ids: Sequence[str]) -> FitResult:
+        """Fit effects by their ids, each in its first shape, from the amount of its sensitivity."""
+        own = [next(s for s in self.candidates if s.id == name) for name in ids]
+        return self.fit(own, [candidate.step for candidate in own])
+
     def columns_near(self, fit: FitResult) -> Array:
         """Sensitivities of the constants at a fit; those of the last fit are kept."""
         kept = self._kept.get("near")
@@ -243,13 +256,13 @@ class FitProblem:
             kept = self._kept["near"] = (fit, columns)
         return np.asarray(kept[1])
 
-    def fit_afresh(self, candidates: Sequence[Suspect], start: Sequence[float] = ()) -> FitResult:
+    def fit_afresh(self, candidates: Sequence[Candidate], start: Sequence[float] = ()) -> FitResult:
         """Return what `fit` gives when it starts from the constants as stated."""
         amounts = np.array(start or [0.0] * len(candidates), dtype=np.float64)
         return self._descend(np.zeros(len(self.names)), candidates, amounts, self.stated_columns)
 
     def fit_from(
-        self, shift: Array, candidates: Sequence[Suspect], start: Sequence[float]
+        self, shift: Array, candidates: Sequence[Candidate], start: Sequence[float]
     ) -> FitResult:
         """Return what `fit` gives when it starts from given constants, in sd."""
         amounts = _bounded(candidates, np.array(start, dtype=np.float64))
@@ -274,7 +287,7 @@ class FitProblem:
         at = (fit.shift, fit.candidates, fit.amounts)
         return np.hstack([self.columns_at(*at), self.slopes(*at)])
 
-    def columns_at(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Array:
+    def columns_at(self, shift: Array, candidates: Sequence[Candidate], amounts: Array) -> Array:
         """Signatures of the constants, shape (rows, constants), with candidates in force."""
         active = self.active_effects(shift, candidates, amounts)
         c = self.constants(shift)
@@ -290,7 +303,7 @@ class FitProblem:
         return np.nan_to_num(made)
 
     def _descend(
-        self, shift: Array, candidates: Sequence[Suspect], amounts: Array, constants: Array
+        self, shift: Array, candidates: Sequence[Candidate], amounts: Array, constants: Array
     ) -> FitResult:
         n = len(self.names)
         shift = shift.copy()
@@ -303,7 +316,7 @@ class FitProblem:
             if stale:
                 columns = np.hstack([constants, self.slopes(shift, candidates, amounts)])
                 matrix, right = self.normal(columns, residual, shift)
-            beta = solved(matrix, right, damping)
+            beta = damped_step(matrix, right, damping)
             new_shift = shift + beta[:n]
             new_amounts = _bounded(candidates, amounts + beta[n:])
             trial, trial_cost = self._at(new_shift, candidates, new_amounts)
@@ -319,7 +332,7 @@ class FitProblem:
         return FitResult(shift, tuple(candidates), amounts, residual, cost, covariance(matrix))
 
     def at(
-        self, shift: Array, candidates: Sequence[Suspect], amounts: Array, like: FitResult
+        self, shift: Array, candidates: Sequence[Candidate], amounts: Array, like: FitResult
     ) -> FitResult:
         """Return the fit at given constants and amounts, with the covariance of another."""
         amounts = _bounded(candidates, amounts)
@@ -327,16 +340,16 @@ class FitProblem:
         return FitResult(shift, tuple(candidates), amounts, residual, cost, like.cover)
 
     def _at(
-        self, shift: Array, candidates: Sequence[Suspect], amounts: Array
+        self, shift: Array, candidates: Sequence[Candidate], amounts: Array
     ) -> tuple[Array, float]:
         residual = self.residual_at(shift, candidates, amounts)
         return residual, self.whitened(residual) + tolerance(shift)[0]
 
-    def cost_at(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> float:
+    def cost_at(self, shift: Array, candidates: Sequence[Candidate], amounts: Array) -> float:
         """Whitened sum of squares at given constants and amounts, prior included."""
         return self._at(shift, candidates, amounts)[1]
 
-    def residual_at(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Array:
+    def residual_at(self, shift: Array, candidates: Sequence[Candidate], amounts: Array) -> Array:
         """Measured minus predicted at given constants and amounts, shape (rows,)."""
         return _stacked_residual(
             self.model, self.constants(shift), self.active_effects(shift, candidates, amounts)
@@ -361,7 +374,7 @@ class FitProblem:
                 total += float(self.noise.solve(trial, residual[rows][:, None])[0][0, 0])
         return total
 
-    def slopes(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Array:
+    def slopes(self, shift: Array, candidates: Sequence[Candidate], amounts: Array) -> Array:
         """Signatures of the candidates in force, at their present amounts."""
         made = np.zeros((len(self.rows), len(candidates)))
         c = self.constants(shift)
@@ -447,7 +460,7 @@ class FitProblem:
         return made
 
 
-def _bounded(candidates: Sequence[Suspect], amounts: Array) -> Array:
+def _bounded(candidates: Sequence[Candidate], amounts: Array) -> Array:
     ranges = np.array([s.bounds for s in candidates]).reshape(-1, 2)
     return np.asarray(np.clip(amounts, ranges[:, 0], ranges[:, 1]))
 
@@ -474,7 +487,7 @@ def _stated_effects(data: DataSet) -> Active:
     made: Active = []
     for name, table in data.effects.values.items():
         entry = CATALOGUE[name]
-        shape = next(s.shape for s in SUSPECTS if s.id == name)
+        shape = next(s.shape for s in CANDIDATES if s.id == name)
         option = next((str(v) for v in table.values() if isinstance(v, str)), "")
         amount = float(table[entry.headline]) if entry.headline else 1.0
         if name in ("flow_area", "polytropic"):

@@ -8,7 +8,7 @@ import numpy as np
 
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import projected
-from gap.estimation.normal_equations import covariance, solved
+from gap.estimation.normal_equations import covariance, damped_step
 from gap.verdict import Estimate
 from plant.effects.catalogue import CATALOGUE
 
@@ -17,7 +17,7 @@ _FORM = 0.1
 """Error of the form of an effect for which none is stated."""
 
 
-def settled(problem: FitProblem, fit: FitResult) -> FitResult:
+def undamped_step(problem: FitProblem, fit: FitResult) -> FitResult:
     """The fit after one last Gauss-Newton step without damping.
 
     Damping holds back the directions in which the data are weak, such as an effect against the
@@ -29,7 +29,7 @@ def settled(problem: FitProblem, fit: FitResult) -> FitResult:
     n = len(problem.names)
     columns = problem.columns_of(fit)
     matrix, right = problem.normal(columns, fit.residual, fit.shift)
-    beta = solved(matrix, right, 0.0)
+    beta = damped_step(matrix, right, 0.0)
     best = fit
     for share in (1.0, 0.5):
         shift = fit.shift + share * beta[:n]
@@ -58,7 +58,7 @@ def headline_estimates(
     made: dict[str, Estimate] = {}
     n = len(problem.names)
     if whole:
-        fit = settled(problem, fit)
+        fit = undamped_step(problem, fit)
     spread = max(1.0, np.sqrt(fit.cost / max(len(problem.rows), 1)))
     for name in fit.ids:
         entry = CATALOGUE[name]
@@ -75,7 +75,7 @@ def headline_estimates(
             sd = sd * fall / max(abs(amount), 1e-9)
             amount = fall
         if whole:
-            taken = _taken_over(problem, fit, name, fit.candidates[at[0]].option)
+            taken = _share_of_constant(problem, fit, name, fit.candidates[at[0]].option)
             amount, sd = amount + taken, float(np.hypot(sd, 0.5 * taken))
         low, high = interval(amount, _Z95 * sd, _Z95 * (form_error or {}).get(name, _FORM))
         shift = _offset(problem, name)
@@ -103,7 +103,7 @@ BEYOND = 2.0
 """Shift of a constant, in sd, that its tolerance hardly explains."""
 
 
-def _taken_over(problem: FitProblem, fit: FitResult, name: str, option: str) -> float:
+def _share_of_constant(problem: FitProblem, fit: FitResult, name: str, option: str) -> float:
     """What the constant of an effect's own meaning took of it, in the headline's unit."""
     key = {
         "dead_volume": "dead_volume_ml", "critical_ratio": "critical_ratio",

@@ -14,7 +14,7 @@ def _scale(matrix: Array) -> Array:
     return np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
 
 
-def solved(matrix: Array, right: Array, damping: float) -> Array:
+def damped_step(matrix: Array, right: Array, damping: float) -> Array:
     """Step of the damped normal equations (Marquardt)."""
     unit = _scale(matrix)
     stiff = matrix / unit / unit[:, None] + (damping + 1e-12) * np.eye(len(unit))

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from gap.effects.candidates import Suspect
+from gap.effects.candidates import Candidate
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.normal_equations import solved
+from gap.estimation.normal_equations import damped_step
 
 Array = npt.NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def fit_shapes(problem: FitProblem, fit: FitResult) -> FitResult:
         right[-len(free) :] -= (at - start) / _LOOSE**2
         better = None
         for _ in range(4):
-            beta = solved(matrix, right, damping)
+            beta = damped_step(matrix, right, damping)
             trial = _moved(problem, fit, beta, free)
             if trial.cost + _prior(trial, free, start) < fit.cost + _prior(fit, free, start):
                 better = trial
@@ -67,7 +67,7 @@ def fit_shapes(problem: FitProblem, fit: FitResult) -> FitResult:
     return fit
 
 
-def _numbers(candidates: Sequence[Suspect], free: list[tuple[int, str]]) -> Array:
+def _numbers(candidates: Sequence[Candidate], free: list[tuple[int, str]]) -> Array:
     return np.asarray(np.log([candidates[j].shape[key] for j, key in free]))
 
 
@@ -75,7 +75,9 @@ def _prior(fit: FitResult, free: list[tuple[int, str]], start: Array) -> float:
     return float(np.sum((_numbers(fit.candidates, free) - start) ** 2)) / _LOOSE**2
 
 
-def _with(candidates: Sequence[Suspect], free: list[tuple[int, str]], logs: Array) -> list[Suspect]:
+def _with(
+    candidates: Sequence[Candidate], free: list[tuple[int, str]], logs: Array
+) -> list[Candidate]:
     """Suspects with their free numbers set, each within its range."""
     made = list(candidates)
     for (j, key), log in zip(free, logs.tolist(), strict=True):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gap.data.dataset import DataSet
 from gap.decision.diagnose import diagnose_with_search
 from gap.estimation.cross_validation import held_out
-from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.estimation.fit_problem import FitProblem
 from gap.model.features import BLOCKS, UNITS
 from gap.selection.search import SearchResult
 from gap.validation.maps import Course, residual_maps
@@ -108,16 +108,11 @@ def _ladder(problem: FitProblem, search: SearchResult, block: str) -> tuple[Rung
     rungs = [Rung("as stated", base.rms("before")), Rung("recalibrated", base.rms("recalibrated"))]
     ids = list(dict.fromkeys(candidate.id for candidate in best.candidates))
     for count in range(1, len(ids) + 1):
-        fit = best if count == len(ids) else _part(problem, best, ids[:count])
+        first = set(ids[:count])
+        part = best.kept(lambda candidate, some=first: candidate.id in some)  # type: ignore[misc]
+        fit = best if count == len(ids) else problem.fit(*part)
         rungs.append(Rung(f"+ {ids[count - 1]}", held_out(problem, fit)[block].rms("after")))
     return tuple(rungs)
-
-
-def _part(problem: FitProblem, fit: FitResult, ids: list[str]) -> FitResult:
-    """The first of the effects alone, fitted anew."""
-    pairs = zip(fit.candidates, fit.amounts, strict=True)
-    kept = [(candidate, float(amount)) for candidate, amount in pairs if candidate.id in ids]
-    return problem.fit([candidate for candidate, _ in kept], [amount for _, amount in kept])
 
 
 def _field(problem: FitProblem, search: SearchResult, block: str) -> Field:

@@ -24,14 +24,14 @@ from plant.effects.catalogue import CATALOGUE
 
 def without(problem: FitProblem, fit: FitResult, key: str) -> FitResult:
     """The fit with the effect of `key` taken out and nothing fitted anew."""
-    left = [k for k, candidate in enumerate(fit.candidates) if candidate.key != key]
-    return problem.at(fit.shift, [fit.candidates[k] for k in left], fit.amounts[left], fit)
+    candidates, amounts = fit.kept(lambda candidate: candidate.key != key)
+    return problem.at(fit.shift, candidates, np.array(amounts), fit)
 
 
 def refitted_without(problem: FitProblem, fit: FitResult, key: str) -> FitResult:
     """The fit with the effect of `key` taken out and all others fitted anew."""
-    less = without(problem, fit, key)
-    return problem.polish(problem.fit(less.candidates, less.amounts.tolist(), fit))
+    candidates, amounts = fit.kept(lambda candidate: candidate.key != key)
+    return problem.polish(problem.fit(candidates, amounts, fit))
 
 
 def one_of_family(
@@ -48,14 +48,8 @@ def one_of_family(
     keys, fit = hypothesis.keys, hypothesis.fit
     if len(keys) < 2 or _family(keys[-1]) != _family(keys[-2]) or keys[-1] == keys[-2]:
         return None
-    others = [
-        (s, float(a))
-        for s, a in zip(fit.candidates, fit.amounts, strict=True)
-        if s.key not in keys[-2:]
-    ]
-    below = problem.base
-    if others:
-        below = problem.fit([s for s, _ in others], [a for _, a in others])
+    others, amounts = fit.kept(lambda candidate: candidate.key not in keys[-2:])
+    below = problem.fit(others, amounts) if others else problem.base
     linear = linear_gains(problem, below)
     alone = fit_further(problem, Hypothesis(keys[:-2], below), keys[-1], linear, None, config)
     alone = in_best_form(problem, below, alone, linear)

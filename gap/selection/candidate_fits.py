@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import CALIBRATION
-from gap.effects.candidates import Suspect
+from gap.effects.candidates import Candidate
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import SLACK, projected
 from gap.estimation.shape_fit import fit_shapes
@@ -59,7 +59,7 @@ class Hypothesis:
 class LinearGains:
     """Gain and amount of each candidate alone, linearised at a fit; both shape (candidates,)."""
 
-    candidates: tuple[Suspect, ...]
+    candidates: tuple[Candidate, ...]
     gain: Array
     amount: Array
 

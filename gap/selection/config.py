@@ -70,8 +70,6 @@ class SelectionConfig:
     """Least gain of the second shape once it is fitted."""
 
     # Inclusion test of a further effect
-    further_gain: float = 40.0
-    """Least gain of a further effect, if the alarm is lower. Set on: not recorded."""
     further_visibility: float = 0.6
     """Least drop of the residual in some block, in units of its floor. Set on: not recorded."""
     further_share: float = 0.06
@@ -79,22 +77,10 @@ class SelectionConfig:
     the first effect. Set on: not recorded."""
     exact_gain: float = 1.5
     """Least gain, in alarms, of a visible effect beside one that leaves nothing."""
-    clear_visibility: float = 3.0
-    clear_of_left: float = 0.15
-    """Visibility and share of what is left from which an effect is included beside one whose form
-    leaves much. Set on: pairs among the practice sets; numbers not recorded."""
     plain_visibility: float = 1.5
     plain_of_left: float = 0.2
-    """The same for an effect that is less visible and takes more."""
-    rest_of_left: float = 0.35
-    rest_of_gap: float = 0.02
-    """Share of what is left, and of the gap, of a visible effect that no rule above includes."""
-    most_gain: float = 240.0
-    most_share: float = 0.1
-    most_of_left: float = 0.6
-    most_visibility: float = 0.4
-    """Gain, share of the gap and share of what is left from which less visibility is enough: an
-    effect of a valve shows in few moments."""
+    """Visibility and share of what is left from which an effect is included beside one whose form
+    leaves much. Set on: pairs among the practice sets; numbers not recorded."""
     nothing_gain: float = 450.0
     nothing_of_left: float = 0.9
     nothing_share: float = 0.02
@@ -116,14 +102,14 @@ class SelectionConfig:
     """Linear weight of an effect, in alarms, from which no fit without it is tried."""
     held_out_level: float = 0.95
     """Confidence of the held-out gain of a further effect: one in twenty needless ones stays."""
-    large_share: float = 0.2
-    """Share of the gap from which a further effect needs no held-out gain."""
+    most_gain: float = 240.0
+    most_share: float = 0.1
+    most_of_left: float = 0.6
+    """Gain, share of the gap and share of what is left from which a further effect needs no
+    held-out gain: an effect of a valve shows in few slots."""
     form_share: float = 0.12
     """Share of what is explained below which an effect in the same channels, not plainly visible,
     only corrects the form of the one before."""
-    elsewhere_gain: float = 1.25
-    """Gain, in alarms, of an effect in channels of its own beside one that leaves nothing, from
-    which it needs no held-out gain: there it is a first effect."""
     relief_sd: float = 2.0
     relieved_sd: float = 3.0
     """Drop of the largest shift, and largest shift after it, of constants that an effect relieves:

@@ -141,23 +141,12 @@ def step_statistics(
 
 def is_included(s: StepStatistics, config: SelectionConfig = SELECTION) -> bool:
     """The inclusion test of a further effect."""
-    if s.gain < max(config.further_gain, s.alarm):
+    if s.gain < s.alarm:
         return False
     if s.best_of_family and (leaves_nothing(s, config) or frees_constant(s, config)):
         return True
-    if s.visibility > config.most_visibility and takes_most(s, config):
-        return True
-    if s.visibility <= config.further_visibility:
-        return False
-    return s.own_channels or _takes_fair_share(s, config)
-
-
-def takes_most(
-    s: StepStatistics, config: SelectionConfig = SELECTION, gain: float | None = None
-) -> bool:
-    """Whether it takes most of what is left, and much of the gap; `gain` may state its gain."""
-    needed = max(config.most_gain, config.most_share * s.gap, config.most_of_left * s.left)
-    return (s.gain if gain is None else gain) > needed
+    visible = s.visibility > config.further_visibility
+    return visible and (s.own_channels or _takes_fair_share(s, config))
 
 
 def leaves_nothing(s: StepStatistics, config: SelectionConfig = SELECTION) -> bool:
@@ -192,16 +181,9 @@ def relieves_constant(s: StepStatistics, config: SelectionConfig = SELECTION) ->
 
 def _takes_fair_share(s: StepStatistics, config: SelectionConfig) -> bool:
     """Whether a visible effect takes a fair share of the gap, or of what is left."""
-    if s.gain > config.further_share * s.gap:
-        return True
-    left = max(s.left, 1.0)
-    needed = config.exact_gain * max(config.further_gain, s.alarm)
-    if left < 2.0 * s.chance and s.gain > needed:
-        return True  # nothing is left of the first effect that a second could correct
-    if s.visibility > config.clear_visibility and s.of_left > config.clear_of_left:
-        return True
-    plainly = s.visibility > config.plain_visibility
-    if plainly and s.of_left > config.plain_of_left:
-        return True
-    large = left > config.rest_of_gap / config.rest_of_left * s.gap
-    return s.of_left >= config.rest_of_left and (plainly or large)
+    exact = max(s.left, 1.0) < 2.0 * s.chance  # there is no form that it could correct
+    return (
+        s.gain > config.further_share * s.gap
+        or (exact and s.gain > config.exact_gain * s.alarm)
+        or (s.visibility > config.plain_visibility and s.of_left > config.plain_of_left)
+    )

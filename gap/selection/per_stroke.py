@@ -1,8 +1,8 @@
-"""A valve's delay that is not the same at each stroke.
+"""Per-stroke delays: a valve whose delay is not the same at each stroke.
 
-A poppet that sticks, or a coil whose iron keeps some field, is late by more at one stroke than at
-the next, the same way whenever a test is repeated. Where a delay explains the gap, what such
-differences leave speaks neither against the delay nor for an effect that nobody knows.
+A poppet that sticks, or a coil whose iron keeps some field, is later at one stroke than at the
+next, alike in all replicates. Where a delay explains the gap, what such differences leave is
+evidence neither against the delay nor for an effect from outside the catalogue.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import tolerance
-from gap.estimation.normal_equations import solved
+from gap.estimation.normal_equations import damped_step
 from gap.selection.candidate_fits import EDGES
-from gap.selection.config import SELECTION
+from gap.selection.config import SELECTION, SelectionConfig
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult
 
@@ -25,9 +25,11 @@ Array = npt.NDArray[np.float64]
 _STEP_S = 1e-4
 
 
-def with_per_stroke_delays(problem: FitProblem, search: SearchResult) -> SearchResult:
+def with_per_stroke_delays(
+    problem: FitProblem, search: SearchResult, config: SelectionConfig = SELECTION
+) -> SearchResult:
     """The outcome of a search with the strokes of a delay that it found free to differ."""
-    per_stroke = _per_stroke_fit(problem, search.best.fit)
+    per_stroke = _per_stroke_fit(problem, search.best.fit, config)
     if per_stroke is None:
         return search
     return replace(
@@ -35,7 +37,9 @@ def with_per_stroke_delays(problem: FitProblem, search: SearchResult) -> SearchR
     )
 
 
-def _per_stroke_fit(problem: FitProblem, fit: FitResult) -> FitResult | None:
+def _per_stroke_fit(
+    problem: FitProblem, fit: FitResult, config: SelectionConfig
+) -> FitResult | None:
     """The fit one linear step on, its delays free to differ at each stroke.
 
     None without a delay, or where its strokes would have to differ too much.
@@ -50,7 +54,7 @@ def _per_stroke_fit(problem: FitProblem, fit: FitResult) -> FitResult | None:
             continue
         own = _strokes(problem, fit, EDGES.index(candidate.option))
         columns.append(own)
-        sds += [max(SELECTION.stroke_sd * late, 1e-9)] * own.shape[1]
+        sds += [max(config.stroke_sd * late, 1e-9)] * own.shape[1]
     if not sds:
         return None
     known = problem.columns_of(fit)
@@ -58,8 +62,8 @@ def _per_stroke_fit(problem: FitProblem, fit: FitResult) -> FitResult | None:
     matrix, right = problem.normal(every, fit.residual, fit.shift)
     last = np.arange(known.shape[1], every.shape[1])
     matrix[last, last] += 1.0 / np.square(sds)
-    beta = solved(matrix, right, 1e-6)
-    if np.abs(beta[last] / sds).max() > SELECTION.stroke_most_sd:
+    beta = damped_step(matrix, right, 1e-6)
+    if np.abs(beta[last] / sds).max() > config.stroke_most_sd:
         return None
     n, m = len(fit.shift), len(fit.amounts)
     residual = fit.residual - every @ beta

@@ -23,7 +23,6 @@ from gap.selection.inclusion import (
     own_channels,
     relieves_constant,
     step_statistics,
-    takes_most,
 )
 from gap.selection.search import SearchResult, search_effects
 
@@ -122,19 +121,14 @@ def _is_needed(
     s = step_statistics(
         problem, search.gap, search.alarm, less, fit, key=search.best.keys[-1], config=config
     )
-    if takes_most(s, config, gain) or leaves_nothing(s, config):
-        return True  # it may show in few slots, where no mean over slots is certain
+    most = max(config.most_gain, config.most_share * s.gap, config.most_of_left * s.left)
+    if gain > most or leaves_nothing(s, config) or relieves_constant(s, config):
+        return True  # held-out slots are no test: too few show it, or a constant takes its place
     exact = s.left < 2.0 * s.chance
-    elsewhere = s.own_channels and exact and gain > config.elsewhere_gain * search.alarm
-    if relieves_constant(s, config) or elsewhere:
-        return True
     part = gain < config.form_share * max(problem.base.cost - fit.cost, 1.0)
-    same_channels = not (s.own_channels or exact)
-    if part and same_channels and s.visibility < config.plain_visibility:
+    if part and not (s.own_channels or exact) and s.visibility < config.plain_visibility:
         return False  # it corrects the form of the effect before it
-    return gain > config.large_share * search.gap or _gains_surely(
-        held_out(problem, less), held_out(problem, fit), config
-    )
+    return _gains_surely(held_out(problem, less), held_out(problem, fit), config)
 
 
 def _gains_surely(

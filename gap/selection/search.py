@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from gap.effects.candidates import Suspect
+from gap.effects.candidates import Candidate
 from gap.estimation.agreement import replicate_inflation
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.non_identical import non_identical
@@ -324,7 +324,7 @@ def _scan_delays(problem: FitProblem, config: SelectionConfig) -> dict[str, tupl
 
 
 def _gain_of(
-    problem: FitProblem, shift: Array, candidate: Suspect, amount: float
+    problem: FitProblem, shift: Array, candidate: Candidate, amount: float
 ) -> tuple[float, float]:
     """Gain of a candidate at a fixed amount, and the amount."""
     cost = problem.cost_at(shift, (candidate,), np.array([amount]))

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from gap.estimation.fit_problem import FitProblem
 from gap.model.features import Points
-from gap.selection.config import SELECTION
+from gap.selection.config import SELECTION, SelectionConfig
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[Array, Array, bool]
@@ -33,7 +33,7 @@ _LEAST_LEFT = {"pressure": 2.0, "force": 0.3, "load": 0.3}
 
 
 @dataclass(frozen=True)
-class Mistimed:
+class TimingFault:
     """A channel that is out of time (`late_s`, negative if early) or smoothed over `width_s`."""
 
     channel: str
@@ -53,29 +53,35 @@ class Mistimed:
         return f"is out of time with the other channels, {word} by about {shift_ms:.0f} ms"
 
 
-def mistimed_channel(problem: FitProblem) -> Mistimed | None:
+def channel_with_timing_fault(
+    problem: FitProblem, config: SelectionConfig = SELECTION
+) -> TimingFault | None:
     """The channel that is out of time or smoothed both ways, if one surely is."""
     for block, own in (("pressure", "pressure_kpa"), ("force", "force_n")):
         pairs = _pairs(problem, block)
         if len(pairs) < 2:
             continue
-        width = _is_mean_of(pairs, block)
+        width = _is_mean_of(pairs, block, config)
         if width is not None:
-            return Mistimed(own, width_s=width)
+            return TimingFault(own, width_s=width)
         still = [pair for pair in pairs if not pair[2]]
         # Where the length moves it may be the camera that is late.
-        late = _is_late(still, block) if len(still) > 1 else None
+        late = _is_late(still, block, config) if len(still) > 1 else None
         if late is not None:
-            return Mistimed(own, late_s=late)
+            return TimingFault(own, late_s=late)
         # The chamber's prediction is made from commands, which nobody smooths.
-        width = _is_mean_of([(x, y, m) for y, x, m in pairs], block) if block == "force" else None
+        width = (
+            _is_mean_of([(x, y, m) for y, x, m in pairs], block, config)
+            if block == "force"
+            else None
+        )
         if width is not None:
             moved = float(np.mean([m for _, _, m in pairs])) > 0.5
-            return Mistimed("length_mm" if moved else "pressure_kpa", width_s=width)
+            return TimingFault("length_mm" if moved else "pressure_kpa", width_s=width)
     return None
 
 
-def _is_late(pairs: list[Pair], block: str) -> float | None:
+def _is_late(pairs: list[Pair], block: str, config: SelectionConfig) -> float | None:
     """By how many seconds the first of each pair is late behind the second, if it surely is."""
     steps = np.arange(-_REACH, _REACH + 1)
     left = np.array(
@@ -90,13 +96,13 @@ def _is_late(pairs: list[Pair], block: str) -> float | None:
         return None
     at = int(np.argmin(left.sum(axis=0)))
     if (
-        abs(int(steps[at])) < SELECTION.timing_least_shift
-        or left[:, at].sum() > SELECTION.timing_far_better * rival
+        abs(int(steps[at])) < config.timing_least_shift
+        or left[:, at].sum() > config.timing_far_better * rival
     ):
         return None
     weight = lagged.min(axis=1)
-    agree = left[:, at] < SELECTION.timing_trial_better * weight
-    if float(weight[agree].sum()) < SELECTION.timing_most_trials * float(weight.sum()):
+    agree = left[:, at] < config.timing_trial_better * weight
+    if float(weight[agree].sum()) < config.timing_most_trials * float(weight.sum()):
         return None
     return float(steps[at]) * _STEP_S
 
@@ -145,7 +151,7 @@ def _even(points: Points, y: Array, x: Array, a: int, b: int) -> tuple[Array, Ar
     return tuple(_mean(np.interp(clock, t, v[a:b]), 3) for v in (y, x))  # type: ignore[return-value]
 
 
-def _is_mean_of(pairs: list[Pair], block: str) -> float | None:
+def _is_mean_of(pairs: list[Pair], block: str, config: SelectionConfig) -> float | None:
     """Width in s over which the first of each pair is a running mean of the second, if it is."""
     best_of = [_left(y, x) for y, x, _ in pairs]
     others = np.array([other for other, _ in best_of])
@@ -155,11 +161,11 @@ def _is_mean_of(pairs: list[Pair], block: str) -> float | None:
         return None
     at = int(np.argmin(smooth.sum(axis=0)))
     rival = others.sum(axis=0).min()
-    if smooth[:, at].sum() > SELECTION.timing_far_better * rival:
+    if smooth[:, at].sum() > config.timing_far_better * rival:
         return None
-    agree = smooth[:, at] < SELECTION.timing_trial_better * others.min(axis=1)
+    agree = smooth[:, at] < config.timing_trial_better * others.min(axis=1)
     weight = others.min(axis=1)
-    if float(weight[agree].sum()) < SELECTION.timing_most_trials * float(weight.sum()):
+    if float(weight[agree].sum()) < config.timing_most_trials * float(weight.sum()):
         return None
     return _WIDTHS_S[at]
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.effects.candidates import Suspect
+from gap.effects.candidates import Candidate
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model import force as laws
 from gap.model import pressure as chamber
@@ -241,7 +241,7 @@ class Chain:
         return np.asarray(values[self.ends[name][self.problem.rows.trial[at]]])
 
 
-def stage_of(candidate: Suspect) -> str:
+def stage_of(candidate: Candidate) -> str:
     """Stage of a candidate; what may sit anywhere, and shows in the force, counts to the muscle."""
     if candidate.defect:
         return "sensor"

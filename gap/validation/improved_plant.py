@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.intervals import headline_estimates, settled
+from gap.estimation.intervals import headline_estimates, undamped_step
+from gap.output import toml_value
 from plant.constants import CHOICES, KEYS, nominal
 from plant.effects.catalogue import CATALOGUE
 
@@ -16,7 +17,7 @@ def improved_plant(problem: FitProblem, fit: FitResult) -> str:
     The simulator (`pamrig simulate --plant`), the live prediction (`--predict`), the virtual bench
     and `bench.toml` read it.
     """
-    fit = settled(problem, fit)
+    fit = undamped_step(problem, fit)
     lines = ["# The plant as recalibrated on these data, with the effects that explain the gap."]
     constants = problem.constants(fit.shift)
     usual = nominal()
@@ -36,7 +37,9 @@ def improved_plant(problem: FitProblem, fit: FitResult) -> str:
         lines += ["", f"[effects.{name}]"]
         entry = CATALOGUE[name]
         if name not in fit.ids:
-            lines += [f"{k} = {_toml(v)}" for k, v in problem.data.effects.values[name].items()]
+            lines += [
+                f"{k} = {toml_value(v)}" for k, v in problem.data.effects.values[name].items()
+            ]
             continue
         known = {parameter.name: parameter for parameter in entry.parameters}
         for key, estimate in headline_estimates(problem, only(fit, name), whole=False).items():
@@ -71,10 +74,6 @@ def _shape(problem: FitProblem, fit: FitResult, name: str) -> dict[str, float]:
     if name == "bladder_elasticity":
         made["rest_mm"] = shape["rest"] * problem.constants(fit.shift).braid_length_m * 1e3
     return made
-
-
-def _toml(value: object) -> str:
-    return f'"{value}"' if isinstance(value, str) else repr(value)
 
 
 def only(fit: FitResult, name: str) -> FitResult:

@@ -16,21 +16,10 @@ import numpy.typing as npt
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.selection.candidate_fits import Hypothesis, fit_further, in_best_form, linear_gains
 from gap.selection.search import SearchResult
+from gap.validation.config import VALIDATION
 from plant.effects.catalogue import CATALOGUE
 
 Array = npt.NDArray[np.float64]
-
-SHOWN = 120.0
-"""Least whitened squares that the new trials must have left without the explanation, beyond those
-left with it: below that they show nothing for or against it."""
-PREDICTED = 0.9
-"""Least share of the new trials' gap that it must take away."""
-REFUTED = 0.5
-"""Share below which the new trials speak against it."""
-MOST_RIVALS = 4
-"""Other explanations that new trials are held against,"""
-LEAST_RIVALS = 2
-"""and how many of other families there are in any case: the nearest are fitted for it."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +47,12 @@ class Prediction:
     @property
     def shown(self) -> bool:
         """Whether the new trials have anything to say about the explanation."""
-        return abs(self.without - self.left) > SHOWN
+        return abs(self.without - self.left) > VALIDATION.shown_chi2
 
     @property
     def confirmed(self) -> bool:
         """Whether the new trials came out as predicted, and as no rival predicted them."""
-        return self.gained > SHOWN and self.share >= PREDICTED
+        return self.gained > VALIDATION.shown_chi2 and self.share >= VALIDATION.predicted_share
 
     @property
     def gained(self) -> float:
@@ -73,7 +62,7 @@ class Prediction:
     @property
     def refuted(self) -> bool:
         """Whether the new trials speak against the explanation."""
-        return self.shown and self.share < REFUTED
+        return self.shown and self.share < VALIDATION.refuted_share
 
 
 def predict_trials(
@@ -111,31 +100,26 @@ def rivals_of(
     best = search.best.fit
     own = families(best.ids)
     for family in sorted(own) if len(own) > 1 else ():
-        rest = [
-            (s, float(a))
-            for s, a in zip(best.candidates, best.amounts, strict=True)
-            if CATALOGUE[s.id].family != family
-        ]
-        yield problem.polish(problem.fit([s for s, _ in rest], [a for _, a in rest]))
+        rest = best.kept(lambda candidate, gone=family: candidate.family != gone)  # type: ignore[misc]
+        yield problem.polish(problem.fit(*rest))
     covered: set[str] = set()
     others = [
         hypothesis.fit for hypothesis in search.rivals if not own & families(hypothesis.fit.ids)
     ]
-    for fit in others[:MOST_RIVALS]:
+    for fit in others[: VALIDATION.most_rivals]:
         covered |= families(fit.ids)
         yield fit
-    held = [families(fit.ids) for fit in others[:MOST_RIVALS]]
+    held = [families(fit.ids) for fit in others[: VALIDATION.most_rivals]]
     for ids in entries:
         other = families(ids)
         if other & own or other in held:
             continue
         covered |= other
-        candidates = [next(s for s in problem.candidates if s.id == name) for name in ids]
-        yield problem.polish(problem.fit(candidates, [s.step for s in candidates]))
+        yield problem.polish(problem.fit_effects(ids))
     base = Hypothesis((), problem.base)
     linear = linear_gains(problem, base.fit)
     for key in sorted(search.first_gain, key=lambda key: -search.first_gain[key]):
-        if len(covered) >= LEAST_RIVALS:
+        if len(covered) >= VALIDATION.least_rivals:
             return
         other = families((key.partition(":")[0],))
         if not other or other & (own | covered):

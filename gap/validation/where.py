@@ -19,13 +19,12 @@ from gap.estimation.cross_validation import HeldOut, held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.chain import Chain
+from gap.validation.config import VALIDATION
 from gap.validation.shapley import waterfall
 from gap.verdict import Contrast, Share
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-
-_FAMILY_WISE = 0.01
 
 MEANING = (
     "Each stage is real (it gives the measured output for the measured input, and answers another "
@@ -70,11 +69,6 @@ def stage_errors(problem: FitProblem, fit: FitResult) -> dict[str, list[dict[str
     }  # fmt: skip
 
 
-DRIFT_SURE = 3.6
-"""Sd from which a drift that an explanation leaves is no chance: the explanation was chosen among
-many, and none of them for it."""
-
-
 def contrasts_of(problem: FitProblem, fit: FitResult | None = None) -> tuple[Contrast, ...]:
     """Designed comparisons of the recalibrated residual, each with its own z over slots.
 
@@ -94,17 +88,17 @@ def contrasts_of(problem: FitProblem, fit: FitResult | None = None) -> tuple[Con
         made.append((f"hot-cold ({block})", _warmth(problem, residual, here), False))
         made.append((f"early-late trials ({block})", _order(problem, residual, here), True))
     found = [(name, z, drift) for name, z, drift in made if z is not None]
-    least = float(norm.isf(_FAMILY_WISE / 2.0 / max(len(found), 1)))
+    least = float(norm.isf(VALIDATION.family_wise / 2.0 / max(len(found), 1)))
     found.sort(key=lambda item: -abs(item[1]))
     return tuple(Contrast(name, z, abs(z) > least, drift) for name, z, drift in found)
 
 
-def drifting(problem: FitProblem, fit: FitResult) -> Contrast | None:
+def remaining_drift(problem: FitProblem, fit: FitResult) -> Contrast | None:
     """The drift over the trials that an explanation leaves, if it leaves one."""
     return next(
         (
             c for c in contrasts_of(problem, fit)
-            if c.alarm and c.drift and abs(c.z) > DRIFT_SURE
+            if c.alarm and c.drift and abs(c.z) > VALIDATION.drift_sd
         ),
         None,
     )  # fmt: skip

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from gap.data.reader import read_dataset
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.estimation.agreement import shared_chi2
 from gap.estimation.fit_problem import FitProblem
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.inclusion import excess_chi2
 from gap.selection.per_stroke import with_per_stroke_delays
 from gap.selection.search import SearchResult
-from gap_bench import per_stroke, write_set
+from gap_bench import uneven, write_set
 
 LATE_S = (5.4e-3, 4.4e-3, 4.8e-3, 5.6e-3, 4.6e-3, 5.2e-3, 4.5e-3, 5.5e-3)
 """Delays of a valve that is 5 ms late, a tenth of it more or less at each stroke."""
@@ -24,7 +24,7 @@ LATE_S = (5.4e-3, 4.4e-3, 4.8e-3, 5.6e-3, 4.6e-3, 5.2e-3, 4.5e-3, 5.5e-3)
 def late_outlet(folder: Path, opens_late_s: tuple[float, ...]) -> tuple[FitProblem, SearchResult]:
     data = read_dataset(write_set(folder, seed=3, replicates=2, opens_late_s=opens_late_s))
     problem = FitProblem.of(data)
-    candidate = next(s for s in SUSPECTS if s.key == "valve_delay:outlet_on")
+    candidate = next(s for s in CANDIDATES if s.key == "valve_delay:outlet_on")
     fit = problem.polish(problem.fit([candidate], [5.0]))
     left = excess_chi2(problem, fit)
     return problem, SearchResult(
@@ -62,7 +62,7 @@ def test_strokes_of_an_effect_that_is_no_delay_stay_as_they_are(
     irregular: tuple[FitProblem, SearchResult],
 ) -> None:
     problem, _ = irregular
-    candidate = next(s for s in SUSPECTS if s.id == "leak")
+    candidate = next(s for s in CANDIDATES if s.id == "leak")
     fit = problem.fit([candidate], [candidate.step])
     search = SearchResult(
         Hypothesis(("leak",), fit),
@@ -83,6 +83,6 @@ def test_a_delay_that_grows_a_millisecond_a_stroke_is_no_uneven_one(tmp_path: Pa
 
 def test_the_bench_of_these_tests_opens_late_by_what_it_was_told() -> None:
     events = [(1.0, "outlet", 1.0), (1.1, "outlet", 0.0), (2.0, "outlet", 1.0)]
-    assert per_stroke(events, (0.1, 0.2)) == [
+    assert uneven(events, (0.1, 0.2)) == [
         (1.1, "outlet", 1.0), (1.1, "outlet", 0.0), (2.2, "outlet", 1.0),
     ]  # fmt: skip

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from gap.data.dataset import Channel, DataSet
-from gap.data.duplicates import without_copies
+from gap.data.duplicates import without_duplicates
 from gap.data.quality import unfit_channels
 from gap.data.reader import read_dataset
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem
 from gap_bench import write_set
 from gap_sets import settled_set
@@ -25,10 +25,10 @@ def nominal(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 
 def test_copies_are_left_out_and_said_to_be(nominal: DataSet) -> None:
     copies = tuple(dataclasses.replace(t, name=f"{t.name}-x") for t in nominal.trials)
-    once = without_copies(dataclasses.replace(nominal, trials=(*nominal.trials, *copies)))
+    once = without_duplicates(dataclasses.replace(nominal, trials=(*nominal.trials, *copies)))
     assert [t.name for t in once.trials] == [t.name for t in nominal.trials]
     assert f"{len(copies)} trials left out" in once.notes[-1]
-    assert without_copies(nominal) is nominal
+    assert without_duplicates(nominal) is nominal
 
 
 def test_a_table_without_time_is_never_out_of_time(tmp_path: Path) -> None:
@@ -41,7 +41,7 @@ def test_amounts_stay_within_the_range_of_the_catalogue(tmp_path: Path) -> None:
     problem = FitProblem.of(
         read_dataset(settled_set(tmp_path / "table", {"force_gain": {"percent": 29.0}}))
     )
-    gain = next(s for s in SUSPECTS if s.id == "pressure_gain")
+    gain = next(s for s in CANDIDATES if s.id == "pressure_gain")
     assert abs(float(problem.fit([gain], [385.0]).amounts[0])) <= 30.0
 
 

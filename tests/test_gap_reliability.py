@@ -16,7 +16,7 @@ from gap.check.learn import LEAF, Samples, fit, learnable
 from gap.check.ledger import enter
 from gap.decision.reliability import FEATURES, OUTCOMES, Forest, features, shipped_reliability
 from gap.decision.traits import at_an_end
-from gap.effects.candidates import SUSPECTS
+from gap.effects.candidates import CANDIDATES
 
 TRAITS = {
     "rows": 3000.0, "excess": 30_000.0, "left": 0.0, "repeated": 30_000.0, "repeated_left": 0.0,
@@ -109,7 +109,7 @@ def test_changed_conditions_never_teach(tmp_path: Path) -> None:
 def test_a_stand_in_is_known_by_the_end_it_was_led_to(
     entry: str, shape: dict[str, float], amount: float, expected: bool
 ) -> None:
-    candidate = replace(next(s for s in SUSPECTS if s.id == entry), shape=shape)
+    candidate = replace(next(s for s in CANDIDATES if s.id == entry), shape=shape)
     assert at_an_end(candidate, amount) is expected
 
 
