@@ -24,10 +24,10 @@ from rigs.devices.balance import Balance
 from rigs.devices.camera import CallCamera, open_camera
 from rigs.devices.event_loop import Pump
 from rigs.devices.fresh_camera import FreshCamera
-from rigs.devices.instruments.instrument import Instrument
 from rigs.devices.instruments.load_cell import LoadCell
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
+from rigs.devices.interfaces import Instrument
 from rigs.devices.operator import ManualAxis, ManualStage, Operator
 from rigs.devices.pressure.solenoids import SolenoidPressure
 from rigs.devices.pressure.source import PressureSource

@@ -18,6 +18,7 @@ from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
 from rigs.bench.pressure import SAFE_KPA
 from rigs.bench.rig import Rig
+from rigs.devices.interfaces import Actuator
 from rigs.devices.operator import ManualAxis, ManualSetting
 from rigs.devices.valve_controller import ALIVE_S
 from rigs.execution.control import RunControl
@@ -268,7 +269,8 @@ class Runner:
         """Move the stage and wait until it is there."""
         self.record.event("command", device="stage", length_mm=length_mm)
         self.watch.set_point("length", length_mm)
-        self.rig.stage.move(length_mm)
+        stage: Actuator = self.rig.stage
+        stage.set_value(length_mm)
 
     def _tare(self) -> float:
         self._balance_speaks = False  # a balance that tares sends no readings meanwhile
