@@ -27,6 +27,7 @@ class Instrument(Protocol):
         quantity: what it measures, with unit: ``temperature_c``.
         unit: unit of the readings as they come.
         calibration: turns readings into ``quantity``; None where they are that already.
+        rate_hz: readings a second.
         identity: what it reports about itself; filled by :meth:`connect`.
         rows: readings so far.
         faults: everything that came and was no reading, counted by kind.
@@ -37,6 +38,7 @@ class Instrument(Protocol):
     quantity: str
     unit: str
     calibration: Calibration | None
+    rate_hz: float
     identity: dict[str, str]
     rows: int
     faults: Faults

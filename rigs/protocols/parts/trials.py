@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rigs.protocols.method import Method
+from rigs.protocols.parts.method import Method
 from rigs.steps.custom_step import Steps
 from rigs.steps.loads import HangLoad, LowerLoad
 from rigs.steps.mounting import Remount
