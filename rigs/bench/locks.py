@@ -39,6 +39,7 @@ def devices_of(config: RigConfig) -> dict[str, str]:
         "valve.port": config.valve.port,
         "balance.port": config.balance.port,
         "stage.port": config.stage.port,
+        "pressure_source.port": config.pressure_source.port,
         **{f"{name}.port": d.port for name, d in config.instruments.ports().items()},
     }
     source = config.camera.source

@@ -15,10 +15,10 @@ from daq.link.transport import Link, SerialLink
 from rigs.devices.camera import Camera
 from rigs.devices.event_loop import Pump
 from rigs.devices.hung_mass import HungMass
-from rigs.devices.instruments.instrument import Instrument
 from rigs.devices.instruments.modbus import ModbusInstrument
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
+from rigs.devices.interfaces import Instrument
 from rigs.devices.operator import ConsoleOperator, ManualAxis, ManualStage, Operator
 from rigs.devices.operator_port import RemoteOperator
 from rigs.rigfile.config import Device, RigConfig, camera_values
@@ -97,6 +97,7 @@ def open_supply(ports: Ports, pump: Pump, identities: dict[str, dict[str, str]])
         pump,
         device.voltage_v,
         device.max_v,
+        form=device.form,
         reopen=ports.reopener("supply", device),
     )
     pump.add(supply.poll)

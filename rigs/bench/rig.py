@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from math import nan
 from typing import TYPE_CHECKING
 
 from daq.clock import Clock, RealClock, VirtualClock
-from daq.deadline import Deadline
 from daq.errors import ConfigError, PamrigError
 from daq.link.transport import Link
 from rigs.bench.locks import rig_lock
@@ -22,15 +19,18 @@ from rigs.bench.ports import (
     open_readers,
     open_supply,
 )
+from rigs.bench.pressure import open_pressure_source, vent
 from rigs.devices.balance import Balance
 from rigs.devices.camera import CallCamera, open_camera
 from rigs.devices.event_loop import Pump
 from rigs.devices.fresh_camera import FreshCamera
-from rigs.devices.instruments.instrument import Instrument
 from rigs.devices.instruments.load_cell import LoadCell
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
+from rigs.devices.interfaces import Instrument
 from rigs.devices.operator import ManualAxis, ManualStage, Operator
+from rigs.devices.pressure.solenoids import SolenoidPressure
+from rigs.devices.pressure.source import PressureSource
 from rigs.devices.stage import Stage
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import RigConfig
@@ -40,14 +40,6 @@ if TYPE_CHECKING:
 
 REAL_PERIOD_S = 0.005
 VIRTUAL_PERIOD_S = 0.02
-SAFE_KPA = 10.0
-VENT_S = 5.0
-"""A vent is given up when the pressure has not fallen for so long,"""
-VENT_LONGEST_S = 60.0
-"""or after so long in all."""
-VENT_LOOK_S = 1.0
-FALLING_KPA = 1.0
-"""From look to look a pressure that falls at all falls by more."""
 
 
 @dataclass
@@ -58,6 +50,7 @@ class Rig:
     clock: Clock
     pump: Pump
     valve: ValveController
+    pressure_source: PressureSource
     balance: Balance | LoadCell
     stage: Stage | ManualStage
     camera: FreshCamera
@@ -71,51 +64,14 @@ class Rig:
     @property
     def pressure_kpa(self) -> float:
         """Mean of the last 50 ms of pressure readings; nan before the first."""
-        return pressure_kpa(self.valve, self.config)
+        return self.pressure_source.measured_kpa
 
     def vent(self) -> float:
-        """Vent and confirm it; see :func:`vent`. The solenoids get their normal voltage back."""
-        return vent(self.valve, self.pump, self.config, self.supply)
+        """Vent, disarm and confirm it; see :func:`rigs.bench.pressure.vent`.
 
-
-def pressure_kpa(valve: ValveController, config: RigConfig) -> float:
-    """Mean of the last 50 ms of pressure readings in kPa; nan before the first."""
-    counts = valve.recent_counts(50)
-    return float(config.calibrations["pressure_kpa"].apply(counts.mean())) if len(counts) else nan
-
-
-def vent(
-    valve: ValveController, pump: Pump, config: RigConfig, supply: Supply | None = None
-) -> float:
-    """Vent, disarm and wait until the pressure reading confirms it.
-
-    It goes on for as long as the pressure falls. The solenoids' supply, where there is one, is
-    switched on again at each look: without it an outlet that is shut at rest keeps the air in.
-
-    Returns:
-        The pressure in kPa when it was confirmed, or when it did not fall any more.
-    """
-
-    def feed() -> None:
-        if supply is not None:
-            with contextlib.suppress(PamrigError):  # the valve is told to vent in any case
-                supply.safe()
-
-    try:
-        valve.stop()
-    finally:  # a controller that does not hear vents by itself, if it can
-        feed()
-    longest, standing = Deadline(pump.clock, VENT_LONGEST_S), Deadline(pump.clock, VENT_S)
-    before = pressure_kpa(valve, config)
-    while not pump.until(lambda: pressure_kpa(valve, config) < SAFE_KPA, VENT_LOOK_S):
-        now = pressure_kpa(valve, config)
-        if now < before - FALLING_KPA:
-            standing = Deadline(pump.clock, VENT_S)
-        if standing.expired or longest.expired:
-            break
-        before = now
-        feed()
-    return pressure_kpa(valve, config)
+        The solenoids get their normal voltage back.
+        """
+        return vent(self.pressure_source, self.pump, self.supply)
 
 
 def firmware_parameters(config: RigConfig) -> dict[str, int]:
@@ -223,9 +179,14 @@ def open_rig(
             pump.add(stage.poll)
             identities["stage"] = stage.connect(config.stage.serial)
         identities["camera"] = camera.identity
-        axes = open_axes(config, person, pump, instruments, lambda: pressure_kpa(valve, config))
+        transducer = SolenoidPressure(valve, config)
+        axes = open_axes(config, person, pump, instruments, lambda: transducer.measured_kpa)
+        source = open_pressure_source(ports, valve, pump, axes)
+        stack.callback(source.close)
+        if source.own_device is not None:
+            identities["pressure_source"] = source.identity
         yield Rig(
-            config, clock, pump, valve, balance, stage, camera, bench, identities, person,
+            config, clock, pump, valve, source, balance, stage, camera, bench, identities, person,
             instruments, supply, axes,
         )  # fmt: skip
 

@@ -6,7 +6,10 @@ import contextlib
 
 from daq.errors import DeviceError, PamrigError
 from rigs.bench.ports import Ports, open_supply
-from rigs.bench.rig import SAFE_KPA, open_valve, vent
+from rigs.bench.pressure import SAFE_KPA, open_pressure_source, vent
+from rigs.bench.rig import open_valve
+from rigs.devices.pressure.solenoids import SolenoidPressure
+from rigs.devices.pressure.source import PressureSource
 from rigs.rigfile.config import RigConfig
 
 
@@ -18,10 +21,15 @@ def vent_rig(config: RigConfig) -> float:
     """
     with open_valve(config) as (valve, pump, stack, bench):
         valve.stop()  # first of all; an outlet that is shut at rest opens once it has its supply
-        supply = None
+        ports, supply = Ports(config, pump.clock, stack, bench), None
         with contextlib.suppress(PamrigError):
-            supply = open_supply(Ports(config, pump.clock, stack, bench), pump, {})
-        pressure = vent(valve, pump, config, supply)
+            supply = open_supply(ports, pump, {})
+        # A source with a port of its own may be gone: the controller's valves vent without it.
+        source: PressureSource = SolenoidPressure(valve, config)
+        if config.pressure_source.port:
+            with contextlib.suppress(PamrigError):
+                source = open_pressure_source(ports, valve, pump, {})
+        pressure = vent(source, pump, supply)
         if not pressure < SAFE_KPA:
             raise DeviceError(
                 valve.name,

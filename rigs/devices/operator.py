@@ -253,6 +253,10 @@ class ManualAxis:
             "set it closer, or widen the tolerance in the rig file",
         )
 
+    def set_value(self, value: float) -> float:
+        """Have it set, as an `Actuator`; returns what the sensor reads then."""
+        return self.set(value).read
+
     def _wording(self, value: float) -> str:
         if self.name == "mass":
             what = f"hang {value:g} {self.unit} on the muscle and let it come to rest"
@@ -288,6 +292,10 @@ class ManualStage:
     def move(self, length_mm: float) -> float:
         """Have the length set; returns what the camera reads, in mm."""
         return self.axis.set(length_mm).read
+
+    def set_value(self, value: float) -> float:
+        """The length in mm, as an `Actuator`."""
+        return self.move(value)
 
     def poll(self) -> None:
         """Nothing to read."""

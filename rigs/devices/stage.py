@@ -116,6 +116,10 @@ class Stage(LineDevice):
             return match[1], float(match[2])
         raise AssertionError("unreachable")
 
+    def set_value(self, value: float) -> float:
+        """Go to a length in mm at the usual speed, as an `Actuator`; returns the position."""
+        return self.move(value)
+
     def move(
         self,
         length_mm: float,

@@ -65,6 +65,9 @@ def record_instruments(rig: Rig, record: RecordWriter) -> None:
         record.stream("supply", supply.COLUMNS, supply.UNITS)
         rig.supply.on_rows.append(recorder(record, "supply"))
         rig.supply.faults.on_fault.append(_teller(record, "supply", rig.supply.faults.counts))
+    own = rig.pressure_source.own_device
+    if own is not None:
+        own.faults.on_fault.append(_teller(record, "pressure_source", own.faults.counts))
     for axis in _axes(rig):
         axis.on_setting.append(lambda setting: _set(record, setting))
 
@@ -74,6 +77,8 @@ def instrument_counters(rig: Rig) -> dict[str, dict[str, int]]:
     out = {name: instrument.counters() for name, instrument in rig.instruments.items()}
     if rig.supply is not None:
         out["supply"] = rig.supply.counters()
+    if rig.pressure_source.own_device is not None:
+        out["pressure_source"] = rig.pressure_source.own_device.counters()
     return out
 
 

@@ -16,7 +16,9 @@ from daq.clock import NS_PER_S
 from daq.errors import DeviceError, LinkLost, PamrigError, RecordError
 from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
-from rigs.bench.rig import SAFE_KPA, Rig
+from rigs.bench.pressure import SAFE_KPA
+from rigs.bench.rig import Rig
+from rigs.devices.interfaces import Actuator
 from rigs.devices.operator import ManualAxis, ManualSetting
 from rigs.devices.valve_controller import ALIVE_S
 from rigs.execution.control import RunControl
@@ -25,7 +27,6 @@ from rigs.execution.settling import SAMPLE_S, has_settled
 from rigs.execution.steering import Steering
 from rigs.steps.context import RunFault
 from rigs.steps.custom_step import Answer, CustomStep, Step, Steps
-from rigs.steps.hand_regulator import turn_by_hand
 from rigs.steps.loads import lower_load
 from rigs.steps.schedule import cost_s
 from rigs.steps.steps import (
@@ -82,7 +83,6 @@ class Runner:
         self.load_kg = 0.0
         self._armed = False
         self._reboots = 0
-        self._scheme = "vent"
         self._balance_speaks = True
         self._last_seq = (0, 0)
         self._last_row = (0, 0)
@@ -91,7 +91,7 @@ class Runner:
 
     def _alive(self) -> None:
         """Report progress, then look for every reason to end the run."""
-        self.rig.valve.progress(ALIVE_S)
+        self.rig.pressure_source.keep_alive(ALIVE_S)
         if self.record.failed is not None:
             raise self.record.failed
         self.steering.look()
@@ -112,7 +112,7 @@ class Runner:
                     "restarted in mid-run (new boot id)",
                     "check its power supply; the run up to here is kept",
                 )
-            if not valve.armed:
+            if not self.rig.pressure_source.armed:
                 raise RunFault(valve.name, "disarmed itself", "see its fault list")
         self._last_seq = self._silent("telemetry", valve.seq_end, self._last_seq, now_ns)
         if self._balance_speaks:
@@ -145,8 +145,9 @@ class Runner:
             valve.request("clear")
             valve.faults.clear()
         self._reboots = valve.telemetry.reboots
-        valve.arm()
-        if not self.rig.pump.until(lambda: valve.armed, 2.0):
+        source = self.rig.pressure_source
+        source.arm()
+        if not self.rig.pump.until(lambda: source.armed, 2.0):
             raise DeviceError(valve.name, "took `arm` but its telemetry does not say so")
         self._armed = True
         self.record.event("armed", identity=valve.identity)
@@ -179,11 +180,10 @@ class Runner:
     def _safe(self) -> None:
         """Vent and confirm; a link that is gone leaves it to the firmware's deadline."""
         self._armed = False
-        valve = self.rig.valve
         try:
             if self.load_kg:
                 lower_load(self)
-            valve.still()
+            self.rig.pressure_source.release()
             pressure = self.rig.vent()
             self.record.event("vented", pressure_kpa=pressure, confirmed=bool(pressure < SAFE_KPA))
             if not pressure < SAFE_KPA:
@@ -236,8 +236,8 @@ class Runner:
 
     @property
     def vented(self) -> bool:
-        """Whether the muscle is being vented, as far as it was told."""
-        return self._scheme == "vent"
+        """Whether the last command to the pressure source was to vent."""
+        return self.rig.pressure_source.vented
 
     def axis(self, name: str, unit: str) -> ManualAxis:
         """What a person sets: the rig's axis of that name, or one that nothing looks after."""
@@ -251,21 +251,15 @@ class Runner:
         self.record.event("manual", **vars(setting))
 
     def shut(self) -> None:
-        """Shut both valves; the next set-point takes the air up again."""
-        self._choose("open")
-
-    def _choose(self, scheme: str) -> None:
-        """Have the controller change its scheme, where it is another one."""
-        if scheme != self._scheme:
-            self.rig.valve.request("vent" if scheme == "vent" else f"scheme {scheme}")
-            self._scheme = scheme
+        """Shut the air in; the next set-point takes the air up again."""
+        self.rig.pressure_source.hold()
 
     def _vent(self) -> None:
-        self._choose("vent")
+        self.rig.pressure_source.vent()
         self.watch.set_point("pressure", 0.0)
         if not self.rig.pump.until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
             raise RunFault(
-                self.rig.valve.name,
+                self.rig.pressure_source.name,
                 f"told to vent, pressure still reads {self.rig.pressure_kpa:.0f} kPa after 10 s",
                 "shut the supply by hand; check the outlet and the pressure zero",
             )
@@ -275,7 +269,8 @@ class Runner:
         """Move the stage and wait until it is there."""
         self.record.event("command", device="stage", length_mm=length_mm)
         self.watch.set_point("length", length_mm)
-        self.rig.stage.move(length_mm)
+        stage: Actuator = self.rig.stage
+        stage.set_value(length_mm)
 
     def _tare(self) -> float:
         self._balance_speaks = False  # a balance that tares sends no readings meanwhile
@@ -286,19 +281,11 @@ class Runner:
             self._last_row = (0, 0)
 
     def _set_pressure(self, pressure_kpa: float) -> None:
-        limit = self.rig.config.limits.pressure_kpa
-        if pressure_kpa > limit:
-            raise DeviceError(
-                self.rig.config.source,
-                f"set-point {pressure_kpa:g} kPa is above limits.pressure_kpa = {limit:g} kPa",
-                "correct the protocol or the limit",
-            )
-        counts = float(self.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
-        self.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
-        self._choose(self.rig.config.valve.static_scheme)
-        self.rig.valve.set_point(counts)
+        """Record what will be commanded, then command it."""
+        source = self.rig.pressure_source
+        self.record.event("command", **source.command(pressure_kpa).fields())
         self.watch.set_point("pressure", pressure_kpa)
-        turn_by_hand(self, pressure_kpa)
+        source.set_pressure(pressure_kpa)
 
     def _settle(self, step: Settle) -> Answer:
         start_ns = self.rig.clock.now_ns()

@@ -218,12 +218,15 @@ def _record_bytes(rig: Rig, record: RecordWriter) -> None:
         instrument.on_bytes = listener(name)
     if rig.supply is not None:
         rig.supply.on_bytes = listener("supply")
+    if rig.pressure_source.own_device is not None:
+        rig.pressure_source.own_device.on_bytes = listener("pressure_source")
 
 
 def _hear_out(rig: Rig) -> None:
     """Let what is on its way come, so that all that came damaged is counted."""
     devices: list[Any] = [rig.valve, *rig.instruments.values()]
-    devices += [d for d in (rig.balance, rig.stage, rig.supply) if isinstance(d, LineDevice)]
+    lines = (rig.balance, rig.stage, rig.supply, rig.pressure_source.own_device)
+    devices += [d for d in lines if isinstance(d, LineDevice)]
     with contextlib.suppress(PamrigError):
         rig.pump.until(lambda: not any(device.midway for device in devices), HEAR_OUT_S)
     for device in devices:

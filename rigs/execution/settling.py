@@ -30,8 +30,8 @@ def has_settled(rig: Rig, camera: Mapping[str, Any], step: Settle) -> Callable[[
     cal = rig.config.calibrations
     newton = abs(cal["force_n"].scale)
     tolerance = c.pressure_kpa
-    if rig.config.valve.static_scheme == "reg":
-        # The regulator is not closed on this sensor, so the two may differ by what the
+    if not rig.pressure_source.closed_on_sensor:
+        # The source is not closed on this sensor, so the two may differ by what the
         # sensor's calibration allows.
         tolerance += 3 * float(cal["pressure_kpa"].u(step.pressure_kpa))
     length = _Length(rig, camera, c.window_s, c.drift_mm) if c.drift_mm is not None else None

@@ -10,8 +10,8 @@ import numpy as np
 from analysis.findings.hysteresis import HYSTERESIS
 from rigs.execution.procedure import Procedure
 from rigs.protocols.isotonic import read_masses
-from rigs.protocols.method import Method, read_method
-from rigs.protocols.trials import Logbook, Path
+from rigs.protocols.parts.method import Method, read_method
+from rigs.protocols.parts.trials import Logbook, Path
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps

@@ -7,8 +7,8 @@ from typing import Any
 
 from analysis.findings.isobaric import ISOBARIC
 from rigs.execution.procedure import Procedure
-from rigs.protocols.method import Method, read_method
-from rigs.protocols.trials import VENTED_KPA, Logbook
+from rigs.protocols.parts.method import Method, read_method
+from rigs.protocols.parts.trials import VENTED_KPA, Logbook
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps

@@ -14,7 +14,7 @@ import numpy as np
 
 from analysis.findings.isometric import ISOMETRIC
 from rigs.execution.procedure import Procedure
-from rigs.protocols.method import read_leak, read_names
+from rigs.protocols.parts.method import read_leak, read_names
 from rigs.rigfile.config import Limits, RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps

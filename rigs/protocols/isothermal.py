@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from analysis.findings.isothermal import ISOTHERMAL
 from rigs.execution.procedure import Procedure
-from rigs.protocols.method import Method, read_method
-from rigs.protocols.trials import Logbook
+from rigs.protocols.parts.method import Method, read_method
+from rigs.protocols.parts.trials import Logbook
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps

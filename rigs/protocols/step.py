@@ -13,7 +13,7 @@ import numpy as np
 
 from analysis.findings.step import STEP
 from rigs.execution.procedure import Procedure
-from rigs.protocols.trials import BREATH_KPA, BREATH_S
+from rigs.protocols.parts.trials import BREATH_KPA, BREATH_S
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import CustomStep, Steps
 from rigs.steps.steps import EndTrial, SetLength, State, Trial

@@ -15,6 +15,7 @@ from rigs.rigfile.camera_calibration import load_camera_calibration
 from rigs.rigfile.device import Device as Device
 from rigs.rigfile.form import GRAMS
 from rigs.rigfile.instruments import InstrumentSettings, read_instruments
+from rigs.rigfile.pressure_source import PressureSourceSettings, read_pressure_source
 from rigs.rigfile.toml_reader import Table, find_config, load_toml
 
 SENSORS = {"pressure_kpa": "valve", "force_n": "balance"}
@@ -140,6 +141,9 @@ class RigConfig:
     virtual: VirtualBenchConfig | None
     instruments: InstrumentSettings = field(default_factory=InstrumentSettings)
     force_source: str = "balance"
+    pressure_source: PressureSourceSettings = field(
+        default_factory=lambda: PressureSourceSettings("", 0, "")
+    )
 
     @property
     def is_virtual(self) -> bool:
@@ -169,6 +173,7 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
     files = {"length_mm": length, "force_n": _cell(instruments, force_source)}
     serials = {q: root.raw(t, {}).get("serial", "") for q, t in SENSORS.items()}
     calibrations = _calibrations(root.table("calibrations"), files, serials)
+    valve = _valve(root.table("valve"))
     rig = RigConfig(
         name=root.text("name"),
         description=root.text("description", ""),
@@ -177,7 +182,7 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
         crc32=f"{zlib.crc32(text.encode()):08x}",
         limits=limits,
         conditions=_conditions(root.table("conditions")),
-        valve=_valve(root.table("valve")),
+        valve=valve,
         balance=_device(root.table("balance")) if "balance" in root else Device("", 9600, ""),
         stage=_stage(root.table("stage")),
         camera=camera,
@@ -185,6 +190,9 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
         virtual=_virtual(root, seed),
         instruments=instruments,
         force_source=force_source,
+        pressure_source=read_pressure_source(
+            root, valve.static_scheme, "pressure" in instruments.manual
+        ),
     )
     root.finish()
     _check_whole(rig, root)
@@ -200,6 +208,8 @@ def _check_whole(rig: RigConfig, root: Table) -> None:
     }
     if rig.balance.port:
         ports["balance"] = rig.balance.port == VIRTUAL
+    if rig.pressure_source.port:
+        ports["pressure_source"] = rig.pressure_source.port == VIRTUAL
     if rig.stage.kind == "grbl":
         ports["stage"] = rig.stage.port == VIRTUAL
     if len(set(ports.values())) > 1:

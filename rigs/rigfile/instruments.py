@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from daq.calibration import Calibration
 from rigs.rigfile.calibration_file import load_calibration
+from rigs.rigfile.command_form import CommandForm, load_command_form
 from rigs.rigfile.device import Device
 from rigs.rigfile.form import TextForm, load_form, read_form
 from rigs.rigfile.modbus_form import KINDS, MOST_REGISTERS, ORDERS, ModbusForm
@@ -48,10 +49,11 @@ class ModbusDevice(Device):
 
 @dataclass(frozen=True)
 class SupplyDevice(Device):
-    """The bench supply of the solenoids."""
+    """The bench supply of the solenoids, and the description of the lines that it understands."""
 
     voltage_v: float
     max_v: float
+    form: CommandForm
 
 
 @dataclass(frozen=True)
@@ -238,8 +240,18 @@ def _calibration(
 def _supply(t: Table) -> SupplyDevice:
     port, baud, serial = _port(t)
     most = t.number("max_v", 0.1, 60, 24.0, unit="V")
+    form = load_command_form(t.text("form", "scpi-supply"))
+    missing = [f"[set.{key}]" for key in ("voltage_v", "output") if key not in form.settings]
+    missing += [f"[get.{key}]" for key in ("voltage_v", "current_a") if key not in form.queries]
+    if missing:
+        raise t.fail("form", f"that description has no {', '.join(missing)}", "add it")
     out = SupplyDevice(
-        port, baud, serial, voltage_v=t.number("voltage_v", 0.1, most, unit="V"), max_v=most
+        port,
+        baud,
+        serial,
+        voltage_v=t.number("voltage_v", 0.1, most, unit="V"),
+        max_v=most,
+        form=form,
     )
     t.finish()
     return out

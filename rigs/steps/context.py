@@ -76,7 +76,7 @@ class StepContext(Protocol):
         ...
 
     def shut(self) -> None:
-        """Shut both valves."""
+        """Shut the air in."""
         ...
 
     def window(

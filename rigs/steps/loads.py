@@ -91,14 +91,14 @@ def ramp_down(runner: StepContext) -> float:
     falls with the pressure.
     """
     rig = runner.rig
-    calibration = rig.config.calibrations["pressure_kpa"]
+    source = rig.pressure_source
     rate = rig.config.instruments.load.lower_kpa_s
-    start = pressure = rig.pressure_kpa
+    start = pressure = source.measured_kpa
     while pressure > LOWEST_KPA:
         now = max(rate * min(pressure / RATED_KPA, 2.0), SLOWEST_KPA_S)
         pressure = max(0.0, pressure - now * LOWER_STEP_S)
-        rig.valve.progress(1.0)
-        rig.valve.set_point(max(float(calibration.raw(pressure)), 0.0))
+        source.keep_alive(1.0)
+        source.ramp_to(pressure)
         rig.pump.for_seconds(LOWER_STEP_S)
     return start
 
@@ -111,7 +111,7 @@ def lower_load(runner: StepContext) -> None:
     for that.
     """
     valve = runner.rig.valve
-    if not valve.armed or valve.fault_latched:
+    if not runner.rig.pressure_source.armed or valve.fault_latched:
         _not_lowered(runner, "vented already")
         return
     try:

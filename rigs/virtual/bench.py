@@ -22,6 +22,7 @@ from rigs.virtual.board.ram_load import RamLoad
 from rigs.virtual.board.solenoids import Solenoids
 from rigs.virtual.emulators.balance import VirtualBalance
 from rigs.virtual.emulators.camera import CameraModel, led_exposure, render
+from rigs.virtual.emulators.emulator import Emulator
 from rigs.virtual.emulators.sensor_error import Misreading
 from rigs.virtual.emulators.stage import VirtualStage
 from rigs.virtual.extras import Extras
@@ -84,6 +85,11 @@ class VirtualBench:
             limits.length_min_mm,
             limits.length_max_mm,
         )
+        self.emulators: dict[str, Emulator] = {
+            "valve": self.board, "stage": self.stage, "balance": self.balance,
+            **self.extras.devices,
+        }  # fmt: skip
+        """Every device with a port, in the order in which time reaches them."""
         self._camera_rng = streams[2]
         cal = config.calibrations["length_mm"]
         sync = config.camera.sync
@@ -285,10 +291,7 @@ class VirtualBench:
 
     def feed(self, device: str, data: bytes) -> None:
         """Bytes from the host reach a device."""
-        if device in self.extras.devices:
-            self.extras.devices[device].feed(data)
-        else:
-            getattr(self, "board" if device == "valve" else device).feed(data)
+        self.emulators[device].feed(data)
 
     def advance_to(self, host_ns: int) -> None:
         """Bring the bench to a host time, stopping wherever a device has something to do."""
@@ -299,21 +302,14 @@ class VirtualBench:
             except LinkLost:  # the host closed the port
                 self._device_ends.pop(name)
         target_us = self.bench_us(host_ns)
-        board = self.board
+        board, *others = self.emulators.values()
         while True:
-            due_ns = self.balance.next_ns
-            if self.stage.next_ns is not None:
-                due_ns = min(due_ns, self.stage.next_ns)
-            for device in self.extras.devices.values():
-                if device.next_ns is not None:
-                    due_ns = min(due_ns, device.next_ns)
-            stop_us = min(target_us, -(-due_ns // 1000))
-            board.run_until_us(stop_us)
-            self._now_ns = max(self._now_ns, min(stop_us, target_us) * 1000)
+            due = [ns for device in others if (ns := device.next_ns) is not None]
+            stop_us = min([target_us, *(-(-ns // 1000) for ns in due)])
+            board.advance(stop_us * 1000)  # the plant moves with it
+            self._now_ns = max(self._now_ns, stop_us * 1000)
             self.misreading.age(self.extras.temperature_c)
-            self.stage.advance(self._now_ns)
-            self.balance.advance(self._now_ns)
-            for device in self.extras.devices.values():
+            for device in others:
                 device.advance(self._now_ns)
             if stop_us >= target_us:
                 return

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable
-from typing import Any, Protocol
+from importlib import import_module
+from typing import Protocol
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from plant.physics.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MA
 from plant.simulator.bench import PRESSURE, BenchSim
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.instruments import TextDevice
+from rigs.rigfile.pressure_source import MODULES
+from rigs.virtual.emulators.emulator import Emulator
 from rigs.virtual.emulators.modbus import VirtualModbus
 from rigs.virtual.emulators.operator import VirtualOperator
 from rigs.virtual.emulators.sensor_error import Misreading
@@ -89,7 +92,8 @@ class Extras:
         settings = self._config.instruments
         self.temperature_c = self._config.conditions.temperature_c
         self.hung_kg: float | None = None
-        self.devices: dict[str, Any] = {}
+        self.devices: dict[str, Emulator] = {}
+        self.supply: VirtualSupply | None = None
         for name, text in settings.text.items():
             read = self._sensor(name, self._truth(name, text), text.calibration)
             self.devices[name] = VirtualText(
@@ -100,12 +104,23 @@ class Extras:
             self.devices[name] = VirtualModbus(modbus.form, read, self._sender(name))
         if settings.supply is not None:
             rng = self._rng("supply")
-            self.devices["supply"] = VirtualSupply(
+            self.devices["supply"] = self.supply = VirtualSupply(
                 self._sender("supply"),
                 settings.supply.serial or "supply",
                 max_v=settings.supply.max_v,
                 noise_v=lambda: float(rng.normal(0.0, SUPPLY_NOISE_V)),
             )
+        if self._config.pressure_source.port:
+            self.devices["pressure_source"] = self._pressure_source()
+
+    def _pressure_source(self) -> Emulator:
+        """That of the rig's pressure source, of the module with its driver's name."""
+        kind = MODULES[self._config.pressure_source.kind]
+        module = import_module(f"rigs.virtual.emulators.{kind}")
+        made: Emulator = module.emulator(
+            self._config.pressure_source, self._bench.plant, self._sender("pressure_source")
+        )
+        return made
 
     def _rng(self, name: str) -> np.random.Generator:
         seed = self._config.virtual.seed if self._config.virtual is not None else 0
@@ -199,7 +214,7 @@ class Extras:
 
     def solenoid_volts(self) -> float:
         """What the supply gives the solenoids now."""
-        return float(self.devices["supply"].volts)
+        return self.supply.volts if self.supply is not None else 0.0
 
     def operator(self, clock: Clock | None = None, seconds: float = 5.0) -> VirtualOperator | None:
         """A person at this bench; None where neither it nor the caller has a clock."""

@@ -29,8 +29,8 @@ QUIET_TIMEOUTS = 4
 """Without a sentinel the line must be silent for so many time-outs before the next question."""
 
 
-class Instrument(Readings):
-    """Shared life of every instrument with readings; subclasses know the bytes.
+class PortInstrument(Readings):
+    """An `Instrument` (`rigs.devices.interfaces`) behind a port; subclasses know the bytes.
 
     Args:
         link: bytes to and from it.

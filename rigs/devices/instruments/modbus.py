@@ -15,14 +15,14 @@ from daq.clock import NS_PER_S
 from daq.errors import ConfigError
 from daq.link.transport import Chunk, Link
 from rigs.devices.event_loop import Pump
-from rigs.devices.instruments.instrument import Instrument
+from rigs.devices.instruments.instrument import PortInstrument
 from rigs.rigfile.form import Parsed
 from rigs.rigfile.modbus_form import ModbusForm
 
 LOOPBACK = 0x5041
 
 
-class ModbusInstrument(Instrument):
+class ModbusInstrument(PortInstrument):
     """A Modbus RTU transmitter, asked at its rate.
 
     Raises:

@@ -10,18 +10,18 @@ from daq.errors import DeviceTimeout
 from daq.link.framer import LineFramer
 from daq.link.transport import Chunk, Link
 from rigs.devices.event_loop import Pump
-from rigs.devices.instruments.instrument import Instrument
+from rigs.devices.instruments.instrument import PortInstrument
 from rigs.rigfile.form import Parsed, TextForm
 
 LINE_GAP_S = 0.2
 """A line whose characters stop for so long is a half line; the next one starts anew."""
 
 
-class TextInstrument(Instrument):
+class TextInstrument(PortInstrument):
     """A line-based instrument, sending by itself or asked.
 
     Args:
-        link, pump, name, calibration, reopen: see :class:`Instrument`.
+        link, pump, name, calibration, reopen: see :class:`PortInstrument`.
         form: what it says and how.
         rate_hz: instead of the description's, where the instrument is set so.
     """

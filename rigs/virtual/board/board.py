@@ -215,6 +215,15 @@ class SimBoard(Board):
         """Bytes from the host arrive."""
         self._rx += data
 
+    @property
+    def next_ns(self) -> int | None:
+        """Nothing: the firmware ticks each millisecond, wherever :meth:`advance` stops."""
+        return None
+
+    def advance(self, to_ns: int) -> None:
+        """Let time pass, in whole ticks."""
+        self.run_until_us(to_ns // 1000)
+
     def take_tx(self) -> list[tuple[int, bytes]]:
         """What the firmware sent since the last call, with bench times."""
         sent = self._tx

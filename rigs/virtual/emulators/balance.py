@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from rigs.virtual.emulators.emulator import Send
 from rigs.virtual.emulators.injected_fault import Wire
 
 SAMPLE_NS = 100_000_000
@@ -40,7 +41,7 @@ class VirtualBalance:
     def __init__(  # noqa: PLR0913 - a balance has that many named properties
         self,
         force_n: Callable[[], float],
-        send: Callable[[bytes], None],
+        send: Send,
         rng: np.random.Generator,
         serial: str,
         gravity_m_s2: float,
@@ -105,14 +106,14 @@ class VirtualBalance:
         held = self.wire.next_ns
         return self._sample_ns if held is None else min(held, self._sample_ns)
 
-    def advance(self, now_ns: int) -> None:
-        """Take every sample that is due by ``now_ns`` (bench time)."""
-        while self._sample_ns <= now_ns:
+    def advance(self, to_ns: int) -> None:
+        """Take every sample that is due by ``to_ns`` (bench time)."""
+        while self._sample_ns <= to_ns:
             self._now_ns = self._sample_ns
             self._sample_ns += SAMPLE_NS
             self._sample()
-        self._now_ns = now_ns
-        self.wire.advance(now_ns)
+        self._now_ns = to_ns
+        self.wire.advance(to_ns)
 
     def _sample(self) -> None:
         pull = self._force_n() * (1.0 + self._gain) * self._grams_per_n

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Callable
 
 from rigs.rigfile.modbus_form import ModbusForm
+from rigs.virtual.emulators.emulator import Send
 from rigs.virtual.emulators.injected_fault import Wire
 
 READY_NS = 5_000_000
@@ -31,9 +32,7 @@ class VirtualModbus:
         mute: True answers nothing.
     """
 
-    def __init__(
-        self, form: ModbusForm, read: Callable[[], float], send: Callable[[bytes], None]
-    ) -> None:
+    def __init__(self, form: ModbusForm, read: Callable[[], float], send: Send) -> None:
         self._form = form
         self._read = read
         self._buffer = b""
@@ -93,11 +92,11 @@ class VirtualModbus:
             times.append(self.wire.next_ns)
         return min(times) if times else None
 
-    def advance(self, now_ns: int) -> None:
-        """Let time pass to ``now_ns`` (bench time)."""
-        self._now_ns = now_ns
-        for due in [d for d in self._due if d[0] <= now_ns]:
+    def advance(self, to_ns: int) -> None:
+        """Let time pass to ``to_ns`` (bench time)."""
+        self._now_ns = to_ns
+        for due in [d for d in self._due if d[0] <= to_ns]:
             self._due.remove(due)
             if not self.mute:
-                self.wire.send(self._answer(due[1]), now_ns)
-        self.wire.advance(now_ns)
+                self.wire.send(self._answer(due[1]), to_ns)
+        self.wire.advance(to_ns)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
+from rigs.virtual.emulators.emulator import Send
 from rigs.virtual.emulators.injected_fault import Wire
 
 _WORD = re.compile(r"([A-Z])(-?\d+(?:\.\d*)?)")
@@ -29,7 +30,7 @@ class VirtualStage:
     def __init__(
         self,
         set_motion: Callable[[float, float], None],
-        send: Callable[[bytes], None],
+        send: Send,
         serial: str,
         start_mm: float,
         low_mm: float,
@@ -131,12 +132,12 @@ class VirtualStage:
         self._end_ns = self._now_ns + round(abs(distance) / speed * 1e9)
         self._set_motion(self._from, self._rate)
 
-    def advance(self, now_ns: int) -> None:
-        """Let time pass to ``now_ns``; a move that is due ends there exactly."""
-        if self._end_ns is not None and now_ns >= self._end_ns:
+    def advance(self, to_ns: int) -> None:
+        """Let time pass to ``to_ns``; a move that is due ends there exactly."""
+        if self._end_ns is not None and to_ns >= self._end_ns:
             self._position = self._target
             self._rate = 0.0
             self._end_ns = None
             self._set_motion(self._position, 0.0)
-        self._now_ns = now_ns
-        self.wire.advance(now_ns)
+        self._now_ns = to_ns
+        self.wire.advance(to_ns)

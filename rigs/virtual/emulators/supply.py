@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
+from rigs.virtual.emulators.emulator import Send
 from rigs.virtual.emulators.injected_fault import Wire
 
 READY_NS = 3_000_000
@@ -30,7 +31,7 @@ class VirtualSupply:
 
     def __init__(
         self,
-        send: Callable[[bytes], None],
+        send: Send,
         serial: str,
         max_v: float = 30.0,
         noise_v: Callable[[], float] = lambda: 0.0,
@@ -126,11 +127,11 @@ class VirtualSupply:
             times.append(self.wire.next_ns)
         return min(times) if times else None
 
-    def advance(self, now_ns: int) -> None:
-        """Let time pass to ``now_ns`` (bench time)."""
-        self._now_ns = now_ns
-        while self._due and self._due[0][0] <= now_ns:
+    def advance(self, to_ns: int) -> None:
+        """Let time pass to ``to_ns`` (bench time)."""
+        self._now_ns = to_ns
+        while self._due and self._due[0][0] <= to_ns:
             _, answer = self._due.popleft()
             if not self.mute:
-                self.wire.send(answer.encode("ascii") + b"\n", now_ns)
-        self.wire.advance(now_ns)
+                self.wire.send(answer.encode("ascii") + b"\n", to_ns)
+        self.wire.advance(to_ns)

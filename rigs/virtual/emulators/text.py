@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 
 from rigs.rigfile.form import TextForm
+from rigs.virtual.emulators.emulator import Send
 from rigs.virtual.emulators.injected_fault import Wire
 
 READY_NS = 2_000_000
@@ -34,7 +35,7 @@ class VirtualText:
         self,
         form: TextForm,
         read: Callable[[], float],
-        send: Callable[[bytes], None],
+        send: Send,
         serial: str,
         rate_hz: float = 0.0,
     ) -> None:
@@ -110,20 +111,20 @@ class VirtualText:
             times.append(self.wire.next_ns)
         return min(times) if times else None
 
-    def advance(self, now_ns: int) -> None:
-        """Let time pass to ``now_ns`` (bench time)."""
-        self._now_ns = now_ns
-        for due in [d for d in self._due if d[0] <= now_ns]:
+    def advance(self, to_ns: int) -> None:
+        """Let time pass to ``to_ns`` (bench time)."""
+        self._now_ns = to_ns
+        for due in [d for d in self._due if d[0] <= to_ns]:
             self._due.remove(due)
             if due[1] == b"who":
                 if not self.mute:
-                    self.wire.send(self._who(), now_ns)
+                    self.wire.send(self._who(), to_ns)
             else:
-                self._say(now_ns)
-        while not self._form.query and self._next_ns <= now_ns:
+                self._say(to_ns)
+        while not self._form.query and self._next_ns <= to_ns:
             self._next_ns += self._period_ns
-            self._say(now_ns)
-        self.wire.advance(now_ns)
+            self._say(to_ns)
+        self.wire.advance(to_ns)
 
     def _say(self, now_ns: int) -> None:
         if not self.mute:

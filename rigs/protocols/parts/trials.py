@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rigs.protocols.method import Method
+from rigs.protocols.parts.method import Method
 from rigs.steps.custom_step import Steps
 from rigs.steps.loads import HangLoad, LowerLoad
 from rigs.steps.mounting import Remount
@@ -93,23 +93,23 @@ class Logbook:
     ) -> Steps:
         """A length held, the pressure stepped, the force read (thesis, section 4.6.1)."""
         name = f"L{length_mm:g}" + (f" to {top_kpa:g} kPa" if top_kpa else "")
-        yield from self._begin(place, name, "isometric", (("held_length_mm", length_mm),))
-        yield from self._tared()
+        yield from self.begin(place, name, "isometric", (("held_length_mm", length_mm),))
+        yield from self.tared()
         yield SetLength(length_mm)
         yield Zero(self.trial, "before", self.method.zero_s)
         for direction, pressure in points:
             yield Vent() if pressure < VENTED_KPA else SetPressure(pressure)
-            yield from self._point(
+            yield from self.point(
                 place, name, direction, pressure, length_mm=length_mm, top_kpa=top_kpa
             )
         yield Vent()
-        yield from self._end()
+        yield from self.end()
 
     def isobaric(self, place: Place, pressure_kpa: float, points: Path) -> Steps:
         """A pressure held, the length stepped through its range, the force read (4.8.2)."""
         name = f"P{pressure_kpa:g}"
-        yield from self._begin(place, name, "isobaric", (("held_pressure_kpa", pressure_kpa),))
-        yield from self._tared()
+        yield from self.begin(place, name, "isobaric", (("held_pressure_kpa", pressure_kpa),))
+        yield from self.tared()
         yield SetLength(points[0][1])
         yield Zero(self.trial, "before", self.method.zero_s)
         if pressure_kpa >= VENTED_KPA:
@@ -117,10 +117,10 @@ class Logbook:
         for direction, length in points:
             yield SetLength(length)
             if pressure_kpa < VENTED_KPA:
-                yield from self._breath()
-            yield from self._point(place, name, direction, pressure_kpa, length_mm=length)
+                yield from self.breath()
+            yield from self.point(place, name, direction, pressure_kpa, length_mm=length)
         yield Vent()
-        yield from self._end()
+        yield from self.end()
 
     def swept(self, place: Place, pressure_kpa: float, sweeps: Sequence[Sweep]) -> Steps:
         """A pressure held while the stage goes there and back at some speeds, watched all the way.
@@ -128,36 +128,37 @@ class Logbook:
         A trial of its own: its pictures come evenly, those of settled points do not.
         """
         name = f"P{pressure_kpa:g} swept"
-        yield from self._begin(place, name, "isobaric", (("held_pressure_kpa", pressure_kpa),))
-        yield from self._tared()
+        yield from self.begin(place, name, "isobaric", (("held_pressure_kpa", pressure_kpa),))
+        yield from self.tared()
         yield SetLength(sweeps[0].from_mm)
         yield Zero(self.trial, "before", self.method.zero_s)
         yield SetPressure(pressure_kpa)
         yield Settle(self.method.settle, pressure_kpa)
         yield from sweeps
         yield Vent()
-        yield from self._end()
+        yield from self.end()
 
     def isotonic(
         self, place: Place, mass_kg: float, points: Path, top_kpa: float | None = None
     ) -> Steps:
         """A load hung, the pressure stepped, the length read by the camera (4.6.2, 4.8.3)."""
         name = f"M{mass_kg:g}" + (f" to {top_kpa:g} kPa" if top_kpa else "")
-        yield from self._begin(place, name, "isotonic", (("load_kg", mass_kg),))
+        yield from self.begin(place, name, "isotonic", (("load_kg", mass_kg),))
         hung = yield HangLoad(mass_kg)
         hung = mass_kg if hung is None else float(hung)
         yield Zero(self.trial, "before", self.method.zero_s)
         for direction, pressure in points:
             yield LowerLoad() if pressure < VENTED_KPA else SetPressure(pressure)
-            yield from self._point(place, name, direction, pressure, mass_kg=hung, top_kpa=top_kpa)
+            yield from self.point(place, name, direction, pressure, mass_kg=hung, top_kpa=top_kpa)
         yield LowerLoad()
-        yield from self._end()
+        yield from self.end()
 
     # ---- parts of a trial -----------------------------------------------------------
 
-    def _begin(
+    def begin(
         self, place: Place, slot: str, protocol: str, held: tuple[tuple[str, float], ...]
     ) -> Steps:
+        """A trial begins: its number, its name in the record, and what is held in it."""
         self.trial += 1
         warm = ""
         if self.temperature_c is not None:
@@ -168,14 +169,14 @@ class Logbook:
             self.trial, slot + warm, place.replicate, self.trial, place.mounting, protocol, held
         )
 
-    def _tared(self) -> Steps:
+    def tared(self) -> Steps:
         """Slacken, breathe, vent, tare: the tare is one at no pressure."""
         yield Vent()
         yield SetLength(self.slack_mm)
-        yield from self._breath()
+        yield from self.breath()
         yield Tare()
 
-    def _breath(self) -> Steps:
+    def breath(self) -> Steps:
         """A breath of air in and out.
 
         Shortening a vented muscle draws a slight vacuum that an outlet need not let go, and that
@@ -185,7 +186,7 @@ class Logbook:
         yield Dwell(BREATH_S)
         yield Vent()
 
-    def _point(
+    def point(
         self,
         place: Place,
         slot: str,
@@ -218,7 +219,7 @@ class Logbook:
             set_temperature_c=self.temperature_c,
         )
 
-    def _end(self) -> Steps:
+    def end(self) -> Steps:
         """Vented: the zero again, and the trial is whole."""
         yield Zero(self.trial, "after", self.method.zero_s)
         yield EndTrial(self.trial)

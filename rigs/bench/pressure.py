@@ -1,0 +1,77 @@
+"""Opens the pressure source that a rig file names, and vents it until the reading confirms it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from importlib import import_module
+
+from daq.deadline import Deadline
+from daq.errors import PamrigError
+from rigs.bench.ports import Ports
+from rigs.devices.event_loop import Pump
+from rigs.devices.instruments.supply import Supply
+from rigs.devices.operator import ManualAxis
+from rigs.devices.pressure.source import PressureSource, SourceParts
+from rigs.devices.valve_controller import ValveController
+from rigs.rigfile.pressure_source import MODULES
+
+SAFE_KPA = 10.0
+VENT_S = 5.0
+"""A vent is given up when the pressure has not fallen for so long,"""
+VENT_LONGEST_S = 60.0
+"""or after so long in all."""
+VENT_LOOK_S = 1.0
+FALLING_KPA = 1.0
+"""From look to look a pressure that falls at all falls by more."""
+
+
+def open_pressure_source(
+    ports: Ports, valve: ValveController, pump: Pump, axes: Mapping[str, ManualAxis]
+) -> PressureSource:
+    """The pressure source of a rig file, opened and checked.
+
+    Raises:
+        PortError, DeviceError, ConfigError: names device, key and remedy.
+    """
+    config = ports.config
+    settings = config.pressure_source
+    module = import_module(f"rigs.devices.pressure.{MODULES[settings.kind]}")
+    parts = SourceParts(
+        config, valve, pump, axes, lambda: ports.open("pressure_source", settings)
+    )  # fmt: skip
+    source = module.open_source(parts)
+    assert isinstance(source, PressureSource)
+    return source
+
+
+def vent(source: PressureSource, pump: Pump, supply: Supply | None = None) -> float:
+    """Vent, disarm and wait until the pressure reading confirms it.
+
+    It goes on for as long as the pressure falls. The solenoids' supply, where there is one, is
+    switched on again at each look: without it an outlet that is shut at rest keeps the air in.
+
+    Returns:
+        The pressure in kPa when it was confirmed, or when it did not fall any more.
+    """
+
+    def feed() -> None:
+        if supply is not None:
+            with contextlib.suppress(PamrigError):  # the valve is told to vent in any case
+                supply.safe()
+
+    try:
+        source.stop()
+    finally:  # a controller that does not hear vents by itself, if it can
+        feed()
+    longest, standing = Deadline(pump.clock, VENT_LONGEST_S), Deadline(pump.clock, VENT_S)
+    before = source.measured_kpa
+    while not pump.until(lambda: source.measured_kpa < SAFE_KPA, VENT_LOOK_S):
+        now = source.measured_kpa
+        if now < before - FALLING_KPA:
+            standing = Deadline(pump.clock, VENT_S)
+        if standing.expired or longest.expired:
+            break
+        before = now
+        feed()
+    return source.measured_kpa

@@ -1,0 +1,1 @@
+"""What protocols are made of: the keys that their files share, and the trials that they order."""

@@ -1,0 +1,79 @@
+"""Which kinds of pressure source there are, and the table ``[pressure_source]`` of a rig file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from rigs.rigfile.device import Device
+from rigs.rigfile.toml_reader import Table
+
+MODULES: dict[str, str] = {
+    "solenoids": "solenoids",
+    "regulator-output": "regulator_output",
+    "hand-regulator": "hand_regulator",
+}
+"""Kind in a rig file to module.
+
+The module of that name in ``rigs.devices.pressure`` holds ``open_source(parts)``. A kind that is
+not of ``WITHOUT_PORT`` has a port, and a module of the same name in ``rigs.virtual.emulators`` with
+``emulator(config, plant, send)``.
+"""
+
+WITHOUT_PORT = ("solenoids", "regulator-output", "hand-regulator")
+SCHEME = {"solenoids": "pwm", "regulator-output": "reg"}
+"""The controller's scheme that a kind needs; others work under ``reg``, or as they say."""
+
+
+@dataclass(frozen=True)
+class PressureSourceSettings(Device):
+    """The pressure source of a rig; ``port`` is empty for one without a port of its own.
+
+    ``own`` are the keys that only its driver knows; :meth:`table` reads them.
+    """
+
+    kind: str = "solenoids"
+    own: Mapping[str, Any] = field(default_factory=dict)
+    file: str = ""
+
+    def table(self) -> Table:
+        """The driver's own keys; who reads them calls ``finish()`` at the end."""
+        return Table(dict(self.own), self.file, "pressure_source")
+
+
+def read_pressure_source(root: Table, scheme: str, by_hand: bool) -> PressureSourceSettings:
+    """The table of a rig file, or what its other tables imply where there is none.
+
+    Args:
+        root: the rig file.
+        scheme: ``valve.static_scheme``.
+        by_hand: whether there is a ``[manual.pressure]``.
+
+    Raises:
+        ConfigError: unknown kind, or one that does not fit the rest of the file.
+    """
+    implied = {"pwm": "solenoids", "reg": "regulator-output"}[scheme]
+    implied = "hand-regulator" if by_hand else implied
+    if "pressure_source" not in root:
+        return PressureSourceSettings("", 0, "", implied, file=root.source)
+    t = root.table("pressure_source")
+    kind = t.text("kind", choices=tuple(MODULES))
+    if kind == "hand-regulator" and not by_hand:
+        raise t.fail("kind", "needs the table [manual.pressure]", "add it (docs/instruments.md)")
+    if by_hand and kind != "hand-regulator":
+        raise t.fail("kind", f"is {kind!r}, and [manual.pressure] is there too", "remove one")
+    if SCHEME.get(kind, scheme) != scheme:
+        raise t.fail("kind", f'{kind!r} needs valve.static_scheme = "{SCHEME[kind]}"', "change one")
+    if kind in WITHOUT_PORT:
+        t.finish()
+        return PressureSourceSettings("", 0, "", kind, file=root.source)
+    common = ("kind", "port", "baud", "serial")
+    return PressureSourceSettings(
+        t.text("port"),
+        t.integer("baud", 300, 4_000_000, 9600),
+        t.text("serial", ""),
+        kind=kind,
+        own={key: t.raw(key) for key in t.keys() if key not in common},  # noqa: SIM118
+        file=root.source,
+    )
