@@ -1,1 +1,1 @@
-"""Bytes and time: transport, framer, clock, acquisition, record, run store, live view."""
+"""Device links, clocks, run records, the run store and the live view."""

@@ -1,4 +1,4 @@
-"""A straight calibration with its uncertainty, its range and where it came from."""
+"""A linear calibration with uncertainty, valid range and provenance."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ class Calibration:
     """``value = offset + scale * raw``.
 
     Attributes:
-        quantity: name of the column it makes, unit included: ``pressure_kpa``.
+        quantity: name of the calibrated column, with unit: ``pressure_kpa``.
         unit: unit of the value: ``kPa``.
-        raw_unit: unit of what the device sends: ``counts``, ``g``, ``pixel``.
-        offset: value at raw zero.
+        raw_unit: unit of the raw reading: ``counts``, ``g``, ``pixel``.
+        offset: value at raw zero, in ``unit``.
         scale: value per raw unit; not zero.
         u_offset: standard uncertainty of the offset, in ``unit``.
         u_gain: relative standard uncertainty of the scale.
-        domain: values within which the calibration was made, ``(low, high)``.
-        id: certificate or file that it comes from.
-        date: when it was made, ISO.
-        note: anything else.
+        domain: calibrated range of the value, ``(low, high)``.
+        id: certificate or file of origin.
+        date: date of the calibration, ISO.
+        note: free text.
     """
 
     quantity: str
@@ -59,49 +59,46 @@ class Calibration:
             raise ConfigError(where, f"domain {self.domain} is empty", "give it as [low, high]")
 
     def apply(self, raw: npt.ArrayLike) -> Floats:
-        """Values in ``unit`` of raw readings, same shape."""
+        """Convert raw readings to values in ``unit``, same shape."""
         return np.asarray(self.offset + self.scale * np.asarray(raw, dtype=np.float64))
 
     def raw(self, value: npt.ArrayLike) -> Floats:
-        """Raw readings of values in ``unit``: the inverse of :meth:`apply`."""
+        """Convert values in ``unit`` to raw readings: the inverse of :meth:`apply`."""
         return np.asarray((np.asarray(value, dtype=np.float64) - self.offset) / self.scale)
 
     def u(self, value: npt.ArrayLike) -> Floats:
-        """Standard uncertainty of values that the calibration gave, in ``unit``."""
+        """Standard uncertainty of calibrated values, in ``unit``."""
         span = self.u_gain * (np.asarray(value, dtype=np.float64) - self.offset)
         return np.asarray(np.hypot(self.u_offset, span))
 
     def outside(self, value: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """True where a value lies outside the range the calibration was made in."""
+        """True where a value lies outside the calibrated range."""
         v = np.asarray(value, dtype=np.float64)
         return np.asarray((v < self.domain[0]) | (v > self.domain[1]))
 
     def to_dict(self) -> dict[str, Any]:
-        """For run.json; an open end of the domain is None."""
+        """The attributes for run.json; an open end of the domain is None."""
         plain = asdict(self)
         plain["domain"] = [d if np.isfinite(d) else None for d in self.domain]
         return plain
 
     @staticmethod
     def from_dict(given: Mapping[str, Any], where: str = "calibration") -> Calibration:
-        """From run.json or a rig file.
+        """Create a calibration from run.json or a rig file.
 
         Args:
             given: the attributes by name.
-            where: file and key for the message.
+            where: file and key for the error message.
 
         Raises:
-            ConfigError: a key is unknown or missing, or a value impossible.
+            ConfigError: a key is unknown or missing, or a value is invalid.
         """
         known = {f.name for f in fields(Calibration)}
         needed = {"quantity", "unit", "raw_unit", "offset", "scale"}
         unknown, missing = sorted(set(given) - known), sorted(needed - set(given))
         if unknown or missing:
-            what = "; ".join(
-                f"{word} {', '.join(names)}"
-                for word, names in (("unknown key", unknown), ("missing key", missing))
-                if names
-            )
+            lists = {"unknown key": unknown, "missing key": missing}
+            what = "; ".join(f"{kind} {', '.join(keys)}" for kind, keys in lists.items() if keys)
             raise ConfigError(where, what, f"known keys: {', '.join(sorted(known))}")
         plain = dict(given)
         try:

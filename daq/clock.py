@@ -1,7 +1,7 @@
-"""Time as an argument: the real clock and the virtual one behind one face.
+"""Real and virtual clocks behind one interface.
 
-Nothing else in the project sleeps. On the virtual clock waiting is what drives the
-simulated bench, so an hour of protocol takes seconds and repeats to the bit.
+Only clocks sleep. On the virtual clock, a wait advances the simulated bench, so an hour of test
+takes seconds and is reproducible to the bit.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ NS_PER_S = 1_000_000_000
 
 
 class Clock(Protocol):
-    """What acquisition and protocols need of time."""
+    """Time as acquisition and protocols use it."""
 
     virtual: bool
 
     def now_ns(self) -> int:
-        """Monotonic time in ns; its zero has no meaning."""
+        """Monotonic time, ns, from an arbitrary origin."""
         ...
 
     def sleep(self, seconds: float) -> None:
-        """Let ``seconds`` pass; on the virtual clock this advances the bench."""
+        """Wait; on the virtual clock, advance the bench."""
         ...
 
     def wall_ns(self) -> int:
-        """UTC since the epoch in ns, for names and provenance only."""
+        """UTC since the epoch, ns, for names and provenance only."""
         ...
 
 
@@ -37,25 +37,21 @@ class RealClock:
     virtual = False
 
     def now_ns(self) -> int:
-        """Monotonic time in ns."""
+        """See :class:`Clock`."""
         return time.monotonic_ns()
 
     def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """See :class:`Clock`."""
         if seconds > 0:
             time.sleep(seconds)
 
     def wall_ns(self) -> int:
-        """UTC in ns."""
+        """See :class:`Clock`."""
         return time.time_ns()
 
 
 class VirtualClock:
-    """A clock that moves only when somebody waits on it.
-
-    ``drive(until_ns)`` is called for every wait and must bring the simulated world to
-    that time; several may be registered and run in order of registration.
-    """
+    """A clock that advances only in :meth:`sleep`."""
 
     virtual = True
 
@@ -64,25 +60,28 @@ class VirtualClock:
         self._drivers: list[Callable[[int], None]] = []
 
     def on_advance(self, drive: Callable[[int], None]) -> None:
-        """Register ``drive(until_ns)``, called each time the clock is to move."""
+        """Register ``drive(until_ns)``, which brings a simulation to that time.
+
+        Each wait calls all drivers in order of registration.
+        """
         self._drivers.append(drive)
 
     def now_ns(self) -> int:
-        """Virtual time in ns."""
+        """See :class:`Clock`."""
         return self._now_ns
 
     def set_now_ns(self, now_ns: int) -> None:
-        """Move the hand while inside ``drive`` so that what happens there is stamped right."""
+        """Advance the time inside a driver, so that its output gets the correct time stamps."""
         if now_ns > self._now_ns:
             self._now_ns = now_ns
 
     def sleep(self, seconds: float) -> None:
-        """Bring the simulated world and the clock forward."""
+        """See :class:`Clock`."""
         until_ns = self._now_ns + max(0, round(seconds * NS_PER_S))
         for drive in self._drivers:
             drive(until_ns)
         self.set_now_ns(until_ns)
 
     def wall_ns(self) -> int:
-        """UTC in ns."""
+        """See :class:`Clock`."""
         return time.time_ns()

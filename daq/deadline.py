@@ -1,4 +1,4 @@
-"""One deadline object passed down a call chain instead of a time-out per call."""
+"""A deadline that a chain of calls shares, instead of one time-out per call."""
 
 from __future__ import annotations
 
@@ -6,12 +6,7 @@ from daq.clock import NS_PER_S, Clock
 
 
 class Deadline:
-    """A moment by which something must have happened.
-
-    Args:
-        clock: the clock that both waits and tells the time.
-        seconds: time left from now.
-    """
+    """A point in time ``seconds`` after construction, on the given clock."""
 
     def __init__(self, clock: Clock, seconds: float) -> None:
         self._clock = clock
@@ -20,10 +15,10 @@ class Deadline:
 
     @property
     def left_s(self) -> float:
-        """Seconds left, never negative."""
+        """Remaining time, s, never negative."""
         return max(0, self._end_ns - self._clock.now_ns()) / NS_PER_S
 
     @property
     def expired(self) -> bool:
-        """True once the moment has passed."""
+        """True once the deadline has passed."""
         return self._clock.now_ns() >= self._end_ns

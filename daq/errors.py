@@ -1,22 +1,20 @@
-"""Errors that a person can act on: who, what was expected, what came, what to do."""
+"""Errors with a cause and a remedy for the operator."""
 
 from __future__ import annotations
 
 
 def printable(text: str) -> str:
-    """The text on one line, with what would steer a terminal written as an escape."""
+    """Escape non-printable characters, so that a text cannot control the terminal."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class PamrigError(Exception):
-    """Something an operator did, or met, that the program can name.
-
-    The command line prints it without a traceback and exits with status 2.
+    """An error with a known cause. The command line prints it without traceback, exit status 2.
 
     Args:
-        where: the device, file (with row) or configuration key concerned.
-        what: what was expected and what came instead (bytes, row, value).
-        remedy: what the operator can do about it.
+        where: the device, file (with row) or configuration key.
+        what: the expected and the actual state (bytes, row, value).
+        remedy: what the operator can do.
     """
 
     def __init__(self, where: str, what: str, remedy: str = "") -> None:
@@ -31,19 +29,19 @@ class PamrigError(Exception):
 
 
 class ConfigError(PamrigError):
-    """A TOML file has an unknown key, a missing key or a value out of bounds."""
+    """A TOML file has an unknown key, a missing key or a value out of range."""
 
 
 class PortError(PamrigError):
-    """A port is missing, in use, or may not be opened."""
+    """A port is missing, in use, or access is denied."""
 
 
 class LinkLost(PamrigError):
-    """A port vanished while in use, in whichever of its many ways."""
+    """A port was lost while in use."""
 
 
 class DeviceError(PamrigError):
-    """A device answered, but not what it should have."""
+    """A device sent an unexpected answer."""
 
 
 class DeviceTimeout(DeviceError):
@@ -51,4 +49,4 @@ class DeviceTimeout(DeviceError):
 
 
 class RecordError(PamrigError):
-    """A run folder cannot be written, or cannot be read as one."""
+    """A run folder cannot be written or read."""

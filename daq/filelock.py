@@ -1,4 +1,4 @@
-"""A lock on an open file that goes with its process, however that ends."""
+"""File lock that the operating system releases when the process ends."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ import sys
 
 
 def try_lock(fd: int, at: int = 0) -> bool:
-    """Whether the file could be had for this process at once; closing it gives it back.
+    """Lock an open file for this process; False if another process holds the lock.
 
-    Args:
-        fd: an open file.
-        at: the byte that stands for the lock where locks are of bytes (Windows): others may not
-            read or write it meanwhile.
+    Closing the file releases the lock. ``at`` is the byte to lock where locks cover bytes
+    (Windows): other processes can neither read nor write that byte.
     """
     if sys.platform == "win32":
         import msvcrt

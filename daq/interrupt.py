@@ -1,4 +1,4 @@
-"""Stopping by signal: Ctrl-C, SIGTERM and a closed terminal end a run in good order."""
+"""Signals (Ctrl-C, SIGTERM, closed terminal) as a request for an orderly stop."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from types import FrameType
 
 
 class Stopped(Exception):
-    """The operator (or the machine) asked the run to end."""
+    """The operator or the system requested the end of the run."""
 
 
 class StopFlag:
-    """Set by a signal handler, looked at by the run's loop."""
+    """A stop request: a signal handler sets it, the run's loop checks it."""
 
     def __init__(self) -> None:
         self.reason = ""
 
     def set(self, reason: str) -> None:
-        """Ask for the end of the run; the first reason stays."""
+        """Request the end of the run; the first reason is kept."""
         self.reason = self.reason or reason
 
     def check(self) -> None:
-        """Raises Stopped when the end was asked for."""
+        """Raise Stopped if the end was requested."""
         if self.reason:
             raise Stopped(self.reason)
 
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[StopFlag]:
-    """Turn SIGINT, SIGTERM and SIGHUP into a flag while inside; pressed twice or not."""
+    """Convert SIGINT, SIGTERM and SIGHUP into a flag inside the context."""
     flag = StopFlag()
     if threading.current_thread() is not threading.main_thread():
         yield flag  # signals reach the main thread only

@@ -55,7 +55,7 @@ def soak(hours: float, folder: Path, config: RigConfig, tell: bool = True) -> di
         rig.valve.on_batch.append(lambda batch: record.append("valve", batch))
         rig.balance.on_rows.append(lambda batch: record.append("balance", batch))
         if not virtual:
-            rig.valve.telemetry.on_ahead = lambda frame: record.ahead("valve", frame)
+            rig.valve.telemetry.on_ahead = lambda frame: record.write_ahead("valve", frame)
         rig.pump.add(lambda: rig.valve.progress(1.0))
         _begin(rig)
         for minute in range(max(1, round(hours * 60))):

@@ -36,7 +36,7 @@ def test_rows_ahead_of_their_batch_are_with_the_operating_system_at_once(tmp_pat
     writer, _ = begin(tmp_path)
     writer.append("valve", valve_batch(0))
     for k in range(50, 57):
-        writer.ahead("valve", valve_batch(k, 1))
+        writer.write_ahead("valve", valve_batch(k, 1))
         assert_rows(writer.folder, k + 1)  # another reader, while the writer has it open
     writer.abandon()
     assert_rows(writer.folder, 57)
@@ -45,7 +45,7 @@ def test_rows_ahead_of_their_batch_are_with_the_operating_system_at_once(tmp_pat
 
 def test_rows_are_there_before_the_first_batch_too(tmp_path: Path) -> None:
     writer, _ = begin(tmp_path)
-    writer.ahead("valve", valve_batch(0, 3))
+    writer.write_ahead("valve", valve_batch(0, 3))
     writer.abandon()
     assert_rows(writer.folder, 3)
 
@@ -54,7 +54,7 @@ def test_a_finished_run_holds_each_row_once_and_no_such_file(tmp_path: Path) -> 
     writer, _ = begin(tmp_path)
     for first in (0, 50):
         for k in range(first, first + 50, 10):
-            writer.ahead("valve", valve_batch(k, 10))
+            writer.write_ahead("valve", valve_batch(k, 10))
         writer.append("valve", valve_batch(first))
     writer.finalize("clean")
     assert_rows(writer.folder, 100)
@@ -70,7 +70,7 @@ def test_whatever_the_order_of_rows_and_batches_all_are_read(
     writer, _ = begin(tmp_path_factory.mktemp("r"), segment_rows=20)
     given_rows = batched = 0
     for rows, full in steps:
-        writer.ahead("valve", valve_batch(given_rows, rows))
+        writer.write_ahead("valve", valve_batch(given_rows, rows))
         given_rows += rows
         if full:
             writer.append("valve", valve_batch(batched, given_rows - batched))
@@ -82,7 +82,7 @@ def test_whatever_the_order_of_rows_and_batches_all_are_read(
 
 def test_a_kill_between_a_batch_and_the_cut_leaves_no_row_twice(tmp_path: Path) -> None:
     writer, _ = begin(tmp_path)
-    writer.ahead("valve", valve_batch(0, 50))
+    writer.write_ahead("valve", valve_batch(0, 50))
     kept = (writer.folder / "samples/valve.ahead").read_bytes()
     writer.append("valve", valve_batch(0))
     writer.abandon()
@@ -94,7 +94,7 @@ def test_a_kill_between_a_batch_and_the_cut_leaves_no_row_twice(tmp_path: Path) 
 def test_a_torn_entry_ends_what_is_read_and_is_told(tmp_path: Path) -> None:
     writer, _ = begin(tmp_path)
     for k in range(3):
-        writer.ahead("valve", valve_batch(k, 1))
+        writer.write_ahead("valve", valve_batch(k, 1))
     writer.abandon()
     path = writer.folder / "samples/valve.ahead"
     data = bytearray(path.read_bytes())
@@ -112,7 +112,7 @@ def test_rows_that_are_missing_before_them_are_named(tmp_path: Path) -> None:
     writer, _ = begin(tmp_path)
     writer.append("valve", valve_batch(0))
     writer.append("valve", valve_batch(50))
-    writer.ahead("valve", valve_batch(100, 5))
+    writer.write_ahead("valve", valve_batch(100, 5))
     writer.abandon()
     index = writer.folder / "samples/valve.index.jsonl"
     index.write_bytes(b"".join(index.read_bytes().splitlines(keepends=True)[:-1]))
@@ -129,7 +129,7 @@ def test_while_the_disk_is_behind_the_caller_goes_on_and_what_fits_is_kept(
     writer = RecordWriter(tmp_path, {}, RealClock(), durable=False)
     writer.stream("valve", VALVE_COLUMNS)
     writer.append("valve", valve_batch(0))
-    writer.ahead("valve", valve_batch(50, 10))
+    writer.write_ahead("valve", valve_batch(50, 10))
     assert writer.sync()
     stuck, plain = threading.Event(), disk.write_all
 
@@ -140,15 +140,15 @@ def test_while_the_disk_is_behind_the_caller_goes_on_and_what_fits_is_kept(
     monkeypatch.setattr(disk, "write_all", waiting)
     for first in range(50, 600, 50):
         for k in range(first + 10 * (first == 50), first + 50, 10):
-            writer.ahead("valve", valve_batch(k, 10))
+            writer.write_ahead("valve", valve_batch(k, 10))
         writer.append("valve", valve_batch(first))
     assert_rows(writer.folder, 50 + SLOTS * 50)  # only the first batch is on disk
     stuck.set()
     assert writer.sync()
     assert_rows(writer.folder, 600)
-    writer.ahead("valve", valve_batch(600, 10))  # slots are free again after the next batch
+    writer.write_ahead("valve", valve_batch(600, 10))  # slots are free again after the next batch
     writer.append("valve", valve_batch(600))
-    writer.ahead("valve", valve_batch(650, 10))
+    writer.write_ahead("valve", valve_batch(650, 10))
     assert writer.sync()
     assert_rows(writer.folder, 660)
     writer.abandon()
@@ -158,7 +158,7 @@ def test_columns_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     writer, _ = begin(tmp_path)
     rows = valve_batch(0, 2)
     with pytest.raises(ValueError, match="column flags is missing"):
-        writer.ahead("valve", {k: v for k, v in rows.items() if k != "flags"})
+        writer.write_ahead("valve", {k: v for k, v in rows.items() if k != "flags"})
     writer.abandon()
 
 
@@ -185,7 +185,7 @@ from daq.link.telemetry import VALVE_COLUMNS
 writer = RecordWriter(sys.argv[1], {}, RealClock())
 writer.stream("valve", VALVE_COLUMNS)
 for k in range(173):
-    writer.ahead("valve", valve_batch(k, 1))
+    writer.write_ahead("valve", valve_batch(k, 1))
     if k % 50 == 49:
         writer.append("valve", valve_batch(k - 49))
 assert writer.sync()
@@ -242,7 +242,7 @@ def test_the_first_batch_of_a_run_does_not_import_pandas(tmp_path: Path) -> None
 def test_a_writer_with_threads_gives_up_the_file_as_well(tmp_path: Path) -> None:
     writer = RecordWriter(tmp_path, {}, RealClock(), durable=True, threaded=True)
     writer.stream("place", {"row": "int64"})
-    writer.ahead("place", {"row": np.arange(4)})
+    writer.write_ahead("place", {"row": np.arange(4)})
     writer.append("place", {"row": np.arange(4)})
     writer.finalize("clean")
     assert not list(writer.folder.rglob("*.ahead"))

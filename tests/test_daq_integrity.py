@@ -35,7 +35,7 @@ def interrupted(root: Path) -> Path:
     writer, clock = begin(root, segment_rows=150)
     fill(writer, clock, 5)
     for k in range(250, 270, 10):
-        writer.ahead("valve", valve_batch(k, 10))
+        writer.write_ahead("valve", valve_batch(k, 10))
     writer.abandon()
     derive(open_run(writer.folder), [table_maker])
     message, _ = BatchEncoder(open_run(writer.folder).schema("valve")).encode(valve_batch(250))

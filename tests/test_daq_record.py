@@ -285,7 +285,7 @@ def test_missing_and_foreign_files_are_found(tmp_path: Path) -> None:
     problems = {p.file: p.what for p in verify(open_run(writer.folder))}
     assert "cannot be read" in problems["frames/000001.mjpg"]
     assert "has 0 of" in problems["samples/valve/000002.arrows"]
-    assert "vouches" in problems["notes.txt"]
+    assert "does not list" in problems["notes.txt"]
 
 
 def test_a_whole_line_cut_out_of_the_middle_is_noticed(tmp_path: Path) -> None:

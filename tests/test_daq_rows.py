@@ -133,7 +133,7 @@ def test_what_is_no_row_is_refused_and_nothing_is_lost_by_it(
 ) -> None:
     record, rows, _ = begin(tmp_path)
     rows.add(given_row(0))
-    with pytest.raises(ValueError, match=r"stream bench: .* is no row of it"):
+    with pytest.raises(ValueError, match=r"stream bench: .* is not a row of it"):
         rows.add(values)
     rows.add(given_row(1))
     record.abandon()
@@ -156,7 +156,7 @@ from daq.record.writer import RecordWriter
 from daq.record.rows import RowWriter
 from test_daq_rows import SCHEMA, given_row
 record = RecordWriter(sys.argv[1], {}, RealClock())
-record._disk.then(lambda: time.sleep(float(sys.argv[2])))
+record._disk.call_after_writes(lambda: time.sleep(float(sys.argv[2])))
 rows = RowWriter(record, RealClock(), "bench", SCHEMA)
 for k in range(300):
     rows.add(given_row(k))

@@ -16,7 +16,7 @@ from daq.link.clockfit import ClockFit
 from daq.record.writer import RecordWriter
 from daq.store.derive import derive
 from daq.store.run import Run, open_run
-from daq.store.store import find_run, list_runs, rebuild, show, verify
+from daq.store.store import find_run, list_runs, show, verify
 from daq_records import FORCE, MANIFEST, PRESSURE, begin, fill, valve_batch
 
 
@@ -77,7 +77,7 @@ def test_a_rebuild_gives_equal_content(tmp_path: Path) -> None:
     run = finished(tmp_path)
 
     def contents() -> dict[str, bytes]:
-        return {p.name: p.read_bytes() for p in rebuild(run).iterdir()}
+        return {p.name: p.read_bytes() for p in derive(run).iterdir()}
 
     first = contents()
     assert contents() == first
@@ -156,10 +156,10 @@ def test_makers_from_above_add_files_and_a_failing_one_leaves_the_old_ones(tmp_p
 
     with pytest.raises(RecordError, match="runs rebuild"):
         _ = run.table
-    rebuild(run, [table])
+    derive(run, [table])
     assert run.table.to_dict("list") == {"pressure_kpa": [100.0], "force_n": [5.5]}
     with pytest.raises(RuntimeError):
-        rebuild(run, [broken])
+        derive(run, [broken])
     assert run.table["force_n"].tolist() == [5.5]
     assert verify(run) == []
 
@@ -168,7 +168,7 @@ def test_a_table_nobody_vouches_for_is_not_read(tmp_path: Path) -> None:
     run = finished(tmp_path)
     derive(run)
     (run.folder / "derived" / "table.csv").write_text("force_n\n1\n")
-    with pytest.raises(RecordError, match="not vouched for"):
+    with pytest.raises(RecordError, match="not listed"):
         _ = run.table
 
 
@@ -197,9 +197,9 @@ def test_a_run_is_found_by_path_by_name_and_by_a_part_that_is_its_own(tmp_path: 
     for text in (str(run.folder), str(run.folder / "run.json"), run.run_id, tag):
         assert find_run(tmp_path, text).run_id == run.run_id
     assert find_run(tmp_path, "last").run_id == max(run.run_id, other.run_id)
-    with pytest.raises(RecordError, match="2 runs are called so"):
+    with pytest.raises(RecordError, match="2 runs match"):
         find_run(tmp_path, "isometric")
-    with pytest.raises(RecordError, match="no run is called so"):
+    with pytest.raises(RecordError, match="no run named"):
         find_run(tmp_path, "xyzzy")
 
 

@@ -289,7 +289,7 @@ def test_a_socket_stands_in_where_there_is_no_pty(server: socket.socket) -> None
 def test_a_socket_where_nothing_listens_and_a_wrong_address(server: socket.socket) -> None:
     port = server.getsockname()[1]
     server.close()
-    with pytest.raises(PortError, match="nothing listens there"):
+    with pytest.raises(PortError, match="nothing listens at this address"):
         SerialLink(f"socket://127.0.0.1:{port}", 115200, RealClock())
     with pytest.raises(PortError, match="not a port"):
         SerialLink("socket://nowhere", 115200, RealClock())

@@ -29,7 +29,7 @@ def test_full_queue_drops_the_oldest_bulk_and_counts_it():
 
 def test_a_flood_of_samples_does_not_push_out_reduced_points():
     queue = DropQueue(bulk_items=10)
-    queue.put_fact(("points", "a"))
+    queue.put_event(("points", "a"))
     for _ in range(1_000):
         queue.put_bulk(1, ("series",))
     bulk, _, facts = queue.drain()

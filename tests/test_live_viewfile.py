@@ -223,7 +223,7 @@ def test_opening_an_interrupted_run_leaves_its_folder_as_it_was(tmp_path):
         assert "http://127.0.0.1:" in with_page.message
         with urllib.request.urlopen(with_page.url, timeout=60.0) as page:
             assert page.status == 200
-        made = with_page.owned.name
+        made = with_page.temporary.name
     finally:
         with_page.close()
     assert sorted(p.relative_to(tmp_path) for p in tmp_path.rglob("*")) == before

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from daq.errors import PamrigError, RecordError
+from daq.store.derive import derive
 from daq.store.run import Run, open_run
-from daq.store.store import rebuild
 
 
 def derive_all(folder: Path | str) -> Run:
@@ -35,7 +35,7 @@ def derive_all(folder: Path | str) -> Run:
     makers = [table, report]
     if not run.manifest.get("imported"):
         makers.append(_view)
-    rebuild(run, makers)
+    derive(run, makers)
     return open_run(folder)
 
 

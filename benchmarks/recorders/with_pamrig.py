@@ -57,7 +57,7 @@ def by_block(writer: RecordWriter, job: dict[str, Any]) -> int:
     for first, block in blocks(job, size):
         count = first + size
         if size < BLOCK:
-            writer.ahead("bench", columns(first, block))
+            writer.write_ahead("bench", columns(first, block))
         if not count % BLOCK:
             at = (count - BLOCK) % len(TABLE)
             writer.append("bench", columns(count - BLOCK, TABLE[at : at + BLOCK]))

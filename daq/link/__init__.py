@@ -1,1 +1,1 @@
-"""Bytes in and out: transport, framer, codec, telemetry, clock fit."""
+"""Transport, framing, message codec, telemetry and clock fit of devices."""

@@ -1,16 +1,15 @@
-"""Device time to host time from pings: a regression that says how wrong it may be.
+"""Conversion of device time to host time from pings, with a stated error bound.
 
-A ping leaves at ``sent_ns``, the device notes ``device_us``, the reply is here at
-``received_ns``. The device's moment lies between the two. For the pings of the last
-minute (the quickest of each half second) the midpoint is modelled as
+The host sends a ping at ``sent_ns``, the device notes ``device_us``, the host receives the reply
+at ``received_ns``. The device's time stamp lies between the two. The fit uses the pings of the
+last minute, the fastest of each half second, and models their midpoint as
 
-    midpoint_ns = a + b * device_us + c * excess_ns,      -1/2 <= c <= 1/2,
+    midpoint_ns = a + b * device_us + c * excess_ns,      -1/2 <= c <= 1/2.
 
-where ``excess_ns`` is the round trip beyond the quickest one: a delay that sits on the
-way back alone (the latency timer of an adapter) moves the midpoint by half of itself,
-and ``c`` finds out. What is left, the difference between the two ways of the quickest
-ping, cannot be seen from the host; half that round trip is therefore always part of the
-stated error.
+``excess_ns`` is the round trip time beyond the shortest one. A delay in one direction only (such
+as the latency timer of an adapter) shifts the midpoint by half of the delay; ``c`` estimates this
+share. The host cannot observe the asymmetry of the fastest ping itself. The error bound therefore
+always includes half of its round trip time.
 """
 
 from __future__ import annotations
@@ -35,10 +34,10 @@ RESOLUTION_NS = 2_000.0
 
 
 class DeviceTime:
-    """Carries a 32-bit microsecond counter past its wraps (every 71.6 min).
+    """Extends a 32-bit microsecond counter beyond its overflow (every 71.6 min).
 
-    The wrap is the one nearest to what the host's clock says has passed, so long silences
-    and samples that come late do not matter.
+    The number of overflows is the one closest to the time passed on the host's clock. Long gaps
+    and late samples therefore cause no error.
     """
 
     def __init__(self) -> None:
@@ -46,7 +45,7 @@ class DeviceTime:
         self._last_ns = 0
 
     def unwrap(self, raw_us: int, host_ns: int) -> int:
-        """Device time without wraps; its zero is that of the device's first count."""
+        """Device time without overflow, us; zero is that of the device's counter."""
         if self._last_us is None:
             self._last_us = raw_us
         else:
@@ -57,20 +56,20 @@ class DeviceTime:
         return self._last_us
 
     def reset(self) -> None:
-        """The device has restarted: begin again."""
+        """Start again after a restart of the device."""
         self._last_us = None
 
 
 @dataclass(frozen=True)
 class ClockMap:
-    """Device time to host time, straight between knots and beyond the outer ones.
+    """Piecewise linear map from device time to host time, extrapolated beyond the outer knots.
 
     Attributes:
         device_us, host_ns: knots, at least two, ascending.
-        error_ns: stated bound at the knots' span.
-        drift_ppm: mean rate of the device's clock against the host's.
+        error_ns: error bound between the knots.
+        drift_ppm: mean rate of the device's clock relative to the host's, ppm.
         fastest_round_trip_ns: of all pings used.
-        pings: how many there were.
+        pings: number of pings.
     """
 
     device_us: tuple[int, ...]
@@ -81,7 +80,7 @@ class ClockMap:
     pings: int
 
     def to_host_ns(self, device_us: npt.ArrayLike) -> npt.NDArray[np.int64]:
-        """Host monotonic time in ns of unwrapped device times, same shape."""
+        """Host monotonic time, ns, of device times without overflow, same shape."""
         x = np.asarray(device_us, dtype=np.int64)
         knots = np.asarray(self.device_us, dtype=np.int64)
         values = np.asarray(self.host_ns, dtype=np.int64)
@@ -90,7 +89,7 @@ class ClockMap:
         return np.asarray(values[at] + np.rint((x - knots[at]) * slope).astype(np.int64))
 
     def as_dict(self) -> dict[str, Any]:
-        """For events and final.json."""
+        """The attributes for events and final.json."""
         return {
             "knots": [[d, h] for d, h in zip(self.device_us, self.host_ns, strict=True)],
             "error_ns": round(self.error_ns),
@@ -139,13 +138,13 @@ _Knot = tuple[int, int, float]  # device_us, host_ns, error_ns
 
 
 class ClockFit:
-    """Running fit of one device's clock; causal: it uses only pings that have been.
+    """Running fit of one device's clock, from past pings only.
 
-    What the map of the whole run needs of older pings are its knots, which are made as time passes
-    them: a run of any length holds some minutes of pings.
+    For the map of the whole run, the fit creates knots as time passes and then drops old pings. A
+    run of any length therefore keeps pings of some minutes only.
 
     Attributes:
-        pings: how many were taken.
+        pings: number of pings added.
     """
 
     def __init__(self) -> None:
@@ -158,7 +157,7 @@ class ClockFit:
         self.pings = 0
 
     def add(self, sent_ns: int, received_ns: int, device_us: int) -> None:
-        """Take one ping; ``device_us`` without wraps (see :class:`DeviceTime`).
+        """Add one ping; ``device_us`` without overflow (see :class:`DeviceTime`).
 
         Raises:
             ValueError: the reply is older than the request.
@@ -185,33 +184,33 @@ class ClockFit:
 
     @property
     def ready(self) -> bool:
-        """True once there is a ping to go by."""
+        """True after the first ping."""
         return self.pings > 0
 
     @property
     def error_ns(self) -> float:
-        """Stated bound on the error at the newest ping."""
+        """Error bound at the newest ping, ns."""
         return self._current().error_ns(self._window[-1][0])
 
     def error_at_ns(self, device_us: int) -> float:
-        """Stated bound on the error at ``device_us``; grows away from the pings."""
+        """Error bound at ``device_us``, ns; grows with the distance from the pings."""
         return self._current().error_ns(device_us)
 
     @property
     def drift_ppm(self) -> float:
-        """How much faster the device's clock runs than the host's, in parts per million."""
+        """Rate of the device's clock relative to the host's, parts per million."""
         return -self._current().rate * 1e3
 
     def to_host_ns(self, device_us: int) -> int:
-        """Host monotonic time of an unwrapped device time.
+        """Host monotonic time, ns, of a device time without overflow.
 
         Raises:
-            ValueError: there has been no ping yet.
+            ValueError: there is no ping yet.
         """
         return self._current().host_ns(device_us)
 
     def as_dict(self) -> dict[str, Any]:
-        """The present line as a :class:`ClockMap` in plain form."""
+        """The current fit line as a plain :class:`ClockMap`."""
         fit = self._current()
         newest = self._window[-1][0]
         knots = (newest - 1_000_000, newest)
@@ -225,7 +224,7 @@ class ClockFit:
         ).as_dict()
 
     def final(self) -> ClockMap:
-        """After the run: two-sided, a local line every 30 s from the pings around it.
+        """Map of the whole run: a local two-sided fit every 30 s.
 
         Raises:
             ValueError: there was no ping.
@@ -244,7 +243,7 @@ class ClockFit:
 
     @property
     def _next_knot(self) -> int:
-        """Device time of the first knot that is not made yet."""
+        """Device time of the next knot, us."""
         return self._knots[-1][0] + KNOT_US if self._knots else self._near[0][0]
 
     def _knot(self, at_us: int) -> _Knot:
@@ -261,14 +260,14 @@ class ClockFit:
 
 
 def _regress(pings: list[_Ping]) -> _Fit:
-    """Weighted regression with bounded asymmetry and outliers weighed down (Huber)."""
+    """Weighted regression with bounded asymmetry and down-weighted outliers (Huber)."""
     device0, host0, _ = pings[-1]
     x = np.array([(d - device0) * 1e-6 for d, _, _ in pings])
     y = np.array([float(h - host0 - 1000 * (d - device0)) for d, h, _ in pings])
     trips = np.array([float(r) for _, _, r in pings])
     fastest = float(trips.min())
     excess = trips - fastest
-    # A ping that took longer says less; the floor keeps one lucky ping from ruling alone.
+    # A longer round trip has less weight; the floor stops one fast ping from dominating.
     sigma = 20e3 + 0.25 * excess
     offset, rate, c, covariance = 0.0, 0.0, 0.0, np.zeros((2, 2))
     weight = 1.0 / sigma**2
@@ -284,7 +283,7 @@ def _regress(pings: list[_Ping]) -> _Fit:
 
 
 def _asymmetry(x: Floats, y: Floats, excess: Floats, weight: Floats) -> float:
-    """Share of the excess that shifts the midpoint, within its physical bounds."""
+    """Share of the excess round trip that shifts the midpoint, within its physical bounds."""
     total = weight.sum()
 
     def centred(v: Floats) -> Floats:
@@ -292,7 +291,7 @@ def _asymmetry(x: Floats, y: Floats, excess: Floats, weight: Floats) -> float:
 
     xc, yc, ec = centred(x), centred(y), centred(excess)
     sxx, sxe, see = (weight * xc * xc).sum(), (weight * xc * ec).sum(), (weight * ec * ec).sum()
-    # The prior on the drift keeps few pings from trading it against the asymmetry.
+    # With few pings, the prior on the drift separates it from the asymmetry.
     sxx += 1.0 / (DRIFT_PRIOR * 1e9) ** 2
     see += 1e-3
     det = sxx * see - sxe * sxe
@@ -303,7 +302,7 @@ def _asymmetry(x: Floats, y: Floats, excess: Floats, weight: Floats) -> float:
 
 
 def _line(x: Floats, y: Floats, weight: Floats) -> tuple[float, float, Floats]:
-    """Offset and rate (ns/s) with the prior that drift is within some 100 ppm."""
+    """Offset and rate (ns/s); the prior limits the drift to about 100 ppm."""
     sw, sx, sy = weight.sum(), (weight * x).sum(), (weight * y).sum()
     sxx = (weight * x * x).sum() + 1.0 / (DRIFT_PRIOR * 1e9) ** 2
     sxy = (weight * x * y).sum()

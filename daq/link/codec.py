@@ -1,4 +1,4 @@
-"""Payloads to values and back, for the valve controller's frames."""
+"""Encodes and decodes the payloads of the valve controller."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ assert SAMPLE_DTYPE.itemsize == wire.SAMPLE_SIZE == struct.calcsize(wire.SAMPLE)
 
 
 class CodecError(ValueError):
-    """A payload passed its CRC, yet is not of the form it claims (wrong firmware?)."""
+    """A payload has a correct CRC but an invalid structure (wrong firmware?)."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Telemetry:
     Attributes:
         boot: boot id of the device.
         setpoint_x16: pressure set-point in 1/16 counts.
-        seq0: sequence number of the first sample (32 bits, wraps).
-        t0_us: device time of the first sample (32 bits, wraps).
+        seq0: sequence number of the first sample (32 bits, overflows).
+        t0_us: device time of the first sample (32 bits, overflows).
         samples: ``SAMPLE_DTYPE``, shape (n,).
     """
 
@@ -49,14 +49,14 @@ class Telemetry:
 
 @dataclass(frozen=True)
 class Reply:
-    """The answer to one request.
+    """The reply to one request.
 
     Attributes:
-        id: id of the request it answers.
+        id: id of the request.
         ok: True for ``ok``, False for ``err``.
         values: ``key=value`` pairs of an ``ok``.
-        code: one word that names the error.
-        text: the error in words, with its remedy (or words of an ``ok`` without ``=``).
+        code: error code, one word.
+        text: error message with remedy, or the words of an ``ok`` without ``=``.
     """
 
     id: int
@@ -70,7 +70,7 @@ def telemetry_head(payload: bytes) -> tuple[int, int, int, int, int]:
     """``boot, setpoint_x16, seq0, t0_us, n`` of a telemetry payload.
 
     Raises:
-        CodecError: it is not one, or its length does not go with ``n``.
+        CodecError: not telemetry, or its length does not match ``n``.
     """
     if len(payload) < _HEADER.size or payload[0] != wire.TELEMETRY:
         raise CodecError(f"not a telemetry payload: {payload[:24].hex(' ')}")
@@ -81,7 +81,7 @@ def telemetry_head(payload: bytes) -> tuple[int, int, int, int, int]:
 
 
 def decode_telemetry(payload: bytes) -> Telemetry:
-    """One telemetry frame from its payload (type byte first).
+    """Decode a telemetry payload (type byte first).
 
     Raises:
         CodecError: see :func:`telemetry_head`.
@@ -92,13 +92,13 @@ def decode_telemetry(payload: bytes) -> Telemetry:
 
 
 def encode_request(request_id: int, text: str) -> bytes:
-    """A request as bytes on the wire.
+    """The bytes of a request on the wire.
 
     Raises:
-        CodecError: the id is not 0..65535, or the text is not plain ASCII that fits.
+        CodecError: the id is outside 0..65535, or the text is too long or not printable ASCII.
     """
     if not 0 <= request_id <= 0xFFFF:
-        raise CodecError(f"request id {request_id} is not within 0..65535")
+        raise CodecError(f"request id {request_id} is outside 0..65535")
     if not text.isascii() or not text.isprintable():
         raise CodecError(f"request {text!r} is not printable ASCII")
     body = f"{request_id} {text}".encode("ascii")
@@ -108,10 +108,10 @@ def encode_request(request_id: int, text: str) -> bytes:
 
 
 def decode_reply(payload: bytes) -> Reply:
-    """A reply from its payload.
+    """Decode a reply payload.
 
     Raises:
-        CodecError: it is not ``R<id> ok ...`` or ``R<id> err <code> ...``.
+        CodecError: not ``R<id> ok ...`` or ``R<id> err <code> ...``.
     """
     text = _text(payload, wire.REPLY)
     number, _, rest = text.partition(" ")
@@ -136,7 +136,7 @@ def decode_event(payload: bytes) -> str:
     """The text of an unsolicited event.
 
     Raises:
-        CodecError: it is not one.
+        CodecError: not an event.
     """
     return _text(payload, wire.EVENT)
 

@@ -1,4 +1,4 @@
-"""Telemetry payloads to batches of columns: wrap-around, gaps, duplicates, reboots."""
+"""Joins telemetry frames to batches of columns; handles overflow, gaps, duplicates and reboots."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ Batch = dict[str, npt.NDArray[Any]]
 
 @dataclass(frozen=True)
 class Gap:
-    """Samples that never came: ``missing`` of them from ``seq`` on."""
+    """``missing`` lost samples, the first with number ``seq``."""
 
     seq: int
     missing: int
 
 
 class _Held(NamedTuple):
-    """A frame waiting for its batch: header values and undecoded samples."""
+    """A frame that waits for its batch: header values and undecoded samples."""
 
     seq: int
     device_us: int
@@ -60,26 +60,25 @@ class _Held(NamedTuple):
 
 
 class TelemetryStream:
-    """Joins telemetry frames into batches.
+    """Joins telemetry frames to batches.
 
-    ``seq`` and ``device_us`` go on past their 32 bits. After a reboot ``seq`` continues
-    where it stood, so that it names one sample for the whole run; ``device_us`` starts
-    anew, told apart by ``boot``. A batch closes with the frame that fills it, whatever
-    the time of arrival: the same frames give the same batches.
+    ``seq`` and ``device_us`` continue beyond their 32 bits. After a reboot ``seq`` continues,
+    so that it identifies a sample within the whole run; ``device_us`` restarts with another
+    ``boot``. A batch ends with the frame that fills it, independent of arrival times: equal
+    frames give equal batches.
 
     Args:
         on_batch: called with a dict of arrays, columns as ``VALVE_COLUMNS``.
-        on_gap: called with each :class:`Gap` as it is found.
-        on_boot: called with ``(old, new)`` boot id when the device has restarted.
-        batch_samples: samples that close a batch (50 = 50 ms at 1 kHz).
-        device_time: shared with the clock fit, so that both count wraps alike.
+        on_gap: called with each :class:`Gap`.
+        on_boot: called with ``(old, new)`` boot id after a restart of the device.
+        batch_samples: number of samples per batch (50 = 50 ms at 1 kHz).
+        device_time: shared with the clock fit, so that both count overflows alike.
 
     Attributes:
-        samples, gaps, missing, duplicates, reboots, unknown_dt: counts so far
-            (``gaps`` counts places, ``missing`` samples).
-        next_seq: number the next sample should have; None before the first.
-        on_ahead: called with the columns of each frame as it comes, before its batch is full;
-            None costs nothing.
+        samples, gaps, missing, duplicates, reboots, unknown_dt: counts (``gaps`` counts places,
+            ``missing`` samples).
+        next_seq: expected number of the next sample; None before the first.
+        on_ahead: called with the columns of each frame before its batch is full, if not None.
     """
 
     def __init__(
@@ -110,7 +109,7 @@ class TelemetryStream:
         self.unknown_dt = 0
 
     def feed(self, payload: bytes, host_ns: int) -> None:
-        """Take one telemetry payload received at ``host_ns``.
+        """Add one telemetry payload, received at ``host_ns``.
 
         Raises:
             CodecError: the payload is not telemetry.
@@ -155,7 +154,7 @@ class TelemetryStream:
             self.flush()
 
     def flush(self) -> None:
-        """Hand out what is held, if anything; at the end of a run."""
+        """Pass the incomplete batch on, at the end of a run."""
         held, self._held = self._held, []
         if not held:
             return
@@ -166,15 +165,9 @@ class TelemetryStream:
         self._on_batch(batch)
 
     def counters(self) -> dict[str, int]:
-        """Counts for final.json."""
-        return {
-            "samples": self.samples,
-            "gaps": self.gaps,
-            "missing": self.missing,
-            "duplicates": self.duplicates,
-            "reboots": self.reboots,
-            "unknown_dt": self.unknown_dt,
-        }
+        """The counts for final.json."""
+        names = ("samples", "gaps", "missing", "duplicates", "reboots", "unknown_dt")
+        return {name: getattr(self, name) for name in names}
 
     def _rebooted(self, boot: int, seq0: int) -> None:
         old, self.boot = self.boot, boot
@@ -190,12 +183,12 @@ class TelemetryStream:
 
 
 def _columns(held: list[_Held]) -> tuple[Batch, int]:
-    """Frames as columns, and how many samples do not know their distance in time."""
+    """Frames as columns, and the number of samples without a known time step."""
     raw = np.frombuffer(b"".join([h.samples for h in held]), SAMPLE_DTYPE)
     counts = np.array([h.n for h in held])
     first = np.cumsum(counts) - counts
     dt = raw["dt_us"].astype(np.int64)
-    dt[first] = 0  # t0_us stands for the first sample of each frame
+    dt[first] = 0  # t0_us is the time of the first sample of each frame
     unknown = int(np.count_nonzero(dt == wire.DT_UNKNOWN))
     elapsed = np.cumsum(dt)
     start_us = np.array([h.device_us for h in held], np.int64) - elapsed[first]

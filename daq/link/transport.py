@@ -1,8 +1,8 @@
-"""Links that carry bytes: a serial port (or TCP in its place), or memory.
+"""Byte links: serial port, TCP socket, or memory.
 
-The only importer of ``serial``. A link hands out what came in as chunks stamped with
-the host's monotonic time, never blocks on reading, and turns every way a port can
-vanish into one :class:`~daq.errors.LinkLost`.
+The only module that imports ``serial``. A link returns received bytes as chunks with the host's
+monotonic time. It never blocks on reading, and reports every loss of a port as one
+:class:`~daq.errors.LinkLost`.
 """
 
 from __future__ import annotations
@@ -34,35 +34,35 @@ UNPLUGGED = "check the cable and the device's power, then start a new run"
 
 
 class Chunk(NamedTuple):
-    """Bytes as they came in one read, and when (host monotonic ns)."""
+    """The bytes of one read, and the time of the read (host monotonic, ns)."""
 
     host_ns: int
     data: bytes
 
 
 class Link(Protocol):
-    """Bytes to and from one device."""
+    """A byte link to one device."""
 
     @property
     def name(self) -> str:
-        """Port or device, as it stands in messages."""
+        """Port or device name for messages."""
         ...
 
     def read(self) -> list[Chunk]:
-        """All that came since the last call, at once; raises LinkLost after the last of it."""
+        """All bytes since the last call; does not wait. Raises LinkLost after the last bytes."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send all of ``data``; raises LinkLost."""
+        """Send all of ``data``. Raises LinkLost."""
         ...
 
     def close(self) -> None:
-        """Close; may be repeated."""
+        """Close the link; may be repeated."""
         ...
 
 
 class _Inbox:
-    """Bounded buffer between who receives and who reads; the oldest is dropped, and counted."""
+    """Bounded receive buffer; it drops the oldest chunks on overflow and counts them."""
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit = limit_bytes
@@ -96,7 +96,7 @@ class _Inbox:
 
 
 class MemoryLink:
-    """One end of an in-process pair; see :func:`memory_pair`."""
+    """One end of an in-process link; see :func:`memory_pair`."""
 
     def __init__(self, name: str, clock: Clock, limit_bytes: int) -> None:
         self.name = name
@@ -107,7 +107,7 @@ class MemoryLink:
 
     @property
     def overruns(self) -> int:
-        """Chunks dropped because nobody read them."""
+        """Number of chunks dropped because they were not read in time."""
         return self._inbox.overruns
 
     def read(self) -> list[Chunk]:
@@ -117,7 +117,7 @@ class MemoryLink:
         return self._inbox.take()
 
     def write(self, data: bytes) -> None:
-        """See :class:`Link`; it is there at once."""
+        """See :class:`Link`; the data arrive at once."""
         peer = self._peer
         if peer is None or self._closed:
             raise LinkLost(self.name, f"{len(data)} bytes could not be sent: unplugged", UNPLUGGED)
@@ -125,12 +125,12 @@ class MemoryLink:
             peer._inbox.put(Chunk(self._clock.now_ns(), bytes(data)))
 
     def close(self) -> None:
-        """See :class:`Link`; the other end is lost."""
+        """See :class:`Link`; the other end loses its link."""
         self._closed = True
         self.unplug()
 
     def unplug(self) -> None:
-        """Pull the cable: what has arrived can still be read, then both ends are lost."""
+        """Simulate an unplugged cable: received data remain readable, then both ends are lost."""
         peer, self._peer = self._peer, None
         self._inbox.error = LinkLost(self.name, "the device was unplugged", UNPLUGGED)
         if peer is not None:
@@ -140,7 +140,7 @@ class MemoryLink:
 def memory_pair(
     clock: Clock, name: str, limit_bytes: int = BUFFER_BYTES
 ) -> tuple[MemoryLink, MemoryLink]:
-    """Two joined ends, ``(host_end, device_end)``; what one writes the other reads."""
+    """Two connected ends, ``(host_end, device_end)``."""
     host = MemoryLink(name, clock, limit_bytes)
     device = MemoryLink(f"{name} (device end)", clock, limit_bytes)
     host._peer, device._peer = device, host
@@ -148,7 +148,7 @@ def memory_pair(
 
 
 class _SocketPort:
-    """``socket://host:port`` with the few methods of a serial port that are used here."""
+    """``socket://host:port`` with the required subset of a serial port's methods."""
 
     def __init__(self, url: str) -> None:
         host, _, port = url.removeprefix("socket://").rstrip("/").rpartition(":")
@@ -177,7 +177,7 @@ class _SocketPort:
 
 
 class _SerialPort:
-    """A pyserial port that is asked only what pyserial answers reliably."""
+    """A pyserial port, restricted to the calls that are reliable on all systems."""
 
     def __init__(self, path: str, baud: int) -> None:
         import serial
@@ -188,7 +188,7 @@ class _SerialPort:
             options["exclusive"] = True
         self._serial: Any = serial.serial_for_url(path, **options)
         self._waits = os.name == "posix" and "://" not in path
-        # Best effort: FTDI adapters else hold bytes back for up to 16 ms.
+        # Best effort: by default, FTDI adapters delay bytes by up to 16 ms.
         with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):
             self._serial.set_low_latency_mode(True)
 
@@ -199,15 +199,15 @@ class _SerialPort:
     def write(self, data: bytes) -> int:
         if not self._waits:
             return int(self._serial.write(data) or 0)
-        # pyserial looks at the clock after the bytes have gone, so that a program kept from the
-        # processor for 0.2 s would take its device for lost. Only waiting for the port counts.
-        # Asked for room only when full: to answer, a terminal waits for a kernel thread.
+        # pyserial checks its time-out after the bytes have gone: a program suspended for 0.2 s
+        # would report a lost device. Count only the wait for the port. Call select only when the
+        # port is full: for a terminal, select waits for a kernel thread.
         sent, port = 0, self._serial.fileno()
         while sent < len(data):
             with contextlib.suppress(BlockingIOError):
                 sent += os.write(port, data[sent:])
             if sent < len(data) and not select.select([], [port], [], WRITE_TIMEOUT_S)[1]:
-                raise TimeoutError(f"took {sent}, then nothing for {WRITE_TIMEOUT_S:g} s")
+                raise TimeoutError(f"accepted {sent} bytes, then none for {WRITE_TIMEOUT_S:g} s")
         return sent
 
     def close(self) -> None:
@@ -219,24 +219,24 @@ def _open_port(path: str, baud: int) -> _SocketPort | _SerialPort:
 
 
 def _port_failures() -> tuple[type[Exception], ...]:
-    """Everything a vanished port raises; the one place that knows."""
+    """All exceptions that a lost port can raise."""
     import serial
 
-    # TypeError and AttributeError come from pyserial reading a port closed under it.
+    # pyserial raises TypeError or AttributeError when another thread closes the port.
     return (OSError, serial.SerialException, TypeError, AttributeError, *_TERMIOS_ERRORS)
 
 
 class SerialLink:
-    """A serial port, opened exclusively, read by a thread of its own.
+    """A serial port, opened exclusively and read by its own thread.
 
     Args:
         path: ``/dev/serial/by-id/...``, ``COM3``, or a URL such as ``socket://host:port``.
-        baud: bits a second.
-        clock: stamps each chunk right after it was read.
-        buffer_bytes: what is held for a reader that does not come; then the oldest goes.
+        baud: bits per second.
+        clock: time stamps of chunks, right after the read.
+        buffer_bytes: limit of unread data; beyond it the oldest data are dropped.
 
     Raises:
-        PortError: the port is missing, in use, or may not be opened.
+        PortError: the port is missing, in use, or access is denied.
     """
 
     def __init__(
@@ -255,17 +255,17 @@ class SerialLink:
             raise _not_opened(path, error) from error
         except ValueError as error:
             raise PortError(path, f"not a port: {error}", "correct the path") from error
-        self._thread = threading.Thread(target=self._pump, name=f"read {path}", daemon=True)
+        self._thread = threading.Thread(target=self._read_loop, name=f"read {path}", daemon=True)
         self._thread.start()
 
     @property
     def overruns(self) -> int:
-        """Chunks dropped because nobody read them in time."""
+        """Number of chunks dropped because they were not read in time."""
         return self._inbox.overruns
 
     @property
     def lost_bytes(self) -> int:
-        """Bytes in those chunks."""
+        """Number of bytes in those chunks."""
         return self._inbox.lost_bytes
 
     def read(self) -> list[Chunk]:
@@ -273,7 +273,7 @@ class SerialLink:
         return self._inbox.take()
 
     def write(self, data: bytes) -> None:
-        """See :class:`Link`; a device that takes nothing for 0.2 s counts as lost."""
+        """See :class:`Link`; a device that accepts no data for 0.2 s counts as lost."""
         if self._inbox.error is not None:
             raise self._inbox.error
         try:
@@ -282,7 +282,7 @@ class SerialLink:
         except self._failures as error:
             raise self._lost(f"{len(data)} bytes could not be sent", error) from error
         if sent < len(data):
-            raise self._lost(f"took {sent} of {len(data)} bytes", None)
+            raise self._lost(f"accepted {sent} of {len(data)} bytes", None)
 
     def close(self) -> None:
         """See :class:`Link`."""
@@ -296,7 +296,7 @@ class SerialLink:
         if self._inbox.error is None:
             self._inbox.error = LinkLost(self.name, "the port is closed", "open it again")
 
-    def _pump(self) -> None:
+    def _read_loop(self) -> None:
         while not self._stop.is_set():
             try:
                 data = self._port.take()
@@ -315,13 +315,13 @@ class SerialLink:
 
 
 class ModemLines:
-    """The four control lines of a plain RS-232 port: DTR and RTS out, CTS and DSR in.
+    """The four control lines of an RS-232 port: DTR and RTS (output), CTS and DSR (input).
 
-    Both outputs are off from the moment the port opens; the system lowers them when the process
-    that holds the port ends.
+    Both outputs are off from the moment the port opens. The system switches them off when the
+    process ends.
 
     Raises:
-        PortError: the port is missing, in use, or has no such lines.
+        PortError: the port is missing or in use, or has no control lines.
     """
 
     def __init__(self, path: str, port: Any = None) -> None:
@@ -347,17 +347,17 @@ class ModemLines:
             self._port.dtr = dtr
             self._port.rts = rts
         except self._failures as error:
-            raise LinkLost(self.name, f"control lines are gone: {error}", UNPLUGGED) from error
+            raise LinkLost(self.name, f"control lines are lost: {error}", UNPLUGGED) from error
 
     def get(self) -> tuple[bool, bool]:
-        """CTS and DSR. Raises LinkLost."""
+        """Read CTS and DSR. Raises LinkLost."""
         try:
             return bool(self._port.cts), bool(self._port.dsr)
         except self._failures as error:
-            raise LinkLost(self.name, f"control lines are gone: {error}", UNPLUGGED) from error
+            raise LinkLost(self.name, f"control lines are lost: {error}", UNPLUGGED) from error
 
     def close(self) -> None:
-        """Both outputs off, then close; may be repeated."""
+        """Switch both outputs off and close; may be repeated."""
         with contextlib.suppress(*self._failures):
             self._port.dtr = self._port.rts = False
         with contextlib.suppress(*self._failures):
@@ -365,7 +365,7 @@ class ModemLines:
 
 
 def list_ports() -> list[str]:
-    """Serial ports this machine has, best effort."""
+    """The serial ports of this machine, as far as known."""
     try:
         from serial.tools import list_ports as tool
 
@@ -375,13 +375,17 @@ def list_ports() -> list[str]:
 
 
 def _not_opened(path: str, error: Exception) -> PortError:
-    """Why a port could not be opened, and what to do about it."""
+    """Convert the error of a failed open into an error with a remedy."""
     number = getattr(error, "errno", None)
     text = str(error)
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in text:
         ports = list_ports()
-        there = f"ports here: {', '.join(ports)}" if ports else "no serial port is here"
-        return PortError(path, "no such port", f"plug the device in or correct the path; {there}")
+        ports_text = (
+            f"available ports: {', '.join(ports)}" if ports else "this machine has no serial port"
+        )
+        return PortError(
+            path, "no such port", f"plug the device in or correct the path; {ports_text}"
+        )
     if number in (errno.EAGAIN, errno.EBUSY) or "PermissionError" in text:
         return PortError(
             path,
@@ -396,5 +400,7 @@ def _not_opened(path: str, error: Exception) -> PortError:
             "then log in again",
         )
     if number == errno.ECONNREFUSED:
-        return PortError(path, "nothing listens there", "start the bench, or correct the address")
+        return PortError(
+            path, "nothing listens at this address", "start the bench, or correct the address"
+        )
     return PortError(path, f"cannot be opened: {text}", "check the path and the device")

@@ -1,1 +1,1 @@
-"""The live view and the view file, in Rerun."""
+"""The live view and the view file, with the Rerun viewer."""

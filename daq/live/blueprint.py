@@ -1,4 +1,4 @@
-"""The arrangement of views on the screen, from a ``LiveLayout``."""
+"""The viewer's arrangement of views for a ``LiveLayout``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from daq.live.chart import HEIGHT, WIDTH
 from daq.live.layout import LiveLayout, Panel
 
 TIMELINE = "time"
-GROUND = (18, 20, 22)
+BACKGROUND = (18, 20, 22)
 
 
 def blueprint(layout: LiveLayout, *, extra: bool, whole_s: float | None = None) -> Any:
@@ -17,9 +17,9 @@ def blueprint(layout: LiveLayout, *, extra: bool, whole_s: float | None = None) 
 
     Args:
         layout: the panels.
-        extra: add a panel for series that no panel was planned for.
-        whole_s: show everything from 0 to this time; None follows the newest data through
-            the layout's window.
+        extra: add a panel for series that belong to no panel.
+        whole_s: show the time from 0 to ``whole_s``; None shows the newest data in the layout's
+            window.
     """
     import rerun.blueprint as rrb
 
@@ -54,7 +54,7 @@ def blueprint(layout: LiveLayout, *, extra: bool, whole_s: float | None = None) 
         rrb.TimePanel(
             state="collapsed",
             timeline=TIMELINE,
-            play_state="following",  # of a file: stands at its end, where all points are
+            play_state="following",  # in a file: the end, where all points are visible
         ),
         auto_layout=False,
         auto_views=False,
@@ -63,13 +63,13 @@ def blueprint(layout: LiveLayout, *, extra: bool, whole_s: float | None = None) 
 
 @dataclass(frozen=True)
 class _Span:
-    """Which part of time the curves show."""
+    """The time range of the curves."""
 
     window_s: float
     whole_s: float | None
 
     def ranges(self) -> Any:
-        """What data is looked at."""
+        """The range of data to show."""
         import rerun.blueprint as rrb
 
         edge = rrb.TimeRangeBoundary
@@ -79,7 +79,7 @@ class _Span:
         return [rrb.VisibleTimeRange(TIMELINE, start=start, end=end)]
 
     def axis(self) -> Any:
-        """What the horizontal axis covers; None leaves it to the data."""
+        """The range of the time axis; None adapts it to the data."""
         if self.whole_s is None:
             return None
         import rerun as rr
@@ -107,7 +107,7 @@ def _view(panel: Panel, span: _Span) -> Any:
     if panel.kind == "points":
         return rrb.Spatial2DView(
             **where,
-            background=[*GROUND, 255],
+            background=[*BACKGROUND, 255],
             visual_bounds=rrb.VisualBounds2D(
                 x_range=[-90.0, WIDTH + 120.0], y_range=[-70.0, HEIGHT + 95.0]
             ),
@@ -119,11 +119,11 @@ def _view(panel: Panel, span: _Span) -> Any:
                 x_range=[panel.x_axis.low, panel.x_axis.high],
                 y_range=[panel.y_axis.low, panel.y_axis.high],
             )
-        return rrb.Spatial2DView(**where, background=[*GROUND, 255], visual_bounds=bounds)
+        return rrb.Spatial2DView(**where, background=[*BACKGROUND, 255], visual_bounds=bounds)
     if panel.kind == "log":
         return rrb.TextLogView(
             **where,
-            # The time column is too narrow to read, so the text carries the time.
+            # The time column is too narrow; the text contains the time instead.
             columns=rrb.TextLogColumns(
                 timeline_columns=[rrb.encodings.TimelineColumn(TIMELINE, visible=False)],
                 text_log_columns=["loglevel", "body"],

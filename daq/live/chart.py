@@ -1,8 +1,7 @@
-"""Geometry of an x-y chart drawn in a picture view, which is what the viewer offers for x-y.
+"""Geometry of an x-y chart. The viewer has plots over time only, so charts are drawings.
 
-The viewer plots against time only. A points panel is therefore a drawing of WIDTH x HEIGHT
-units with y pointing down: frame, grid, tick labels, points, and a label at the end of each
-curve instead of a legend. This module computes; it draws nothing.
+A drawing has WIDTH x HEIGHT units with y pointing down: frame, grid, tick labels, points, and a
+label at the end of each curve as legend. This module calculates positions; it draws nothing.
 """
 
 from __future__ import annotations
@@ -18,15 +17,15 @@ from daq.live.layout import PALETTE, Axis, Colour
 Floats = npt.NDArray[np.float64]
 
 WIDTH, HEIGHT = 1000.0, 440.0
-LABEL_GAP = 34.0  # least vertical distance between curve labels
-POINTS_A_LABEL = 5_000  # bound on what one curve may hold
-LETTER = 10.5  # about the width of one letter of a title, which stands centred
-TITLE_LEFT = -85.0  # where a title of the y axis may begin
-OVERSHOOT = 0.03  # how far outside the frame a point may lie before the axis grows
+LABEL_GAP = 34.0  # minimum vertical distance between curve labels
+POINTS_PER_CURVE = 5_000  # limit for one curve
+LETTER = 10.5  # approximate width of a letter of a centred title
+TITLE_LEFT = -85.0  # left limit of the y axis title
+OVERSHOOT = 0.03  # share of the axis by which a point may exceed the frame before the axis grows
 
 
 def nice_ticks(low: float, high: float, about: int = 6) -> Floats:
-    """Round tick values covering [low, high], steps of 1, 2 or 5 times a power of ten."""
+    """Ticks that cover [low, high], with steps of 1, 2 or 5 times a power of ten."""
     span = high - low
     if not (math.isfinite(span) and span > 0):
         return np.array([low, low + 1.0]) if math.isfinite(low) else np.array([0.0, 1.0])
@@ -39,7 +38,7 @@ def nice_ticks(low: float, high: float, about: int = 6) -> Floats:
 
 @dataclass
 class Curve:
-    """Points under one label, in the order in which they came."""
+    """Points with one label, in order of arrival."""
 
     colour: Colour
     x: list[float] = field(default_factory=list)
@@ -48,7 +47,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Drawing:
-    """Everything to draw, in drawing units."""
+    """All elements of the chart, in drawing units."""
 
     strips: list[Floats]  # frame first, then grid lines
     tick_at: Floats  # (n, 2)
@@ -58,11 +57,7 @@ class Drawing:
 
 
 class Chart:
-    """An x-y chart whose axes grow with its points.
-
-    Args:
-        x_axis, y_axis: titles and the ranges always covered.
-    """
+    """An x-y chart whose axes grow with its points; ``Axis`` gives titles and minimum ranges."""
 
     def __init__(self, x_axis: Axis, y_axis: Axis) -> None:
         self.axes = (x_axis, y_axis)
@@ -70,14 +65,14 @@ class Chart:
         self._ticks = [nice_ticks(a.low, a.high) for a in self.axes]
 
     def add(self, label: str, x: Floats, y: Floats) -> bool:
-        """Add points; True if an axis had to grow (everything must be drawn again)."""
+        """Add points; True if an axis has grown, so that everything must be drawn again."""
         if label not in self.curves:
             self.curves[label] = Curve(PALETTE[len(self.curves) % len(PALETTE)])
         curve = self.curves[label]
         good = np.isfinite(x) & np.isfinite(y)
         curve.x.extend(x[good].tolist())
         curve.y.extend(y[good].tolist())
-        del curve.x[:-POINTS_A_LABEL], curve.y[:-POINTS_A_LABEL]
+        del curve.x[:-POINTS_PER_CURVE], curve.y[:-POINTS_PER_CURVE]
         grown = False
         for k, values in enumerate((x[good], y[good])):
             ticks = self._ticks[k]
@@ -98,7 +93,7 @@ class Chart:
         return np.column_stack((px, py))
 
     def line(self, label: str) -> Floats:
-        """(n, 2) positions of the curve's line: means of points that share an x."""
+        """(n, 2) positions of the curve's line through the means of points with nearly equal x."""
         curve = self.curves[label]
         order = np.argsort(curve.x, kind="stable")
         x, y = np.asarray(curve.x)[order], np.asarray(curve.y)[order]
@@ -109,7 +104,7 @@ class Chart:
         return self.place(mean_x, mean_y)
 
     def label_positions(self) -> tuple[list[str], Floats]:
-        """Labels and where they stand: right of each curve's end, pushed apart."""
+        """Labels and their positions: right of each curve's end, with a minimum distance."""
         ends = {name: self.line(name)[-1] for name, c in self.curves.items() if c.x}
         names = sorted(ends, key=lambda name: float(ends[name][1]))
         at = np.array([[ends[n][0] + 50.0, ends[n][1] - 15.0] for n in names]).reshape(-1, 2)
@@ -118,7 +113,7 @@ class Chart:
         return names, at
 
     def drawing(self) -> Drawing:
-        """Frame, grid and texts for the present axes."""
+        """Frame, grid and texts for the current axes."""
         frame = np.array([[0, 0], [0, HEIGHT], [WIDTH, HEIGHT], [WIDTH, 0], [0, 0]], dtype=float)
         tx, ty = self._ticks
         at_x = self.place(tx, np.full(len(tx), ty[0]))

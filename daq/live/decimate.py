@@ -1,4 +1,4 @@
-"""From 1 kHz to what a screen can show: both extremes of every bin, so that spikes stay."""
+"""Reduces 1 kHz curves to what a screen can show; keeps the minimum and maximum of each bin."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ Floats = npt.NDArray[np.float64]
 def decimate(
     time_s: Floats, values: Floats, bin_s: float, reduce: Reduce = "minmax"
 ) -> tuple[Floats, Floats]:
-    """Thin a curve to at most two points a bin ("minmax") or one ("mean").
+    """Reduce a curve to at most two points per bin ("minmax") or one point ("mean").
 
     Args:
         time_s: (n,) s, not decreasing.
-        values: (n,); samples that are not finite are left out.
-        bin_s: width of a bin, s; bins stand on multiples of it, so that the result does
-            not depend on how the samples were batched as long as bins are not split.
-        reduce: "minmax" keeps the lowest and highest sample of each bin at their own times;
-            "mean" gives the mean at the mean time.
+        values: (n,); non-finite samples are dropped.
+        bin_s: bin width, s. Bins start at multiples of it, so the result does not depend on how
+            the samples were batched, as long as no bin is split.
+        reduce: "minmax" keeps the smallest and largest sample of each bin at their own times;
+            "mean" gives the mean value at the mean time.
 
     Returns:
-        time_s and values of the thinned curve, in order of time.
+        time_s and values of the reduced curve, in order of time.
     """
     good = np.isfinite(values) & np.isfinite(time_s)
     if not good.all():
@@ -33,7 +33,7 @@ def decimate(
         return time_s, values
     bins = np.floor(time_s / bin_s + 1e-9).astype(np.int64)
     first = np.flatnonzero(np.concatenate(([True], bins[1:] != bins[:-1])))
-    if len(first) == len(bins):  # one sample a bin already
+    if len(first) == len(bins):  # already one sample per bin
         return time_s, values
     if reduce == "mean":
         count = np.diff(np.append(first, len(bins)))
@@ -45,12 +45,7 @@ def decimate(
 
 
 class Thinner:
-    """Thins a curve that arrives in batches, holding the unfinished bin back.
-
-    Args:
-        bin_s: width of a bin, s.
-        reduce: see ``decimate``.
-    """
+    """Decimates a curve that arrives in batches; keeps the incomplete bin for the next batch."""
 
     def __init__(self, bin_s: float, reduce: Reduce = "minmax") -> None:
         self.bin_s = bin_s
@@ -59,7 +54,7 @@ class Thinner:
         self._values = np.empty(0)
 
     def feed(self, time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
-        """Add samples; returns the thinned part that is complete."""
+        """Add samples; returns the decimated complete bins."""
         if len(self._time_s):
             time_s = np.concatenate((self._time_s, time_s))
             values = np.concatenate((self._values, values))
@@ -68,19 +63,19 @@ class Thinner:
         if np.any(time_s[1:] < time_s[:-1]):
             order = np.argsort(time_s, kind="stable")
             time_s, values = time_s[order], values[order]
-        # The open bin starts at the newest sample's bin; everything before it is complete.
+        # The incomplete bin is that of the newest sample; all earlier bins are complete.
         edge = np.floor(time_s[-1] / self.bin_s + 1e-9) * self.bin_s - 1e-9 * self.bin_s
         cut = int(np.searchsorted(time_s, edge))
         self._time_s, self._values = time_s[cut:], values[cut:]
         return decimate(time_s[:cut], values[:cut], self.bin_s, self.reduce)
 
     def flush(self) -> tuple[Floats, Floats]:
-        """The unfinished bin, thinned; called when nothing has come for a while."""
+        """Return the decimated incomplete bin; for use after a pause in the data."""
         time_s, values = self._time_s, self._values
         self._time_s = self._values = np.empty(0)
         return decimate(time_s, values, self.bin_s, self.reduce)
 
     @property
     def waiting(self) -> bool:
-        """True while samples are held back."""
+        """True while an incomplete bin is kept."""
         return len(self._time_s) > 0

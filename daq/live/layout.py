@@ -1,7 +1,7 @@
-"""What the live view shows, described by whoever knows the test: panels, names, units, colours.
+"""Description of the live view: panels, names, units, colours.
 
-Nothing here imports the viewer. The same description serves the live view and the view
-file made from a finished run, so both look alike.
+This module does not import the viewer. The live view and the view file of a finished run use
+the same description, so both look alike.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ Colour = tuple[int, int, int]
 Kind = Literal["series", "states", "points", "camera", "log", "readout"]
 Reduce = Literal["minmax", "mean"]
 
-# Okabe and Ito's palette for colour-blind readers; its black is a light grey here because
-# the viewer's ground is dark. Ordered so that neighbours differ in lightness too.
+# Okabe and Ito's colour-blind safe palette; light grey replaces black on the dark background.
+# Neighbours also differ in lightness.
 PALETTE: tuple[Colour, ...] = (
     (86, 180, 233),
     (230, 159, 0),
@@ -32,18 +32,18 @@ _KINDS = ("series", "states", "points", "camera", "log", "readout")
 
 @dataclass(frozen=True)
 class Channel:
-    """One curve, lane or cloud of points.
+    """One curve, state lane or set of points.
 
     Args:
-        path: where it lives, ``panel/name_unit``; what ``LiveView.series`` is called with.
-        label: the name in the legend.
-        unit: unit for the read-out ("kPa"); empty where there is none.
-        colour: red, green, blue; None takes the next of ``PALETTE``. In a states panel: of
-            every text that ``state_colours`` does not name; None leaves that to the viewer.
-        reduce: how 1 kHz becomes 100 Hz: both extremes of each bin, or its mean.
-        step: draw as a staircase (set-points, states) instead of joining the points.
-        digits: decimals in the read-out.
-        readout: whether its newest value stands in the read-out panel.
+        path: ``panel/name_unit``, the first argument of ``LiveView.series``.
+        label: name in the legend.
+        unit: unit in the readout ("kPa"); empty for none.
+        colour: red, green, blue; None takes the next colour of ``PALETTE``. In a states panel,
+            the colour of texts not in ``state_colours``; None leaves it to the viewer.
+        reduce: reduction of 1 kHz to 100 Hz: min/max envelope or mean.
+        step: draw as a step curve (set-points, states).
+        digits: decimals in the readout.
+        readout: show the newest value in the readout panel.
     """
 
     path: str
@@ -58,7 +58,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of a points panel: its title with unit, and the range it always covers."""
+    """An axis of a points panel: title with unit, and the minimum range."""
 
     title: str
     low: float
@@ -71,14 +71,14 @@ class Panel:
 
     Args:
         title: shown above it, with the unit.
-        kind: what it draws: series (against time), states (lanes against time), points
-            (y against x), camera, log, readout (newest values in figures).
-        origin: first part of the paths it shows; anything logged under it appears here.
-        channels: what is known of it beforehand. More may arrive at run time.
+        kind: series (values over time), states (lanes over time), points (y over x), camera,
+            log, or readout (newest values as text).
+        origin: first part of its paths; the panel shows all data logged below it.
+        channels: the known channels; others may follow at run time.
         share: height (or width) relative to its neighbours.
         y_range: fixed vertical range of a series panel, or None for automatic.
-        x_axis, y_axis: axes of a points panel; of a camera panel the extent of its frames
-            in pixels, if it is known.
+        x_axis, y_axis: axes of a points panel; for a camera panel the frame size in pixels, if
+            known.
         state_colours: (text, colour) pairs of a states panel.
     """
 
@@ -101,12 +101,12 @@ class Panel:
 
 @dataclass(frozen=True)
 class Feed:
-    """Where the record holds a channel's values: a column of a stream in engineering units.
+    """Source of a channel's values in the record: a column of a stream.
 
     Args:
         path: the channel's path.
-        stream, column: as ``daq.store.derive.engineering`` names them.
-        scale: factor into the channel's unit.
+        stream, column: names as in ``daq.store.derive.engineering``.
+        scale: factor to the channel's unit.
     """
 
     path: str
@@ -117,12 +117,12 @@ class Feed:
 
 @dataclass(frozen=True)
 class EventFeed:
-    """Where the record's events hold a channel's values or states.
+    """Source of a channel's values or states in the record: events.
 
     Args:
-        path: the channel's path; in a states panel the field is shown as text.
-        kind, field: which events, and which of their fields.
-        quantity: calibration that turns the field into the channel's unit; None for none.
+        path: the channel's path; a states panel shows the field as text.
+        kind, field: the events and their field.
+        quantity: calibration from the field to the channel's unit; None for none.
         only: name of a field that must be true.
     """
 
@@ -135,18 +135,17 @@ class EventFeed:
 
 @dataclass(frozen=True)
 class PointFeed:
-    """Which events become settled points.
+    """Events that give settled points.
 
-    Each event of ``kind`` gives one: the means of two columns over the rows it names
+    Each event of ``kind`` gives one point: the means of two columns over the rows it names
     (``valve_seq``, ``balance_rows``), or in an imported run its row of the ``points`` stream.
 
     Args:
         path: of the points panel's channel.
-        x, y: (stream, column) as ``daq.store.derive.engineering`` names them; of the stream
-        "camera",
-            the mean over the event's ``frames`` of what ``length`` events say of them.
-        label: format over the event's fields; the curve the point belongs to.
-        needs: a field without which an event gives no point here.
+        x, y: (stream, column) as in ``daq.store.derive.engineering``; for the stream "camera",
+            the mean length of the event's ``frames`` from ``length`` events.
+        label: format string for the event's fields; names the curve of the point.
+        needs: a field without which an event gives no point.
     """
 
     path: str
@@ -163,11 +162,10 @@ class LiveLayout:
 
     Args:
         title: name of the test.
-        columns: panels of each column, top to bottom. A tuple of panels inside a column
-            stands side by side.
+        columns: panels of each column, top to bottom. A tuple of panels is placed side by side.
         shares: widths of the columns.
-        window_s: how much of the past the curves show while live.
-        feeds, event_feeds, points: where the record holds the same values (for view files).
+        window_s: time span of the live curves, s.
+        feeds, event_feeds, points: sources of the same values in the record, for view files.
         camera: path of the camera picture.
     """
 
@@ -182,7 +180,7 @@ class LiveLayout:
 
     @property
     def panels(self) -> tuple[Panel, ...]:
-        """Every panel, in reading order."""
+        """All panels, in reading order."""
         flat: list[Panel] = []
         for column in self.columns:
             for entry in column:
@@ -195,7 +193,7 @@ class LiveLayout:
         return {c.path: c for panel in self.panels for c in panel.channels}
 
     def panel_of(self, path: str) -> Panel | None:
-        """The panel that shows ``path``, or None if no panel was planned for it."""
+        """The panel that shows ``path``, else None."""
         for panel in self.panels:
             if path == panel.origin or path.startswith(panel.origin + "/"):
                 return panel

@@ -1,19 +1,21 @@
-"""The live view: Rerun behind a bounded queue and its own thread.
+"""The live view: Rerun with a bounded queue and its own thread.
 
-A viewer may be absent, frozen or killed. Logging straight into Rerun then blocks for ever
-once its buffers are full, so nothing on the acquisition path calls it: every method here
-puts an item into a bounded queue that drops its oldest (``LiveView.dropped`` counts them),
-and one thread draws. The thread talks to a server inside this process on 127.0.0.1, which
-viewers connect to; a viewer that stops reading costs the server's memory limit, no more.
+A viewer may be absent, suspended or killed. Direct logging into Rerun then blocks for ever once
+its buffers are full. The acquisition therefore never calls Rerun: every method here puts an
+item into a bounded queue, which drops its oldest items (``LiveView.dropped`` counts them), and
+one thread draws. The thread logs to a server in this process on 127.0.0.1, and viewers connect
+to that server. A viewer that does not read uses at most the server's memory limit.
 """
 
 from __future__ import annotations
 
+import functools
 import logging
 import os
 import threading
 import time
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Concatenate, ParamSpec
 
 import numpy as np
 import numpy.typing as npt
@@ -25,35 +27,62 @@ from daq.live.scene import Line, Scene
 from daq.live.web import WebViewer, free_port, has_client, has_screen
 
 LOOPBACK = "127.0.0.1"
-PERIOD_S = 0.05  # one batch of columns each
-BIN_S = 0.02  # lowest and highest of each: at most 100 points a second
-IDLE_FLUSH_S = 0.2  # an unfinished bin is shown after this long without news
+PERIOD_S = 0.05  # drawing period
+BIN_S = 0.02  # min/max envelope: at most 100 points per second
+IDLE_FLUSH_S = 0.2  # an incomplete bin is drawn after this time without data
 READOUT_S = 0.25
 HOLD_BEHIND_S = 0.25
-START_S = 60.0  # some second; a busy machine takes long over loading Rerun
+START_S = 60.0  # typically 1 s; loading Rerun takes longer on a busy machine
 CLOSE_S = 4.0
 APPLICATION = "pamrig"
 
+P = ParamSpec("P")
 Floats = npt.NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 
-class LiveView:
-    """A window on a running test that the test never waits for.
+def _never_raises(
+    put: Callable[Concatenate[LiveView, P], None],
+) -> Callable[Concatenate[LiveView, P], None]:
+    """Count an item as dropped if the view is closed or the item is invalid."""
 
-    No method raises and none waits, but ``close`` (at most 6 s), ``wait_for_viewer`` and the
-    constructor (which
-    imports Rerun, about 1 s; make it before arming). If the viewer cannot start, ``error``
-    says why and every later item is counted as dropped.
+    @functools.wraps(put)
+    def call(view: LiveView, /, *args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            if view._closed or view.error is not None:
+                view._queue.drop()
+            else:
+                put(view, *args, **kwargs)
+        except Exception as error:
+            view._reject(error)
+
+    return call
+
+
+def _vectors(path: str, first: Any, second: Any) -> tuple[Floats, Floats]:
+    """Two arguments of equal length as arrays, (n,)."""
+    a = np.array(first, dtype=np.float64, ndmin=1)
+    b = np.array(second, dtype=np.float64, ndmin=1)
+    if a.shape != b.shape or a.ndim != 1:
+        raise ValueError(f"{path}: {a.shape} and {b.shape} do not match")
+    return a, b
+
+
+class LiveView:
+    """A window on a running test; the test never waits for it.
+
+    No method raises. No method waits, except ``close`` (at most 6 s), ``wait_for_viewer`` and
+    the constructor (imports Rerun, about 1 s; call it before arming). If the viewer cannot
+    start, ``error`` gives the reason and all later items are counted as dropped.
 
     Args:
-        run_id: names the recording; the same id as the run folder's.
+        run_id: id of the recording; the name of the run folder.
         layout: panels, names, units and colours.
-        port: of the server on 127.0.0.1; another free one is taken if it is in use.
-        open_browser: also open the web viewer in the default browser, where there is a screen.
+        port: of the server on 127.0.0.1; if it is in use, another free one.
+        open_browser: open the web viewer in the default browser, if there is a screen.
         web: serve the web viewer on loopback (implied by ``open_browser``).
-        memory: bound on what the server keeps for viewers that come late.
-        queue: the queue, for other bounds than the usual ones.
+        memory: limit of the data that the server keeps for viewers that connect later.
+        queue: a queue with other limits than the default.
     """
 
     def __init__(
@@ -89,79 +118,57 @@ class LiveView:
         if (web or open_browser) and self.error is None:
             self._serve_web(open_browser)
 
-    # ---------------------------------------------------------- called by the test
+    # -- called by the test ----------------------------------------------------
 
     @property
     def dropped(self) -> int:
-        """Items that never reached the viewer because the queue was full or closed."""
+        """Number of items that did not reach the viewer: the queue was full or closed."""
         return self._queue.dropped
 
+    @_never_raises
     def series(self, path: str, time_s: Any, values: Any) -> None:
-        """Samples of a curve: (n,) s since the start of the run, and (n,) values.
+        """Add samples of a curve: (n,) s since the start of the run, and (n,) values.
 
-        Full rate is welcome; at most 100 points a second are drawn (lowest and highest of
-        each 20 ms). Paths no panel knows are drawn too.
+        The full sample rate is allowed; at most 100 points per second are drawn (min/max
+        envelope of 20 ms bins). Unknown paths are drawn too.
         """
-        try:
-            t = np.array(time_s, dtype=np.float64, ndmin=1)
-            v = np.array(values, dtype=np.float64, ndmin=1)
-            if t.shape != v.shape or t.ndim != 1:
-                raise ValueError(f"{path}: time {t.shape} and values {v.shape} do not match")
-            self._bulk(t.nbytes + v.nbytes, (str(path), t, v))
-        except Exception as error:
-            self._refuse(error)
+        t, v = _vectors(path, time_s, values)
+        self._queue.put_bulk(t.nbytes + v.nbytes, (str(path), t, v))
 
+    @_never_raises
     def points(self, path: str, x: Any, y: Any, label: str, time_s: float | None = None) -> None:
         """Add points (scalars or arrays) to the curve ``label`` of a points panel."""
-        try:
-            xs = np.array(x, dtype=np.float64, ndmin=1)
-            ys = np.array(y, dtype=np.float64, ndmin=1)
-            if xs.shape != ys.shape or xs.ndim != 1:
-                raise ValueError(f"{path}: x {xs.shape} and y {ys.shape} do not match")
-            when = None if time_s is None else float(time_s)
-            self._fact(("points", str(path), when, str(label), xs, ys))
-        except Exception as error:
-            self._refuse(error)
+        when = None if time_s is None else float(time_s)
+        self._queue.put_event(("points", str(path), when, str(label), *_vectors(path, x, y)))
 
+    @_never_raises
     def image(
         self, path: str, time_s: float, jpeg_bytes: bytes, lines: list[Line] | None = None
     ) -> None:
-        """A JPEG as stored, with ``lines`` ((x0, y0), (x1, y1), label) in pixels over it.
+        """Show a JPEG as stored, with ``lines`` ((x0, y0), (x1, y1), label) in pixels.
 
-        Of several pictures within 50 ms the newest is drawn.
+        Of several pictures within 50 ms only the newest is drawn.
         """
-        try:
-            drawn = [
-                ((float(a[0]), float(a[1])), (float(b[0]), float(b[1])), str(text))
-                for a, b, text in (lines or [])
-            ]
-            jpeg = bytes(jpeg_bytes)
-            item = (str(path), float(time_s), jpeg, drawn)
-            if self._closed or self.error is not None:
-                self._queue.drop()
-            else:
-                self._queue.put_picture(str(path), item)
-        except Exception as error:
-            self._refuse(error)
+        drawn = [
+            ((float(a[0]), float(a[1])), (float(b[0]), float(b[1])), str(text))
+            for a, b, text in (lines or [])
+        ]
+        self._queue.put_picture(str(path), (str(path), float(time_s), bytes(jpeg_bytes), drawn))
 
+    @_never_raises
     def state(self, path: str, time_s: float, text: str) -> None:
-        """``path`` is in state ``text`` from ``time_s`` on; empty text for none."""
-        try:
-            self._fact(("state", str(path), float(time_s), str(text)))
-        except Exception as error:
-            self._refuse(error)
+        """Set the state of ``path`` from ``time_s`` on; an empty text for none."""
+        self._queue.put_event(("state", str(path), float(time_s), str(text)))
 
+    @_never_raises
     def text(self, time_s: float, text: str, level: str = "INFO", path: str = "log") -> None:
-        """A line for the log; level INFO, WARN or ERROR."""
-        try:
-            self._fact(("text", str(path), float(time_s), str(text), str(level).upper()))
-        except Exception as error:
-            self._refuse(error)
+        """Add a line to the log; level INFO, WARN or ERROR."""
+        self._queue.put_event(("text", str(path), float(time_s), str(text), str(level).upper()))
 
     def wait_for_viewer(self, timeout_s: float) -> bool:
-        """Wait until a viewer has connected; False if none came in time.
+        """Wait until a viewer has connected; False on time-out.
 
-        For tests that would be over before a page has loaded (the virtual clock).
+        For tests on the virtual clock, which can end before the page has loaded.
         """
         pause, end = threading.Event(), time.monotonic() + timeout_s
         while self.error is None and time.monotonic() < end:
@@ -171,17 +178,17 @@ class LiveView:
         return False
 
     def close(self) -> None:
-        """Draw what is left and stop, within 6 s whatever the viewer does. May be repeated."""
+        """Draw the remaining items and stop, within 6 s in any case. May be repeated."""
         if self._closed:
             return
         self._closed = True
         self._stop.set()
         self._worker.join(CLOSE_S)
         if self._worker.is_alive():
-            # It is inside the viewer's code and cannot be interrupted; being a daemon it
-            # does not keep the process alive.
-            self.error = self.error or "the viewer did not take its last data; left behind"
-        self._queue.abandon()
+            # The thread is blocked in the viewer's code. As a daemon it does not keep the
+            # process alive.
+            self.error = self.error or "the viewer did not accept the last data in time"
+        self._queue.discard_all()
         if self._web is not None:
             self._web.close()
 
@@ -191,28 +198,16 @@ class LiveView:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _bulk(self, size: int, item: Item) -> None:
-        if self._closed or self.error is not None:
-            self._queue.drop()
-        else:
-            self._queue.put_bulk(size, item)
-
-    def _fact(self, item: Item) -> None:
-        if self._closed or self.error is not None:
-            self._queue.drop()
-        else:
-            self._queue.put_fact(item)
-
-    def _refuse(self, error: Exception) -> None:
+    def _reject(self, error: Exception) -> None:
         self._queue.drop()
-        _log.debug("live view refused an item: %s", error)
+        _log.debug("live view rejected an item: %s", error)
 
     def _fail(self, why: str) -> None:
         self.error = self.error or why
-        self._queue.abandon()
+        self._queue.discard_all()
         _log.warning("live view: %s", why)
 
-    # ---------------------------------------------------------------- viewer's side
+    # -- called by the drawing thread ---------------------------------------------
 
     def _serve_web(self, open_browser: bool) -> None:
         try:
@@ -221,7 +216,7 @@ class LiveView:
             if open_browser and has_screen():
                 import webbrowser
 
-                # Some browsers are waited for, so not on the caller's thread.
+                # webbrowser.open may block, so call it on another thread.
                 show = threading.Thread(target=webbrowser.open, args=(self.web_url,), daemon=True)
                 show.start()
         except Exception as error:  # the native viewer can still connect
@@ -239,12 +234,12 @@ class LiveView:
         next_readout, news = 0.0, False
         while True:
             stopping = self._stop.wait(PERIOD_S)
-            bulk, pictures, facts = self._queue.drain()
-            flushed = self._draw(scene, bulk, facts, last=stopping)
+            bulk, pictures, events = self._queue.drain()
+            flushed = self._draw(scene, bulk, events, last=stopping)
             for picture in pictures:
                 self._try(scene.image, *picture)
             now = time.monotonic()
-            news = news or flushed or bool(bulk or pictures or facts)
+            news = news or flushed or bool(bulk or pictures or events)
             if news and (now >= next_readout or stopping):
                 news = False
                 next_readout = now + READOUT_S
@@ -257,7 +252,7 @@ class LiveView:
         self._try(self._rec.disconnect)
 
     def _open(self) -> Scene:
-        # Nothing that a viewer reports is to leave the machine.
+        # Rerun then logs errors as warnings and raises no exceptions.
         os.environ.setdefault("RERUN_STRICT", "0")
         import rerun as rr
 
@@ -274,11 +269,11 @@ class LiveView:
     def _try(self, call: Any, *args: Any, **kwargs: Any) -> None:
         try:
             call(*args, **kwargs)
-        except Exception as error:  # a bad item must not end the view
-            self._refuse(error)
+        except Exception as error:  # an invalid item must not end the view
+            self._reject(error)
 
-    def _draw(self, scene: Scene, bulk: list[Item], facts: list[Item], last: bool) -> bool:
-        """Draw curves and facts; True if a bin that had waited was drawn too."""
+    def _draw(self, scene: Scene, bulk: list[Item], events: list[Item], last: bool) -> bool:
+        """Draw curves and events; True if an incomplete bin was drawn too."""
         flushed = False
         curves: dict[str, list[Item]] = {}
         for item in bulk:
@@ -290,7 +285,7 @@ class LiveView:
             if thinner.waiting and (last or now - fed_at > IDLE_FLUSH_S):
                 self._try(scene.series, path, *thinner.flush())
                 flushed = True
-        for kind, path, time_s, *rest in facts:
+        for kind, path, time_s, *rest in events:
             if kind == "points":
                 label, x, y = rest
                 when = scene.newest_s if time_s is None else time_s
@@ -306,7 +301,7 @@ class LiveView:
         values = np.concatenate([item[2] for item in items])
         channel = self.layout.channels.get(path)
         if channel is not None and channel.step:
-            # Its changes only, and at once: ``hold_steps`` carries the value on.
+            # Draw the changes only, and at once; ``hold_steps`` extends the last value.
             known = np.concatenate(([scene.newest.get(path, np.nan)], values[:-1]))
             change = values != known
             scene.series(path, *decimate(time_s[change], values[change], BIN_S))

@@ -1,7 +1,7 @@
-"""What the live view and the view file share: a layout drawn into one Rerun recording.
+"""Draws a layout into a Rerun recording, for the live view and the view file.
 
-Rerun is imported when a ``Scene`` is made, never at import of this module. Calls here may
-block or raise; ``LiveView`` keeps them on its own thread.
+Rerun is imported when a ``Scene`` is created, never at import of this module. Calls here may
+block or raise; ``LiveView`` makes them on its own thread.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Line = tuple[tuple[float, float], tuple[float, float], str]
 FRAME_COLOUR = (130, 135, 140)
 GRID_COLOUR = (45, 49, 53)
 TEXT_COLOUR = (215, 215, 215)
-MOST_STATES = 200  # texts of a lane that get a colour of their own
+MOST_STATES = 200  # limit of texts with their own colour per lane
 
 
 def _label_place(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
-    """Above the upper end of an upright line, below the middle of a level one."""
+    """Above the upper end of a steep line, below the middle of a flat one."""
     if abs(b[1] - a[1]) > abs(b[0] - a[0]):
         top = min(a, b, key=lambda end: end[1])
         return top[0], top[1] - 28.0
@@ -33,12 +33,7 @@ def _label_place(a: tuple[float, float], b: tuple[float, float]) -> tuple[float,
 
 
 class Scene:
-    """Draws series, points, pictures, states and messages of a ``LiveLayout``.
-
-    Args:
-        rec: a ``rerun.RecordingStream``.
-        layout: the panels.
-    """
+    """Draws series, points, pictures, states and messages into a ``rerun.RecordingStream``."""
 
     def __init__(self, rec: Any, layout: LiveLayout) -> None:
         import rerun as rr
@@ -67,7 +62,9 @@ class Scene:
             if panel.kind == "points":
                 self._axes(panel, self._chart(panel))
             if panel.kind == "states":
-                self._state_styles(panel)
+                for channel in panel.channels:
+                    self._state_colours[channel.path] = dict(panel.state_colours)
+                    self._state_style(channel.path)
 
     def _style(self, channel: Channel, colour: Colour) -> None:
         self._rec.log(
@@ -81,11 +78,6 @@ class Scene:
             static=True,
         )
 
-    def _state_styles(self, panel: Panel) -> None:
-        for channel in panel.channels:
-            self._state_colours[channel.path] = dict(panel.state_colours)
-            self._state_style(channel.path)
-
     def _state_style(self, path: str) -> None:
         colours = self._state_colours[path]
         if colours:
@@ -98,11 +90,11 @@ class Scene:
     # ------------------------------------------------------------------- drawing
 
     def series(self, path: str, time_s: Floats, values: Floats) -> None:
-        """One chunk of a curve; an unknown path gets a style and, if need be, a panel."""
+        """Add a piece of a curve; an unknown path gets a style and, if needed, a panel."""
         if len(time_s) == 0:
             return
         if path not in self._known:
-            self._meet(path)
+            self._add_path(path)
         time_ns = np.round(np.asarray(time_s) * 1e9).astype("timedelta64[ns]")
         self._rec.send_columns(
             path,
@@ -113,7 +105,7 @@ class Scene:
         self._last_s[path] = float(time_s[-1])
         self.newest_s = max(self.newest_s, float(time_s[-1]))
 
-    def _meet(self, path: str) -> None:
+    def _add_path(self, path: str) -> None:
         self._known.add(path)
         label = path.split("/", 1)[-1].replace("_", " ").replace("/", " ")
         self._style(Channel(path, label), PALETTE[(len(self._known) - 1) % len(PALETTE)])
@@ -122,7 +114,7 @@ class Scene:
             self._rec.send_blueprint(blueprint(self._layout, extra=self._extra))
 
     def points(self, path: str, time_s: float, label: str, x: Floats, y: Floats) -> None:
-        """Add points to a chart; paths without a points panel are drawn nowhere."""
+        """Add points to a chart; paths without a points panel are ignored."""
         panel = self._layout.panel_of(path)
         if panel is None or panel.kind != "points":
             return
@@ -192,10 +184,10 @@ class Scene:
             )
 
     def image(self, path: str, time_s: float, jpeg: bytes, lines: list[Line]) -> None:
-        """A camera frame as it was stored, with what was measured drawn over it.
+        """Show a camera frame with the measured lines.
 
-        Lines with a name come first and stand out; nameless ones (a profile, a region) are
-        drawn thin.
+        Lines with a name come first and are prominent; nameless ones (a profile, a region) are
+        thin.
         """
         rr = self._rr
         self._at(time_s)
@@ -237,7 +229,7 @@ class Scene:
         )
 
     def state(self, path: str, time_s: float, text: str) -> None:
-        """A change of state, drawn as a lane; empty text ends the lane."""
+        """Change the state of a lane; an empty text ends the state."""
         channel, colours = self._layout.channels.get(path), self._state_colours.get(path)
         colour = channel.colour if channel is not None else None
         if text and colour and colours is not None and text not in colours:
@@ -250,16 +242,16 @@ class Scene:
         self.states[path] = text
 
     def text(self, path: str, time_s: float, text: str, level: str) -> None:
-        """A line in the log."""
+        """Add a line to the log."""
         self._at(time_s)
         colour = {"ERROR": VERMILLION, "WARN": ORANGE}.get(level, TEXT_COLOUR)
         self._rec.log(path, self._rr.TextLog(f"{time_s:.1f} s   {text}", level=level, color=colour))
 
     def hold_steps(self, behind_s: float = 0.0) -> None:
-        """Carry the last value of every staircase on to ``behind_s`` before the newest time.
+        """Extend every step curve to ``behind_s`` before the newest time.
 
-        Live, batches of different devices arrive up to some tens of ms apart; a staircase
-        carried all the way could overtake its own next step.
+        Live batches of different devices arrive up to some 10 ms apart. A step curve extended
+        to the newest time could overtake its own next step.
         """
         until_s = self.newest_s - behind_s
         for path, value in list(self.newest.items()):
@@ -268,7 +260,7 @@ class Scene:
                 self.series(path, np.array([until_s]), np.array([value]))
 
     def finish(self) -> None:
-        """For a view file: staircases to the end, and all of the test on the screen."""
+        """For a view file: extend step curves to the end and show the whole test."""
         self.hold_steps()
         self.readout()
         self._rec.send_blueprint(
@@ -276,7 +268,7 @@ class Scene:
         )
 
     def readout(self, note: str = "") -> None:
-        """Newest values in figures, in every read-out panel."""
+        """Show the newest values as text in every readout panel."""
         panels = [panel for panel in self._layout.panels if panel.kind == "readout"]
         if not panels:
             return

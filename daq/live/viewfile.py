@@ -1,7 +1,7 @@
-"""A view of a recorded run: the live view's panels over the whole record, in one file.
+"""A view file of a recorded run: the panels of the live view over the whole record.
 
-``view.rrd`` is derived: it may be deleted and made again. Runs that were interrupted give
-one too, of as much as their CRCs vouch for.
+``view.rrd`` is a derived file: it may be deleted and created again. For an interrupted run it
+shows all data with a correct CRC.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _LEVELS = {"fault": "ERROR", "vent_unconfirmed": "ERROR", "gap": "WARN", "end": 
 
 
 def view_maker(layout: LiveLayout | None = None, edges: Edges | None = None) -> Maker:
-    """For ``daq.store.derive.derive``: makes ``view.rrd`` in the folder of derived files."""
+    """A maker for ``daq.store.derive.derive``: writes ``view.rrd`` into the derived files."""
 
     def make(run: Run, folder: Path) -> Path:
         return build_view(run, folder / FILE, layout, edges)
@@ -57,11 +57,11 @@ def build_view(
 
     Args:
         run: finished or interrupted.
-        path: the file to write; a partial one is never left under its name.
-        layout: the panels; a plain one with every column of every stream if None.
+        path: the file to write; it never holds partial content.
+        layout: the panels; None shows every column of every stream.
         edges: finds the lines to draw over a stored frame; None draws none.
-        most_rows: a longer series is thinned to its extremes per bin so that the file stays
-            in proportion; the record keeps every sample.
+        most_rows: a longer series is reduced to its min/max envelope; the record keeps all
+            samples.
 
     Raises:
         RecordError: run.json is damaged, or the file cannot be written.
@@ -82,7 +82,7 @@ def build_view(
         os.replace(partial, path)
     except OSError as error:
         raise disk_error(path, "the view cannot be written", error) from error
-    except RuntimeError as error:  # what rerun raises when its writer has failed
+    except RuntimeError as error:  # rerun's error after a failed write
         raise RecordError(
             str(path), f"the view cannot be written: {error}", "make room, then rebuild the run"
         ) from error
@@ -92,7 +92,7 @@ def build_view(
 
 
 def plain_layout(run: Run) -> LiveLayout:
-    """A layout for a run nobody described: one panel a stream, every column drawn."""
+    """Default layout: one panel per stream with all columns."""
     panels: list[Panel] = []
     feeds: list[Feed] = []
     for stream in run.streams:
@@ -131,7 +131,7 @@ def _fill(scene: Scene, run: Run, layout: LiveLayout, edges: Edges | None, most_
     for event in run.events:
         if event["kind"] not in _QUIET:
             level = _LEVELS.get(event["kind"], "INFO")
-            scene.text("log", event["t_ns"] / 1e9, _sentence(event), level)
+            scene.text("log", event["t_ns"] / 1e9, _summary(event), level)
     for problem in run.problems:
         scene.text("log", 0.0, f"record: {problem}", "ERROR")
     scene.text("log", scene.newest_s, f"outcome: {run.outcome}", "INFO")
@@ -144,7 +144,7 @@ def _series(scene: Scene, table: Columns, feed: Feed, layout: LiveLayout, most_r
     time_s = np.asarray(table["time_s"], dtype=np.float64)
     values = np.asarray(table[feed.column], dtype=np.float64) * feed.scale
     channel = layout.channels.get(feed.path)
-    if channel is not None and channel.step and len(values):  # a staircase needs its steps only
+    if channel is not None and channel.step and len(values):  # keep only the steps of a step curve
         changes = np.flatnonzero(values[1:] != values[:-1]) + 1
         keep = np.unique(np.concatenate(([0], changes, [len(values) - 1])))
         time_s, values = time_s[keep], values[keep]
@@ -202,7 +202,7 @@ def _points(scene: Scene, run: Run, tables: dict[str, Columns], feed: PointFeed)
 
 
 def _frame_lengths(run: Run) -> dict[int, float]:
-    """Length in each picture that gave one, as it was measured during the test."""
+    """Length in each measured picture, as measured during the test."""
     calibration = run.calibrations.get("length_mm")
     if calibration is None:
         return {}
@@ -219,7 +219,7 @@ def _mean(
     event: dict[str, Any],
     lengths: dict[int, float],
 ) -> float | None:
-    """Mean of a column over the rows that ``event`` names; None if they are not there."""
+    """Mean of a column over the rows named by ``event``; None if they are missing."""
     stream, column = where
     span: Any
     if stream == "camera" and "row" not in event:
@@ -251,13 +251,13 @@ def _frames(
             jpeg = run.frame_bytes(number)
             lines = edges(jpeg) if edges else []
         except RecordError:
-            continue  # noted in run.problems, which the messages show
-        except ValueError:  # a frame that cannot be measured is still worth showing
+            continue  # listed in run.problems, shown as message
+        except ValueError:  # show a frame without measurement
             lines = []
         scene.image(path, (frame_ns[number] - start_ns) / 1e9, jpeg, lines)
 
 
-def _sentence(event: dict[str, Any]) -> str:
+def _summary(event: dict[str, Any]) -> str:
     skip = ("n", "t_ns", "kind", "crc")
     rest = ", ".join(
         f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}"
@@ -275,25 +275,25 @@ def open_view(
     web: bool | None = None,
     port: int = 9090,
 ) -> WebViewer | NativeViewer:
-    """Show a run: in a window where there is a screen, else as a page on loopback.
+    """Show a run: in a window if there is a screen, else as a web page on loopback.
 
-    A run without a sound view file gets a temporary one. The caller prints ``.message``, calls
-    ``.wait()`` and in the end ``.close()``.
+    A run without a valid view file gets a temporary one. The caller prints ``.message``, calls
+    ``.wait()`` and finally ``.close()``.
 
     Args:
         run: finished or interrupted.
         layout, edges: see :func:`build_view`.
-        web: True for the page, False for the window, None to choose.
+        web: True for the page, False for the window, None for automatic.
         port: of the page.
 
     Raises:
-        RecordError: no view file can be made.
+        RecordError: the view file cannot be created.
         ViewerError: the viewer cannot start.
     """
     made: tempfile.TemporaryDirectory[str] | None = None
     try:
         path = run.derived(FILE)
-    except RecordError:  # interrupted, or not made yet; derived/ is not ours to add to
+    except RecordError:  # interrupted or not derived yet; do not add to derived/
         made = tempfile.TemporaryDirectory(prefix="pamrig-view-")
         path = build_view(run, Path(made.name) / FILE, layout, edges)
     viewer: WebViewer | NativeViewer
@@ -306,5 +306,5 @@ def open_view(
         if made is not None:
             made.cleanup()
         raise
-    viewer.owned = made
+    viewer.temporary = made
     return viewer

@@ -1,9 +1,8 @@
-"""The web viewer on loopback, and the native viewer, as processes of their own.
+"""The web viewer on loopback and the native viewer, as child processes.
 
-The viewer's own ``serve_web_viewer`` listens on every network interface and its page
-reports usage to its makers. Here the packaged viewer binary serves the page on a loopback
-port of its own, and a few lines of relay hand it on with a content policy that lets the
-page talk to this machine only.
+The viewer's own ``serve_web_viewer`` listens on all network interfaces, and its page sends
+usage reports to its makers. Here the viewer program serves the page on a loopback port. A proxy
+passes the page on with a content policy that permits connections to this machine only.
 """
 
 from __future__ import annotations
@@ -30,8 +29,7 @@ LOOPBACK = "127.0.0.1"
 START_S = 60.0
 STOP_S = 1.0
 NATIVE_FAILS_S = 1.5
-# Everything the page may do: run its own code, talk to loopback. No fonts or usage reports
-# from elsewhere.
+# The page may run its own code and connect to loopback; no external fonts, no usage reports.
 POLICY = (
     "default-src 'self' blob: data:; "
     "script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; "
@@ -41,11 +39,11 @@ POLICY = (
 
 
 class ViewerError(PamrigError):
-    """The viewer's program is missing or did not start."""
+    """The viewer program is missing or did not start."""
 
 
 def viewer_program() -> Path:
-    """The viewer's binary itself: the script of the same name does not pass signals on."""
+    """Path of the viewer binary; the script of the same name does not forward signals."""
     import importlib.util
 
     spec = importlib.util.find_spec("rerun_cli")
@@ -59,10 +57,9 @@ def viewer_program() -> Path:
 
 
 def viewer_environment(folder: Path) -> dict[str, str]:
-    """Environment for the viewer's program: usage reports off, user's configuration untouched.
+    """Environment of the viewer program: usage reports off, configuration in ``folder``.
 
-    ``folder`` receives the configuration that the program reads and would otherwise write
-    into the user's home.
+    The program would otherwise write its configuration into the user's home.
     """
     config = folder / "rerun" / "analytics.json"
     if not config.exists():
@@ -75,13 +72,12 @@ def viewer_environment(folder: Path) -> dict[str, str]:
             "data_dir_path": str(config.parent),
         }
         config.write_text(json.dumps(settings), encoding="utf-8")
-    # CI is the program's own second switch for the same thing; it serves where the
-    # configuration folder is not taken from XDG_CONFIG_HOME.
+    # CI also switches usage reports off, for systems where the program ignores XDG_CONFIG_HOME.
     return {**os.environ, "XDG_CONFIG_HOME": str(folder), "CI": "1"}
 
 
 def has_client(port: int) -> bool:
-    """Whether somebody is connected to the server on ``port`` of this process."""
+    """True if a client is connected to the server on ``port`` of this process."""
     import psutil
 
     try:
@@ -92,7 +88,7 @@ def has_client(port: int) -> bool:
 
 
 def has_screen() -> bool:
-    """Whether a window can be opened here."""
+    """True if a window can be opened here."""
     system: str = sys.platform
     if system.startswith("linux"):
         return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -100,10 +96,10 @@ def has_screen() -> bool:
 
 
 class _Program:
-    """The viewer's program as a child process, stopped for certain by ``close``."""
+    """The viewer program as a child process; ``close`` stops it in any case."""
 
     message = ""
-    owned: tempfile.TemporaryDirectory[str] | None = None  # removed with the viewer
+    temporary: tempfile.TemporaryDirectory[str] | None = None  # deleted with the viewer
 
     def __init__(self, arguments: list[str]) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="pamrig-viewer-")
@@ -124,24 +120,24 @@ class _Program:
 
     @property
     def pid(self) -> int:
-        """Process id of the viewer's program."""
+        """Process id of the viewer program."""
         return self._process.pid
 
     @property
-    def said(self) -> str:
-        """Last line of what the program printed."""
+    def last_output(self) -> str:
+        """The last line that the program printed."""
         lines = self._log.read_text(errors="replace").strip().splitlines()
         return lines[-1] if lines else "nothing"
 
     def wait(self) -> None:
-        """Return when the program has ended, by itself or by Ctrl-C."""
+        """Wait until the program ends or the user presses Ctrl-C."""
         try:
             self._process.wait()
         except KeyboardInterrupt:
             self.close()
 
     def close(self) -> None:
-        """Stop the program; at most about 2 s. May be repeated."""
+        """Stop the program, within about 2 s. May be repeated."""
         atexit.unregister(self.close)
         if self._process.poll() is None:
             self._process.terminate()
@@ -151,40 +147,40 @@ class _Program:
                 self._process.kill()
                 self._process.wait(STOP_S)
         self._folder.cleanup()
-        if self.owned is not None:
-            self.owned.cleanup()
+        if self.temporary is not None:
+            self.temporary.cleanup()
 
 
 class NativeViewer(_Program):
-    """The viewer in a window of its own.
+    """The viewer in its own window.
 
     Args:
-        sources: what it opens: server URLs or view files.
+        sources: server URLs or view files to open.
 
     Raises:
-        ViewerError: the program is missing, or ends at once (no screen, no graphics).
+        ViewerError: the program is missing or ends at once (no screen, no graphics).
     """
 
     def __init__(self, sources: list[str]) -> None:
-        # The window also listens for data; on loopback, and on a port of its own.
+        # The window also listens for data: on loopback, and on its own port.
         super().__init__(["--bind", LOOPBACK, "--port", "auto", *sources])
         self.message = "viewer opened in a window; close it or press Ctrl-C to end"
         if _ended(self._process, NATIVE_FAILS_S):
-            said = self.said
+            output = self.last_output
             self.close()
-            raise ViewerError("rerun viewer", f"ended at once: {said}", "pamrig view RUN --web")
+            raise ViewerError("rerun viewer", f"ended at once: {output}", "pamrig view RUN --web")
 
 
 class WebViewer(_Program):
     """Serves the viewer's page on loopback until ``close``.
 
     Args:
-        sources: what the page opens: server URLs (rerun+http://...) or view files.
-        port: of the page; another free one is taken if it is in use.
-        memory: bound on what the server keeps when ``sources`` are files.
+        sources: server URLs (rerun+http://...) or view files to open.
+        port: of the page; if it is in use, another free one.
+        memory: limit of the data that the server keeps when ``sources`` are files.
 
     Raises:
-        ViewerError: the program is missing or does not answer in time.
+        ViewerError: the program is missing or does not respond in time.
     """
 
     def __init__(self, sources: list[str], port: int = 9090, memory: str = "2GB") -> None:
@@ -198,8 +194,8 @@ class WebViewer(_Program):
         if len(urls) < len(sources):
             urls.append(f"rerun+http://{LOOPBACK}:{grpc}/proxy")
         try:
-            self._answer(inner)
-            self._server = _relay(free_port(port), inner)
+            self._wait_for_page(inner)
+            self._server = _proxy(free_port(port), inner)
         except BaseException:
             self.close()
             raise
@@ -209,7 +205,7 @@ class WebViewer(_Program):
         self.url = f"http://{LOOPBACK}:{self._server.server_address[1]}/?{query}"
         self.message = f"open {self.url} in a browser; Ctrl-C ends"
 
-    def _answer(self, port: int) -> None:
+    def _wait_for_page(self, port: int) -> None:
         end = time.monotonic() + START_S
         while time.monotonic() < end and not _ended(self._process, 0.05):
             try:
@@ -218,11 +214,13 @@ class WebViewer(_Program):
             except OSError:
                 pass
         raise ViewerError(
-            "rerun viewer", f"no page within {START_S:g} s; it said: {self.said}", "pamrig doctor"
+            "rerun viewer",
+            f"no page within {START_S:g} s; its last output: {self.last_output}",
+            "pamrig doctor",
         )
 
     def close(self) -> None:
-        """Stop serving; at most about 2 s. May be repeated."""
+        """Stop serving, within about 2 s. May be repeated."""
         server, self._server = self._server, None
         if server is not None:
             threading.Thread(target=server.shutdown, daemon=True).start()
@@ -231,7 +229,7 @@ class WebViewer(_Program):
 
 
 def _ended(process: subprocess.Popen[bytes], seconds: float) -> bool:
-    """Whether ``process`` ends within ``seconds``."""
+    """True if ``process`` ends within ``seconds``."""
     try:
         process.wait(seconds)
     except subprocess.TimeoutExpired:
@@ -240,7 +238,7 @@ def _ended(process: subprocess.Popen[bytes], seconds: float) -> bool:
 
 
 def free_port(wanted: int) -> int:
-    """``wanted`` if it is free on loopback, else one that is; 0 asks for any."""
+    """``wanted`` if it is free on loopback, else a free port; 0 for any."""
     for port in (wanted, 0):
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -252,26 +250,26 @@ def free_port(wanted: int) -> int:
     raise ViewerError(LOOPBACK, "no free port", "close other programs that listen there")
 
 
-def _relay(port: int, inner: int) -> ThreadingHTTPServer:
-    """A loopback server that hands on the page from port ``inner`` under ``POLICY``."""
+def _proxy(port: int, inner: int) -> ThreadingHTTPServer:
+    """A loopback server that passes on the page from port ``inner`` under ``POLICY``."""
 
     class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.0"  # the end of the file is the end of the connection
+        protocol_version = "HTTP/1.0"  # the connection closes at the end of the file
 
         def do_GET(self) -> None:
             try:
                 with urllib.request.urlopen(
                     f"http://{LOOPBACK}:{inner}{self.path}", timeout=10.0
-                ) as answer:
+                ) as response:
                     self.send_response(200)
-                    self.send_header("Content-Type", answer.headers["Content-Type"])
+                    self.send_header("Content-Type", response.headers["Content-Type"])
                     self.send_header("Content-Security-Policy", POLICY)
-                    size = answer.headers.get("rerun-final-length")
-                    if size:  # lets the page show how much is loaded
+                    size = response.headers.get("rerun-final-length")
+                    if size:  # for the page's progress display
                         self.send_header("rerun-final-length", size)
                         self.send_header("Content-Length", size)
                     self.end_headers()
-                    while block := answer.read(1 << 18):
+                    while block := response.read(1 << 18):
                         self.wfile.write(block)
             except urllib.error.HTTPError as error:
                 self.send_error(error.code)

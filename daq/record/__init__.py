@@ -1,1 +1,1 @@
-"""The record of a run as it is written."""
+"""Writing and checking the files of a run record."""

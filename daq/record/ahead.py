@@ -1,15 +1,14 @@
-"""Rows that wait for their batch, already safe from a kill.
+"""Write-ahead file: rows that survive a kill of the process before their batch is written.
 
-A batch is 50 ms long, because an Arrow message of one row would be a dozen times its data. What
-has come since the last batch stands meanwhile in ``samples/STREAM.ahead``: one short entry for
-each handful of rows, put into pages that the process shares with the operating system, so that
-they outlive it without a call that a busy disk could hold up. In a finished run there is no such
-file.
+A batch covers 50 ms, because an Arrow message of one row would have twelve times the size of its
+data. Until the batch is written, ``samples/STREAM.ahead`` holds its rows, in short entries of a
+few rows each. The file is memory-mapped: the rows survive the process without a system call that
+a busy disk could delay. A finished run does not contain this file.
 
-The file is eight slots of 8 kB. Entries of one batch stand one after the other in one slot, and
-zeros after them; once the batch is with the operating system, its slot is zeros again. An entry is
-``PAhd``, the CRC-32 of all that follows in it, the number of its first row, how many rows it has,
-and the columns one after the other as the stream declares them, little-endian.
+The file has eight slots of 8 kB. The entries of one batch follow one another in one slot; zeros
+fill the rest. The writer clears the slot after the batch has gone to the operating system. An
+entry consists of ``PAhd``, the CRC-32 of the following bytes of the entry, the number of its
+first row, the number of rows, and the columns in the declared order, little-endian.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ from pathlib import Path
 import numpy as np
 
 from daq.record.chunks import Problem
+from daq.record.safe_read import LARGEST_BULK, read_inside
 from daq.record.sealed import write_all
 from daq.record.segments import Columns, StreamSchema
-from daq.record.within import LARGEST_BULK, read_inside
 
 MAGIC = b"PAhd"
 SLOTS = 8
@@ -39,33 +38,33 @@ _START = _HEAD.size + _ROWS.size
 
 
 def ahead_name(stream: str) -> str:
-    """The file within the run folder."""
+    """Path of the file within the run folder."""
     return f"samples/{stream}.ahead"
 
 
 def ahead_entry(parts: Sequence[bytes], first_row: int, rows: int) -> bytes:
-    """One entry; ``parts`` are the columns' bytes in the schema's order and dtypes."""
+    """One entry; ``parts`` are the bytes of the columns in the schema's order and dtypes."""
     return sealed_entry(b"".join([_ROWS.pack(first_row, rows), *parts]))
 
 
 def sealed_entry(body: bytes) -> bytes:
-    """One entry; ``body`` is the number of its first row, how many they are, and the columns."""
+    """One entry; ``body`` is the first row number, the number of rows, and the columns."""
     return _HEAD.pack(MAGIC, zlib.crc32(body)) + body
 
 
-def entries_a_slot(row_bytes: int) -> int:
-    """How many entries of one row a slot has room for."""
+def entries_per_slot(row_bytes: int) -> int:
+    """Number of one-row entries that fit into a slot."""
     return SLOT_BYTES // (_START + row_bytes)
 
 
 class AheadFile:
-    """The file of one stream while its run goes on.
+    """The write-ahead file of one stream during the run.
 
-    The caller puts entries and turns to the next slot; whoever writes batches clears. Where the
-    disk is so far behind that no slot is free, entries are left out: their batch still comes.
+    The caller puts entries and selects the next slot; the writer of the batches clears slots. If
+    the disk is so slow that no slot is free, entries are omitted; the batch still records the rows.
 
     Raises:
-        OSError: the file cannot be made.
+        OSError: the file cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -82,30 +81,30 @@ class AheadFile:
         self._full = False
 
     def put(self, entry: bytes) -> None:
-        """One entry more of the batch to come."""
+        """Add an entry of the next batch."""
         at = self._used[self._slot]
         if self._full or at + len(entry) > SLOT_BYTES:
-            self._full = True  # rows after a gap would be of no use
+            self._full = True  # a reader stops at a gap, so later entries are of no use
             return
         begin = self._slot * SLOT_BYTES + at
         self._map[begin : begin + len(entry)] = entry
         self._used[self._slot] = at + len(entry)
 
-    def turn(self) -> int:
-        """The batch is on its way: go on in the next slot; the one to clear when it is there."""
+    def next_slot(self) -> int:
+        """Continue in the next slot after a batch was queued; returns the slot to clear later."""
         done = self._slot
         self._slot = (done + 1) % SLOTS
         self._full = self._used[self._slot] > 0
         return done
 
     def clear(self, slot: int) -> None:
-        """Zeros again."""
+        """Fill a slot with zeros."""
         begin, used = slot * SLOT_BYTES, self._used[slot]
         self._map[begin : begin + used] = bytes(used)
         self._used[slot] = 0
 
     def close(self, finished: bool) -> None:
-        """Let go of it; a finished run needs it no more."""
+        """Unmap the file; delete it if the run is finished."""
         self._map.close()
         if finished:
             with contextlib.suppress(OSError):
@@ -113,17 +112,17 @@ class AheadFile:
 
 
 class AheadRows:
-    """What a killed run left ahead of its last batch.
+    """Rows that a killed run wrote after its last complete batch.
 
     Args:
-        folder: the run folder; None where there can be no such rows.
+        folder: the run folder; None if there can be no such rows.
         schema: of the stream.
-        rows: how many rows the batches hold; entries below are superseded and left out.
+        rows: number of rows in batches; earlier entries are ignored.
 
     Attributes:
-        columns: sound rows that no batch holds, in order; empty arrays if there are none.
+        columns: valid rows that no batch contains, in order; else empty arrays.
         missing: row ranges (half open) between the batches and these rows, and among them.
-        problems: bytes that are not as they were written.
+        problems: damaged bytes.
     """
 
     def __init__(self, folder: Path | None, schema: StreamSchema, rows: int) -> None:
@@ -134,7 +133,7 @@ class AheadRows:
         self._row_bytes = sum(d.itemsize for d in self._dtypes.values())
         there = folder is not None and (folder / self.name).is_file()
         data = read_inside(folder, self.name, LARGEST_BULK) if folder and there else b""
-        found = [e for at in range(0, len(data), SLOT_BYTES) for e in self._sound(data, at)]
+        found = [e for at in range(0, len(data), SLOT_BYTES) for e in self._entries(data, at)]
         parts: list[Columns] = []
         for first, count, at in sorted(found):
             if first < rows:
@@ -152,8 +151,8 @@ class AheadRows:
         """How many rows there are."""
         return len(next(iter(self.columns.values())))
 
-    def _sound(self, data: bytes, at: int) -> Iterator[tuple[int, int, int]]:
-        """(first row, rows, where its columns begin) of each sound entry of a slot."""
+    def _entries(self, data: bytes, at: int) -> Iterator[tuple[int, int, int]]:
+        """(first row, rows, position of the columns) of each valid entry of a slot."""
         limit = min(at + SLOT_BYTES, len(data))
         while at + _START <= limit:
             first, rows = _ROWS.unpack_from(data, at + _HEAD.size)
@@ -165,7 +164,7 @@ class AheadRows:
             at = end
         rest = data[at:limit].rstrip(b"\x00")
         if rest:
-            what = "bytes that are no sound entry, nothing read from here on in this slot"
+            what = "not a valid entry; the rest of this slot is not read"
             torn = rest.startswith(MAGIC) and MAGIC not in rest[1:]
             self.problems.append(Problem(self.name, at, what, len(rest), torn))
 

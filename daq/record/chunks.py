@@ -1,8 +1,8 @@
-"""Appended files of chunks, whose every byte an index line vouches for.
+"""Bulk files of checksummed chunks and their index files.
 
-A bulk file (Arrow segment, JPEG string, wire dump) is a string of *chunks*. Each chunk
-is written first, then its line in the index beside it: file, offset, length, CRC-32.
-Bytes that no sound line covers are never read as data.
+A bulk file (Arrow segment, JPEG sequence, wire dump) is a sequence of *chunks*. The writer
+appends each chunk first, then a line in the index: file, offset, length, CRC-32. Bytes without
+a valid index line are never read as data.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import RecordError
+from daq.record.safe_read import LARGEST_BULK, LARGEST_INDEX, path_inside, read_inside
 from daq.record.sealed import plain, read_lines, seal_text
-from daq.record.within import LARGEST_BULK, LARGEST_INDEX, path_inside, read_inside
 
 
 def index_line(n: int, file: str, offset: int, data: bytes, fields: str = "") -> bytes:
@@ -37,7 +37,7 @@ def members(fields: dict[str, Any]) -> str:
 
 @dataclass(slots=True)
 class Entry:
-    """One sound index line: a chunk and where it lies."""
+    """One valid index line: a chunk and its position."""
 
     n: int
     file: str
@@ -49,14 +49,14 @@ class Entry:
 
 @dataclass(frozen=True)
 class Problem:
-    """Bytes that are not what was written, or that nothing vouches for.
+    """Damaged bytes, or bytes without an entry in the record.
 
     Attributes:
         file: path within the run folder.
-        offset: where in it the damage begins (0 if the whole file is meant).
-        what: what was expected and what is there.
-        length: how many bytes are concerned.
-        tail: True for what a kill or a power cut leaves behind: unfinished, not damaged.
+        offset: first damaged byte (0 if the whole file is affected).
+        what: the expected and the actual state.
+        length: number of affected bytes.
+        tail: True for bytes that a kill or a power cut left unfinished: not damaged.
     """
 
     file: str
@@ -70,12 +70,12 @@ class Problem:
 
 
 class ChunkIndex:
-    """An index file and the bulk files it vouches for, read with suspicion.
+    """An index file and the bulk files it lists; every value is checked before use.
 
     Attributes:
-        head: the members of the opening line (None if there is none or it is damaged).
-        entries: sound lines in file order.
-        problems: damaged index lines and missing numbers; :meth:`sound` adds to them.
+        head: members of the first line (None if missing or damaged).
+        entries: valid lines in file order.
+        problems: damaged lines and missing line numbers; :meth:`valid_chunks` adds to them.
     """
 
     def __init__(self, root: Path, index: str) -> None:
@@ -90,39 +90,38 @@ class ChunkIndex:
         data = read_inside(self.root, self.index, LARGEST_INDEX)
         expected = 0
         for line in read_lines(data):
-            last = line.offset + len(line.raw) == len(data)
+            length = len(line.raw)
             if line.fields is None:
-                torn = last and not line.raw.endswith(b"\n")
-                what = "last line is torn" if torn else "line does not match its CRC"
-                self.problems.append(Problem(self.index, line.offset, what, len(line.raw), torn))
+                what = "last line is torn" if line.torn else "line does not match its CRC"
+                self.problems.append(Problem(self.index, line.offset, what, length, line.torn))
                 continue
             fields = dict(line.fields)
             try:
                 n = _count(fields.pop("n"))
                 entry = _entry(n, fields) if n else None
             except (KeyError, ValueError):
-                what = "line is sealed, but says no place in a file"
-                self.problems.append(Problem(self.index, line.offset, what, len(line.raw)))
+                what = "the CRC of the line is correct, but it is not an index line"
+                self.problems.append(Problem(self.index, line.offset, what, length))
                 continue
             if n != expected:
                 what = f"lines {expected} to {n - 1} are missing or damaged"
-                self.problems.append(Problem(self.index, line.offset, what, len(line.raw)))
+                self.problems.append(Problem(self.index, line.offset, what, length))
             expected = n + 1
             if entry is None:
                 self.head = fields
             else:
                 self.entries.append(entry)
 
-    def sound(self) -> Iterator[tuple[bytes, list[Entry]]]:
-        """File by file: its bytes and the chunks in it that match their lines.
+    def valid_chunks(self) -> Iterator[tuple[bytes, list[Entry]]]:
+        """File by file: its bytes and those chunks that match their index lines.
 
-        Whatever does not goes to ``problems``: chunks damaged or cut short, bytes between
-        and after chunks, missing files, files that are come back to.
+        All else is added to ``problems``: damaged or truncated chunks, bytes between and after
+        chunks, missing files, chunks out of order.
         """
         seen: set[str] = set()
         for file, entries in groupby(self.entries, key=lambda entry: entry.file):
             if file in seen:
-                self.problems.append(Problem(file, 0, "its chunks are not in order, not read"))
+                self.problems.append(Problem(file, 0, "its chunks are out of order, not read"))
                 continue
             seen.add(file)
             try:
@@ -130,12 +129,12 @@ class ChunkIndex:
             except RecordError as error:
                 self.problems.append(Problem(file, 0, error.what))
                 continue
-            yield data, list(self._sound_chunks(file, data, entries))
+            yield data, list(self._valid_chunks(file, data, entries))
 
-    def possible(self) -> Iterator[Entry]:
-        """Entries whose chunks can be there: within their file, in order, none upon another.
+    def plausible(self) -> Iterator[Entry]:
+        """Entries whose chunks lie within their file, in order and without overlap.
 
-        What is set aside for the rows of these is bounded by the bytes that there are.
+        The existing bytes therefore limit the memory that their rows can request.
         """
         ends: dict[str, int] = {}
         sizes: dict[str, int] = {}
@@ -149,17 +148,17 @@ class ChunkIndex:
                 ends[entry.file] = end
                 yield entry
 
-    def _sound_chunks(self, file: str, data: bytes, entries: Iterable[Entry]) -> Iterator[Entry]:
+    def _valid_chunks(self, file: str, data: bytes, entries: Iterable[Entry]) -> Iterator[Entry]:
         view = memoryview(data)
         end = 0
         for entry in entries:
             offset, length = entry.offset, entry.length
             if offset < end:
-                what = f"chunk {entry.n} lies upon the one before it, not read"
+                what = f"chunk {entry.n} overlaps the one before it, not read"
                 self.problems.append(Problem(file, offset, what, length))
                 continue
             if offset > end:
-                what = "bytes that no sound index line covers, not read"
+                what = "bytes without a valid index line, not read"
                 self.problems.append(Problem(file, end, what, offset - end))
             end = offset + length
             chunk = view[offset:end]
@@ -172,32 +171,30 @@ class ChunkIndex:
             else:
                 yield entry
         if len(data) > end:
-            what = "bytes at the end that no index line covers, not read"
+            what = "bytes at the end without an index line, not read"
             self.problems.append(Problem(file, end, what, len(data) - end, tail=True))
 
 
 def _entry(n: int, fields: dict[str, Any]) -> Entry:
-    """An index line's own members, and what else it says."""
     file, crc32 = fields.pop("file"), fields.pop("crc32")
     if not isinstance(file, str) or not isinstance(crc32, str):
-        raise ValueError("names no file")
+        raise ValueError("file and crc32 must be text")
     return Entry(n, file, _count(fields.pop("offset")), _count(fields.pop("length")), crc32, fields)
 
 
 def _count(value: Any) -> int:
-    """A whole number from 0 that a file can have."""
     if type(value) is not int or not 0 <= value < 2**63:
-        raise ValueError(f"{value!r} is no count")
+        raise ValueError(f"{value!r} is not a count")
     return value
 
 
-def only_possible_rows(index: ChunkIndex, row_bytes: int = 1) -> None:
-    """Leave out lines that claim rows which their bytes cannot hold; each is a problem."""
+def drop_implausible_rows(index: ChunkIndex, row_bytes: int = 1) -> None:
+    """Drop index lines that claim more rows than their bytes can hold; each is a problem."""
     kept = []
     for entry in index.entries:
         rows, first = entry.fields.get("rows", 0), entry.fields.get("first_row", 0)
-        says = entry.fields.get("chunk") != "rows" or {"rows", "first_row"} <= set(entry.fields)
-        counts = says and type(rows) is int and type(first) is int and 0 <= first < 2**62
+        named = entry.fields.get("chunk") != "rows" or {"rows", "first_row"} <= set(entry.fields)
+        counts = named and type(rows) is int and type(first) is int and 0 <= first < 2**62
         if counts and 0 <= rows * max(row_bytes, 1) <= entry.length:
             kept.append(entry)
             continue

@@ -1,9 +1,9 @@
-"""Appended files, written at once, synced off the caller's path.
+"""Append-only files, written at once and synced in the background.
 
-Three lives, so that no slow one holds up a quicker one: the caller encodes and queues;
-the *writer* hands bytes to the operating system as they come (they then survive a kill
-of this process); the *syncer* pushes them to the medium once a second, or at once when
-asked (they then survive a power cut). Without threads all of it happens in the caller.
+Three roles, so that a slow one does not delay a faster one. The caller encodes and queues data.
+The *writer* thread passes the data to the operating system; they then survive a kill of this
+process. The *syncer* thread syncs the files to the medium once a second, or at once on request;
+the data then survive a power cut. Without threads the caller does all of this.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ RESERVE_BYTES = 65536
 SYNC_PERIOD_S = 1.0
 QUEUE_BYTES = 64 << 20
 JOIN_S = 30.0
-OWED_BYTES = 1 << 20
-"""So much of what is vital is kept for a disk that may take it later."""
+DEFERRED_BYTES = 1 << 20
+"""Limit of the vital data kept in memory after a failure, to be written later."""
 
 _REMEDIES = {
-    errno.ENOSPC: "free some disk space or choose another runs folder; all before this is readable",
+    errno.ENOSPC: "free some disk space or choose another runs folder; earlier data are readable",
     errno.EFBIG: "the system limits the size of a file (ulimit -f); lift it or use another disk",
     errno.EROFS: "the file system is read-only; choose another runs folder",
     errno.EACCES: "choose a runs folder that you may write to",
@@ -41,13 +41,13 @@ _REMEDIES[getattr(errno, "EDQUOT", errno.ENOSPC)] = _REMEDIES[errno.ENOSPC]
 
 
 def disk_error(where: Path | str, doing: str, error: OSError) -> RecordError:
-    """An OSError met while writing, as the operator should read it."""
+    """Convert an OSError while writing into an error with a remedy."""
     remedy = _REMEDIES.get(error.errno or 0, "check the disk and the permissions of this folder")
     return RecordError(str(where), f"{doing}: {error.strerror or error}", remedy)
 
 
 class _File:
-    """One appended file with the CRC of all that was written to it."""
+    """An append-only file with the CRC of its content."""
 
     def __init__(self, path: Path) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_BINARY", 0)
@@ -61,24 +61,24 @@ class _File:
             write_all(self.fd, data)
         except OSError:
             with contextlib.suppress(OSError):
-                os.truncate(self.path, self.size)  # no torn chunk, and room for final.json
+                os.truncate(self.path, self.size)  # no torn chunk; space for final.json
             raise
         self.size += len(data)
         self.crc = zlib.crc32(data, self.crc)
 
 
 class Disk:
-    """All the files of one run folder while it is being written.
+    """All files of one run folder during the run.
 
     Args:
         root: the run folder, which exists.
-        durable: fsync (once a second, and at once where asked); else only at close.
-        threaded: write and sync in threads of their own.
+        durable: sync once a second, and at once on request; else only at close.
+        threaded: write and sync in threads.
 
     Attributes:
-        failed: the first error met, None while all is well. After it bulk data are
-            refused; lines marked ``vital`` are still tried, those refused before them first.
-        discarded_bytes: how much was queued and could not be written.
+        failed: the first error, else None. After an error the disk rejects bulk data. It still
+            tries to write lines marked ``vital``, in their order.
+        discarded_bytes: number of queued bytes that could not be written.
     """
 
     def __init__(self, root: Path, durable: bool, threaded: bool) -> None:
@@ -94,7 +94,7 @@ class Disk:
         self._sync_lock = threading.Lock()
         self._sync_wanted = threading.Event()
         self._stop = False
-        self._owed: list[tuple[str, bytes]] = []
+        self._deferred: list[tuple[str, bytes]] = []
         self._queued = 0
         self._written = 0
         self._synced_s = time.monotonic()
@@ -102,28 +102,29 @@ class Disk:
             tuple[str, bytes, int] | threading.Event | Callable[[], None] | None
         ] = queue.SimpleQueue()
         self._threads: list[threading.Thread] = []
-        self._reserve()
+        with open(root / RESERVE_NAME, "xb", buffering=0) as out:
+            write_all(out.fileno(), bytes(RESERVE_BYTES))
         if threaded:
             self._start(self._write_loop, "record-writer")
             if durable:
                 self._start(self._sync_loop, "record-sync")
 
-    def _start(self, target: Any, name: str) -> None:
+    def _start(self, target: Callable[[], None], name: str) -> None:
         thread = threading.Thread(target=target, name=name, daemon=True)
         self._threads.append(thread)
         thread.start()
 
-    # -- the caller's side ---------------------------------------------------
+    # -- called by the user of the record --------------------------------------
 
     def put(self, file: str, data: bytes, *, vital: bool = False, end: bool = False) -> None:
-        """Append ``data`` to ``file`` (made on first use).
+        """Append ``data`` to ``file``, which is created on first use.
 
         Args:
-            vital: sync at once, and try even after a failure.
-            end: nothing more will come for this file.
+            vital: sync at once, and try to write even after a failure.
+            end: this is the last data for the file.
 
         Raises:
-            RecordError: the disk has failed before, or cannot keep up.
+            RecordError: the disk has failed before, or is too slow.
         """
         if self.failed is not None and not vital:
             raise self.failed
@@ -137,21 +138,17 @@ class Disk:
             return
         self._queued += len(data)
         if self._queued - self._written > QUEUE_BYTES and not vital:
-            self._fail(
-                RecordError(
-                    str(self.root),
-                    f"the disk is {QUEUE_BYTES >> 20} MB behind the data that come in",
-                    "use a faster disk, or fewer or smaller camera frames",
-                )
-            )
+            what = f"the disk is {QUEUE_BYTES >> 20} MB behind the data that come in"
+            remedy = "use a faster disk, or fewer or smaller camera frames"
+            self._fail(RecordError(str(self.root), what, remedy))
             assert self.failed is not None
             raise self.failed
         self._jobs.put((file, data, flags))
 
-    def then(self, work: Callable[[], None]) -> None:
-        """Do ``work`` once all that was put before is with the operating system; not if it failed.
+    def call_after_writes(self, work: Callable[[], None]) -> None:
+        """Call ``work`` once all earlier data are with the operating system; not after a failure.
 
-        It is done by the writer's thread and must not raise.
+        The writer thread calls it; it must not raise.
         """
         if self._threads:
             self._jobs.put(work)
@@ -159,7 +156,7 @@ class Disk:
             work()
 
     def drain(self, timeout_s: float = JOIN_S) -> bool:
-        """Wait until all that was put has gone to the operating system."""
+        """Wait until all queued data are with the operating system; False on time-out."""
         if not self._threads:
             return True
         reached = threading.Event()
@@ -167,12 +164,12 @@ class Disk:
         return reached.wait(timeout_s)
 
     def close(self) -> dict[str, dict[str, Any]]:
-        """Write, sync and close everything; size and CRC of each file, in order of name.
+        """Write, sync and close all files; returns size and CRC of each file, sorted by name.
 
-        A slow disk is waited for as long as it gets on with what is queued.
+        Waits for a slow disk as long as it makes progress.
 
         Raises:
-            RecordError: the disk does not answer any more.
+            RecordError: the disk does not respond any more.
         """
         self._stop = True
         if self._threads:
@@ -180,17 +177,17 @@ class Disk:
             self._sync_wanted.set()
             for thread in self._threads:
                 done = -1
-                while thread.is_alive() and done != self._written:  # slow is not dead
+                while thread.is_alive() and done != self._written:  # progress since last check
                     done = self._written
                     thread.join(JOIN_S)
                 if thread.is_alive():
                     raise RecordError(
                         str(self.root),
-                        f"the disk has not answered for {JOIN_S:.0f} s",
-                        "check the disk; what it holds already is readable",
+                        f"the disk has not responded for {JOIN_S:.0f} s",
+                        "check the disk; the data on it are readable",
                     )
-        self._pay()
-        self.discarded_bytes += sum(len(data) for _, data in self._owed)
+        self._write_deferred()
+        self.discarded_bytes += sum(len(data) for _, data in self._deferred)
         self._dirty.update(self._files.values())
         self._ended.update(self._files.values())
         self._sync()
@@ -201,15 +198,11 @@ class Disk:
         }
 
     def release_reserve(self) -> None:
-        """Give back the space kept for the last words."""
+        """Free the space reserved for the final messages."""
         with contextlib.suppress(OSError):
             os.unlink(self.root / RESERVE_NAME)
 
-    # -- the writer's and the syncer's side ----------------------------------
-
-    def _reserve(self) -> None:
-        with open(self.root / RESERVE_NAME, "xb", buffering=0) as out:
-            write_all(out.fileno(), bytes(RESERVE_BYTES))
+    # -- called by the writer and syncer threads --------------------------------
 
     def _fail(self, error: RecordError) -> None:
         if self.failed is None:
@@ -219,8 +212,8 @@ class Disk:
     def _append(self, file: str, data: bytes, flags: int) -> None:
         if self.failed is not None:
             if flags & 1:
-                self._owe(file, data)
-                self._pay()
+                self._defer(file, data)
+                self._write_deferred()
             else:
                 self.discarded_bytes += len(data)
             return
@@ -228,7 +221,7 @@ class Disk:
             self._write(file, data, flags)
         except OSError as error:
             self._fail(disk_error(self.root / file, "cannot be written", error))
-            self._append(file, data, flags)  # now that the reserve has been given back
+            self._append(file, data, flags)  # again, after release of the reserve
 
     def _write(self, file: str, data: bytes, flags: int = 0) -> None:
         handle = self._open(file)
@@ -238,18 +231,18 @@ class Disk:
             if flags & 2:
                 self._ended.add(handle)
 
-    def _owe(self, file: str, data: bytes) -> None:
-        if sum(len(owed) for _, owed in self._owed) + len(data) > OWED_BYTES:
+    def _defer(self, file: str, data: bytes) -> None:
+        if sum(len(item) for _, item in self._deferred) + len(data) > DEFERRED_BYTES:
             self.discarded_bytes += len(data)
         else:
-            self._owed.append((file, data))
+            self._deferred.append((file, data))
 
-    def _pay(self) -> None:
-        """Write what was refused, in order, as far as the disk takes it now."""
+    def _write_deferred(self) -> None:
+        """Write the deferred data in order, until the disk rejects one."""
         with contextlib.suppress(OSError):
-            while self._owed:
-                self._write(*self._owed[0])
-                del self._owed[0]
+            while self._deferred:
+                self._write(*self._deferred[0])
+                del self._deferred[0]
 
     def _open(self, file: str) -> _File:
         handle = self._files.get(file)
@@ -257,7 +250,7 @@ class Disk:
             path = self.root / file
             folders = {path.parent}
             if not path.parent.exists():
-                path.parent.mkdir(parents=True, exist_ok=True)  # the caller may be first
+                path.parent.mkdir(parents=True, exist_ok=True)  # the caller may have made it
                 folders.add(path.parent.parent)
             handle = self._files[file] = _File(path)
             with self._sync_lock:
@@ -276,7 +269,7 @@ class Disk:
             file, data, flags = job
             try:
                 self._append(file, data, flags)
-            except Exception as error:  # a writer that dies in silence would lose all to come
+            except Exception as error:  # if the thread ended, all later data would be lost
                 self._fail(RecordError(str(self.root / file), f"cannot be written: {error!r}"))
             self._written += len(data)
             if flags & 1:
@@ -289,7 +282,7 @@ class Disk:
             self._sync()
 
     def _sync(self) -> None:
-        """Push dirty files to the medium and close those that have ended."""
+        """Sync changed files to the medium and close those that have ended."""
         with self._sync_lock:
             dirty, self._dirty = self._dirty, set()
             ended, self._ended = self._ended, set()

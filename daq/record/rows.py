@@ -1,8 +1,8 @@
-"""A stream that is given row by row: each row is safe from a kill when the call returns.
+"""A stream recorded row by row. A row survives a kill once the call returns.
 
-A message for each row would be a dozen times its data, and a reader would wait for them; so rows
-are joined into batches of up to 50 ms or 8 kB. Until its batch is written a row stands in pages
-that the process shares with the operating system, see :mod:`daq.record.ahead`.
+An Arrow message per row would have twelve times the size of its data. The writer therefore
+collects rows into batches of up to 50 ms or 8 kB. The write-ahead file (:mod:`daq.record.ahead`)
+holds a row until its batch is written.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.clock import Clock
-from daq.record.ahead import ROWS, entries_a_slot, sealed_entry
+from daq.record.ahead import ROWS, entries_per_slot, sealed_entry
 from daq.record.segments import StreamSchema
 from daq.record.writer import RecordWriter
 
@@ -23,20 +23,19 @@ _CODES = {"i1": "b", "i2": "h", "i4": "i", "i8": "q", "u1": "B", "u2": "H", "u4"
 
 
 class RowWriter:
-    """Rows of one stream, in the order in which they come.
+    """Rows of one stream in order of arrival.
 
-    A batch is closed by the row that fills it, by the first row 50 ms after its first, and at once
-    by a row that comes alone. Call :meth:`flush` where a burst ends long before the run, so that
-    its last rows reach the medium; ending the run does so too, if this is closed before it.
+    A batch ends with the row that fills it, with the first row 50 ms after its first, or at once if
+    a row arrives alone. Call :meth:`flush` before the run ends, and after a burst of rows that ends
+    long before the run.
 
     Args:
-        record: what it is written to, and nothing else writes to this stream.
-        clock: says when a batch is due.
-        name, schema: as for :meth:`RecordWriter.stream`, which this calls.
-        units: likewise.
+        record: the run record; no other code may write to this stream.
+        clock: determines when a batch is due.
+        name, schema, units: as for :meth:`RecordWriter.stream`, which this calls.
 
     Attributes:
-        rows: how many were given.
+        rows: number of rows added.
     """
 
     def __init__(
@@ -56,26 +55,28 @@ class RowWriter:
         self._pack = struct.Struct(ROWS + "".join(_CODES[d.str[1:]] for d in dtypes.values())).pack
         self._layout = np.dtype([("", "<i8"), ("", "<u4"), *dtypes.items()])
         self._names = list(dtypes)
-        self._most = max(1, entries_a_slot(StreamSchema(name, schema).row_bytes))
+        self._most = max(1, entries_per_slot(StreamSchema(name, schema).row_bytes))
         self._waiting: list[bytes] = []
         self._until_ns = self._last_ns = -BATCH_NS
 
     def add(self, values: Sequence[float]) -> int:
-        """One row, a value for each column in the schema's order; its number, counted from 0.
+        """Add a row, one value per column in the schema's order; returns its number, from 0.
 
         Raises:
             RecordError: the disk has failed.
-            ValueError: a value is missing, too many, or does not fit its column.
+            ValueError: the number of values is wrong, or a value does not fit its column.
         """
         try:
             body = self._pack(self.rows, 1, *values)
         except struct.error as error:
-            raise ValueError(f"stream {self._name}: {values!r} is no row of it: {error}") from None
+            raise ValueError(
+                f"stream {self._name}: {values!r} is not a row of it: {error}"
+            ) from None
         now_ns = self._clock.now_ns()
         waiting = self._waiting
         if not waiting:
             self._until_ns = now_ns + BATCH_NS
-        self._record.ahead_row(self._name, sealed_entry(body))
+        self._record.write_ahead_row(self._name, sealed_entry(body))
         waiting.append(body)
         self.rows += 1
         alone = now_ns - self._last_ns > BATCH_NS
@@ -85,7 +86,7 @@ class RowWriter:
         return self.rows - 1
 
     def flush(self) -> None:
-        """Make a batch of what waits for one.
+        """Write the waiting rows as a batch.
 
         Raises:
             RecordError: the disk has failed.

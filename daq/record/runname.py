@@ -1,4 +1,4 @@
-"""Names of run folders: when it began, what it was, and what tells it from its neighbours."""
+"""Names of run folders: start time, protocol, specimen and a unique suffix."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ TAIL = 6
 
 
 def slug(text: object) -> str:
-    """``text`` as part of a folder name."""
+    """Convert ``text`` to a part of a folder name."""
     return re.sub(r"[^A-Za-z0-9.-]+", "-", str(text)).strip("-.")[:40] or "none"
 
 
 def run_name(wall_ns: int, protocol: str, specimen: str) -> str:
-    """``20260131T093000Z_PROTOCOL_SPECIMEN_0a1b2c``: the tail begins with the part of the second.
+    """Folder name, such as ``20260131T093000Z_PROTOCOL_SPECIMEN_0a1b2c``.
 
-    Three hexadecimal digits of it (0.24 ms), then three drawn by lot.
+    The suffix is the fraction of the second (three hexadecimal digits of 0.24 ms), then three
+    random digits.
     """
     stamp = datetime.fromtimestamp(wall_ns // 1_000_000_000, UTC).strftime("%Y%m%dT%H%M%SZ")
     part = wall_ns % 1_000_000_000 * 4096 // 1_000_000_000
@@ -27,6 +28,6 @@ def run_name(wall_ns: int, protocol: str, specimen: str) -> str:
 
 
 def by_start(folder: Path) -> tuple[str, str, str]:
-    """Sorts run folders by when they began, also within a second, whatever they are called."""
+    """Sort key of run folders: start time including the fraction of the second."""
     name = folder.name
     return name[:STAMP], name[-TAIL:], name

@@ -1,17 +1,17 @@
-"""JSON that knows when it has been damaged.
+"""JSON with a checksum.
 
 Two forms, both plain JSON for any other reader:
 
 * a *line* is one object on one line whose last member is ``"crc"``;
 * a *sealed file* is one indented object whose last member is ``"crc"``.
 
-The CRC-32 (zlib) covers the exact bytes before that last member; what follows it is
-fixed to the byte. So every bit of a line or file, its end of line and the CRC itself
-included, is either covered or compared.
+The CRC-32 (zlib) covers the exact bytes before that last member. The bytes after it are fixed.
+A reader therefore detects a change of any bit, including the end of line and the CRC itself.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -21,16 +21,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-_LINE_TAIL = len(',"crc":"00000000"}\n')
-_FILE_TAIL = len(',\n  "crc": "00000000"\n}\n')
+_LINE_TAIL = b',"crc":"%08x"}\n'
+_FILE_TAIL = b',\n  "crc": "%08x"\n}\n'
 
 
 class SealError(ValueError):
-    """A line or file does not carry the CRC of its own bytes."""
+    """The CRC of a line or file does not match its bytes."""
 
 
 def plain(value: Any) -> Any:
-    """``value`` as JSON can hold it: numpy scalars and arrays unpacked, NaN and inf as null."""
+    """Convert to JSON types: numpy scalars and arrays to numbers and lists, NaN and inf to null."""
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
@@ -46,33 +46,40 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} cannot be stored as JSON: {value!r}")
 
 
-def _object(text: bytes) -> Any:
+def _seal(body: bytes, tail: bytes) -> bytes:
+    return body + tail % zlib.crc32(body)
+
+
+def _open(data: bytes, tail: bytes) -> dict[str, Any]:
+    body = data[: -len(tail % 0)]
+    if not body or data != _seal(body, tail):
+        raise SealError("the CRC does not match the bytes")
     try:
-        return json.loads(text)
+        fields = json.loads(body + b"}")
     except RecursionError:
-        raise SealError("is nested without end") from None
+        raise SealError("the JSON is nested too deeply") from None
+    if not isinstance(fields, dict):
+        raise SealError("not a JSON object")
+    return fields
 
 
-def _refuse_crc(fields: dict[str, Any]) -> None:
-    if "crc" in fields:
-        raise ValueError("the name 'crc' is taken by the seal itself")
+def _check_fields(fields: dict[str, Any]) -> None:
+    if not fields or "crc" in fields:
+        raise ValueError("a sealed object needs at least one member; the name 'crc' is reserved")
 
 
 def seal_text(text: str) -> bytes:
-    """Seal one JSON object already written out as ``{...`` *without* its closing brace."""
-    body = text.encode()
-    return b'%s,"crc":"%08x"}\n' % (body, zlib.crc32(body))
+    """Seal a JSON object given as text *without* its closing brace."""
+    return _seal(text.encode(), _LINE_TAIL)
 
 
 def seal_line(fields: dict[str, Any]) -> bytes:
-    """One sealed line, newline included, members in the order given.
+    """One sealed line with newline, members in the given order.
 
     Raises:
-        ValueError: if there is no member, or one is called ``crc``.
+        ValueError: there is no member, or one has the name ``crc``.
     """
-    _refuse_crc(fields)
-    if not fields:
-        raise ValueError("an empty line cannot be sealed")
+    _check_fields(fields)
     try:
         text = json.dumps(fields, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     except (TypeError, ValueError):
@@ -81,32 +88,31 @@ def seal_line(fields: dict[str, Any]) -> bytes:
 
 
 def open_line(line: bytes) -> dict[str, Any]:
-    """The members of one sealed line (newline included), without its CRC.
+    """The members of a sealed line (with newline), without the CRC.
 
     Raises:
-        SealError: if a single bit of it is not as it was written.
+        SealError: a bit of the line has changed.
     """
-    body = line[:-_LINE_TAIL]
-    if not body or line[-_LINE_TAIL:] != b',"crc":"%08x"}\n' % zlib.crc32(body):
-        raise SealError("does not carry the CRC of its own bytes")
-    fields = _object(body + b"}")
-    if not isinstance(fields, dict):
-        raise SealError("is not a JSON object")
-    return fields
+    return _open(line, _LINE_TAIL)
 
 
 class Line(NamedTuple):
-    """One line of a file: where it starts, its bytes, its members (None if damaged)."""
+    """One line of a file: byte offset, bytes, members (None if damaged)."""
 
     offset: int
     raw: bytes
     fields: dict[str, Any] | None
 
+    @property
+    def torn(self) -> bool:
+        """True for a damaged line without newline: the write was cut off."""
+        return self.fields is None and not self.raw.endswith(b"\n")
+
 
 def read_lines(data: bytes) -> Iterator[Line]:
-    """Every line of ``data`` in order, damaged and torn ones with ``fields`` None."""
+    """Every line of ``data`` in order; damaged lines have ``fields`` None."""
     offset = 0
-    for raw in data.splitlines(keepends=True) if b"\r" not in data else _split(data):
+    for raw in io.BytesIO(data):
         try:
             fields: dict[str, Any] | None = open_line(raw)
         except ValueError:
@@ -115,45 +121,24 @@ def read_lines(data: bytes) -> Iterator[Line]:
         offset += len(raw)
 
 
-def _split(data: bytes) -> Iterator[bytes]:
-    start = 0
-    while start < len(data):
-        end = data.find(b"\n", start) + 1 or len(data)
-        yield data[start:end]
-        start = end
-
-
 def seal_file(fields: dict[str, Any]) -> bytes:
-    """A whole file of sealed, indented JSON."""
-    _refuse_crc(fields)
-    if not fields:
-        raise ValueError("an empty file cannot be sealed")
+    """The bytes of a sealed, indented JSON file."""
+    _check_fields(fields)
     text = json.dumps(plain(fields), indent=2, ensure_ascii=False)
-    body = text.removesuffix("\n}").encode()
-    return b'%s,\n  "crc": "%08x"\n}\n' % (body, zlib.crc32(body))
+    return _seal(text.removesuffix("\n}").encode(), _FILE_TAIL)
 
 
 def open_file(data: bytes) -> dict[str, Any]:
-    """The members of a sealed file, without its CRC.
+    """The members of a sealed file, without the CRC.
 
     Raises:
-        SealError: if a single bit of it is not as it was written.
+        SealError: a bit of the file has changed.
     """
-    body = data[:-_FILE_TAIL]
-    if not body or data[-_FILE_TAIL:] != b',\n  "crc": "%08x"\n}\n' % zlib.crc32(body):
-        raise SealError("does not carry the CRC of its own bytes")
-    fields = _object(body + b"\n}")
-    if not isinstance(fields, dict):
-        raise SealError("is not a JSON object")
-    return fields
+    return _open(data, _FILE_TAIL)
 
 
 def write_sealed(path: Path, fields: dict[str, Any], durable: bool = True) -> bytes:
-    """Write a sealed file so that at no moment a partial one bears its name.
-
-    Returns:
-        the bytes written.
-    """
+    """Write a sealed file atomically (write, then rename); returns its bytes."""
     data = seal_file(fields)
     partial = path.with_name(path.name + ".partial")
     with open(partial, "wb", buffering=0) as out:
@@ -174,7 +159,7 @@ def write_all(fd: int, data: bytes) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make names in ``folder`` survive a power cut (where the system can)."""
+    """Make the names in ``folder`` survive a power cut (not available on Windows)."""
     if sys.platform == "win32":
         return
     fd = os.open(folder, os.O_RDONLY)

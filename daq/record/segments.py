@@ -1,8 +1,8 @@
 """Columns of numbers as Arrow record batch messages, and back.
 
-A segment is a plain Arrow IPC stream: schema message, record batch messages, end mark;
-each of them one chunk of :mod:`daq.record.chunks`. A record batch message needs only the schema
-to be read, so one damaged chunk costs its own rows and no others.
+A segment is a plain Arrow IPC stream: schema message, record batch messages, end marker. Each
+message is one chunk of :mod:`daq.record.chunks`. A reader needs only the schema to decode a record
+batch message, so a damaged chunk loses only its own rows.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 _NUMBER = re.compile(r"[<>=|]?(u?int(8|16|32|64)|float(16|32|64)|[iuf][1248])\Z")
 _PADDING = [b"\x00" * n for n in range(8)]
 
-NONSENSE = (ValueError, TypeError, KeyError, NotImplementedError, OSError)
-"""What a message that is sound by its seal, and is none, makes pyarrow run into."""
+DECODE_ERRORS = (ValueError, TypeError, KeyError, NotImplementedError, OSError)
+"""Errors of pyarrow for a message whose CRC is correct but whose content is invalid."""
 
 
 @dataclass(frozen=True)
@@ -37,25 +37,23 @@ class StreamSchema:
     units: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not all(
-            isinstance(u, str) for u in self.units.values()
-        ):
-            raise ValueError(f"stream {self.name!r}: name and units have to be text")
+        if not all(isinstance(text, str) for text in (self.name, *self.units.values())):
+            raise ValueError(f"stream {self.name!r}: name and units must be text")
         for column, dtype in self.columns.items():
             known = isinstance(dtype, str) and _NUMBER.match(dtype)
             if not known or np.dtype(dtype).kind not in "iuf":
                 raise ValueError(
-                    f"stream {self.name}: column {column} is {dtype!r}; only whole and "
-                    "real numbers can be stored (texts belong into events)"
+                    f"stream {self.name}: column {column} is {dtype!r}; only integers and real "
+                    "numbers can be stored (record text as events)"
                 )
 
     @property
     def row_bytes(self) -> int:
-        """Bytes of one row."""
+        """Bytes per row."""
         return sum(np.dtype(dtype).itemsize for dtype in self.columns.values())
 
     def arrow(self) -> Any:
-        """The same as a ``pyarrow.Schema`` with the units in each field's metadata."""
+        """The schema as a ``pyarrow.Schema`` with the units in each field's metadata."""
         import pyarrow as pa
 
         return pa.schema(
@@ -73,7 +71,7 @@ class StreamSchema:
 
     @staticmethod
     def from_message(message: bytes) -> StreamSchema:
-        """The inverse of :meth:`message`."""
+        """Read a schema message: the inverse of :meth:`message`."""
         import pyarrow as pa
 
         schema = pa.ipc.read_schema(pa.py_buffer(message))
@@ -85,16 +83,16 @@ class StreamSchema:
         )
 
     def message(self) -> bytes:
-        """The schema message that opens every segment."""
+        """The schema message at the start of every segment."""
         return bytes(self.arrow().serialize().to_pybytes())
 
 
 class BatchEncoder:
-    """Columns in, one self-contained Arrow record batch message out.
+    """Encodes columns as self-contained Arrow record batch messages.
 
-    Without nulls and compression the head of a message depends on the schema and the
-    number of rows alone. It is taken from pyarrow once for each number of rows (and the
-    whole message compared with pyarrow's), which leaves joining bytes: 2 us, not 20.
+    Without nulls and compression, the head of a message depends only on the schema and the number
+    of rows. The encoder takes the head from pyarrow once per number of rows and compares the whole
+    message with pyarrow's. After that it only joins bytes: 2 us instead of 20 us.
     """
 
     def __init__(self, schema: StreamSchema) -> None:
@@ -107,16 +105,16 @@ class BatchEncoder:
         """The message and its number of rows.
 
         Raises:
-            ValueError: a column is missing, unknown, of another type or length.
+            ValueError: a column is missing or unknown, or has a wrong type or length.
         """
         parts, rows = self.parts(columns)
         return self.message(parts, rows), rows
 
     def parts(self, columns: Columns) -> tuple[list[bytes], int]:
-        """Each column's bytes, in the schema's order and dtypes, and the number of rows.
+        """The bytes of each column, in the schema's order and dtypes, and the number of rows.
 
         Raises:
-            ValueError: a column is missing, unknown, of another type or length.
+            ValueError: as :meth:`encode`.
         """
         arrays = []
         rows = -1
@@ -146,14 +144,14 @@ class BatchEncoder:
         return array.astype(dtype)
 
     def message(self, parts: list[bytes], rows: int) -> bytes:
-        """The message of columns that are bytes already, see :meth:`parts`."""
+        """The message of columns in bytes, see :meth:`parts`."""
         if rows not in self._heads:
-            return self._learn(parts, rows)
+            return self._first_message(parts, rows)
         head = self._heads[rows]
-        return self._joined(head, parts) if head else self._slow(parts, rows)
+        return self._join(head, parts) if head else self._encode_with_arrow(parts, rows)
 
     @staticmethod
-    def _joined(head: bytes, parts: list[bytes]) -> bytes:
+    def _join(head: bytes, parts: list[bytes]) -> bytes:
         padded = [head]
         for part in parts:
             padded.append(part)
@@ -162,13 +160,13 @@ class BatchEncoder:
                 padded.append(_PADDING[pad])
         return b"".join(padded)
 
-    def _slow(self, parts: list[bytes], rows: int) -> bytes:
+    def _encode_with_arrow(self, parts: list[bytes], rows: int) -> bytes:
         import pyarrow as pa
 
         if self._arrow is None:
             self._arrow = self.schema.arrow()
         batch = pa.RecordBatch.from_arrays(
-            # Not pa.array, which imports pandas: a second's stall at the first batch of a run.
+            # Not pa.array: it imports pandas, which takes a second at the first batch of a run.
             [
                 pa.Array.from_buffers(f.type, rows, [None, pa.py_buffer(part)])
                 for part, f in zip(parts, self._arrow, strict=True)
@@ -177,20 +175,22 @@ class BatchEncoder:
         )
         return bytes(batch.serialize().to_pybytes())
 
-    def _learn(self, parts: list[bytes], rows: int) -> bytes:
-        message = self._slow(parts, rows)
+    def _first_message(self, parts: list[bytes], rows: int) -> bytes:
+        message = self._encode_with_arrow(parts, rows)
         head = message[: 8 + int.from_bytes(message[4:8], "little")]
-        self._heads[rows] = head if self._joined(head, parts) == message else None
+        self._heads[rows] = head if self._join(head, parts) == message else None
         return message
 
     def head(self, rows: int) -> bytes | None:
-        """What every message of so many rows begins with; None if that is not settled."""
+        """The first bytes of every message with that many rows; None if they are not constant."""
         if rows not in self._heads:
-            self._learn([bytes(rows * dtype.itemsize) for dtype in self._dtypes.values()], rows)
+            self._first_message(
+                [bytes(rows * dtype.itemsize) for dtype in self._dtypes.values()], rows
+            )
         return self._heads[rows]
 
     def layout(self, rows: int, head_bytes: int) -> np.dtype[Any]:
-        """A message of so many rows as one numpy record, a sub-array for each column."""
+        """A message with that many rows as one numpy record with a sub-array per column."""
         offsets, at = [], head_bytes
         for dtype in self._dtypes.values():
             offsets.append(at)
@@ -206,14 +206,14 @@ class BatchEncoder:
 
 
 class BatchDecoder:
-    """Sound record batch messages in, one array a column out.
+    """Decodes valid record batch messages into one array per column.
 
-    Messages whose head is the one that :class:`BatchEncoder` writes have their columns
-    picked out by place, all in a row at once; any other goes through pyarrow.
+    The decoder copies messages with the head of :class:`BatchEncoder` by position, several at once.
+    It decodes other messages with pyarrow.
 
     Args:
         schema: of the stream.
-        rows: at least as many as will come.
+        rows: upper limit of the number of rows.
     """
 
     def __init__(self, schema: StreamSchema, rows: int) -> None:
@@ -223,7 +223,7 @@ class BatchDecoder:
         self._rows = 0
 
     def feed(self, data: bytes, chunks: Sequence[Entry]) -> None:
-        """Take the chunks, all of them rows, that lie at their places in ``data``."""
+        """Decode chunks of rows; ``data`` is the content of their file."""
         start = 0
         while start < len(chunks):
             first = chunks[start]
@@ -241,18 +241,18 @@ class BatchDecoder:
                 at += length
             if head is not None and end > start:
                 layout = self._encoder.layout(rows, len(head))
-                self._take(np.frombuffer(data, layout, end - start, first.offset))
+                self._append(np.frombuffer(data, layout, end - start, first.offset))
                 start = end
             else:
                 message = data[first.offset : first.offset + length]
-                self._take(_through_arrow(self._schema, message, rows))
+                self._append(_decode_with_arrow(self._schema, message, rows))
                 start += 1
 
     def columns(self) -> Columns:
-        """All rows so far."""
+        """All rows decoded so far."""
         return {name: values[: self._rows] for name, values in self._out.items()}
 
-    def _take(self, part: Any) -> None:
+    def _append(self, part: Any) -> None:
         rows = 0
         for name, out in self._out.items():
             values = part[name]
@@ -261,26 +261,26 @@ class BatchDecoder:
         self._rows += rows
 
 
-def _through_arrow(schema: StreamSchema, message: bytes, rows: int) -> Columns:
+def _decode_with_arrow(schema: StreamSchema, message: bytes, rows: int) -> Columns:
     import pyarrow as pa
 
     if _compressed(message):
-        raise ValueError(f"stream {schema.name}: a chunk is compressed; pamrig writes none so")
+        raise ValueError(f"stream {schema.name}: a chunk is compressed; pamrig never compresses")
     batch = pa.ipc.read_record_batch(pa.py_buffer(message), schema.arrow())
-    batch.validate(full=True)  # its buffers hold what it claims, or reading would go beyond them
+    batch.validate(full=True)  # else invalid lengths could lead to reads beyond the buffers
     if batch.num_rows != rows:
         raise ValueError(f"stream {schema.name}: {batch.num_rows} rows, index says {rows}")
     return {name: np.asarray(batch.column(name).to_numpy()) for name in schema.columns}
 
 
 def _compressed(message: bytes) -> bool:
-    """Whether a record batch message says that its body is compressed.
+    """True if the header of a record batch message declares a compressed body.
 
-    A few bytes of it could stand for gigabytes. The flag stands in the message's flatbuffer:
+    A small compressed body can expand to gigabytes. The flag is in the flatbuffer of the message:
     table Message, field 2 (header), table RecordBatch, field 3 (compression).
 
     Raises:
-        ValueError: it is no such message.
+        ValueError: not an Arrow message.
     """
     try:
         root = 8
@@ -291,14 +291,14 @@ def _compressed(message: bytes) -> bool:
         batch = header + struct.unpack_from("<I", message, header)[0]
         return _field(message, batch, 3) > 0
     except struct.error as error:
-        raise ValueError(f"is no Arrow message: {error}") from None
+        raise ValueError(f"not an Arrow message: {error}") from None
 
 
 def _field(message: bytes, table: int, number: int) -> int:
-    """Where a field of a flatbuffer table stands; 0 where it is left out."""
+    """Position of a field of a flatbuffer table; 0 if the field is absent."""
     vtable = table - struct.unpack_from("<i", message, table)[0]
     if not 0 <= vtable < len(message):
-        raise ValueError("is no Arrow message")
+        raise ValueError("not an Arrow message")
     (size,) = struct.unpack_from("<H", message, vtable)
     at = 4 + 2 * number
     if size < at + 2:

@@ -1,4 +1,4 @@
-"""Whether a disk can hold a run before it starts."""
+"""Check of the free disk space before a run."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 from daq.errors import RecordError
 
 BYTES_PER_POINT = 400_000
-"""Record size of one settled point, generously: 1 kHz for some seconds, and a frame."""
+"""Upper estimate of the record size per settled point: some seconds at 1 kHz and one frame."""
 
 
 def check_disk(root: Path, points: int) -> None:
-    """Refuse to start a run that the disk cannot hold.
+    """Refuse to start a run that needs more space than the disk has.
 
     Raises:
-        RecordError: says what is needed and what is free.
+        RecordError: names the required and the free space.
     """
     try:
         root.mkdir(parents=True, exist_ok=True)

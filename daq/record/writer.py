@@ -1,4 +1,4 @@
-"""The record of a run as it is written: raw, appended, every byte under a CRC.
+"""Writes the record of a run: raw data, append-only, every byte under a CRC.
 
 Layout, integrity rules and how to read it without this package: docs/reference/record-format.md.
 """
@@ -29,13 +29,13 @@ OUTCOMES = ("clean", "stopped", "aborted", "faulted")
 SEGMENT_ROWS = 300_000  # 5 min at 1 kHz
 FRAMES_FILE_BYTES = 256 << 20
 _DECLARED_S = 1.0
-"""How long a stream's first row waits for the stream's declaration to be written."""
+"""Longest wait of a stream's first row until the stream's declaration is written, s."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*\Z")
 
 
 class _Indexed:
-    """Where an index stands: next line number, current bulk file and its length."""
+    """State of an index: next line number, current bulk file and its length."""
 
     def __init__(self, index: str, pattern: str) -> None:
         self.index = index
@@ -69,22 +69,21 @@ class _Stream(_Indexed):
 class RecordWriter:
     """Writes one run folder; safe to call from several threads.
 
-    ``run.json`` is on the medium when the constructor returns. Each batch, frame and
-    event goes to the operating system as it comes; see :mod:`daq.record.disk`.
+    ``run.json`` is on the medium when the constructor returns. Each batch, frame and event goes to
+    the operating system at once; see :mod:`daq.record.disk`.
 
     Args:
-        root: folder of all runs; made if missing.
-        manifest: what is known before the run: ``protocol``, ``specimen``, devices,
-            calibrations, parameters, software. ``schema``, ``run_id`` and ``started``
-            are added.
-        clock: stamps events; its wall time goes into the name and ``started`` only.
-        durable: fsync at creation, each second and at each event.
-        threaded: write and sync in threads; False does it inline (virtual clock).
-        segment_rows: rows after which a stream begins a new segment file.
-        frames_file_bytes: size after which frames begin a new file.
+        root: folder of all runs; created if missing.
+        manifest: the data known before the run: ``protocol``, ``specimen``, devices, calibrations,
+            parameters, software. ``schema``, ``run_id`` and ``started`` are added.
+        clock: time stamps of events; its wall time is used for the name and ``started`` only.
+        durable: sync at creation, each second and at each event.
+        threaded: write and sync in threads; False for the virtual clock.
+        segment_rows: number of rows after which a stream starts a new segment file.
+        frames_file_bytes: size after which frames start a new file.
 
     Raises:
-        RecordError: the folder cannot be made or written.
+        RecordError: the folder cannot be created or written.
     """
 
     def __init__(
@@ -128,7 +127,7 @@ class RecordWriter:
                 sync_folder(self.folder.parent)
             self._disk = Disk(self.folder, durable, threaded)
         except OSError as error:
-            raise disk_error(self.folder, "a run cannot be recorded here", error) from error
+            raise disk_error(self.folder, "no run can be recorded here", error) from error
 
     @staticmethod
     def _make_folder(root: Path, manifest: Mapping[str, Any], wall_ns: int) -> Path:
@@ -145,12 +144,12 @@ class RecordWriter:
 
     @property
     def failed(self) -> RecordError | None:
-        """Why writing failed; None while all is well."""
+        """The first write error, else None."""
         return self._disk.failed
 
     @property
     def start_ns(self) -> int:
-        """Monotonic time of the run's zero: ``t_ns`` of events and ``time_s`` count from it."""
+        """Monotonic time of the run's start, the zero of ``t_ns`` of events and of ``time_s``."""
         return self._start_ns
 
     def stream(
@@ -167,7 +166,7 @@ class RecordWriter:
         with self._lock:
             if name in self._streams:
                 if self._streams[name].schema != declared:
-                    raise ValueError(f"stream {name} is declared already with other columns")
+                    raise ValueError(f"stream {name} is already declared with other columns")
                 return
             stream = _Stream(declared)
             head = {"n": 0, "stream": name, "columns": declared.columns, "units": declared.units}
@@ -176,7 +175,7 @@ class RecordWriter:
             self._streams[name] = stream
 
     def append(self, stream: str, columns: Columns) -> int:
-        """Append one batch; nothing any more once the record is finalised.
+        """Append one batch; has no effect once the record is finalised.
 
         A batch of up to 8 kB survives a kill of the process when this returns.
 
@@ -185,17 +184,17 @@ class RecordWriter:
 
         Raises:
             RecordError: the disk has failed.
-            ValueError: the columns are not those declared.
+            ValueError: the columns differ from the declared ones.
         """
         with self._lock:
             s = self._streams[stream]
-            if self._closed:  # a device still talks while the bench is being closed
+            if self._closed:  # a device may still send while the bench closes
                 return s.rows
             parts, rows = s.encoder.parts(columns)
             first_row = s.rows
             if rows == 0:
                 return first_row
-            if self._disk.threaded and not s.ahead:  # until the writer's thread comes to it
+            if self._disk.threaded and not s.ahead:  # until the writer thread has written the batch
                 self._put_ahead(s, ahead_entry(parts, first_row, rows), rows)
             if not s.file or 0 < self._segment_rows < s.rows_in_file + rows:
                 self._end_segment(s)
@@ -209,13 +208,13 @@ class RecordWriter:
             s.rows_in_file += rows
             if s.ahead and s.ahead_file is not None:
                 s.ahead = 0
-                self._disk.then(partial(s.ahead_file.clear, s.ahead_file.turn()))
+                self._disk.call_after_writes(partial(s.ahead_file.clear, s.ahead_file.next_slot()))
             return first_row
 
-    def ahead(self, stream: str, columns: Columns) -> None:
-        """Rows that the next batch will bring: a kill until then does not lose them.
+    def write_ahead(self, stream: str, columns: Columns) -> None:
+        """Protect rows of the next batch against a kill of the process.
 
-        They count as recorded once :meth:`append` has been given them; see :mod:`daq.record.ahead`.
+        They count as recorded after :meth:`append`; see :mod:`daq.record.ahead`.
 
         Raises:
             RecordError, ValueError: as :meth:`append`.
@@ -228,15 +227,15 @@ class RecordWriter:
             if rows:
                 self._put_ahead(s, ahead_entry(parts, s.rows + s.ahead, rows), rows)
 
-    def ahead_row(self, stream: str, entry: bytes) -> None:
-        """The same for one row that is an entry already, see :mod:`daq.record.rows`."""
+    def write_ahead_row(self, stream: str, entry: bytes) -> None:
+        """As :meth:`write_ahead` for one row given as an entry, see :mod:`daq.record.rows`."""
         with self._lock:
             if not self._closed:
                 self._put_ahead(self._streams[stream], entry, 1)
 
     def _put_ahead(self, s: _Stream, entry: bytes, rows: int) -> None:
         if s.ahead_file is None:
-            self._disk.drain(_DECLARED_S)  # without its declaration no row of a stream can be read
+            self._disk.drain(_DECLARED_S)  # a row is not readable without its stream's declaration
             try:
                 s.ahead_file = AheadFile(self.folder / ahead_name(s.schema.name))
             except OSError as error:
@@ -245,14 +244,13 @@ class RecordWriter:
         s.ahead += rows
 
     def rows(self, stream: str) -> int:
-        """Rows appended to a stream so far."""
+        """Number of rows appended to a stream."""
         return self._streams[stream].rows
 
     def event(self, kind: str, **fields: Any) -> int:
-        """Record one event; synced at once. Tried even after a failure (never raises for it).
+        """Record one event and sync it at once; returns its number.
 
-        Returns:
-            its number.
+        Does not raise after a disk failure, and still tries to write.
         """
         taken = {"n", "t_ns", "crc"} & set(fields)
         if taken:
@@ -267,7 +265,7 @@ class RecordWriter:
             return n
 
     def frame(self, jpeg: bytes, host_ns: int, **meta: Any) -> int:
-        """Append one encoded camera frame; returns its number, counted from 0."""
+        """Append one encoded camera frame; returns its number, from 0."""
         with self._lock:
             frames = self._frames
             if frames.n == 0:
@@ -281,7 +279,7 @@ class RecordWriter:
             return number
 
     def wire(self, device: str, host_ns: int, data: bytes) -> None:
-        """Append raw received bytes: what a fixture or a post-mortem needs."""
+        """Append raw received bytes, for test fixtures and failure analysis."""
         if not data or self._closed:
             return
         with self._lock:
@@ -296,22 +294,22 @@ class RecordWriter:
             self._put_chunk(wire, data, f'"host_ns":{host_ns}')
 
     def sync(self, timeout_s: float = 5.0) -> bool:
-        """Wait until all so far has gone to the operating system; False if it took too long."""
+        """Wait until all data are with the operating system; False on time-out."""
         return self._disk.drain(timeout_s)
 
     def finalize(self, outcome: str, **summary: Any) -> dict[str, Any]:
-        """End the record; any further call changes nothing.
+        """End the record; later calls have no effect.
 
         Args:
-            outcome: ``clean``, ``stopped``, ``aborted`` or ``faulted``. A run whose writing
-                failed is never ``clean``; it becomes ``faulted``.
-            summary: whatever belongs to the whole run: gaps, clock_fit, fault, ...
+            outcome: ``clean``, ``stopped``, ``aborted`` or ``faulted``. After a write failure,
+                ``clean`` becomes ``faulted``.
+            summary: members for the whole run: gaps, clock_fit, fault, ...
 
         Returns:
             the members of final.json.
 
         Raises:
-            RecordError: final.json could not be written; the run then reads as interrupted.
+            RecordError: final.json could not be written; the run then counts as interrupted.
         """
         if outcome not in OUTCOMES:
             raise ValueError(f"outcome is {outcome!r}, expected one of {', '.join(OUTCOMES)}")
@@ -336,7 +334,7 @@ class RecordWriter:
             return final
 
     def abandon(self) -> None:
-        """Close the files and leave the run interrupted."""
+        """Close the files without final.json; the run then counts as interrupted."""
         with self._lock:
             if not self._closed:
                 self._closed = True

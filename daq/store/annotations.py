@@ -1,7 +1,7 @@
-"""What is said about a run afterwards: remarks, and points excluded with a reason.
+"""Annotations added to a run after its end: notes, and excluded points with a reason.
 
-``annotations.jsonl`` in the run folder is only ever appended to, one sealed line a remark
-(:mod:`daq.record.sealed`), so that neither a point nor the reason why it is left out is ever lost.
+``annotations.jsonl`` in the run folder is append-only, one sealed line per annotation
+(:mod:`daq.record.sealed`). Neither a point nor the reason for its exclusion is ever deleted.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any
 
 from daq.errors import RecordError
 from daq.record.disk import disk_error
+from daq.record.safe_read import path_inside, read_inside
 from daq.record.sealed import read_lines, seal_line, sync_folder, write_all
-from daq.record.within import path_inside, read_inside
 
 ANNOTATIONS = "annotations.jsonl"
 ACTIONS = {"note": "a remark", "exclude": "an exclusion", "include": "an inclusion"}
@@ -25,15 +25,15 @@ ACTIONS = {"note": "a remark", "exclude": "an exclusion", "include": "an inclusi
 
 @dataclass(frozen=True)
 class Annotation:
-    """One remark.
+    """One annotation.
 
     Attributes:
         n: its number, from 0.
-        utc: when, ISO.
-        who: by whom.
-        action: "note", "exclude", or "include" to take an exclusion back.
-        points: numbers (``order``) of the points concerned; none: the run as a whole.
-        reason: why; never empty.
+        utc: time, ISO.
+        who: author.
+        action: "note", "exclude", or "include" to revoke an exclusion.
+        points: numbers (``order``) of the points concerned; empty for the whole run.
+        reason: never empty.
     """
 
     n: int
@@ -52,18 +52,19 @@ def annotate(
     who: str = "",
     now: datetime | None = None,
 ) -> Annotation:
-    """Append a remark, durably.
+    """Append an annotation durably.
 
     Args:
         folder: of the run.
         action: one of :data:`ACTIONS`.
         points: numbers of the points concerned.
-        reason: why.
-        who: by whom.
-        now: instead of the present time.
+        reason: not empty.
+        who: author.
+        now: time of the annotation; default is the present time.
 
     Raises:
-        RecordError: no reason, nothing to exclude, a damaged file, or it cannot be written.
+        RecordError: no reason or points are given, a point is not excluded, or the file is damaged
+            or cannot be written.
     """
     if not reason.strip():
         raise RecordError(str(folder), f"{ACTIONS[action]} needs a reason", 'give --reason "..."')
@@ -73,14 +74,18 @@ def annotate(
         )
     before = read_annotations(folder)
     if action == "include" and (never := set(points) - set(excluded_points(folder))):
-        raise RecordError(str(folder), f"point {min(never)} is not excluded", "nothing to undo")
+        raise RecordError(
+            str(folder),
+            f"point {min(never)} is not excluded",
+            "give the numbers of excluded points",
+        )
     utc = (now or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
     made = Annotation(
         len(before), utc, who, action, tuple(sorted({int(p) for p in points})), reason.strip()
     )
     line = seal_line({**vars(made), "points": list(made.points)})
     try:
-        # Not through a link: a stranger's folder may hold one that leads anywhere.
+        # Not through a link: the folder may come from an untrusted source.
         path_inside(Path(folder), ANNOTATIONS)
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
         fd = os.open(folder / ANNOTATIONS, flags, 0o644)
@@ -96,10 +101,10 @@ def annotate(
 
 
 def read_annotations(folder: Path) -> list[Annotation]:
-    """Every remark in order; none where nothing was said.
+    """All annotations in order; an empty list if there are none.
 
     Raises:
-        RecordError: a line is damaged or missing: an exclusion must not come undone in silence.
+        RecordError: a line is damaged or missing; an exclusion could otherwise be lost unnoticed.
     """
     path = Path(folder) / ANNOTATIONS
     if not path.is_file():
@@ -109,29 +114,29 @@ def read_annotations(folder: Path) -> list[Annotation]:
         if line.fields is None or line.fields.get("n") != number:
             raise RecordError(
                 f"{path} line {number + 1}",
-                "does not carry its checksum" if line.fields is None else "a line is missing",
+                "does not match its CRC" if line.fields is None else "a line is missing",
                 "restore the file from a copy; points may have been excluded there",
             )
-        found.append(_remark(line.fields, f"{path} line {number + 1}"))
+        found.append(_annotation(line.fields, f"{path} line {number + 1}"))
     return found
 
 
-def _remark(fields: dict[str, Any], where: str) -> Annotation:
+def _annotation(fields: dict[str, Any], where: str) -> Annotation:
     points = fields.get("points")
     texts = all(isinstance(fields.get(key), str) for key in ("utc", "who", "action", "reason"))
     whole = isinstance(points, list) and all(type(point) is int for point in points)
     if not texts or not whole or set(fields) != {f.name for f in dataclass_fields(Annotation)}:
-        raise RecordError(where, "is sealed, but is no remark", "pamrig did not write it")
+        raise RecordError(where, "is not an annotation", "pamrig did not write this line")
     return Annotation(**{**fields, "points": tuple(points or ())})
 
 
 def excluded_points(folder: Path) -> dict[int, str]:
-    """Points that are excluded now, each with the latest reason."""
+    """The currently excluded points, each with its latest reason."""
     out: dict[int, str] = {}
-    for remark in read_annotations(folder):
-        for point in remark.points:
-            if remark.action == "exclude":
-                out[point] = remark.reason
-            elif remark.action == "include":
+    for annotation in read_annotations(folder):
+        for point in annotation.points:
+            if annotation.action == "exclude":
+                out[point] = annotation.reason
+            elif annotation.action == "include":
                 out.pop(point, None)
     return out

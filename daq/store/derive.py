@@ -1,7 +1,7 @@
-"""What can be made from a record again at any time: engineering units and more.
+"""Files derived from a record: samples in engineering units and the output of other makers.
 
-``samples.parquet`` holds the valve stream, ``<stream>.parquet`` each other one. Nothing
-here is ever the truth; ``derived/`` may be deleted.
+``samples.parquet`` holds the valve stream, ``<stream>.parquet`` each other stream. The folder
+``derived/`` may be deleted at any time; the record is sufficient to create it again.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from daq.store.run import Run, time_s
 from valvefw import wire
 
 Maker = Callable[[Run, Path], object]
-"""Makes further derived files of a run in the folder it is given."""
+"""Creates further derived files of a run in the given folder."""
 
-# column of a stream -> quantity of the calibration that turns it into engineering units
+# (stream, column) -> quantity of its calibration
 CALIBRATED = {
     ("valve", "counts"): "pressure_kpa",
     ("valve", "setpoint_x16"): "pressure_kpa",
@@ -38,9 +38,9 @@ _TICK_U5 = wire.TICK_US / wire.PULSE_UNIT_US
 
 
 def derive(run: Run, makers: Iterable[Maker] = ()) -> Path:
-    """Make ``derived/`` anew: samples in engineering units, then what ``makers`` add.
+    """Create ``derived/`` again: samples in engineering units, then the files of ``makers``.
 
-    The old folder is replaced in one step at the end; until then it stays as it was.
+    The old folder stays unchanged until the new one is complete.
 
     Returns:
         the folder.
@@ -86,10 +86,10 @@ def seal_folder(run: Run, folder: Path) -> None:
 
 
 def engineering(run: Run, stream: str) -> tuple[Columns, dict[str, str]]:
-    """Columns of a stream in engineering units, and the unit of each that has one.
+    """Columns of a stream in engineering units, and their units by column.
 
-    ``time_s`` counts from the run's start on the host's clock. A raw column whose
-    calibration the run does not have stays raw.
+    ``time_s`` is the time since the start of the run on the host's clock. A raw column without
+    calibration in the run stays raw.
     """
     raw = run.samples(stream)
     columns: Columns = {}
@@ -109,10 +109,10 @@ def scaled(
     calibrations: Mapping[str, Calibration],
     raw_units: Mapping[str, str],
 ) -> tuple[Columns, dict[str, str]]:
-    """A stream's raw columns in engineering units, without their times; units by column.
+    """Convert a stream's raw columns to engineering units, except times; also units by column.
 
-    The live view and the derived files go through here, so they cannot disagree. The column
-    ``reading`` of an instrument's own stream takes the calibration of the stream's name.
+    The live view and the derived files both use this function, so their values agree. The column
+    ``reading`` of an instrument's stream uses the calibration with the stream's name.
     """
     columns: Columns = {}
     units: dict[str, str] = {}
@@ -121,27 +121,26 @@ def scaled(
         calibration = calibrations.get(quantity) if quantity else None
         if name in ("host_ns", "device_us"):
             continue
-        if calibration is not None and name == "setpoint_x16":
-            columns["setpoint_kpa"] = calibration.apply(values / 16.0)
-            units["setpoint_kpa"] = calibration.unit
-        elif calibration is not None:
-            columns[calibration.quantity] = calibration.apply(values)
-            units[calibration.quantity] = calibration.unit
+        unit = raw_units.get(name)
+        if calibration is not None:
+            unit = calibration.unit
+            if name == "setpoint_x16":
+                name, values = "setpoint_kpa", calibration.apply(values / 16.0)
+            else:
+                name, values = calibration.quantity, calibration.apply(values)
         elif stream == VALVE_STREAM and name in ("inlet_u5", "vent_u5"):
-            columns[name.replace("_u5", "_cmd")] = values / _TICK_U5
-            units[name.replace("_u5", "_cmd")] = "share of 1 ms"
-        else:
-            columns[name] = values
-            if name in raw_units:
-                units[name] = raw_units[name]
+            name, values, unit = name.replace("_u5", "_cmd"), values / _TICK_U5, "share of 1 ms"
+        columns[name] = values
+        if unit is not None:
+            units[name] = unit
     return columns, units
 
 
 def sample_host_ns(run: Run, stream: str, raw: Columns) -> npt.NDArray[np.int64]:
-    """Host monotonic time of each sample, through the run's clock fit if there is one.
+    """Host monotonic time of each sample, from the run's clock fit if there is one.
 
-    The fit is that of ``final.json``, else of the last ``clockfit`` event. It holds for
-    the boot that most samples are from; other samples keep their time of arrival.
+    The fit is that of ``final.json``, else of the last ``clockfit`` event. It is valid for the boot
+    of most samples; other samples keep their time of arrival.
     """
     arrival = raw.get("host_ns")
     fit = clock_map(run, stream) if "device_us" in raw else None
@@ -155,7 +154,7 @@ def sample_host_ns(run: Run, stream: str, raw: Columns) -> npt.NDArray[np.int64]
 
 
 def clock_map(run: Run, stream: str) -> ClockMap | None:
-    """The clock fit of the device behind ``stream``; None if the run has none."""
+    """The clock fit of the device of ``stream``; None if the run has none."""
     found: Any = (run.final or {}).get("clock_fit")
     if isinstance(found, dict) and "knots" not in found:
         found = found.get(stream)
@@ -167,7 +166,7 @@ def clock_map(run: Run, stream: str) -> ClockMap | None:
 
 
 def write_samples(run: Run, stream: str, path: Path) -> None:
-    """Write :func:`engineering` columns as Parquet; units and run id in its metadata."""
+    """Write the columns of :func:`engineering` as Parquet with units and run id as metadata."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

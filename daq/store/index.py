@@ -1,8 +1,8 @@
-"""An index of the runs in a folder, for quick lists: SQLite, rebuilt from the folders at will.
+"""SQLite index of the runs in a folder, for fast lists.
 
-The folders are the truth. Of each run the index keeps what a list shows, together with size and
-time of the files it was read from; a run whose files have changed since is read anew, a run that
-is gone is left out. A damaged or missing index costs time, nothing else.
+The folders are authoritative. For each run the index keeps its line of the list, with size and
+time of the files it came from. A run with changed files is read again; a deleted run is dropped.
+The index can be rebuilt at any time.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 INDEX = "index.sqlite"
 LAYOUT = 2
-"""Changes with the columns below; an index of another layout is made anew."""
+"""Version of the columns below; an index of another version is rebuilt."""
 FILES = ("run.json", "final.json", ANNOTATIONS)
 COLUMNS = (
     "run_id TEXT PRIMARY KEY",
@@ -43,15 +43,15 @@ NAMES = tuple(column.split()[0] for column in COLUMNS)
 
 
 def index_path(root: Path | str) -> Path:
-    """Where the index of a folder of runs lies."""
+    """Path of the index of a folder of runs."""
     return Path(root) / INDEX
 
 
 def rebuild_index(root: Path | str) -> list[RunInfo]:
-    """Make the index anew from the folders; returns what it holds, oldest first.
+    """Create the index again from the folders; returns its runs, oldest first.
 
     Raises:
-        RecordError: there is no such folder, or it cannot be written.
+        RecordError: the folder does not exist or cannot be written.
     """
     folder = Path(root)
     if not folder.is_dir():
@@ -71,10 +71,10 @@ def rebuild_index(root: Path | str) -> list[RunInfo]:
 
 
 def update_index(root: Path | str) -> list[RunInfo]:
-    """All runs of a folder, oldest first; what has changed is read anew and noted in the index.
+    """All runs of a folder, oldest first; updates the index for changed runs.
 
     Raises:
-        RecordError: the index is damaged; `pamrig runs index` makes it anew.
+        RecordError: the index is damaged; `pamrig runs index` rebuilds it.
     """
     from daq.store.info import run_info
     from daq.store.run import Run
@@ -88,8 +88,8 @@ def update_index(root: Path | str) -> list[RunInfo]:
                 raise sqlite3.DatabaseError(f"layout {layout}, not {LAYOUT}")
             holds = db.execute("SELECT type, name, sql FROM sqlite_schema").fetchall()
             if [row for row in holds if row[2] is not None] != [("table", "runs", CREATE)]:
-                # A view may count without end, a trigger change what is asked for.
-                raise sqlite3.DatabaseError("it holds something else than the list of runs")
+                # A view may be endless, a trigger may change the result.
+                raise sqlite3.DatabaseError("it contains other objects than the runs")
             known = {row[0]: row for row in db.execute(f"SELECT {', '.join(NAMES)} FROM runs")}
             found: list[RunInfo] = []
             fresh = []
@@ -105,20 +105,22 @@ def update_index(root: Path | str) -> list[RunInfo]:
                     info = _info(dict(zip(NAMES, row, strict=True)), run_folder)
                 found.append(info)
             places = ", ".join("?" * len(NAMES))
-            with contextlib.suppress(sqlite3.OperationalError):  # read-only, or busy: no harm
+            with contextlib.suppress(
+                sqlite3.OperationalError
+            ):  # read-only or busy: the list is still complete
                 db.executemany(f"INSERT OR REPLACE INTO runs VALUES ({places})", fresh)
                 db.executemany("DELETE FROM runs WHERE run_id = ?", [(gone,) for gone in known])
             return found
     except sqlite3.Error as error:
         raise RecordError(
-            str(path), f"is damaged: {error}", "`pamrig runs index` makes it anew"
+            str(path), f"is damaged: {error}", "`pamrig runs index` rebuilds it"
         ) from error
 
 
 @contextlib.contextmanager
 def _open(path: Path) -> Iterator[sqlite3.Connection]:
     if path.is_symlink():
-        raise RecordError(str(path), "is a link", "remove it; the index is made anew then")
+        raise RecordError(str(path), "is a link", "remove it; then the index is rebuilt")
     db = sqlite3.connect(path, timeout=5.0)
     try:
         with db:
@@ -128,7 +130,7 @@ def _open(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def _stamp(folder: Path) -> str:
-    """Size and time of the files that a list is read from."""
+    """Size and time of the files that the list is read from."""
     parts = []
     for name in FILES:
         with contextlib.suppress(OSError):

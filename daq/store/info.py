@@ -1,4 +1,4 @@
-"""What a list of runs shows of each run."""
+"""The line of a run in a list of runs."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ class RunInfo:
     Attributes:
         run_id: name of the folder.
         started_utc: ISO time; empty if run.json is damaged.
-        protocol, specimen: as in run.json.
+        protocol, specimen, operator, rig: as in run.json.
         outcome: see :attr:`daq.store.run.Run.outcome`.
         duration_s: from start to final.json; None if interrupted.
-        folder: where it lies.
-        operator, rig: as in run.json.
-        excluded: points excluded afterwards.
-        continues: run that this one went on with; empty for none.
+        folder: path of the folder.
+        excluded: number of excluded points; -1 if the annotations are damaged.
+        continues: the run that this one continues; empty for none.
     """
 
     run_id: str
@@ -40,12 +39,12 @@ class RunInfo:
     continues: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``--json``."""
+        """The attributes for ``--json``."""
         return asdict(self)
 
 
 def run_info(run: Run) -> RunInfo:
-    """One line of a list, from the folder itself."""
+    """Read the line of a run from its folder."""
     manifest = run.sealed("run.json") or {}
     ended = (run.final or {}).get("ended", {}).get("t_ns")
     return RunInfo(
@@ -66,5 +65,5 @@ def run_info(run: Run) -> RunInfo:
 def _excluded(folder: Path) -> int:
     try:
         return len(excluded_points(folder))
-    except RecordError:  # `pamrig runs verify` says what is wrong with it
+    except RecordError:  # `pamrig runs verify` describes the damage
         return -1

@@ -1,4 +1,4 @@
-"""A recorded run as it can be read: only what its CRCs vouch for."""
+"""Reads a recorded run; only data with a correct CRC are used."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from daq.calibration import Calibration
 from daq.errors import RecordError
 from daq.link.transport import Chunk
 from daq.record.ahead import AheadRows
-from daq.record.chunks import ChunkIndex, Entry, Problem, only_possible_rows
+from daq.record.chunks import ChunkIndex, Entry, Problem, drop_implausible_rows
+from daq.record.safe_read import LARGEST_BULK, path_inside, read_inside
 from daq.record.sealed import open_file, read_lines
-from daq.record.segments import NONSENSE, BatchDecoder, Columns, StreamSchema
-from daq.record.within import LARGEST_BULK, path_inside, read_inside
-from daq.store.shapes import misshapen
+from daq.record.segments import DECODE_ERRORS, BatchDecoder, Columns, StreamSchema
 from daq.store.tablefile import read_parquet
+from daq.store.validate import structure_error
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,26 +28,26 @@ DAMAGED = "damaged"
 
 
 def open_run(path: Path | str) -> Run:
-    """The run in folder ``path`` (or that a file in it belongs to).
+    """Open the run in folder ``path``, or the run that the file ``path`` belongs to.
 
     Raises:
-        RecordError: there is no run there.
+        RecordError: there is no run.
     """
     folder = Path(path)
     if folder.is_file():
         folder = folder.parent
     if not (folder / "run.json").is_file():
-        what = "no such folder" if not folder.exists() else "not a run: it holds no run.json"
-        raise RecordError(str(path), what, "pamrig runs list shows the runs there are")
+        what = "no such folder" if not folder.exists() else "not a run: it contains no run.json"
+        raise RecordError(str(path), what, "pamrig runs list shows all runs")
     return Run(folder)
 
 
 class Run:
-    """One run folder, read on demand and kept.
+    """One run folder; its parts are read on demand and kept.
 
     Attributes:
-        folder: where it lies.
-        problems: damage met so far in what was read; :func:`daq.store.verify.verify` reads all.
+        folder: path of the run folder.
+        problems: damage found so far; :func:`daq.store.verify.verify` checks everything.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -58,30 +58,30 @@ class Run:
 
     @property
     def run_id(self) -> str:
-        """Name of the run: that of its folder."""
+        """Name of the run: the name of its folder."""
         return self.folder.resolve().name
 
-    # -- what stands around the data -----------------------------------------
+    # -- metadata --------------------------------------------------------------
 
     @cached_property
     def manifest(self) -> dict[str, Any]:
-        """What was known before the run.
+        """The data known before the run.
 
         Raises:
-            RecordError: run.json is damaged, so that its calibrations cannot be trusted.
+            RecordError: run.json is damaged, so its calibrations cannot be trusted.
         """
         found = self.sealed("run.json")
         if found is None:
             raise RecordError(
                 str(self.folder / "run.json"),
-                "does not match its CRC, so neither calibrations nor parameters can be trusted",
+                "does not match its CRC; calibrations and parameters are unreliable",
                 "restore the file from a copy; samples, events and frames can still be read",
             )
         return found
 
     @cached_property
     def final(self) -> dict[str, Any] | None:
-        """What was summed up at the end; None if the run was interrupted or it is damaged."""
+        """The summary at the end of the run; None if the run was interrupted or it is damaged."""
         return self.sealed("final.json")
 
     @property
@@ -94,21 +94,20 @@ class Run:
 
     @cached_property
     def events(self) -> list[dict[str, Any]]:
-        """All sound events in order, each with ``n``, ``t_ns`` and ``kind``."""
+        """All valid events in order, each with ``n``, ``t_ns`` and ``kind``."""
         events: list[dict[str, Any]] = []
         path = self.folder / "events.jsonl"
         data = read_inside(self.folder, path.name) if path.exists() else b""
         expected = 0
         for line in read_lines(data):
-            torn = line.fields is None and not line.raw.endswith(b"\n")
             if line.fields is None:
-                what = "last line is torn" if torn else "line does not match its CRC"
-                at = Problem(path.name, line.offset, what + ", not read", len(line.raw), torn)
+                what = "last line is torn" if line.torn else "line does not match its CRC"
+                at = Problem(path.name, line.offset, what + ", not read", len(line.raw), line.torn)
                 self.problems.append(at)
                 continue
             n = line.fields.get("n")
             if type(n) is not int or type(line.fields.get("kind")) is not str:
-                what = "line is sealed, but is no event"
+                what = "the CRC of the line is correct, but it is not an event"
                 self.problems.append(Problem(path.name, line.offset, what, len(line.raw)))
                 continue
             if n != expected:
@@ -119,10 +118,10 @@ class Run:
         return events
 
     def calibration(self, quantity: str) -> Calibration:
-        """The calibration that was in force for ``quantity``, such as ``pressure_kpa``.
+        """The calibration of ``quantity``, such as ``pressure_kpa``, during the run.
 
         Raises:
-            RecordError: run.json has none (or is damaged).
+            RecordError: run.json is damaged or has no such calibration.
         """
         found = self.calibrations.get(quantity)
         if found is None:
@@ -130,7 +129,7 @@ class Run:
             raise RecordError(
                 str(self.folder / "run.json"),
                 f"no calibration of {quantity}; there: {there}",
-                "the run was recorded without it; only raw readings can be had",
+                "the run was recorded without it; only raw readings are available",
             )
         return found
 
@@ -144,7 +143,7 @@ class Run:
 
     @cached_property
     def instrument_calibrations(self) -> dict[str, Calibration]:
-        """Calibrations of instruments with a stream of their own, by the stream's name."""
+        """Calibrations of instruments with their own stream, by the stream's name."""
         where = str(self.folder / "run.json")
         given = self.manifest.get("instrument_calibrations", {})
         return {name: Calibration.from_dict(c, where) for name, c in given.items()}
@@ -158,13 +157,13 @@ class Run:
         return [p.name.removesuffix(".index.jsonl") for p in found]
 
     def samples(self, stream: str) -> Columns:
-        """Columns of a stream, raw, only rows whose bytes are as they were written.
+        """Raw columns of a stream; only rows whose bytes are unchanged.
 
-        Rows that were lost are missing, not filled in: address rows by ``seq`` or ``row``
-        (:meth:`between`), not by their place in the array.
+        Lost rows are absent. Select rows by ``seq`` or ``row`` (:meth:`between`), not by
+        position.
 
         Raises:
-            RecordError: there is no such stream, or nothing of it can be read.
+            RecordError: there is no such stream, or no part of it is readable.
         """
         if stream not in self._samples:
             self._load(stream)
@@ -178,7 +177,7 @@ class Run:
         return {name: values[use] for name, values in columns.items()}
 
     def lost_rows(self, stream: str) -> list[tuple[int, int]]:
-        """Row ranges (half open) that were recorded and cannot be read any more."""
+        """Recorded row ranges (half open) that are not readable any more."""
         self.samples(stream)
         return self._lost[stream]
 
@@ -186,7 +185,7 @@ class Run:
         """Columns, dtypes and raw units of a stream.
 
         Raises:
-            RecordError: there is no such stream, or nothing sound says what it holds.
+            RecordError: there is no such stream, or its schema is damaged.
         """
         return self._schema(self.index(stream))
 
@@ -197,7 +196,7 @@ class Run:
             there = ", ".join(self.streams) or "none"
             raise RecordError(str(self.folder), f"no stream {stream!r}; there: {there}")
         index = ChunkIndex(self.folder, name)
-        only_possible_rows(index)
+        drop_implausible_rows(index)
         return index
 
     def _schema(self, index: ChunkIndex) -> StreamSchema:
@@ -205,20 +204,20 @@ class Run:
             if index.head is not None:
                 head = index.head
                 return StreamSchema(head["stream"], dict(head["columns"]), dict(head["units"]))
-            for data, chunks in index.sound():
+            for data, chunks in index.valid_chunks():
                 for chunk in chunks:
                     if chunk.fields["chunk"] == "schema":
                         message = data[chunk.offset : chunk.offset + chunk.length]
                         return StreamSchema.from_message(message)
-        except (*NONSENSE, AttributeError) as error:  # sealed, and nonsense
+        except (*DECODE_ERRORS, AttributeError) as error:  # correct CRC, invalid content
             raise RecordError(
                 str(self.folder / index.index),
-                f"does not say what its columns are ({error})",
-                "pamrig did not write this record so",
+                f"the description of its columns is invalid ({error})",
+                "pamrig did not write this record",
             ) from error
         raise RecordError(
             str(self.folder / index.index),
-            "neither its first line nor a schema message is sound",
+            "its first line and all schema messages are damaged",
             "restore the index from a copy",
         )
 
@@ -229,18 +228,18 @@ class Run:
             self._samples[stream], self._lost[stream] = {}, []
             return
         schema = self._schema(index if index.head else self.index(stream))
-        only_possible_rows(index, schema.row_bytes)
-        rows = sum(int(e.fields.get("rows", 0)) for e in index.possible())
+        drop_implausible_rows(index, schema.row_bytes)
+        rows = sum(int(e.fields.get("rows", 0)) for e in index.plausible())
         decoder = BatchDecoder(schema, rows)
         try:
-            lost = self.sound_rows(index, decoder)
-        except NONSENSE as error:
+            lost = self.read_rows(index, decoder)
+        except DECODE_ERRORS as error:
             raise RecordError(
                 str(self.folder / index.index),
-                f"its chunks are not what its first line says ({error})",
-                "they are sealed, but pamrig did not write them",
+                f"its chunks do not match its first line ({error})",
+                "their CRC is correct, but pamrig did not write them",
             ) from error
-        ahead = self.ahead(index, schema)
+        ahead = self.rows_ahead(index, schema)
         self.problems.extend([*index.problems, *ahead.problems])
         self._lost[stream] = lost + ahead.missing
         batched = decoder.columns()
@@ -250,20 +249,20 @@ class Run:
             else batched
         )
 
-    def ahead(self, index: ChunkIndex, schema: StreamSchema) -> AheadRows:
-        """Rows of a killed run that wait for their batch; none in a finished one."""
+    def rows_ahead(self, index: ChunkIndex, schema: StreamSchema) -> AheadRows:
+        """Rows that a killed run left in its write-ahead file; none in a finished run."""
         rows = [e.fields for e in index.entries if e.fields.get("chunk") == "rows"]
         ends = [f.get("first_row", 0) + f.get("rows", 0) for f in rows]
         folder = self.folder if self.outcome == INTERRUPTED else None
         return AheadRows(folder, schema, max(ends, default=0))
 
-    def sound_rows(
+    def read_rows(
         self, index: ChunkIndex, decoder: BatchDecoder | None = None
     ) -> list[tuple[int, int]]:
-        """Row ranges that are lost; sound rows go to ``decoder``, damage to the index."""
+        """Pass valid rows to ``decoder``; returns lost row ranges, adds damage to the index."""
         lost: list[tuple[int, int]] = []
         end = 0
-        for data, chunks in index.sound():
+        for data, chunks in index.valid_chunks():
             rows = [c for c in chunks if c.fields.get("chunk") == "rows"]
             for chunk in rows:
                 first = int(chunk.fields["first_row"])
@@ -272,9 +271,8 @@ class Run:
                 end = first + int(chunk.fields["rows"])
             if decoder is not None:
                 decoder.feed(data, rows)
-        stream = index.index.removeprefix("samples/").removesuffix(".index.jsonl")
-        said = (self.final or {}).get("rows")
-        total = said.get(stream) if isinstance(said, dict) else None
+        counts = (self.final or {}).get("rows")
+        total = counts.get(stream_of(index)) if isinstance(counts, dict) else None
         if isinstance(total, int) and total > end:
             lost.append((end, total))
         for low, high in lost:
@@ -285,11 +283,11 @@ class Run:
 
     @cached_property
     def frames(self) -> list[dict[str, Any]]:
-        """What is known of each frame: ``frame`` (its number), ``host_ns`` and more."""
+        """Metadata of each frame: ``frame`` (its number), ``host_ns`` and more."""
         return [e.fields for e in self._frame_entries.values()]
 
     def frame_bytes(self, number: int) -> bytes:
-        """The encoded image of frame ``number`` as it came from the camera.
+        """The encoded image of frame ``number`` as the camera sent it.
 
         Raises:
             RecordError: there is no such frame, or it is damaged.
@@ -327,7 +325,7 @@ class Run:
         index = ChunkIndex(self.folder, name)
         found = [
             Chunk(c.fields["host_ns"], data[c.offset : c.offset + c.length])
-            for data, chunks in index.sound()
+            for data, chunks in index.valid_chunks()
             for c in chunks
             if type(c.fields.get("host_ns")) is int
         ]
@@ -338,10 +336,10 @@ class Run:
 
     @property
     def table(self) -> pd.DataFrame:
-        """The reduced table of the run, units in the names of its columns.
+        """The reduced table of the run, with units in the column names.
 
         Raises:
-            RecordError: it has not been made, or is not as it was made.
+            RecordError: the table does not exist or is damaged.
         """
         import pandas as pd
 
@@ -350,21 +348,21 @@ class Run:
                 path = self.derived(name)
                 return read_parquet(path) if name.endswith("parquet") else pd.read_csv(path)
         raise RecordError(
-            str(self.folder), "no table was made of this run", f"pamrig runs rebuild {self.run_id}"
+            str(self.folder), "this run has no table", f"pamrig runs rebuild {self.run_id}"
         )
 
     def derived(self, name: str) -> Path:
-        """Path of a derived file once its CRC has been checked.
+        """Path of a derived file, after a check of its CRC.
 
         Raises:
-            RecordError: it is missing, damaged, or was not made by a rebuild.
+            RecordError: it is missing or damaged, or is not part of the derived files.
         """
         path = self.folder / "derived" / name
         remedy = f"pamrig runs rebuild {self.run_id}"
         files = (self.sealed("derived/manifest.json") or {}).get("files")
         listed = files.get(name) if isinstance(files, dict) else None
         if not isinstance(listed, dict) or not path.is_file():
-            raise RecordError(str(path), "missing, or not vouched for by its manifest", remedy)
+            raise RecordError(str(path), "missing, or not listed in its manifest", remedy)
         data = read_inside(self.folder, f"derived/{name}", LARGEST_BULK)
         if f"{zlib.crc32(data):08x}" != listed.get("crc32") or len(data) != listed.get("size"):
             raise RecordError(str(path), "does not match its CRC", remedy)
@@ -377,7 +375,7 @@ class Run:
             return None
         try:
             fields = open_file(read_inside(self.folder, name))
-            wrong = misshapen(name, fields)
+            wrong = structure_error(name, fields)
         except RecordError as error:
             fields, wrong = {}, error.what
         except ValueError:
@@ -389,5 +387,10 @@ class Run:
 
 
 def time_s(host_ns: Any, start_ns: int) -> Any:
-    """Host times as seconds since the run's start."""
+    """Convert host times to seconds since the start of the run."""
     return (np.asarray(host_ns, dtype=np.int64) - start_ns) * 1e-9
+
+
+def stream_of(index: ChunkIndex) -> str:
+    """Name of the stream of an index."""
+    return index.index.removeprefix("samples/").removesuffix(".index.jsonl")

@@ -1,7 +1,7 @@
-"""CSV and Parquet files of strangers: looked at before they are read into memory.
+"""Limits for CSV and Parquet files of other programs, checked before the file is loaded.
 
-A few kilobytes of Parquet can stand for billions of cells, a CSV can have a million columns. What
-a laboratory has is far from these bounds; what is beyond them is refused with its own words.
+A Parquet file of a few kilobytes can expand to billions of cells, and a CSV can have a million
+columns. The limits are far above the size of laboratory data.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ if TYPE_CHECKING:
 
 MOST_COLUMNS = 500
 MOST_CELLS = 200_000_000
-"""Of numbers: 1.6 GB; two hours at 1 kHz with all channels are a third of it."""
+"""1.6 GB as numbers; two hours at 1 kHz with all channels need a third of it."""
 LARGEST_CSV = 2 << 30
 LARGEST_HEAD = 100_000
 MOST_TEXT = 64 << 20
-"""Bytes of all different words of a column together."""
-_REMEDY = "no bench records so much; cut the file into several, or do not trust it"
+"""Total bytes of all distinct texts of a column."""
+_REMEDY = "no test records that much; split the file, or do not trust it"
 
 
 def check_csv(path: Path) -> None:
-    """Refuse a CSV that is no plain file, is too large, or has a header without end.
+    """Refuse a CSV that is not a plain file, is too large, or has too long a header.
 
     Raises:
-        PamrigError: says which.
+        PamrigError: names the reason.
     """
     about = path.stat()
     if not stat.S_ISREG(about.st_mode):
-        raise PamrigError(str(path), "is no plain file", "give a file")
+        raise PamrigError(str(path), "is not a plain file", "give a file")
     if about.st_size > LARGEST_CSV:
         raise PamrigError(str(path), f"has {about.st_size} bytes, allowed {LARGEST_CSV}", _REMEDY)
     with open(path, "rb") as file:
@@ -45,46 +45,48 @@ def check_csv(path: Path) -> None:
 
 
 def read_parquet(path: Path) -> pd.DataFrame:
-    """A Parquet file of plain columns; words are kept once each while it is read.
+    """Read a Parquet file with columns of numbers, times or text.
+
+    Text columns are read as dictionaries, so that a repeated text needs memory only once.
 
     Raises:
-        PamrigError: it is no such file, or claims more than ``MOST_CELLS``.
+        PamrigError: not such a file, or it declares more than ``MOST_CELLS``.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     if not stat.S_ISREG(os.stat(path).st_mode):
-        raise PamrigError(str(path), "is no plain file", "give a file")
+        raise PamrigError(str(path), "is not a plain file", "give a file")
     try:
         with pq.ParquetFile(path, memory_map=True) as file:
-            _check_claims(path, file.metadata)
-            words = _words(path, file.schema_arrow)
-        table = pq.read_table(path, read_dictionary=words, use_threads=False)
-        for name in words:
-            _check_words(path, name, table.column(name))
+            _check_declared_size(path, file.metadata)
+            texts = _text_columns(path, file.schema_arrow)
+        table = pq.read_table(path, read_dictionary=texts, use_threads=False)
+        for name in texts:
+            _check_text_size(path, name, table.column(name))
         frame: pd.DataFrame = table.to_pandas(use_threads=False)
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
         raise PamrigError(str(path), f"is not a Parquet file: {first}") from error
-    for name in words:
+    for name in texts:
         frame[name] = frame[name].astype(object)
     return frame
 
 
-def _check_claims(path: Path, about: Any) -> None:
+def _check_declared_size(path: Path, about: Any) -> None:
     cells = about.num_rows * max(1, about.num_columns)
     if about.num_columns > MOST_COLUMNS or cells > MOST_CELLS:
-        what = f"claims {about.num_rows} rows of {about.num_columns} columns"
+        what = f"declares {about.num_rows} rows of {about.num_columns} columns"
         raise PamrigError(str(path), what, _REMEDY)
     groups = range(about.num_row_groups)
-    claimed = sum(about.row_group(k).total_byte_size for k in groups)
+    declared = sum(about.row_group(k).total_byte_size for k in groups)
     held = sum(about.row_group(k).num_rows for k in groups)
-    if claimed > 8 * MOST_CELLS or held != about.num_rows:
-        raise PamrigError(str(path), f"claims {held} rows in {claimed} bytes", _REMEDY)
+    if declared > 8 * MOST_CELLS or held != about.num_rows:
+        raise PamrigError(str(path), f"declares {held} rows in {declared} bytes", _REMEDY)
 
 
-def _words(path: Path, schema: Any) -> list[str]:
-    """Columns of text; the others have to be numbers, times or nothing."""
+def _text_columns(path: Path, schema: Any) -> list[str]:
+    """Names of text columns; the other columns must hold numbers, times or nothing."""
     import pyarrow.types as t
 
     out = []
@@ -93,11 +95,13 @@ def _words(path: Path, schema: Any) -> list[str]:
         if t.is_string(kind) or t.is_large_string(kind):
             out.append(field.name)
         elif not (t.is_primitive(kind) or t.is_null(kind)) or t.is_dictionary(field.type):
-            raise PamrigError(f"{path}, column {field.name}", f"holds {field.type}", "numbers only")
+            raise PamrigError(
+                f"{path}, column {field.name}", f"holds {field.type}", "use numbers or text"
+            )
     return out
 
 
-def _check_words(path: Path, name: str, column: Any) -> None:
+def _check_text_size(path: Path, name: str, column: Any) -> None:
     held = sum(chunk.dictionary.nbytes for chunk in column.chunks if hasattr(chunk, "dictionary"))
     if held > MOST_TEXT:
-        raise PamrigError(f"{path}, column {name}", f"holds {held} bytes of words", _REMEDY)
+        raise PamrigError(f"{path}, column {name}", f"holds {held} bytes of text", _REMEDY)

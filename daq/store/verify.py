@@ -1,4 +1,4 @@
-"""Is every byte of a run what was written? Reads all of it and lists what is not."""
+"""Checks every byte of a run against its checksums and lists all damage."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Any
 from daq.errors import RecordError
 from daq.record.chunks import ChunkIndex, Problem
 from daq.record.disk import RESERVE_BYTES, RESERVE_NAME
+from daq.record.safe_read import path_inside, read_inside
 from daq.record.sealed import open_file
-from daq.record.within import path_inside, read_inside
 from daq.store.annotations import ANNOTATIONS, read_annotations
-from daq.store.run import INTERRUPTED, Run
-from daq.store.shapes import misshapen
+from daq.store.run import INTERRUPTED, Run, stream_of
+from daq.store.validate import structure_error
 
 __all__ = ["Problem", "verify"]
 
 
 def verify(run: Run) -> list[Problem]:
-    """Everything in the run folder that is damaged, missing, unfinished or unknown.
+    """All damaged, missing, unfinished and unknown data in the run folder.
 
-    A finished run without damage gives an empty list. Of an interrupted run, bytes that
-    were being written are listed with ``tail`` set; they are never read as data.
+    The list is empty for a finished run without damage. Bytes that an interrupted run left
+    unfinished have ``tail`` set; they are never read as data.
     """
     return sorted(_problems(Run(run.folder)), key=lambda p: (p.file, p.offset))
 
@@ -44,17 +44,17 @@ def _problems(run: Run) -> Iterator[Problem]:
     if run.outcome == INTERRUPTED and reserve.exists():
         seen.add(RESERVE_NAME)
         if reserve.stat().st_size > RESERVE_BYTES or reserve.read_bytes().strip(b"\x00"):
-            yield Problem(RESERVE_NAME, 0, "expected nothing but zeros")
+            yield Problem(RESERVE_NAME, 0, "expected zeros only")
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if not path.is_dir() and name not in seen:
             tail = run.outcome == INTERRUPTED
-            what = "nothing in the record vouches for this file, not read"
+            what = "the record does not list this file, not read"
             yield Problem(name, 0, what, path.stat().st_size, tail)
 
 
 def _annotation_problems(folder: Path, seen: set[str]) -> Iterator[Problem]:
-    """Damage in what was said afterwards."""
+    """Damage in the annotations."""
     seen.add(ANNOTATIONS)
     try:
         read_annotations(folder)
@@ -63,7 +63,7 @@ def _annotation_problems(folder: Path, seen: set[str]) -> Iterator[Problem]:
 
 
 def _record_problems(run: Run, seen: set[str]) -> Iterator[Problem]:
-    """Damage that the CRCs of lines and chunks show, for finished and interrupted runs."""
+    """Damage found with the CRCs of lines and chunks, for finished and interrupted runs."""
     folder = run.folder
     run.sealed("run.json")
     _ = run.final
@@ -76,23 +76,22 @@ def _record_problems(run: Run, seen: set[str]) -> Iterator[Problem]:
         seen.add(index.index)
         seen.update(entry.file for entry in index.entries)
         if index.index.startswith("samples/"):
-            run.sound_rows(index)
+            run.read_rows(index)
             seen.add(_ahead_problems(run, index))
         else:
-            for _ in index.sound():
+            for _ in index.valid_chunks():
                 pass
         run.problems.extend(index.problems)
     yield from run.problems
 
 
 def _ahead_problems(run: Run, index: ChunkIndex) -> str:
-    """Damage in the rows that wait for their batch; name of their file, if there may be one."""
+    """Damage in the write-ahead file; returns its name, "" if there can be none."""
     if run.outcome != INTERRUPTED:
         return ""
-    stream = index.index.removeprefix("samples/").removesuffix(".index.jsonl")
     try:
-        ahead = run.ahead(index, run.schema(stream))
-    except RecordError:  # the index itself is damaged, and that is told
+        ahead = run.rows_ahead(index, run.schema(stream_of(index)))
+    except RecordError:  # the damaged index is already listed
         return ""
     index.problems.extend(ahead.problems)
     for low, high in ahead.missing:
@@ -102,7 +101,7 @@ def _ahead_problems(run: Run, index: ChunkIndex) -> str:
 
 
 def _against_final(run: Run, final: dict[str, Any], reported: set[str]) -> Iterator[Problem]:
-    """Damage that only the sums in final.json show: files cut short, swapped or gone."""
+    """Damage found only with the sums in final.json: truncated, exchanged or missing files."""
     started = run.sealed("run.json")
     if started is not None and (named := started.get("run_id")) != final["run_id"]:
         what = f"belongs to run {final['run_id']}, run.json to {named}"
@@ -122,9 +121,9 @@ def _derived_problems(folder: Path, seen: set[str]) -> list[Problem]:
         fields = open_file(read_inside(folder, name))
         listed = fields.get("files")
     except (ValueError, RecordError):
-        return [Problem(name, 0, "does not match its CRC; pamrig runs rebuild makes it anew")]
-    if not isinstance(listed, dict) or misshapen(name, fields):
-        return [Problem(name, 0, "is no list of files; pamrig runs rebuild makes it anew")]
+        return [Problem(name, 0, "does not match its CRC; pamrig runs rebuild replaces it")]
+    if not isinstance(listed, dict) or structure_error(name, fields):
+        return [Problem(name, 0, "is not a list of files; pamrig runs rebuild replaces it")]
     files = {f"derived/{file}": sums for file, sums in listed.items()}
     seen.update(files)
     return list(_sums(folder, files, set()))

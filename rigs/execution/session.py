@@ -195,7 +195,7 @@ def _connect(rig: Rig, record: RecordWriter, watch: Watch) -> None:
     rig.valve.on_gap = gap
     rig.valve.on_batch.append(recorder(record, "valve"))
     if not rig.clock.virtual:  # on the virtual clock a killed run is simply run again
-        rig.valve.telemetry.on_ahead = lambda frame: record.ahead("valve", frame)
+        rig.valve.telemetry.on_ahead = lambda frame: record.write_ahead("valve", frame)
     rig.balance.on_rows.append(recorder(record, "balance"))
     rig.valve.on_event = event
     record_instruments(rig, record)

@@ -22,8 +22,9 @@ from daq.errors import PamrigError
 from daq.record.sealed import seal_line
 from daq.record.writer import RecordWriter
 from daq.store.annotations import annotate
+from daq.store.derive import derive
 from daq.store.run import Run, open_run
-from daq.store.store import rebuild, show
+from daq.store.store import show
 from daq.store.verify import verify
 from gap.data.reader import read_dataset
 from plant.errors import PlantError
@@ -107,10 +108,10 @@ def _record(folder: Path, ended: bool) -> Path:
     record.wire("valve", 1, b"bytes")
     if ended:
         record.finalize("clean")
-        rebuild(open_run(record.folder))
+        derive(open_run(record.folder))
         annotate(record.folder, "exclude", [1], "a leak")
     else:
-        record.ahead("valve", rows(40))
+        record.write_ahead("valve", rows(40))
         record.abandon()
     return record.folder
 
