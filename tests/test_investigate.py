@@ -93,8 +93,9 @@ def test_what_is_advised_is_run_next_and_otherwise_the_next_of_the_list(
     protocol: str, why: str, expected: str, tmp_path: Path
 ) -> None:
     left, again = battery(load_rig("virtual")), battery(load_rig("virtual"), again=True)
-    experiment = Experiment(protocol, {}, 1.0, 4.0, 2, ("a", "b"), why)
-    begun = loop._Begun(load_rig("virtual"), tmp_path, None)
+    settings = {"measure": {"seconds": 60.0}} if why.startswith("a minute") else {}
+    experiment = Experiment(protocol, settings, 1.0, 4.0, 2, ("a", "b"), why)
+    begun = loop._Investigating(load_rig("virtual"), tmp_path, None)
     begun.verdict = Verdict("unknown", "", None, (), 0.0, 1.0, None, (), (), {}, experiment, {})
     for tests in (left, again) if protocol != "reference" else (left,):
         count = len(tests)
@@ -122,7 +123,7 @@ def test_an_effect_of_the_plant_is_named_after_the_first_two_tests(
     monkeypatch.setattr(loop, "battery", few)
     config = rig_with(tmp_path, "[effects.liner_threshold]\nthreshold_kpa = 80\n")
     told: list[str] = []
-    found = investigate(config, tmp_path / "runs", tell=told.append, derive=False)
+    found = investigate(config, tmp_path / "runs", report=told.append, derive=False)
     assert found.conclusion == "named"
     assert len(found.rounds) == BEFORE_NAMING
     assert found.rounds[0].status == ""
@@ -168,7 +169,7 @@ def test_a_fault_in_a_later_test_ends_it_with_what_the_tests_before_allow_to_say
         if text.startswith("round 2"):
             bench.board.sensor_override = 0  # the wire comes off between two tests
 
-    found = investigate(config, tmp_path / "runs", bench=bench, tell=tell, derive=False)
+    found = investigate(config, tmp_path / "runs", bench=bench, report=tell, derive=False)
     assert [r.protocol for r in found.rounds] == ["isometric"]
     assert found.conclusion == "no gap"
     assert "sensor_no_rise" in str(found.ended)

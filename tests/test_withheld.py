@@ -161,7 +161,7 @@ def test_a_secret_that_the_rig_s_protections_refuse_is_seen_to_be_refused() -> N
 @pytest.mark.campaign
 def test_a_refused_secret_is_drawn_again_and_named_to_nobody() -> None:
     told: list[str] = []
-    secret = draw_runnable(load_rig(RIG, 87), entropy=entropy_of(87), tell=told.append)
+    secret = draw_runnable(load_rig(RIG, 87), entropy=entropy_of(87), report=told.append)
     first = draw(load_rig(RIG, 87), entropy=entropy_of(87))
     assert first.hidden[0].id == "pressure_zero"
     assert len(told) >= 1

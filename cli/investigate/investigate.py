@@ -1,10 +1,11 @@
-"""Closes the loop: run a test, diagnose, run what the diagnosis asks for, until it is named.
+"""Closed loop of test and diagnosis: run a test, diagnose, run the advised test, and so on.
 
-Top floor: here a rig and a diagnosis meet. Each round records an ordinary run; all runs so far are
-diagnosed together. What to run next is what the diagnosis advises, where this rig can run it, and
-otherwise the next test that shows something no test so far has shown. Each test is a trial of what
-the tests before it were explained by: an explanation that foretells it, as no other does, may be
-named though the diagnosis alone, which sees no order in its data, would not go so far.
+Each round records an ordinary run; all runs so far are diagnosed together. The next test is the one
+that the diagnosis advises, if this rig can run it. Otherwise it is the next test of the survey.
+
+Each new test also checks the explanation of the tests before it. An effect that predicts the new
+test, while its rivals do not, may be named even if the diagnosis alone (which ignores the order of
+the data) would not name it.
 """
 
 from __future__ import annotations
@@ -43,18 +44,17 @@ if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench
 
 VALVE_TESTS = ("step",)
-"""Tests whose valve commands are diagnosed: elsewhere a loop only holds a pressure."""
+"""Tests whose valve commands are diagnosed. In other tests, a loop only holds a pressure."""
 LIKELY = 0.7
-"""Belief in one family from which it is put to the proof before anything else is looked at."""
+"""Reliability of a family from which it is checked by a new test before anything else is done."""
 FAILED = 2
-"""Tests that did not come out as foretold after which no more are made for that."""
+"""Number of failed predictions after which no more tests check the same family."""
 Array = npt.NDArray[np.float64]
-Told = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Round:
-    """One test and what was known after it; `status` is empty where nothing was diagnosed yet."""
+    """One test and the diagnosis after it; `status` is empty if there was no diagnosis yet."""
 
     protocol: str
     why: str
@@ -65,15 +65,15 @@ class Round:
     effects: tuple[str, ...]
     headline: str
     foretold: Mapping[str, Any] | None = None
-    """How what was found before fared on this test, where the test shows it."""
+    """How well the explanation before this test predicted it, if the test shows the effect."""
 
 
 @dataclass(frozen=True)
 class Investigation:
-    """What came of it: the last verdict, how it was reached, and what is still needed.
+    """The result: the last verdict, how it was reached, and what is still needed.
 
-    `conclusion` is "named", "needs reference", "no gap" or "open", and `why` says it in a sentence.
-    `family` is what was named: a family of the catalogue, or several that act together.
+    `conclusion` is "named", "needs reference", "no gap" or "open"; `why` is a sentence about it.
+    `family` is the named family of effects, or several families that act together.
     """
 
     conclusion: str
@@ -84,7 +84,7 @@ class Investigation:
     references: Mapping[str, str]
     folder: Path
     ended: str | None = None
-    """The fault that ended it, if one did: the conclusion is that of the tests before."""
+    """The fault that ended it, or None. The conclusion is then from the tests before the fault."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -109,32 +109,32 @@ def investigate(
     budget_min: float = 60.0,
     plant: Path | None = None,
     stop: StopFlag | None = None,
-    tell: Told = lambda text: None,
+    report: Callable[[str], None] = lambda text: None,
     bench: VirtualBench | None = None,
     derive: bool = True,
 ) -> Investigation:
-    """Run tests on a rig until the gap is named, or nothing more can be had for the budget.
+    """Run tests on a rig until the gap is named, no test is left or the budget is used up.
 
     Args:
         config: the rig.
-        out: folder of runs; protocol files and the joint data set go to `investigation` in it (or
-            `investigation-2` and so on, where there is one).
-        budget_min: bench time; no test is begun once it is used up.
-        plant: what is known of the bench's plant, as bench.toml states it.
-        stop: set from outside to end in good order: what was measured is diagnosed.
-        tell: takes a line after each step.
-        bench: a virtual bench on a virtual clock; all tests are run on it, one after another. By
-            default one is made of a rig that states a virtual bench.
+        out: folder of runs. Protocol files and the joint data set go into its subfolder
+            `investigation` (`investigation-2` and so on if that exists).
+        budget_min: bench time in minutes; no test starts after it is used up.
+        plant: known constants of the bench's plant, in the format of bench.toml.
+        stop: ends the investigation; the completed tests are diagnosed.
+        report: called with a line of text after each step.
+        bench: a virtual bench on a virtual clock, used for all tests. By default one is made
+            if the rig is virtual.
         derive: also make table, figures and report of each run.
 
     Raises:
-        PamrigError: the first test did not come to its end, or data cannot be used. A later fault
-            ends the investigation, with what the tests before it allow to say.
+        PamrigError: the first test did not finish, or data cannot be used. A later fault ends
+            the investigation; its conclusion is then from the tests before the fault.
     """
     if not budget_min > 0.0:
         raise GapError("--budget", f"expected minutes above 0, got {budget_min:g}")
     if plant is not None:
-        stated_plant(plant)  # refused now, not after the first hour of tests
+        stated_plant(plant)  # a bad file must fail now, not after the first hour of tests
     stop = stop or StopFlag()
     folder = _own_folder(out)
     if bench is None and config.is_virtual:
@@ -142,17 +142,17 @@ def investigate(
         from rigs.virtual.bench import VirtualBench
 
         bench = VirtualBench(config, VirtualClock())
-    begun = _Begun(config, folder, plant)
+    state = _Investigating(config, folder, plant)
     left, again = battery(config), battery(config, again=True)
     used_min = 0.0
     while used_min < budget_min and not stop.reason:
-        chosen = begun.next(left, again)
+        chosen = state.next(left, again)
         if chosen is None:
             break
         test, why = chosen
         name = test.protocol
-        tell(f"round {len(begun.rounds) + 1}: {name}, {test.what} ({why})")
-        path = folder / f"{len(begun.rounds) + 1:02d}-{name}.toml"
+        report(f"round {len(state.rounds) + 1}: {name}, {test.what} ({why})")
+        path = folder / f"{len(state.rounds) + 1:02d}-{name}.toml"
         path.write_text(protocol_text(test, config), encoding="utf-8")
         kind = procedure(name)
         plan = kind.read(str(path), config)
@@ -161,30 +161,30 @@ def investigate(
             try_derive(result.folder, result.error)
         run = open_run(result.folder)
         if result.outcome == "stopped":
-            tell(f"  stopped; {run.run_id} is left out")
+            report(f"  stopped; {run.run_id} is not used")
             break
         if result.outcome != "clean":
             error = PamrigError(
                 str(result.folder), f"the test ended {result.outcome}: {result.error}",
-                "find the cause and begin again; what was recorded is safe",
+                "find the cause and start again; the recorded data are safe",
             )  # fmt: skip
-            if not begun.runs:
+            if not state.runs:
                 raise error
-            # No machine goes on by itself after a fault; what was measured before it is diagnosed.
-            begun.ended = str(error)
-            tell(f"  {error}")
+            # Do not continue without the operator after a fault. Diagnose the tests before it.
+            state.ended = str(error)
+            report(f"  {error}")
             break
-        begun.take(test, why, run, result.outcome)
-        used_min += begun.rounds[-1].minutes
-        tell(f"  {begun.rounds[-1].headline}")
-        if begun.settled and not (begun.doubtful and left):
+        state.add(test, why, run, result.outcome)
+        used_min += state.rounds[-1].minutes
+        report(f"  {state.rounds[-1].headline}")
+        if state.settled and not (state.doubtful and left):
             break
-    return begun.concluded()
+    return state.concluded()
 
 
 @dataclass
-class _Begun(Standing):
-    """An investigation under way: the tests so far, and what is known after them."""
+class _Investigating(Standing):
+    """An investigation in progress: the tests so far and their diagnosis."""
 
     config: RigConfig
     folder: Path
@@ -198,52 +198,52 @@ class _Begun(Standing):
     _margins: Array | None = None
 
     def next(self, left: list[Test], again: list[Test]) -> tuple[Test, str] | None:
-        """The next test, taken from those left or to be made again, and why; None at the end."""
+        """Take the next test from `left` or `again`; returns it and why, or None."""
         verdict = self.verdict
-        telling = None
-        if self._of_valves_alone(left):
-            telling = self._telling([t for t in again if t.protocol in VALVE_TESTS], -np.inf)
-        if telling is None and self._likely:
-            telling = self._telling(again)
-        if telling is not None:
-            again.remove(telling)
-            return telling, self._to_see
+        check = None
+        if self._only_pressure(left):
+            check = self._most_selective([t for t in again if t.protocol in VALVE_TESTS], -np.inf)
+        if check is None and self._likely:
+            check = self._most_selective(again)
+        if check is not None:
+            again.remove(check)
+            return check, self._reason_to_check
         if verdict is not None and verdict.next_experiment is not None:
             advised = verdict.next_experiment
             for tests in (left, again):
                 for test in tests:
-                    if test.answers(advised.protocol, advised.why):
+                    if test.matches(advised.protocol, advised.settings):
                         tests.remove(test)
                         between = " and ".join(advised.between)
-                        return test, "advised" + (f", to tell {between} apart" if between else "")
+                        return test, "advised" + (f", to distinguish {between}" if between else "")
         if left:
-            why = "to begin with" if verdict is None else "nothing so far has shown what it shows"
+            why = "first tests" if verdict is None else "no test so far covers it"
             return left.pop(0), why
-        telling = self._telling(again)
-        if telling is None:
+        check = self._most_selective(again)
+        if check is None:
             return None
-        again.remove(telling)
-        return telling, self._to_see
+        again.remove(check)
+        return check, self._reason_to_check
 
     @property
     def _likely(self) -> bool:
-        """Whether one family is left, all but named, and no test has put it to the proof yet."""
+        """Whether one family is left, nearly named, and no test has checked it yet."""
         if self.family is None or self.family in self.foretold or self.verdict is None:
             return False
         belief = self.verdict.evidence.get("belief", {})
         return float(belief.get("right", 0.0) + belief.get("part", 0.0)) >= LIKELY
 
-    def _of_valves_alone(self, left: list[Test]) -> bool:
-        """Whether what was found shows where valves act, and no test left looks there."""
+    def _only_pressure(self, left: list[Test]) -> bool:
+        """Whether the effect acts on the pressure only, and no test of the valves is left."""
         if self.naming is None or any(test.protocol in VALVE_TESTS for test in left):
             return False
         blocks = {b for suspect in self.naming.chosen.state.suspects for b in suspect.blocks}
         return blocks == {"pressure"}
 
-    def _telling(self, again: list[Test], least: float = SHOWN) -> Test | None:
-        """The test to be made again: where the explanation and its nearest rival part most.
+    def _most_selective(self, again: list[Test], least: float = SHOWN) -> Test | None:
+        """The test to repeat: where explanation and nearest rival differ most.
 
-        None where no test parts them by more than `least`, or two have failed already.
+        None if no difference exceeds `least`, or if `FAILED` predictions have failed already.
         """
         if self.naming is None or self.inquiry is None or self.family is None:
             return None
@@ -254,36 +254,36 @@ class _Begun(Standing):
             self._margins = margins(self.inquiry, self.naming.chosen.state, others)
         best: tuple[float, Test | None] = (least, None)
         for run, made in zip(self.runs, self.tests, strict=True):
-            apart = float(self._margins[:, _trials_of(self.inquiry, run)].sum(axis=1).min())
+            difference = float(self._margins[:, _trials_of(self.inquiry, run)].sum(axis=1).min())
             for test in again:
-                if test.what == made.what and apart > best[0]:
-                    best = (apart, test)
+                if test.what == made.what and difference > best[0]:
+                    best = (difference, test)
         return best[1]
 
     @property
-    def _to_see(self) -> str:
+    def _reason_to_check(self) -> str:
         assert self.naming is not None
         names = " and ".join(self.naming.chosen.state.ids)
-        return f"at other settings, to see whether {names} foretells it"
+        return f"at other settings, to check whether {names} predicts it"
 
-    def take(self, test: Test, why: str, run: Run, outcome: str) -> None:
-        """Join a run to those before it and diagnose all of them."""
+    def add(self, test: Test, why: str, run: Run, outcome: str) -> None:
+        """Add a run to those before it and diagnose all of them."""
         self.runs.append(run)
         self.tests.append(test)
         minutes = float((run.final or {}).get("duration_s") or 0.0) / 60.0
-        known: tuple[str, tuple[str, ...], str] = ("", (), "the survey is not whole yet")
-        told: dict[str, Any] | None = None
+        known: tuple[str, tuple[str, ...], str] = ("", (), "the first tests are not complete")
+        prediction: dict[str, Any] | None = None
         if len(self.runs) >= BEFORE_NAMING:
-            told = self._diagnose()
+            prediction = self._diagnose()
             assert self.verdict is not None
             ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)
             known = (self.verdict.status, ids, self.why)
         self.rounds.append(
-            Round(test.protocol, why, run.run_id, outcome, minutes, *known, foretold=told)
+            Round(test.protocol, why, run.run_id, outcome, minutes, *known, foretold=prediction)
         )
 
     def _diagnose(self) -> dict[str, Any] | None:
-        """Diagnose all runs; how what was found before fared on the last of them."""
+        """Diagnose all runs; returns how well the previous explanation predicted the last run."""
         before, known, entries = self.naming, self.inquiry, self._entry_ids
         data = joined(self.runs, self.folder / f"data-{len(self.runs):02d}", self.plant)
         self.verdict, self.inquiry, self.naming = searched(data)
@@ -308,9 +308,9 @@ class _Begun(Standing):
         }  # fmt: skip
 
     def concluded(self) -> Investigation:
-        """The outcome, also written to the investigation's folder."""
+        """The result, also written to the investigation's folder."""
         if not self.runs:
-            raise PamrigError(self.config.source, "no test was run to its end", "begin again")
+            raise PamrigError(self.config.source, "no test was run to its end", "start again")
         if self.verdict is None:
             self._diagnose()
         assert self.verdict is not None
@@ -328,7 +328,7 @@ def _trials_of(q: Inquiry, run: Run) -> list[int]:
 
 
 def _own_folder(out: Path) -> Path:
-    """A folder that no investigation has used yet."""
+    """Create a new folder for this investigation."""
     number = 1
     while True:
         folder = out / ("investigation" if number == 1 else f"investigation-{number}")
@@ -337,12 +337,12 @@ def _own_folder(out: Path) -> Path:
         except FileExistsError:
             number += 1
         except OSError as error:
-            raise GapError(str(folder), f"cannot be made: {error.strerror}") from None
+            raise GapError(str(folder), f"cannot be created: {error.strerror}") from None
         else:
             return folder
 
 
 def joined(runs: list[Run], folder: Path, plant: Path | None) -> DataSet:
-    """All runs so far as one data set, written to `folder`."""
+    """Join all runs into one data set, written to `folder`."""
     export_runs(runs, folder, plant=plant, commands_of=VALVE_TESTS)
     return dataclasses.replace(read_dataset(folder), origin=str(folder))

@@ -1,4 +1,4 @@
-"""The tests that an investigation may run, each for what it shows, with settings for the rig."""
+"""The tests that an investigation may run, with settings for the rig."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from rigs.rigfile.config import RigConfig
 
 REPEATS = 3
 BEFORE_NAMING = 2
-"""Tests before the first diagnosis: muscle and sensors at rest, and the valves. A name given on
-either alone would be one among what that test can show."""
+"""Tests before the first diagnosis: muscle and sensors at rest, and the valves. One of them alone
+shows only some of the effects."""
 HOLD_S = 60.0
 
 
 @dataclass(frozen=True)
 class Test:
-    """A protocol with settings, and in words what it shows.
+    """A protocol with settings, and a description.
 
-    `also` names what in an advised experiment of another protocol this one stands for.
+    `also`: protocols whose advised experiments this test replaces.
     """
 
     protocol: str
@@ -28,11 +28,11 @@ class Test:
     settings: Mapping[str, Any]
     also: tuple[str, ...] = field(default=())
 
-    __test__ = False  # not a test of pytest's
+    __test__ = False  # not a pytest class
 
-    def answers(self, protocol: str, why: str) -> bool:
-        """Whether an advised experiment is this one."""
-        held = "a minute at each" in why
+    def matches(self, protocol: str, settings: Mapping[str, Any]) -> bool:
+        """Whether this test is, or replaces, an advised experiment with these settings."""
+        held = "measure" in settings  # a hold of one minute
         if protocol == self.protocol:
             return held == ("measure" in self.settings)
         return protocol in self.also and not held
@@ -40,7 +40,7 @@ class Test:
 
 @dataclass(frozen=True)
 class _Settings:
-    """Where a battery measures: shares of the range of pressures, lengths, loads and speeds."""
+    """Where the tests measure, as fractions of the range of pressure, length, load and speed."""
 
     pressures: tuple[float, ...]
     lengths: tuple[float, ...]
@@ -62,11 +62,11 @@ _AGAIN = _Settings(
 
 
 def battery(config: RigConfig, again: bool = False) -> list[Test]:
-    """All tests that this rig can run, in the order in which they are run unless advised.
+    """All tests that this rig can run, in default order.
 
-    Muscle and sensors at rest; valves and gas; a length that moves; loads; a hold; warmth.
-    `again` gives the same tests at other pressures, lengths, loads and speeds; that of the valves
-    twice, with a short and with a long muscle.
+    Muscle and sensors at rest; valves and gas; moving length; loads; hold; temperature.
+    `again` gives the same tests at other pressures, lengths, loads and speeds. It has two valve
+    tests, one with a short and one with a long muscle.
     """
     at = _AGAIN if again else _FIRST
     low, high = config.limits.length_min_mm, config.limits.length_max_mm
@@ -90,7 +90,7 @@ def battery(config: RigConfig, again: bool = False) -> list[Test]:
     ]  # fmt: skip
     if not regulated and config.valve.static_scheme != "reg":
         steps = [pressures[2], pressures[4], pressures[1], pressures[3], pressures[0]]
-        # Short and long, as the muscle's own volume tells gas that flows from gas that is stored.
+        # Short and long: the muscle's volume separates gas flow from gas storage.
         made += [
             Test(
                 "step", "the valves fully open, and in bursts",
@@ -128,7 +128,7 @@ def battery(config: RigConfig, again: bool = False) -> list[Test]:
 
 
 def protocol_text(test: Test, config: RigConfig) -> str:
-    """A protocol file of a test for this rig."""
+    """The protocol file of a test for this rig."""
     name = test.protocol
     values = dict(test.settings)
     table: dict[str, Any] = {"protocol": name, "name": f"investigate-{name}", **values}
