@@ -1,1 +1,1 @@
-"""The command line, and what joins a rig to a diagnosis."""
+"""The command line. It also connects rigs with the diagnosis (`cli.investigate`)."""

@@ -1,4 +1,4 @@
-"""`make demo`: the main job, once on the virtual bench and once on the thesis's table."""
+"""`make demo`: an isometric test on the virtual bench, and the isometric table of the thesis."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from daq.errors import PamrigError
 
 
 def demo(root: Path) -> int:
-    """Run, report, import, report; then say what was made and how to look at it."""
+    """Run, report, import, report; then print the files made and how to view them."""
     from analysis.formats.importer import import_thesis
     from analysis.reporting.derived import derive_all
-    from cli.protocols.protocol_command import Order, protocol_command
+    from cli.protocols.protocol_command import TestOptions, protocol_command
 
     typer.echo(
         "1. an isometric test on the virtual bench: 5 lengths, 8 pressures, up and down, twice"
     )
-    order = Order(out=root, specimen="demo-muscle", operator="demo")
-    status = protocol_command("isometric", order)
+    options = TestOptions(out=root, specimen="demo-muscle", operator="demo")
+    status = protocol_command("isometric", options)
     if status:
         return status
     virtual = max(root.glob("*demo-muscle*"))
@@ -33,13 +33,13 @@ def demo(root: Path) -> int:
 made:
   {virtual / "derived" / "report.html"}
   {thesis / "derived" / "report.html"}
-  (open both in a browser; table.csv and samples.parquet stand beside them)
+  (open both in a browser; table.csv and samples.parquet are in the same folders)
 
-look further, after `source .venv/bin/activate`:
+next steps, after `source .venv/bin/activate`:
   pamrig runs list --runs {root}
   pamrig view {virtual}        the whole test in the viewer
-  pamrig isometric --live         the same test, watched as it runs
-  pamrig doctor                   what would stop a run on this rig""")
+  pamrig isometric --live         the same test in the live view
+  pamrig doctor                   what would prevent a run on this rig""")
     return 0
 
 

@@ -1,7 +1,6 @@
 """pamrig for notebooks: ``import pamrig; pamrig.open_run("last").table``.
 
-Everything here is a thin face over the packages that do the work; units stand in the
-names of all columns.
+A small interface to the other packages. Column names contain the units.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ class RecordedRun:
     """A recorded run as tables.
 
     Attributes:
-        run: the record itself, with raw streams and frames (`daq.store.run.Run`).
+        run: the record, with raw streams and frames (`daq.store.run.Run`).
     """
 
     def __init__(self, run: Run) -> None:
@@ -31,9 +30,9 @@ class RecordedRun:
 
     @property
     def table(self) -> pd.DataFrame:
-        """Settled points, one row each: pressure_kpa, length_mm, force_n, ... and u_ columns.
+        """Settled points, one per row: pressure_kpa, length_mm, force_n, ... and u_ columns.
 
-        Made from the record where it has not been derived yet.
+        Derived from the record if that has not been done yet.
         """
         if not (self.run.folder / "derived" / "table.parquet").is_file():
             from analysis.reporting.derived import derive_all
@@ -57,7 +56,7 @@ class RecordedRun:
 
     @property
     def events(self) -> pd.DataFrame:
-        """Everything that happened, one row each, with time_s since the start."""
+        """Events, one per row, with time_s since the start."""
         import pandas as pd
 
         table = pd.DataFrame(self.run.events)
@@ -78,7 +77,7 @@ def open_run(run: str | Path = "last", runs: str | Path = "runs") -> RecordedRun
     """Open a run by folder, by id, by part of its id, or the last one.
 
     Raises:
-        daq.errors.RecordError: no run, or several, are meant.
+        daq.errors.RecordError: no run matches, or several do.
     """
     from daq.store.store import find_run
 
@@ -104,16 +103,16 @@ def diagnose(data: str | Path, without: Iterable[str] = ()) -> Verdict:
         gap.errors.GapError: the data cannot be used; names file, row and column.
     """
     from gap.data.reader import read_dataset
-    from gap.decision.diagnose import diagnose as ask
+    from gap.decision.diagnose import diagnose as diagnose_dataset
 
-    return ask(read_dataset(data), without)
+    return diagnose_dataset(read_dataset(data), without)
 
 
 def simulate(scenario: str | Path, runs: str | Path = "runs") -> RecordedRun:
-    """Simulate a scenario, by file or shipped name, with the firmware in the loop; its run.
+    """Simulate a scenario (file or shipped name) with the firmware in the loop; returns the run.
 
     Raises:
-        daq.errors.PamrigError: names file and key of what cannot be, or why it ended early.
+        daq.errors.PamrigError: names the invalid file and key, or why the simulation ended early.
     """
     from analysis.reporting.derived import derive_all
     from studies.simulation.scenario import load_scenario

@@ -138,10 +138,10 @@ def test_the_page_is_written_from_totals(tmp_path: Path) -> None:
 def test_a_wrong_stream_is_one_line_and_status_2(tmp_path: Path) -> None:
     import typer
 
-    from cli.gap.check import add_check
+    from cli.gap.commands import check
 
     app = typer.Typer()
-    add_check(app)
+    app.command()(check)
     done = CliRunner().invoke(app, ["--stream", "secret", "--out", str(tmp_path)])
     assert isinstance(done.exception, CheckError)
     assert "practice, reserved, smoke" in str(done.exception)

@@ -190,15 +190,15 @@ FULL = {"rod_diameter_mm": None, "com_mm": [-50, 0, 0]}
         ({"com_mm": [0, 0, 0]}, "com_mm contradict rod_diameter_mm"),
         (
             FULL | {"inertia_g_mm2": [1, 1, 5, 0, 0, 0]},
-            "this is no inertia: principal moments 1, 1, 5 g mm2; no body has one moment larger",
+            "not a valid inertia: principal moments 1, 1, 5 g mm2; one moment cannot be larger",
         ),
         (
             FULL | {"inertia_g_mm2": [5, 5, 5, 9, 0, 0]},
-            "no inertia: .* one of them negative",
+            "not a valid inertia: .* one of them negative",
         ),
         (FULL | {"inertia_g_mm2": [5, 5, 5]}, "expected a list of 6 numbers"),
         ({"range_deg": [70, -20]}, "its range must rise"),
-        ({"joint": 3}, "joint = 3; expected a plain word"),
+        ({"joint": 3}, "joint = 3; expected letters, digits and _"),
         ({"damping_n_m_s": -1}, "damping_n_m_s = -1 is out of range"),
     ],
 )
@@ -209,7 +209,7 @@ def test_a_bad_link_is_refused_by_name(changes: dict[str, Any], message: str) ->
 
 def test_a_bad_arm_is_refused(tmp_path: Path) -> None:
     good = table()
-    with pytest.raises(LinkError, match="more than one joint is called 'knee'"):
+    with pytest.raises(LinkError, match="more than one joint has the name 'knee'"):
         load_arm(good | {"link": good["link"] * 2})
     with pytest.raises(LinkError, match="gravity_m_s2 is missing"):
         load_arm({k: v for k, v in good.items() if k != "gravity_m_s2"})

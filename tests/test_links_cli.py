@@ -84,7 +84,7 @@ def test_a_body_that_cannot_be_is_named_with_its_file(tmp_path: Path) -> None:
     done = links(tmp_path, str(path))
     assert done.returncode == 2
     assert f"{path}, link 1 (knee)" in done.stderr
-    assert "this is no inertia" in done.stderr
+    assert "not a valid inertia" in done.stderr
 
 
 def test_without_sympy_it_says_what_to_install(tmp_path: Path) -> None:

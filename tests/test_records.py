@@ -23,9 +23,9 @@ from analysis.formats.export import export_run, with_unit
 from analysis.reporting.derived import derive_all
 from analysis.reporting.report import report_json
 from analysis.run_table import reduce_run
-from cli.data.records_commands import point_numbers
+from cli.data.runs import point_numbers
 from cli.main import app
-from cli.protocols.plan import load_plan, run_chain, standing
+from cli.protocols.plan import load_plan, progress, run_tests
 from cli.protocols.request import tell_run
 from cli.protocols.resume import continue_run
 from daq.errors import ConfigError, PamrigError, PortError, RecordError
@@ -523,23 +523,23 @@ def test_a_plan_stopped_in_mid_test_goes_on_there(tmp_path: Path) -> None:
 
         runner.rig.pump.add(look)
 
-    (first,) = run_chain(plan, stop, on_start=start)
+    (first,) = run_tests(plan, stop, on_start=start)
     assert first.outcome == "stopped"
-    assert standing(plan).done == {}
-    second, third = run_chain(load_plan(plan.path), StopFlag())
+    assert progress(plan).done == {}
+    second, third = run_tests(load_plan(plan.path), StopFlag())
     assert open_run(second.folder).manifest["continues"]["run_id"] == first.folder.name
     assert (second.outcome, third.outcome) == ("clean", "clean")
     assert [i.specimen for i in list_runs(plan.out)] == ["a", "a", "b"]
     assert len(reduce_run(open_run(second.folder)).table) == 12
-    assert run_chain(plan, StopFlag()) == [], "nothing is left"
+    assert run_tests(plan, StopFlag()) == [], "nothing is left"
 
 
 def test_a_plan_changed_after_it_was_begun_is_not_gone_on_with(tmp_path: Path) -> None:
     plan = load_plan(plan_file(tmp_path))
-    run_chain(dataclasses.replace(plan, items=plan.items[:1]), StopFlag())
+    run_tests(dataclasses.replace(plan, items=plan.items[:1]), StopFlag())
     plan.path.write_text(PLAN + "# longer\n")
-    with pytest.raises(ConfigError, match="was changed since it was begun"):
-        standing(load_plan(plan.path))
+    with pytest.raises(ConfigError, match="was changed since it was started"):
+        progress(load_plan(plan.path))
 
 
 GOOD = '[[test]]\nprotocol = "isometric"\n'

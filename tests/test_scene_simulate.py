@@ -182,7 +182,7 @@ def test_a_command_that_the_firmware_refuses_ends_the_run(runs: Path, tmp_path: 
         (
             "rod_diameter_mm = 25.0",
             "com_mm = [-60, 0, 0]\ninertia_g_mm2 = [1.0, 1.0, 9.0, 0, 0, 0]",
-            "no inertia",
+            "not a valid inertia",
         ),
         ("rest_mm = 62.0", "rest_mm = 95.0", "outside the braid"),
         ("rest_mm = 62.0", "rest_mm = 82.0", "outside the braid"),

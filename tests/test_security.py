@@ -38,7 +38,7 @@ from analysis.reduction.pictures import measure_stored
 from analysis.reporting.derived import derive_all
 from analysis.run_table import reduce_run
 from cli.main import main
-from cli.model.links import links_command
+from cli.model.links import links
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, PamrigError, RecordError
 from daq.record.sealed import seal_file, seal_line
@@ -780,7 +780,7 @@ def test_a_name_in_an_arm_file_is_a_plain_word(
     path.write_text(ARM.format(**({"name": '"arm"', "joint": '"knee"'} | {key: f'"{name}"'})))
     for form in ("python", "text", "latex"):
         with pytest.raises(ConfigError) as error:
-            links_command(str(path), form)
+            links(str(path), form)
         assert str(path) in str(error.value)
         assert f"{key} = " in str(error.value)
         assert not set(map(chr, range(32))) & set(str(error.value))

@@ -1,1 +1,1 @@
-"""Commands on the bench itself: calibrate."""
+"""Commands that use a bench: virtual bench, check, vent, calibration, firmware."""

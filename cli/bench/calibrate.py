@@ -1,92 +1,235 @@
-"""`pamrig calibrate ...`: each command imports what it needs when it runs."""
+"""`pamrig calibrate camera|pressure|force`."""
 
 from __future__ import annotations
 
+import math
+import sys
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-calibrate_app = typer.Typer(help="Calibrate an instrument.", no_args_is_help=True)
-RigOption = Annotated[str, typer.Option("--rig", help="Rig file, or the name of a shipped one.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON value, nothing else.")]
+from cli.options import JsonOption, OperatorOption, RigOption
+from cli.output import print_json, writing
+from daq.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rigs.calibration.run import Calibrated
+    from rigs.execution.runner import Watch
+
+CalibrationOption = Annotated[Path, typer.Option("--out", help="Calibration file to write.")]
+RecordsOption = Annotated[Path, typer.Option(help="Folder for the record.")]
+ReplaceOption = Annotated[bool, typer.Option("--replace", help="Replace an existing file.")]
+RECORDS = Path("calibrations")
 
 
-@calibrate_app.command("camera")
-def calibrate_camera(
-    out: Annotated[Path, typer.Option("--out", help="Calibration file to write.")],
+def add_calibration(app: typer.Typer) -> None:
+    """Add the commands of `pamrig calibrate`."""
+    for command in (camera, pressure, force):
+        app.command()(command)
+
+
+def camera(
+    out: CalibrationOption,
     gauges: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(help="Table of gauge-block pictures: file,length_mm,u_mm."),
+        Path | None, typer.Option(help="Table of gauge-block pictures: file,length_mm,u_mm.")
     ] = None,
-    board: Annotated[Optional[Path], typer.Option(help="Picture of a chessboard.")] = None,  # noqa: UP045
+    board: Annotated[Path | None, typer.Option(help="Picture of a chessboard.")] = None,
     squares: Annotated[str, typer.Option(help="Inner corners of the board: COLUMNSxROWS.")] = "9x6",
     square_mm: Annotated[float, typer.Option(help="Side of a square of the board.")] = 5.0,
     offset_mm: Annotated[float, typer.Option(help="Length at zero gap (board only).")] = 0.0,
     u_offset_mm: Annotated[float, typer.Option(help="Its standard uncertainty.")] = 0.0,
-    domain_mm: Annotated[str, typer.Option(help="Lengths it holds for: LOW,HIGH (board).")] = "",
+    domain_mm: Annotated[str, typer.Option(help="Valid lengths: LOW,HIGH (board).")] = "",
     nearer: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(help="The board again, nearer to the camera by --nearer-mm."),
+        Path | None, typer.Option(help="The board again, nearer to the camera by --nearer-mm.")
     ] = None,
-    nearer_mm: Annotated[float, typer.Option(help="How much nearer.")] = 0.0,
+    nearer_mm: Annotated[float, typer.Option(help="Distance between the two positions.")] = 0.0,
     distance_mm: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option(help="From the lens to the plane of the marks (gauges only)."),
+        float | None, typer.Option(help="Distance from lens to marker plane (gauges only).")
     ] = None,
     u_off_plane_mm: Annotated[
-        float, typer.Option(help="How well the marks stand in the calibrated plane.")
+        float, typer.Option(help="Standard uncertainty of the markers' distance to that plane.")
     ] = 0.0,
     identity: Annotated[str, typer.Option("--id", help="Name of this calibration.")] = "",
     as_json: JsonOption = False,
 ) -> None:
-    """Pixels to millimetres: gauge-block pictures, or a chessboard in the plane of the marks."""
-    from cli.data.commands import calibrate_camera_command
+    """Pixels to millimetres: gauge-block pictures, or a chessboard in the marker plane."""
+    from rigs.calibration import camera as cc
 
-    calibrate_camera_command(
-        out, gauges, board, squares, square_mm, offset_mm, u_offset_mm, domain_mm, nearer,
-        nearer_mm, distance_mm, u_off_plane_mm, identity, as_json,
-    )  # fmt: skip
+    if (gauges is None) == (board is None):
+        raise ConfigError("pamrig calibrate camera", "give either --gauges or --board")
+    if gauges is not None:
+        found = cc.calibrate_from_gauges(
+            gauges, identity=identity, distance_mm=distance_mm, u_off_plane_mm=u_off_plane_mm
+        )
+    else:
+        assert board is not None
+        domain = _pair(domain_mm, ",", "--domain-mm", "50,73")
+        across, down = _pair(squares.lower(), "x", "--squares", "9x6")
+        found = cc.calibrate_from_board(
+            board,
+            (int(across), int(down)),
+            square_mm,
+            offset_mm=offset_mm,
+            u_offset_mm=u_offset_mm,
+            domain=domain,
+            nearer=nearer,
+            nearer_mm=nearer_mm,
+            u_off_plane_mm=u_off_plane_mm,
+            identity=identity,
+        )
+    with writing(out):
+        cc.save_camera_calibration(out, found)
+    if as_json:
+        print_json(found.to_dict())
+        return
+    c = found.calibration
+    typer.echo(
+        f"{c.scale:.6f} mm/pixel (u {c.u_gain * 100:.4f} %), {c.offset:.4f} mm at zero gap "
+        f"(u {c.u_offset:.4f} mm), {c.domain[0]:g} to {c.domain[1]:g} mm; {c.note}"
+    )
+    if found.lens is not None:
+        typer.echo(f"lens distortion k1 = {found.lens.k1:.5f} (u {found.lens.u_k1:.5f})")
+    if found.off_plane_per_mm:
+        typer.echo(f"off the plane: {found.off_plane_per_mm * 100:.4f} % per mm")
+    typer.echo(f'written to {out}; in a rig file: [camera] calibration = "{out.name}"')
 
 
-@calibrate_app.command("pressure")
-def calibrate_pressure(
-    out: Annotated[Path, typer.Option("--out", help="Calibration file to write.")],
+def pressure(
+    out: CalibrationOption,
     rig: RigOption = "virtual",
-    pressures: Annotated[str, typer.Option(help="To stop at, in kPa.")] = "0,100,200,300,400,500",
+    pressures: Annotated[str, typer.Option(help="Pressures in kPa.")] = "0,100,200,300,400,500",
     gauge: Annotated[
-        str, typer.Option(help="A gauge that you read; without: the rig's pressure_transmitter.")
+        str,
+        typer.Option(help="A gauge read by the operator; default: the rig's pressure_transmitter."),
     ] = "",
-    u_each: Annotated[float, typer.Option(help="Of one gauge reading, in kPa.")] = 0.0,
-    u_zero: Annotated[float, typer.Option(help="Of the gauge's zero, in kPa.")] = 0.0,
-    u_gain: Annotated[float, typer.Option(help="Of the gauge's scale, relative.")] = 0.0,
-    records: Annotated[Path, typer.Option(help="Folder for the record.")] = Path("calibrations"),
-    operator: Annotated[str, typer.Option(help="Who calibrates.")] = "",
-    replace: Annotated[bool, typer.Option("--replace", help="Replace an existing file.")] = False,
+    u_each: Annotated[float, typer.Option(help="u of one gauge reading, in kPa.")] = 0.0,
+    u_zero: Annotated[float, typer.Option(help="u of the gauge's zero, in kPa.")] = 0.0,
+    u_gain: Annotated[float, typer.Option(help="u of the gauge's scale, relative.")] = 0.0,
+    records: RecordsOption = RECORDS,
+    operator: OperatorOption = "",
+    replace: ReplaceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Counts to kPa: the bench's own pressures, up and down, against a reference."""
-    from cli.bench.calibrate_commands import pressure_command
+    """Counts to kPa: pressures up and down on the bench, compared with a reference."""
+    from analysis.regression.calibration_line import Reference
+    from daq.interrupt import stop_on_signals
+    from rigs.calibration.pressure import calibrate_pressure
+    from rigs.rigfile.config import load_rig
 
-    pressure_command(
-        rig, out, pressures, gauge, u_each, u_zero, u_gain, records, operator, replace, as_json
+    reference = Reference(
+        gauge,
+        _uncertainty(u_each, "--u-each"),
+        _uncertainty(u_zero, "--u-zero"),
+        _uncertainty(u_gain, "--u-gain", relative=True),
     )
+    _check(out, replace)
+    with stop_on_signals() as stop:
+        done = calibrate_pressure(
+            load_rig(rig), _numbers(pressures, "--pressures"), records,
+            reference=reference if gauge else None, who=operator, stop=stop, watch=_watch(as_json),
+        )  # fmt: skip
+    _write(done, out, replace, as_json)
 
 
-@calibrate_app.command("force")
-def calibrate_force(
-    out: Annotated[Path, typer.Option("--out", help="Calibration file to write.")],
+def force(
+    out: CalibrationOption,
     rig: RigOption = "virtual",
     masses: Annotated[str, typer.Option(help="Dead weights, in kg.")] = "0,1,2,5",
-    weights: Annotated[str, typer.Option(help="Which set of weights.")] = "dead weights",
-    u_each: Annotated[float, typer.Option(help="Of a single weight, in N.")] = 0.0,
-    u_gain: Annotated[float, typer.Option(help="Of the set and of local g, relative.")] = 1e-4,
-    records: Annotated[Path, typer.Option(help="Folder for the record.")] = Path("calibrations"),
-    operator: Annotated[str, typer.Option(help="Who calibrates.")] = "",
-    replace: Annotated[bool, typer.Option("--replace", help="Replace an existing file.")] = False,
+    weights: Annotated[str, typer.Option(help="Name of the set of weights.")] = "dead weights",
+    u_each: Annotated[float, typer.Option(help="u of a single weight, in N.")] = 0.0,
+    u_gain: Annotated[float, typer.Option(help="u of the set and of local g, relative.")] = 1e-4,
+    records: RecordsOption = RECORDS,
+    operator: OperatorOption = "",
+    replace: ReplaceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Grams (or a load cell's reading) to newtons: dead weights, up and down."""
-    from cli.bench.calibrate_commands import force_command
+    from analysis.regression.calibration_line import Reference
+    from daq.interrupt import stop_on_signals
+    from rigs.calibration.force import calibrate_force
+    from rigs.rigfile.config import load_rig
 
-    force_command(rig, out, masses, weights, u_each, u_gain, records, operator, replace, as_json)
+    reference = Reference(
+        weights,
+        u_each=_uncertainty(u_each, "--u-each"),
+        u_gain=_uncertainty(u_gain, "--u-gain", relative=True),
+    )
+    _check(out, replace)
+    with stop_on_signals() as stop:
+        done = calibrate_force(
+            load_rig(rig), _numbers(masses, "--masses"), records, weights=reference,
+            who=operator, stop=stop, watch=_watch(as_json),
+        )  # fmt: skip
+    _write(done, out, replace, as_json)
+
+
+def _pair(text: str, separator: str, key: str, example: str) -> tuple[float, float]:
+    """Two numbers with a separator between them."""
+    try:
+        low, high = (float(part) for part in text.split(separator))
+    except ValueError:
+        raise ConfigError(key, f"expected two numbers as in {example}, got {text!r}") from None
+    return low, high
+
+
+def _numbers(text: str, key: str) -> list[float]:
+    """The numbers of a list such as "0,100,200"."""
+    try:
+        return [float(word) for word in text.split(",") if word.strip()]
+    except ValueError:
+        raise ConfigError(key, f"{text!r} is no list of numbers", "write it as 0,100,200") from None
+
+
+def _uncertainty(value: float, key: str, relative: bool = False) -> float:
+    """Check a standard uncertainty from the command line."""
+    if not 0.0 <= value < (1.0 if relative else math.inf):
+        raise ConfigError(
+            key,
+            f"{value:g} is no {'relative ' if relative else ''}standard uncertainty",
+            "0.001 is 0.1 %" if relative else "give a number from 0 up",
+        )
+    return value
+
+
+def _check(out: Path, replace: bool) -> None:
+    """Check that the file can be written, before an hour of measurement depends on it."""
+    if out.exists() and not replace:
+        raise ConfigError(str(out), "exists already", "choose another --out, or add --replace")
+    if not out.absolute().parent.is_dir():
+        raise ConfigError(str(out), "its folder does not exist", "create it first")
+
+
+def _watch(as_json: bool) -> Watch:
+    from rigs.execution.runner import Watch
+
+    if as_json:
+        return Watch()
+
+    def show(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    return Watch(state=show, log=show)
+
+
+def _write(done: Calibrated, out: Path, replace: bool, as_json: bool) -> None:
+    from rigs.rigfile.calibration_file import write_calibration
+
+    write_calibration(out, done.file, done.points, replace)
+    c = done.file.calibration
+    if as_json:
+        print_json(
+            {**c.to_dict(), "linearity": done.file.linearity, "file": str(out),
+             "record": str(done.folder), "points": [list(p) for p in done.points]}
+        )  # fmt: skip
+        return
+    typer.echo(f"{c.raw_unit:>12} {'reference ' + c.unit:>14} {'residual ' + c.unit:>14}")
+    for raw, reference, residual in done.points:
+        typer.echo(f"{raw:12.5g} {reference:14.5g} {residual:14.3g}")
+    typer.echo(
+        f"{c.quantity} = {c.offset:.6g} + {c.scale:.8g} * {c.raw_unit}, "
+        f"u = {c.u_offset:.3g} {c.unit} + {c.u_gain * 100:.3g} %, "
+        f"linear within {done.file.linearity:.3g} {c.unit}, "
+        f"{c.domain[0]:g} to {c.domain[1]:g} {c.unit}"
+    )
+    typer.echo(f"written: {out}   record: {done.folder}")

@@ -1,1 +1,1 @@
-"""Commands on recorded runs and pictures."""
+"""Commands for recorded runs and pictures."""

@@ -7,34 +7,71 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-import numpy.typing as npt
+import typer
 
+from cli.options import JsonOption
 from daq.errors import ConfigError, PamrigError
-from rigs.calibration.frames import FramesError, SourceFrame, open_frames
-from rigs.rigfile.camera_calibration import CameraCalibration, load_camera_calibration
+
+if TYPE_CHECKING:
+    from rigs.calibration.frames import SourceFrame
+    from rigs.rigfile.camera_calibration import CameraCalibration
 
 METHODS = ("edge", "macro")
 MACRO_THRESHOLD = 130
 MACRO_ROI = (10, 300, 500, 70)
-MACRO_U_PIXELS = 1 / math.sqrt(12)  # whole pixels; a speck is not in it
+MACRO_U_PIXELS = 1 / math.sqrt(12)  # resolution of whole pixels; does not cover specks
 Box = tuple[int, int, int, int]
+
+
+def length(
+    frames: Annotated[
+        str, typer.Argument(help="Picture, folder, TIFF stack, video or run folder.")
+    ],
+    method: Annotated[str, typer.Option(help="edge or macro.")] = "edge",
+    calibration: Annotated[Path | None, typer.Option(help="Camera calibration file.")] = None,
+    preview: Annotated[
+        Path | None, typer.Option(help="Write a picture of the measurement.")
+    ] = None,
+    threshold: Annotated[
+        int, typer.Option(help="Macro: NIH grey level, 0 white to 255 black.")
+    ] = MACRO_THRESHOLD,
+    roi: Annotated[
+        str, typer.Option(help="Region left,top,width,height (macro: after the flip).")
+    ] = "",
+    flip: Annotated[
+        bool, typer.Option("--flip/--no-flip", help="Macro: flip horizontally.")
+    ] = True,
+    count: Annotated[int, typer.Option(help="Frames to take from a live camera.")] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure lengths in pictures; exit status 2 if no frame gave a length."""
+    text, failed = length_report(
+        frames, method, calibration, preview, threshold, roi, flip, as_json, count
+    )
+    typer.echo(text)
+    if failed:
+        typer.echo(f"pamrig: {failed}", err=True)
+    raise typer.Exit(2 if failed else 0)
 
 
 @dataclass(frozen=True)
 class LengthRow:
-    """One frame's length, as `pamrig length --json` prints it; nan is printed as null."""
+    """The length of one frame, as `pamrig length --json` prints it; nan becomes null.
+
+    `readable` is False where the frame could not be decoded; it is not printed.
+    """
 
     file: str
     frame: int
-    pixels: float
-    u_pixels: float
-    length_mm: float
-    u_mm: float
-    trusted: bool
-    reason: str
+    pixels: float = math.nan
+    u_pixels: float = math.nan
+    length_mm: float = math.nan
+    u_mm: float = math.nan
+    trusted: bool = False
+    reason: str = ""
+    readable: bool = True
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -44,12 +81,22 @@ class LengthRow:
             out[key] = value if math.isfinite(value) else None
         return out | {"trusted": self.trusted, "reason": self.reason}
 
+    def as_text(self) -> str:
+        """One line of text."""
+        name = f"{self.file}[{self.frame}]"
+        if not math.isfinite(self.pixels):
+            return f"{name}: no length: {self.reason}"
+        text = f"{name}: {self.pixels:.4f} px, u {self.u_pixels:.4f} px"
+        if math.isfinite(self.length_mm):
+            text += f"; {self.length_mm:.4f} mm, u {self.u_mm:.4f} mm"
+        return text if self.trusted else f"{text}; not trusted: {self.reason}"
+
 
 def parse_box(text: str, key: str = "--roi") -> Box:
     """``left,top,width,height`` as four whole numbers.
 
     Raises:
-        ConfigError: it is something else.
+        ConfigError: the text is something else.
     """
     try:
         numbers = [int(part) for part in text.split(",")]
@@ -68,11 +115,10 @@ def measure_lengths(
     frames: str | Path,
     method: str = "edge",
     *,
-    calibration: CameraCalibration | Path | None = None,
+    calibration: Path | None = None,
     threshold: int = MACRO_THRESHOLD,
     roi: Box | None = None,
     flip: bool = True,
-    exclude: tuple[Box, ...] = (),
     preview: Path | None = None,
     count: int = 1,
 ) -> Iterator[LengthRow]:
@@ -81,26 +127,31 @@ def measure_lengths(
     Args:
         frames: picture, folder, TIFF stack, video, run folder, ``uvc:0`` or ``virtual:55``.
         method: ``edge`` or ``macro``.
-        calibration: pixels to mm; None leaves length_mm and u_mm nan.
-        threshold, roi, flip: the macro's parameters; roi is also the edge method's region
-            (frame coordinates, not flipped), the whole frame when None.
-        exclude: patches the edge method must not look at (the sync LED).
-        preview: picture to write of the first frame measured.
+        calibration: file that converts pixels to mm; None leaves length_mm and u_mm nan.
+        threshold, roi, flip: the macro's parameters. The edge method also uses roi (frame
+            coordinates, not flipped); None is the whole frame.
+        preview: picture to write of the first frame that can be read.
         count: frames to take from a live camera.
 
     Raises:
         FramesError: no frames, or not pictures. ConfigError: a parameter. RecordError: a run.
     """
+    from rigs.calibration.frames import open_frames
+    from rigs.rigfile.camera_calibration import load_camera_calibration
+
     if method not in METHODS:
         raise ConfigError("--method", f"expected edge or macro, got {method!r}", "use edge")
-    if isinstance(calibration, Path):
-        calibration = load_camera_calibration(calibration)
-    drawn = preview is None
+    to_mm = None if calibration is None else load_camera_calibration(calibration)
+    if method == "macro":
+        roi = roi or MACRO_ROI
     for item in open_frames(frames, count=count):
-        row, measured = _measure(item, method, threshold, roi, flip, exclude, calibration)
-        if not drawn and item.image is not None and preview is not None:
-            draw_preview(preview, item.image, method, measured, threshold, roi, flip, row)
-            drawn = True
+        row, gap = _measure(item, method, threshold, roi, flip, to_mm)
+        if preview is not None and item.image is not None:
+            _draw_preview(
+                preview, item.image, method=method, measured=gap, threshold=threshold, roi=roi,
+                flip=flip, title=row.as_text(),
+            )  # fmt: skip
+            preview = None
         yield row
 
 
@@ -110,84 +161,36 @@ def _measure(
     threshold: int,
     roi: Box | None,
     flip: bool,
-    exclude: tuple[Box, ...],
     calibration: CameraCalibration | None,
 ) -> tuple[LengthRow, Any]:
+    """The length in one frame, and what the edge method measured (None for the macro)."""
     from vision.gray import FrameError, RegionError
+    from vision.macro import NoMarker, measure_macro
+    from vision.marker.edge import measure_gap
 
-    nothing = (math.nan, math.nan, math.nan, math.nan, False)
     if item.image is None:
-        return LengthRow(item.file, item.frame, *nothing, item.problem), None
+        return LengthRow(item.file, item.frame, reason=item.problem, readable=False), None
+    gap = None
     try:
         if method == "macro":
-            from vision.macro import NoMarker, measure_macro
-
-            try:
-                index = measure_macro(item.image, threshold, roi or MACRO_ROI, flip)
-            except NoMarker as error:
-                return LengthRow(item.file, item.frame, *nothing, str(error)), None
-            pixels, u_pixels, trusted, reason = index, MACRO_U_PIXELS, True, ""
-            length, u, doubt = _to_mm(pixels, u_pixels, calibration, None)
-            return (
-                LengthRow(
-                    item.file,
-                    item.frame,
-                    pixels,
-                    u_pixels,
-                    length,
-                    u,
-                    trusted and not doubt,
-                    reason or doubt,
-                ),
-                None,
-            )
-        from vision.marker.edge import measure_gap
-
-        gap = measure_gap(item.image, roi, exclude)
+            pixels: float = measure_macro(item.image, threshold, roi or MACRO_ROI, flip)
+            u_pixels, trusted, reason = MACRO_U_PIXELS, True, ""
+        else:
+            gap = measure_gap(item.image, roi)
+            pixels, u_pixels, trusted, reason = gap.pixels, gap.u_pixels, gap.trusted, gap.reason
     except RegionError as error:
         raise ConfigError(
             f"{item.file}, --roi", str(error), "give left,top,width,height inside the frame"
         ) from error
-    except FrameError as error:
-        return LengthRow(item.file, item.frame, *nothing, str(error)), None
-    length, u, doubt = _to_mm(gap.pixels, gap.u_pixels, calibration, gap)
-    return (
-        LengthRow(
-            item.file,
-            item.frame,
-            gap.pixels,
-            gap.u_pixels,
-            length,
-            u,
-            gap.trusted and not doubt,
-            gap.reason or doubt,
-        ),
-        gap,
+    except (FrameError, NoMarker) as error:
+        return LengthRow(item.file, item.frame, reason=str(error)), None
+    length, u, doubt = math.nan, math.nan, ""
+    if calibration is not None and math.isfinite(pixels):
+        length, u, doubt = calibration.length_mm(pixels, u_pixels, gap)
+    row = LengthRow(
+        item.file, item.frame, pixels, u_pixels, length, u, trusted and not doubt, reason or doubt
     )
-
-
-def _to_mm(
-    pixels: float, u_pixels: float, calibration: CameraCalibration | None, gap: Any
-) -> tuple[float, float, str]:
-    if calibration is None or not math.isfinite(pixels):
-        return math.nan, math.nan, ""
-    return calibration.length_mm(pixels, u_pixels, gap)
-
-
-def rows_as_json(rows: list[LengthRow]) -> str:
-    """The list that `--json` prints."""
-    return json.dumps([row.as_dict() for row in rows], indent=1)
-
-
-def row_as_text(row: LengthRow) -> str:
-    """One line for a person."""
-    name = f"{row.file}[{row.frame}]"
-    if not math.isfinite(row.pixels):
-        return f"{name}: no length: {row.reason}"
-    text = f"{name}: {row.pixels:.4f} px, u {row.u_pixels:.4f} px"
-    if math.isfinite(row.length_mm):
-        text += f"; {row.length_mm:.4f} mm, u {row.u_mm:.4f} mm"
-    return text if row.trusted else f"{text}; not trusted: {row.reason}"
+    return row, gap
 
 
 def length_report(
@@ -201,72 +204,42 @@ def length_report(
     as_json: bool = False,
     count: int = 1,
 ) -> tuple[str, str]:
-    """The body of `pamrig length`: what to print, and an error text or nothing.
-
-    With the error text (no frame gave a length) the command prints both and exits with
-    status 2.
+    """The output of `pamrig length`, and an error text ("" if a frame gave a length).
 
     Raises:
         PamrigError: as measure_lengths, and for a calibration that cannot be read.
     """
-    box = parse_box(roi) if roi else None
     rows = list(
         measure_lengths(
-            frames,
-            method,
-            calibration=calibration,
-            threshold=threshold,
-            roi=box,
-            flip=flip,
-            preview=preview,
-            count=count,
+            frames, method, calibration=calibration, threshold=threshold,
+            roi=parse_box(roi) if roi else None, flip=flip, preview=preview, count=count,
         )
-    )
+    )  # fmt: skip
     if not rows:
+        from rigs.calibration.frames import FramesError
+
         raise FramesError(str(frames), "holds no frame", "give a picture, folder, video or run")
     failed = ""
-    if all(not math.isfinite(row.pixels) for row in rows) and (
-        method == "macro" or any("read" in row.reason for row in rows)
+    if not any(math.isfinite(row.pixels) for row in rows) and (
+        method == "macro" or not all(row.readable for row in rows)
     ):
-        failed = str(PamrigError(str(frames), rows[0].reason, _remedy(method)))
+        remedy = "check that the files are pictures"
+        if method == "macro":
+            remedy = "check --threshold and --roi against a --preview, or use --method edge"
+        failed = str(PamrigError(str(frames), rows[0].reason, remedy))
     if as_json:
-        return rows_as_json(rows), failed
-    lines = [row_as_text(row) for row in rows]
-    good = sum(row.trusted for row in rows)
-    lines.append(f"{len(rows)} frame{'s' if len(rows) != 1 else ''}, {good} trusted")
+        return json.dumps([row.as_dict() for row in rows], indent=1), failed
+    trusted = sum(row.trusted for row in rows)
+    lines = [row.as_text() for row in rows]
+    lines.append(f"{len(rows)} frame{'s' if len(rows) != 1 else ''}, {trusted} trusted")
     return "\n".join(lines), failed
 
 
-def _remedy(method: str) -> str:
-    if method == "macro":
-        return "check --threshold and --roi against a --preview, or use --method edge"
-    return "check that the files are pictures"
-
-
-def draw_preview(
-    path: Path,
-    image: npt.NDArray[Any],
-    method: str,
-    measured: Any,
-    threshold: int,
-    roi: Box | None,
-    flip: bool,
-    row: LengthRow,
-) -> None:
-    """Write the preview of one frame. Raises ConfigError when it cannot be written."""
+def _draw_preview(path: Path, image: Any, **shown: Any) -> None:
     from vision.marker.preview import draw
 
     try:
-        draw(
-            path,
-            np.asarray(image),
-            method=method,
-            measured=measured,
-            threshold=threshold,
-            roi=roi or (MACRO_ROI if method == "macro" else None),
-            flip=flip,
-            title=row_as_text(row),
-        )
+        draw(path, image, **shown)
     except (OSError, ValueError) as error:
         raise ConfigError(
             "--preview", f"cannot write {path}: {error}", "give a name that ends in .png"

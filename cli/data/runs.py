@@ -1,20 +1,44 @@
-"""The `pamrig runs` commands."""
+"""`pamrig runs ...`: list, find, show, verify, rebuild, index, export, annotate, exclude."""
 
 from __future__ import annotations
 
-import json
+import re
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from daq.store.store import find_run, list_runs, show, verify
+from cli.options import RUNS, JsonOption, RunArgument, RunsOption
+from cli.output import print_json
+from daq.errors import ConfigError, PamrigError
+
+if TYPE_CHECKING:
+    from daq.store.info import RunInfo
+
+PointsOption = Annotated[
+    str,
+    typer.Option("--points", help="Numbers of points (order): 3,7-9. Default: the run itself."),
+]
+ReasonOption = Annotated[str, typer.Option("--reason", help="Reason; it stays in the record.")]
+WhoOption = Annotated[str, typer.Option("--who", help="Name of the author.")]
+EXPORTED = ("table", "samples", "all")
+MAX_RANGE = 100_000
 
 
-def list_command(runs: Path, as_json: bool) -> None:
-    """All runs, oldest first."""
+def add_runs(app: typer.Typer) -> None:
+    """Add the commands of `pamrig runs`."""
+    app.command("list")(list_all)
+    for command in (show, verify, rebuild, index, find, export, annotate, exclude, include):
+        app.command()(command)
+
+
+def list_all(runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
+    """List all runs, oldest first."""
+    from daq.store.store import list_runs
+
     found = list_runs(runs)
     if as_json:
-        typer.echo(json.dumps([info.as_dict() for info in found], indent=2, allow_nan=False))
+        print_json([info.as_dict() for info in found])
         return
     if not found:
         typer.echo(f"no runs in {runs}")
@@ -25,11 +49,13 @@ def list_command(runs: Path, as_json: bool) -> None:
         )
 
 
-def show_command(run: str, runs: Path, as_json: bool) -> None:
-    """What one run is and how it ended."""
+def show(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
+    """Show what a run contains and how it ended."""
+    from daq.store.store import find_run, show
+
     facts = show(find_run(runs, run))
     if as_json:
-        typer.echo(json.dumps(facts, indent=2, allow_nan=False))
+        print_json(facts)
         return
     typer.echo(
         f"{facts['run_id']}\n  {facts['protocol']} of {facts['specimen']}: {facts['outcome']}"
@@ -41,7 +67,7 @@ def show_command(run: str, runs: Path, as_json: bool) -> None:
         f"  started {facts['started_utc']}, {facts['bytes'] / 1e6:.1f} MB, {facts['frames']} frames"
     )
     for name, stream in facts["streams"].items():
-        lost = f", {len(stream['lost_rows'])} damaged stretches" if stream["lost_rows"] else ""
+        lost = f", {len(stream['lost_rows'])} damaged sections" if stream["lost_rows"] else ""
         typer.echo(f"  stream {name}: {stream['rows']} rows{lost}")
     counters = (final.get("counters") or {}).get("valve") or {}
     if counters:
@@ -57,34 +83,232 @@ def show_command(run: str, runs: Path, as_json: bool) -> None:
         typer.echo(f"  PROBLEM {problem}")
 
 
-def verify_command(run: str, runs: Path, as_json: bool) -> int:
-    """Check every byte; 0 when sound, 1 when something is damaged."""
+def verify(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
+    """Check every byte of a record against its checksums; exit status 1 on damage."""
+    from daq.store.store import find_run, verify
+
     found = find_run(runs, run)
     problems = verify(found)
     if as_json:
-        value = {
-            "run_id": found.run_id,
-            "outcome": found.outcome,
-            "sound": not problems,
-            "problems": [{"file": p.file, "offset": p.offset, "what": p.what} for p in problems],
-        }
-        typer.echo(json.dumps(value, indent=2, allow_nan=False))
+        print_json(
+            {
+                "run_id": found.run_id,
+                "outcome": found.outcome,
+                "sound": not problems,
+                "problems": [
+                    {"file": p.file, "offset": p.offset, "what": p.what} for p in problems
+                ],
+            }
+        )
     elif not problems:
         typer.echo(f"{found.run_id}: sound ({found.outcome})")
     else:
         typer.echo(f"{found.run_id} ({found.outcome}):")
         for problem in problems:
             typer.echo(f"  {problem}")
-    return 1 if problems else 0
+    raise typer.Exit(1 if problems else 0)
 
 
-def rebuild_command(run: str, runs: Path, as_json: bool) -> None:
-    """Make everything derived anew."""
+def rebuild(
+    run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption = False
+) -> None:
+    """Make everything derived from the record again: table, samples, report, view."""
     from analysis.reporting.derived import derive_all
+    from daq.store.store import find_run
 
     made = derive_all(find_run(runs, run).folder)
     names = sorted(p.name for p in (made.folder / "derived").iterdir())
     if as_json:
-        typer.echo(json.dumps({"run_id": made.run_id, "derived": names}, indent=2))
+        print_json({"run_id": made.run_id, "derived": names})
     else:
         typer.echo(f"{made.folder / 'derived'}: {', '.join(names)}")
+
+
+def index(runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
+    """Rebuild the index of a folder of runs; `list` and `find` use it afterwards."""
+    from daq.store.index import rebuild_index
+
+    found = rebuild_index(runs)
+    if as_json:
+        print_json({"index": str(runs / "index.sqlite"), "runs": len(found)})
+    else:
+        typer.echo(f"{runs / 'index.sqlite'}: {len(found)} runs")
+
+
+def find(
+    specimen: Annotated[str, typer.Option(help="Part of the specimen's name.")] = "",
+    protocol: Annotated[str, typer.Option(help="Protocol.")] = "",
+    outcome: Annotated[str, typer.Option(help="clean, stopped, faulted, ...")] = "",
+    operator: Annotated[str, typer.Option(help="Part of the operator's name.")] = "",
+    since: Annotated[str, typer.Option(help="Started on this day or later: 2026-01-31.")] = "",
+    until: Annotated[str, typer.Option(help="Started on this day or earlier.")] = "",
+    runs: RunsOption = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """List the runs that match every condition, oldest first."""
+    from daq.record.writer import OUTCOMES
+    from daq.store.run import DAMAGED, INTERRUPTED
+    from daq.store.store import list_runs
+    from rigs.protocols.names import PROTOCOLS
+
+    _check_day("--since", since)
+    _check_day("--until", until)
+    all_runs = list_runs(runs)
+    _check_known("--protocol", protocol, {*PROTOCOLS, *(i.protocol for i in all_runs)})
+    outcomes = {*OUTCOMES, INTERRUPTED, DAMAGED, *(i.outcome for i in all_runs)}
+    _check_known("--outcome", outcome, outcomes)
+
+    def matches(info: RunInfo) -> bool:
+        day = info.started_utc[:10]
+        return (
+            specimen.lower() in info.specimen.lower()
+            and operator.lower() in info.operator.lower()
+            and protocol in ("", info.protocol)
+            and outcome in ("", info.outcome)
+            and (not since or day >= since)
+            and (not until or day <= until)
+        )
+
+    found = [info for info in all_runs if matches(info)]
+    if as_json:
+        print_json([info.as_dict() for info in found])
+        return
+    for info in found:
+        typer.echo(f"{info.outcome:12} {info.protocol:18} {info.specimen:16} {info.run_id}")
+    if not found:
+        typer.echo(f"no run in {runs} matches")
+
+
+def _check_day(option: str, day: str) -> None:
+    from datetime import date
+
+    try:
+        if day:
+            date.fromisoformat(day)
+    except ValueError:
+        raise ConfigError(option, f"{day!r} is not a date", "for example 2026-01-31") from None
+
+
+def _check_known(option: str, value: str, known: set[str]) -> None:
+    if value and value not in known:
+        raise ConfigError(option, f"{value!r} is not one of {', '.join(sorted(known - {''}))}")
+
+
+def export(
+    run: RunArgument = "last",
+    to: Annotated[str, typer.Option("--to", help="csv, parquet or mat.")] = "csv",
+    out: Annotated[Path | None, typer.Option("--out", help="Folder to write to.")] = None,
+    what: Annotated[str, typer.Option("--what", help="table, samples or all.")] = "all",
+    runs: RunsOption = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a run's table and samples for other programs; names contain the units."""
+    from analysis.formats.export import export_run
+    from daq.store.store import find_run
+
+    if what not in EXPORTED:
+        raise ConfigError("--what", f"{what!r} is not one of {', '.join(EXPORTED)}")
+    files = [str(path) for path in export_run(find_run(runs, run), to, out, what)]
+    if as_json:
+        print_json({"files": files})
+    for path in () if as_json else files:
+        typer.echo(path)
+
+
+def annotate(
+    run: RunArgument = "last",
+    points: PointsOption = "",
+    reason: ReasonOption = "",
+    who: WhoOption = "",
+    runs: RunsOption = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Add a note about a run or some of its points; it stays in the record."""
+    _annotate("note", "noted about", run, points, reason, who, runs, as_json)
+
+
+def exclude(
+    run: RunArgument = "last",
+    points: PointsOption = "",
+    reason: ReasonOption = "",
+    who: WhoOption = "",
+    runs: RunsOption = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Exclude points from table, fits and figures, with a reason that stays in the record."""
+    _annotate("exclude", "excluded:", run, points, reason, who, runs, as_json)
+
+
+def include(
+    run: RunArgument = "last",
+    points: PointsOption = "",
+    reason: ReasonOption = "",
+    who: WhoOption = "",
+    runs: RunsOption = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Cancel an exclusion; both stay in the record."""
+    _annotate("include", "included again:", run, points, reason, who, runs, as_json)
+
+
+def _annotate(
+    action: str,
+    done: str,
+    run: str,
+    points: str,
+    reason: str,
+    who: str,
+    runs: Path,
+    as_json: bool,
+) -> None:
+    """Add an annotation to the record, then make table and report again."""
+    from analysis.reporting.derived import derive_all
+    from analysis.run_table import reduce_run
+    from daq.store.annotations import annotate
+    from daq.store.store import find_run
+
+    found = find_run(runs, run)
+    numbers = point_numbers(points)
+    if numbers:
+        reduction = reduce_run(found)
+        known = {int(order) for order in reduction.table["order"]}
+        known |= {int(point["order"]) for point in reduction.excluded}
+        missing = [n for n in numbers if n not in known]
+        if missing:
+            raise ConfigError(
+                "--points",
+                f"{found.run_id} has no point {missing[0]}",
+                f"it has {min(known)} to {max(known)}" if known else "it has none",
+            )
+    made = annotate(found.folder, action, numbers, reason, who)
+    not_derived = ""
+    try:
+        derive_all(found.folder)
+    except PamrigError as error:  # the annotation itself is already in the record
+        not_derived = str(error)
+    if as_json:
+        print_json({**vars(made), "points": list(made.points), "run_id": found.run_id})
+        return
+    what = f"points {', '.join(map(str, made.points))}" if made.points else "the run"
+    typer.echo(f"{done} {what}")
+    if not_derived:
+        typer.echo(f"  table and report could not be made: {not_derived}")
+
+
+def point_numbers(text: str) -> list[int]:
+    """Parse numbers and ranges such as ``3,7-9``; returns them sorted, without duplicates.
+
+    Raises:
+        ConfigError: the text is something else, or a range is too long.
+    """
+    numbers: set[int] = set()
+    for part in filter(None, (p.strip() for p in text.split(","))):
+        match = re.fullmatch(r"(\d+)(?:-(\d+))?", part)
+        if match is None or (match[2] and int(match[2]) < int(match[1])):
+            raise ConfigError("--points", f"{part!r} is no number or range", "as in 3,7-9")
+        first = int(match[1])
+        last = int(match[2] or first)
+        if last - first > MAX_RANGE:
+            raise ConfigError("--points", f"{part!r} is too long a range")
+        numbers.update(range(first, last + 1))
+    return sorted(numbers)

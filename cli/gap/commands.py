@@ -1,214 +1,147 @@
-"""What the commands of `pamrig gap` do: read, ask, print."""
+"""`pamrig gap ...`: each command imports what it needs when it runs."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import typer
 
-from gap.data.sources import open_data as read_dataset
-from gap.decision.diagnose import diagnose, diagnose_with_fit
-from gap.output import check_out, write_text
-from gap.verdict import Verdict, plain
+from cli.gap.effects import effects
+from cli.gap.thesis import thesis
+from cli.investigate.command import investigate
+from cli.options import (
+    RUNS,
+    DataArgument,
+    JsonOption,
+    OutFileOption,
+    PlantOption,
+    RunsOption,
+    WithoutOption,
+)
+from cli.output import print_json
 
 
-def struck(text: str) -> list[str]:
-    """Ids in a comma-separated list."""
-    return [word.strip() for word in text.split(",") if word.strip()]
+def add_gap(app: typer.Typer) -> None:
+    """Add the commands of `pamrig gap`."""
+    app.command("next")(next_experiment)
+    for command in (
+        check, where, diagnose, shrink, effects, export, investigate, report, thesis,
+    ):  # fmt: skip
+        app.command()(command)
 
 
-def show(value: Any) -> None:
-    """Print one JSON value and nothing else."""
-    typer.echo(json.dumps(value, indent=2, allow_nan=False))
+def check(
+    stream: Annotated[
+        str,
+        typer.Option(help="practice (open), reserved (each use is in the ledger) or smoke."),
+    ] = "smoke",
+    sets: Annotated[str, typer.Option(help="Set numbers: 0-59, or 3,5,8.")] = "0-59",
+    out: Annotated[Path, typer.Option(help="Folder for results, hashes and totals.")] = Path(
+        "out/check"
+    ),
+    jobs: Annotated[int, typer.Option(help="Processes; 0 = one per core.")] = 0,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of an existing Dask scheduler.")
+    ] = None,
+    baselines: Annotated[
+        bool, typer.Option(help="Run the baseline methods on the same data.")
+    ] = True,
+    page: Annotated[
+        Path | None, typer.Option(help="Write the page (figures go into images/ beside it).")
+    ] = None,
+    purpose: Annotated[str, typer.Option(help="Why reserved sets are used, for the ledger.")] = "",
+    ledger: Annotated[Path, typer.Option(help="Ledger of reserved sets.")] = Path(
+        "docs/evidence/gap-check-ledger.csv"
+    ),
+    as_json: JsonOption = False,
+) -> None:
+    """Diagnose data whose effect is withheld, and score the verdicts."""
+    from cli.gap.check_command import check_command
+
+    check_command(
+        stream=stream, sets=sets, out=out, jobs=jobs, scheduler=scheduler, baselines=baselines,
+        page=page, purpose=purpose, ledger=ledger, as_json=as_json,
+    )  # fmt: skip
 
 
-def diagnose_command(data: Path, without: str, as_json: bool) -> None:
-    """`pamrig gap diagnose`."""
-    verdict = diagnose(read_dataset(data), struck(without))
+def where(
+    data: DataArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Figure of the residual to write (.png, .svg, .pdf)."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Quality of the data, the gap by stage, and which comparisons show it."""
+    from cli.gap.verdicts import where_command
+
+    where_command(data, out, as_json)
+
+
+def diagnose(data: DataArgument, without: WithoutOption = "", as_json: JsonOption = False) -> None:
+    """Name the effect behind the gap, or say why it cannot be named."""
+    from cli.gap.verdicts import diagnose_command
+
+    diagnose_command(data, without, as_json)
+
+
+def shrink(
+    data: DataArgument,
+    without: WithoutOption = "",
+    out: OutFileOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """How far the named effect reduces the gap; writes the improved plant."""
+    from cli.gap.verdicts import shrink_command
+
+    shrink_command(data, without, out, as_json)
+
+
+def next_experiment(
+    data: DataArgument,
+    without: WithoutOption = "",
+    out: OutFileOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """The experiment or reference standard that would resolve what is open."""
+    from cli.gap.verdicts import next_command
+
+    next_command(data, without, out, as_json)
+
+
+def report(
+    data: DataArgument,
+    out: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("gap.html"),
+    without: WithoutOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Diagnose a data set and write the verdict as one self-contained HTML page."""
+    from cli.gap.verdicts import report_command
+
+    report_command(data, out, without, as_json)
+
+
+def export(
+    runs: Annotated[list[str], typer.Argument(help="Run folders, run ids, or 'last'.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to make.")],
+    folder: RunsOption = RUNS,
+    plant: PlantOption = None,
+    points: Annotated[
+        bool, typer.Option("--points", help="Only settled points, without time series.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write recorded runs as one data set in the dataset format."""
+    from daq.store.store import find_run
+    from gap.data.from_runs import export_runs
+
+    found = [find_run(folder, run) for run in runs]
+    made = export_runs(found, out, plant=plant, form="points" if points else "time")
     if as_json:
-        show(verdict.as_dict())
-    else:
-        typer.echo("\n".join(as_text(verdict)))
-
-
-def where_command(data: Path, out: Path | None, as_json: bool) -> None:
-    """`pamrig gap where`: stages, comparisons, and courses of the residual."""
-    from gap.reporting.map_figures import check_picture, write_courses
-    from gap.validation.maps import residual_maps
-    from gap.validation.where import MEANING, stage_errors
-
-    check_picture(out)
-    verdict, problem, fit = diagnose_with_fit(read_dataset(data))
-    found = stage_errors(problem, fit) if problem is not None and fit is not None else None
-    courses = residual_maps(problem, fit) if problem is not None and fit is not None else []
-    drawn = out is not None and bool(courses)
-    if out is not None and drawn:
-        write_courses(courses, bool(verdict.effects), out)
-    table = verdict.as_dict()
-    if as_json:
-        show(
-            {
-                "where": table["where"], "gap": table["gap"], "status": table["status"],
-                "reason": table["reason"], "meaning": MEANING, **plain(found or {}),
-                "maps": [plain(course.as_dict()) for course in courses],
-                "figure": str(out) if drawn else None,
-            }
-        )  # fmt: skip
+        print_json({**vars(made), "folder": str(made.folder), "runs": list(made.runs)})
         return
-    lines = [f"{verdict.status.replace('_', ' ')}: {verdict.reason}"]
-    if verdict.stages:
-        lines.append("share of the end-to-end gap by stage (Shapley; 95 % interval over slots)")
-    if problem is not None:
-        lines += _where_text(verdict) or ["no stage and no comparison stands out"]
-    if found:
-        lines.append("end to end, commands replayed    rms    floor")
-        lines += [
-            f"  {e['end']:9s}  {e['rms']:15.3g} {e['unit']:3s}  {e['floor']:.3g}"
-            for e in found["end_to_end"]
-        ]
-        lines.append("stage by stage, measured inputs  rms    floor")
-        lines += [
-            f"  {r['block']:9s}  {r['recalibrated']:15.3g} {r['unit']:3s}  {r['floor']:.3g}"
-            for r in found["stage_by_stage"]
-        ]
-    if drawn:
-        lines.append(f"residual over pressure, length, temperature and time: {out}")
-    elif out is not None:
-        lines.append(f"{out} is not written: there is no residual to draw")
-    typer.echo("\n".join(lines))
-
-
-def shrink_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:
-    """`pamrig gap shrink`: the gap before and after, by block and by what was held out."""
-    from gap.validation.improved_plant import improved_plant
-    from gap.validation.shrinkage import as_lines, shrinkage
-
-    check_out(out)
-    verdict, problem, fit = diagnose_with_fit(read_dataset(data), struck(without))
-    table = verdict.as_dict()
-    named = bool(verdict.effects)
-    found: dict[str, Any] = {}
-    if problem is not None and fit is not None:
-        # An effect that the verdict does not stand by is no improvement of the plant.
-        kept = fit if named else problem.base
-        found = plain(shrinkage(problem, kept, named))
-        if out is not None:
-            write_text(out, improved_plant(problem, kept))
-    written = out if found else None
-    if as_json:
-        show(
-            {
-                "gap": table["gap"], "status": table["status"], "effects": table["effects"],
-                **(found or {"held_out": {}}), "plant": str(written) if written else None,
-            }
-        )  # fmt: skip
-        return
-    lines = [f"{verdict.status.replace('_', ' ')}: {verdict.reason}", *_gap_text(verdict)]
-    lines += as_lines(found) if found else []
-    if written is not None:
-        lines.append(f"improved plant written to {written}")
-    elif out is not None:
-        lines.append(f"{out} is not written: nothing in these data improves a plant")
-    typer.echo("\n".join(lines))
-
-
-def next_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:
-    """`pamrig gap next`."""
-    from gap.design.advise import protocol_text
-
-    check_out(out)
-    verdict = diagnose(read_dataset(data), struck(without))
-    experiment = verdict.next_experiment
-    written = None
-    if experiment is not None and out is not None:
-        text = protocol_text(experiment)
-        if text is not None:
-            write_text(out, text)
-            written = str(out)
-    if as_json:
-        table = verdict.as_dict()
-        show(
-            {
-                "status": table["status"], "next_experiment": table["next_experiment"],
-                "protocol_file": written,
-            }
-        )  # fmt: skip
-        return
-    lines = _next_text(verdict, written)
-    if out is not None and written is None:
-        lines.append(f"{out} is not written: no test of a protocol is advised")
-    typer.echo("\n".join(lines))
-
-
-def _next_text(verdict: Verdict, written: str | None) -> list[str]:
-    lines = [f"{verdict.status.replace('_', ' ')}: {verdict.reason}"]
-    experiment = verdict.next_experiment
-    if experiment is None:
-        return [*lines, "next        nothing is open that another experiment would settle"]
-    settings = ", ".join(f"{k} {v}" for k, v in experiment.settings.items())
-    lines.append(f"next        {experiment.trials} x {experiment.protocol} ({settings})")
-    lines.append(
-        f"separation  {experiment.separation_now:.1f} now, {experiment.separation_after:.1f} after "
-        f"({' against '.join(experiment.between)})"
+    typer.echo(
+        f"{made.folder}: {made.trials} trials in {made.slots} slots, {made.rows} rows, "
+        f"of {len(made.runs)} run{'s' if len(made.runs) > 1 else ''}"
     )
-    lines.append(f"why         {experiment.why}")
-    if written:
-        lines.append(
-            f"written     {written}; run it with pamrig {experiment.protocol} --protocol {written}"
-        )
-    return lines
-
-
-def as_text(verdict: Verdict) -> list[str]:
-    """A verdict for people."""
-    lines = [f"{verdict.status.replace('_', ' ')}: {verdict.reason}"]
-    if verdict.stage:
-        lines.append(f"stage       {verdict.stage}")
-    for effect in verdict.effects:
-        values = ", ".join(_estimate(name, e) for name, e in effect.parameters.items())
-        lines.append(f"  {100 * effect.probability:3.0f} %  {' + '.join(effect.ids)}  {values}")
-    lines.append(f"  {100 * verdict.probability_none:3.0f} %  no gap")
-    lines.append(f"  {100 * verdict.probability_unknown:3.0f} %  something else")
-    return [*lines, *_gap_text(verdict), *_where_text(verdict), *_notes(verdict.notes)]
-
-
-def _estimate(name: str, estimate: Any) -> str:
-    if isinstance(estimate.value, str):
-        return f"{name} {estimate.value}"
-    if estimate.low is None:
-        return f"{name} {estimate.value:.4g}"
-    return f"{name} {estimate.value:.4g} ({estimate.low:.4g} to {estimate.high:.4g})"
-
-
-def _gap_text(verdict: Verdict) -> list[str]:
-    gap = verdict.gap
-    if gap is None:
-        return []
-    lines = [
-        f"gap         untouched {gap.before:.3g}, recalibrated {gap.recalibrated:.3g}"
-        + (f", after {gap.after:.3g}" if gap.after is not None else "")
-        + (f", floor {gap.floor:.3g}" if gap.floor is not None else "")
-        + f" {gap.unit} (held out by {gap.held_out})"
-    ]
-    if gap.closed is not None and gap.closed_low is not None and gap.closed_high is not None:
-        lines.append(
-            f"closed      {100 * gap.closed:.0f} % "
-            f"({100 * gap.closed_low:.0f} to {100 * gap.closed_high:.0f})"
-        )
-    return lines
-
-
-def _where_text(verdict: Verdict) -> list[str]:
-    lines = [
-        f"share       {s.stage} {100 * s.share:.0f} % ({100 * s.low:.0f} to {100 * s.high:.0f})"
-        for s in verdict.stages
-    ]
-    loud = [c for c in verdict.contrasts if c.alarm]
-    return lines + [f"contrast    {c.name} z = {c.z:.1f}" for c in loud]
-
-
-def _notes(notes: Iterable[str]) -> list[str]:
-    return [f"note        {note}" for note in notes]

@@ -1,23 +1,23 @@
-"""`pamrig gap effects`: the catalogue, as a table or entry by entry."""
+"""`pamrig gap effects`: the catalogue as a table, or one entry."""
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from cli.options import JsonOption
+from cli.output import print_json
 
 if TYPE_CHECKING:
     from plant.effects.effect import Effect, Parameter
 
 
-def gap_effects(
-    name: Annotated[str, typer.Argument(help="One effect; all of them without it.")] = "",
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON value, nothing else.")
-    ] = False,
+def effects(
+    name: Annotated[str, typer.Argument(help="One effect; default: all.")] = "",
+    as_json: JsonOption = False,
 ) -> None:
-    """The catalogue of effects: what each adds, its parameters, what tells it from others."""
+    """The catalogue of effects: what each adds, its parameters, how to tell it from others."""
     from plant.effects.catalogue import CATALOGUE
     from plant.effects.effects import Effects
     from plant.errors import PlantError
@@ -32,7 +32,7 @@ def gap_effects(
     entries = [CATALOGUE[name]] if name else list(CATALOGUE.values())
     if as_json:
         values = [_plain(entry) for entry in entries]
-        typer.echo(json.dumps(values[0] if name else values, indent=2, allow_nan=False))
+        print_json(values[0] if name else values)
     elif name:
         typer.echo(_page(entries[0]))
     else:
@@ -60,14 +60,14 @@ def _page(entry: Effect) -> str:
         f"{entry.id} ({entry.family}, {entry.stage})",
         f"  {entry.summary}",
         f"  adds        {entry.equation}",
-        f"  after       {entry.source}",
+        f"  source      {entry.source}",
     ]
     lines += [f"  {_parameter(p)}" for p in entry.parameters]
     lines += [
-        f"  untouched   {entry.untouched}",
-        f"  mistaken    {', '.join(entry.mistaken_for) or 'for none'}",
+        f"  unaffected  {entry.untouched}",
+        f"  similar     {', '.join(entry.mistaken_for) or 'none'}",
+        f"  distinguish {entry.told_apart_by}",
         f"  constants   {', '.join(entry.constants) or 'none'}",
-        f"  told apart  {entry.told_apart_by}",
         f"  standard    {entry.standard}",
     ]
     return "\n".join(lines)
@@ -76,5 +76,5 @@ def _page(entry: Effect) -> str:
 def _parameter(p: Parameter) -> str:
     allowed = ", ".join(p.choices) if p.choices else f"{p.low:g} to {p.high:g}"
     unit = f" {p.unit}" if p.unit else ""
-    default = "" if p.default is None else f", else {p.default:g}"
+    default = "" if p.default is None else f", default {p.default:g}"
     return f"parameter   {p.name}: {p.meaning}; {allowed}{unit}{default}"

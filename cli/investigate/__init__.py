@@ -1,1 +1,1 @@
-"""Tests and diagnosis in turn, until the effect is named."""
+"""Alternates tests and diagnosis until the effect is named."""

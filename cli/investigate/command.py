@@ -1,28 +1,22 @@
-"""`pamrig gap investigate`: tests and diagnosis in turn, until the gap is named."""
+"""`pamrig gap investigate`."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
+from cli.options import RUNS, JsonOption, OutOption, PlantOption, RigOption, SeedOption
+from cli.output import print_json
 
-def gap_investigate(
-    rig: Annotated[
-        str, typer.Option("--rig", help="Rig file, or the name of a shipped one.")
-    ] = "virtual",
-    out: Annotated[Path, typer.Option("--out", help="Folder of runs.")] = Path("runs"),
+
+def investigate(
+    rig: RigOption = "virtual",
+    out: OutOption = RUNS,
     budget: Annotated[float, typer.Option("--budget", help="Bench time, minutes.")] = 60.0,
-    plant: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option("--plant", help="Constants of the bench, as bench.toml holds them."),
-    ] = None,
-    seed: Annotated[Optional[int], typer.Option(help="Seed of a virtual bench.")] = None,  # noqa: UP045
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON value, nothing else.")
-    ] = False,
+    plant: PlantOption = None,
+    seed: SeedOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Run tests on a rig and diagnose them, until the gap is named or the budget is used up."""
     from cli.investigate.investigate import investigate
@@ -37,12 +31,14 @@ def gap_investigate(
             load_rig(rig, seed), out, budget_min=budget, plant=plant, stop=stop, report=report
         )
     if as_json:
-        typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
+        print_json(found.as_dict())
     else:
         typer.echo(f"{found.conclusion}: {found.why}")
         for name, how in found.references.items():
             typer.echo(f"  {name}: {how}")
         typer.echo(f"rounds   {found.folder / 'investigation.json'}")
     if found.ended is not None:
-        typer.echo(f"ended by a fault, concluded from the tests before it: {found.ended}", err=True)
+        typer.echo(
+            f"ended by a fault; the conclusion is from the tests before it: {found.ended}", err=True
+        )
         raise typer.Exit(2)

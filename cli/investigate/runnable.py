@@ -1,8 +1,8 @@
-"""Draw a secret with which the rig's own protections let its tests run.
+"""Draw a hidden effect with which the rig can run its tests.
 
-A bench whose sensor reads 24 kPa when vented, or lags so far that its protection takes the lag for
-a valve that does not shut, is refused before anything is measured, as a real one would be: there is
-a fault to be found and no gap to be explained. Such a secret is drawn again.
+Some effects trip the rig's protections before anything is measured, for example a sensor that reads
+24 kPa when vented, or a lag that looks like a valve that does not close. On a real bench this is a
+fault to repair, not a gap to explain. Such an effect is rejected and another one is drawn.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rigs.virtual.withheld.bench import WithheldBench, draw
 
 TRIES = 20
 _OTHER = 1 << 96
-"""What a draw that is made again adds to the entropy: more than the system's own can be."""
+"""Added to the entropy for each further draw; larger than the system's own entropy."""
 
 
 def draw_runnable(
@@ -31,26 +31,24 @@ def draw_runnable(
     entropy: int | None = None,
     report: Callable[[str], None] = lambda text: None,
 ) -> Secret:
-    """As :func:`rigs.virtual.withheld.bench.draw`, drawn again where the bench could not be run.
+    """As :func:`rigs.virtual.withheld.bench.draw`, repeated until the bench can run its tests.
 
-    `tell` takes a line for each secret that is put back; it does not name the effect.
+    `report` is called with a line for each rejected secret; the line does not name the effect.
 
     Raises:
-        ConfigError: as `draw`, or no secret in twenty lets the rig run.
+        ConfigError: as `draw`, or the rig rejects all of `TRIES` secrets.
     """
     for attempt in range(TRIES):
         secret = draw(config, effects, None if entropy is None else entropy + attempt * _OTHER)
         refused = refusal(config, secret)
         if refused is None:
             return secret
-        report("the rig's protections refuse this one; drawing another")
-    raise ConfigError(
-        config.source, f"refuses to run with each of {TRIES} drawn effects: {refused}"
-    )
+        report("the rig's protections reject this effect; drawing another one")
+    raise ConfigError(config.source, f"rejects each of {TRIES} drawn effects: {refused}")
 
 
 def refusal(config: RigConfig, secret: Secret) -> str | None:
-    """What ends the first tests on a bench with this secret; None if nothing."""
+    """The error that ends one of the first tests on a bench with this secret; None if they run."""
     for test in battery(config)[:FIRST_DIAGNOSIS_AFTER]:
         with TemporaryDirectory() as scratch:
             path = Path(scratch) / f"{test.protocol}.toml"

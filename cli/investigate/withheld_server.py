@@ -1,11 +1,12 @@
-"""`pamrig virtual --withheld`: a bench with a secret, on ports, and `--reveal`."""
+"""`pamrig virtual --withheld`: a virtual bench on ports that hides an effect."""
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
+
+import typer
 
 from daq.interrupt import stop_on_signals
 from rigs.rigfile.config import RigConfig, load_rig
@@ -21,17 +22,15 @@ def serve_withheld(
     seconds: float = 0.0,
     tcp: bool = False,
 ) -> None:
-    """Serve a bench that hides an effect until Ctrl-C; only the seal of its answer is printed.
+    """Serve a bench that hides an effect until Ctrl-C; print only the hash of its answer.
 
-    `seed` is that of the instruments' noise; the effect comes from the operating system's entropy.
+    `seed` is for the noise of the instruments; the effect uses the operating system's entropy.
     """
-    import typer
-
     from cli.investigate.runnable import draw_runnable
     from rigs.virtual.withheld.bench import Envelope, WithheldBench
 
     config = load_rig(rig, seed)
-    typer.echo("drawing an effect, and trying whether the rig runs with it ...")
+    typer.echo("drawing an effect, and checking that the rig can run with it ...")
     secret = draw_runnable(config, report=typer.echo)
     benches: list[WithheldBench] = []
 
@@ -55,16 +54,3 @@ def serve_withheld(
                 server.rest()
         finally:
             envelope.close()
-
-
-def reveal(folder: Path) -> None:
-    """Print the answer of the withheld bench in `folder`, once it has been found to match its seal.
-
-    Raises:
-        PamrigError: there is none, or the answer is not the one that was sealed.
-    """
-    import typer
-
-    from rigs.virtual.withheld.bench import ask
-
-    typer.echo(json.dumps(ask(folder), indent=2, allow_nan=False))

@@ -1,19 +1,20 @@
-"""What `pamrig links` does."""
+"""`pamrig links`."""
 
 from __future__ import annotations
+
+from typing import Annotated
 
 import typer
 
 from daq.errors import ConfigError
-from plant.links.errors import LinkError
 
 
-def links_command(arm: str, form: str) -> None:
-    """Print an arm's equations as text, LaTeX or Python source.
-
-    Raises:
-        ConfigError: the arm cannot be read, the form is unknown, or SymPy is missing.
-    """
+def links(
+    arm: Annotated[str, typer.Argument(help="Arm file, or the name of a shipped one.")],
+    form: Annotated[str, typer.Option("--print", help="text, latex or python.")] = "text",
+) -> None:
+    """Derive an arm's equations of motion and print them."""
+    from plant.links.errors import LinkError
     from plant.links.reader import load_arm
     from plant.links.symbolic.generated import generated_source, require_sympy
 

@@ -1,13 +1,12 @@
-"""A plan: tests one after another over hours, stopped and gone on with at any moment.
+"""A plan: a sequence of tests that can be stopped and continued at any time.
 
-How far a plan is stands in a journal beside it (``PLAN.journal``), one sealed line a test begun or
-ended. A test that was broken off is continued after its last whole trial.
+A journal beside the plan (``PLAN.journal``) has one line, with checksum, for each test started or
+completed. An interrupted test is continued after its last complete trial.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import zlib
 from dataclasses import dataclass, field
@@ -17,9 +16,12 @@ from typing import Any
 import typer
 
 from analysis.reporting.derived import try_derive
+from cli.output import print_json
+from cli.protocols.resume import continue_run
+from cli.protocols.terminal import ProgressLine, print_outcome
 from daq.clock import RealClock
 from daq.errors import ConfigError, PamrigError, RecordError
-from daq.interrupt import StopFlag
+from daq.interrupt import StopFlag, stop_on_signals
 from daq.record.disk import disk_error
 from daq.record.sealed import read_lines, seal_line, write_all
 from daq.store.run import Run, open_run
@@ -36,8 +38,8 @@ REST_STEP_S = 0.2
 
 
 @dataclass(frozen=True)
-class Item:
-    """One test of a plan, checked beforehand."""
+class PlannedTest:
+    """One test of a plan; its files were read without error."""
 
     number: int
     protocol: str
@@ -51,35 +53,37 @@ class Item:
 
 
 @dataclass(frozen=True)
-class Chain:
+class TestPlan:
     """A plan as read from its file."""
+
+    __test__ = False  # not a pytest class
 
     name: str
     out: Path
     on_fault: str
-    items: tuple[Item, ...]
+    items: tuple[PlannedTest, ...]
     crc32: str
     path: Path
 
     @property
     def journal(self) -> Path:
-        """Where it is noted how far the plan is."""
+        """Path of the journal."""
         return self.path.with_name(self.path.name + JOURNAL)
 
 
 @dataclass
-class Standing:
-    """How far a plan is: the run that each test ended in, and the one that was begun last."""
+class Progress:
+    """Progress of a plan: by test number, the run that completed it and the run started last."""
 
     done: dict[int, str] = field(default_factory=dict)
-    begun: dict[int, str] = field(default_factory=dict)
+    started: dict[int, str] = field(default_factory=dict)
 
 
-def load_plan(path: Path) -> Chain:
-    """Read a plan and check every test of it against its rig before any is begun.
+def load_plan(path: Path) -> TestPlan:
+    """Read a plan and check every test against its rig before the first one starts.
 
     Raises:
-        ConfigError: names file, key and what to do.
+        ConfigError: names file, key and remedy.
     """
     t = load_toml(str(path), "plans")
     text = path.read_bytes()
@@ -90,7 +94,7 @@ def load_plan(path: Path) -> Chain:
     rows = t.raw("test", [])
     if not isinstance(rows, list) or not rows:
         raise t.fail("test", "a plan needs at least one [[test]]", "protocol = ... in each")
-    items: list[Item] = []
+    items: list[PlannedTest] = []
     for index in range(len(rows)):
         one = t.row("test", index)
         protocol = one.text("protocol", choices=tuple(PROTOCOLS))
@@ -111,8 +115,8 @@ def load_plan(path: Path) -> Chain:
         }
         one.finish()
         for _ in range(repeats):
-            items.append(Item(len(items) + 1, protocol, file, config, plan, **values))  # type: ignore[arg-type]
-    out = Chain(
+            items.append(PlannedTest(len(items) + 1, protocol, file, config, plan, **values))  # type: ignore[arg-type]
+    out = TestPlan(
         name=t.text("name", path.stem),
         out=here / t.text("out", "runs"),
         on_fault=t.text("on_fault", "stop", choices=("stop", "next")),
@@ -125,43 +129,41 @@ def load_plan(path: Path) -> Chain:
 
 
 def _beside(here: Path, name: str) -> str:
-    """A file beside the plan, or the name as it stands."""
+    """The path of a file beside the plan, or the name unchanged."""
     beside = here / name
     return str(beside) if name.endswith(".toml") and beside.exists() else name
 
 
-def standing(plan: Chain) -> Standing:
-    """How far a plan is by its journal.
+def progress(plan: TestPlan) -> Progress:
+    """Progress of a plan, from its journal.
 
     Raises:
-        ConfigError: the plan was changed since it was begun.
+        ConfigError: the plan was changed since it was started.
         RecordError: the journal is damaged.
     """
-    out = Standing()
+    out = Progress()
     if not plan.journal.is_file():
         return out
     for line in read_lines(plan.journal.read_bytes()):
         if line.fields is None:
             if not line.raw.endswith(b"\n"):
-                break  # torn by a crash: what it was about shows in the runs themselves
-            raise RecordError(
-                str(plan.journal), "is damaged", "remove it to begin the plan anew (--again)"
-            )
+                break  # cut off by a crash; the runs themselves show their state
+            raise RecordError(str(plan.journal), "is damaged", "start again with --again")
         fields = line.fields
         if fields["crc32"] != plan.crc32:
             raise ConfigError(
                 str(plan.path),
-                "was changed since it was begun",
-                "restore it, or begin anew with --again",
+                "was changed since it was started",
+                "restore it, or start again with --again",
             )
         if fields["what"] == "begun":
-            out.begun[int(fields["test"])] = str(fields["run_id"])
+            out.started[int(fields["test"])] = str(fields["run_id"])
         elif fields["what"] == "done":
             out.done[int(fields["test"])] = str(fields["run_id"])
     return out
 
 
-def _note(plan: Chain, what: str, test: int, run_id: str, outcome: str = "") -> None:
+def _append(plan: TestPlan, what: str, test: int, run_id: str, outcome: str = "") -> None:
     line = seal_line(
         {"what": what, "test": test, "run_id": run_id, "outcome": outcome, "crc32": plan.crc32}
     )
@@ -176,142 +178,130 @@ def _note(plan: Chain, what: str, test: int, run_id: str, outcome: str = "") -> 
         raise disk_error(plan.journal, "cannot be written", error) from error
 
 
-def run_chain(
-    plan: Chain, stop: StopFlag, watch: Watch | None = None, on_start: Any = None
+def run_tests(
+    plan: TestPlan, stop: StopFlag, watch: Watch | None = None, on_start: Any = None
 ) -> list[Result]:
-    """Run what is left of a plan; the results of the tests that were run now.
+    """Run the remaining tests of a plan; returns the results of the tests run now.
 
     Raises:
-        PamrigError: a test could not even be begun.
+        PamrigError: a test could not be started.
     """
-    far = standing(plan)
+    before = progress(plan)
     results: list[Result] = []
-    for item in plan.items:
-        if item.number in far.done:
+    for test in plan.items:
+        if test.number in before.done:
             continue
-        if results or far.done:
-            _rest(item, stop)
+        if results or before.done:
+            _rest(test, stop)
         if stop.reason:
             break
-        result = _one(plan, item, far.begun.get(item.number), stop, watch, on_start)
+        result = _run_test(plan, test, before.started.get(test.number), stop, watch, on_start)
         results.append(result)
         if result.outcome == "stopped" or stop.reason:
             break
         if result.outcome != "clean" and plan.on_fault == "stop":
             break
-        _note(plan, "done", item.number, result.folder.name, result.outcome)
+        _append(plan, "done", test.number, result.folder.name, result.outcome)
     return results
 
 
-def _one(
-    plan: Chain,
-    item: Item,
-    begun: str | None,
+def _run_test(
+    plan: TestPlan,
+    test: PlannedTest,
+    run_id: str | None,
     stop: StopFlag,
     watch: Watch | None,
     on_start: Any,
 ) -> Result:
-    """One test: new, or gone on with."""
-    from cli.protocols.resume import continue_run
+    """Run one test, or continue the run `run_id` of it."""
 
     def started(runner: Any, record: Any) -> None:
-        _note(plan, "begun", item.number, record.folder.name)
+        _append(plan, "begun", test.number, record.folder.name)
         if on_start is not None:
             on_start(runner, record)
 
-    before = _before(plan, begun)
+    before = _open(plan, run_id)
     if before is not None:
-        if before.outcome == "clean":  # it ended, and only the journal does not say so
+        if before.outcome == "clean":  # complete, but its journal line was not written
             count = sum(event.get("kind") == "point" for event in before.events)
             return Result(before.folder, "clean", None, count, count)
         return _derived(continue_run(before, stop=stop, watch=watch, on_start=started))
     result = run_protocol(
-        procedure(item.protocol), item.config, item.plan, plan.out,
-        specimen=item.specimen, operator=item.operator, note=item.note,
+        procedure(test.protocol), test.config, test.plan, plan.out,
+        specimen=test.specimen, operator=test.operator, note=test.note,
         stop=stop, watch=watch, on_start=started,
     )  # fmt: skip
     return _derived(result)
 
 
 def _derived(result: Result) -> Result:
-    """The result, after making what is derived; a plan goes on where that is not possible."""
+    """The result, after deriving table and report; the plan continues if this fails."""
     try_derive(result.folder, result.error)
     return result
 
 
-def _before(plan: Chain, begun: str | None) -> Run | None:
-    if begun is None:
-        return None
-    with contextlib.suppress(RecordError):
-        return open_run(plan.out / begun)
+def _open(plan: TestPlan, run_id: str | None) -> Run | None:
+    if run_id is not None:
+        with contextlib.suppress(RecordError):
+            return open_run(plan.out / run_id)
     return None
 
 
-def _rest(item: Item, stop: StopFlag) -> None:
-    """Let the specimen rest before a test; a virtual bench needs none."""
-    if item.config.is_virtual:
+def _rest(test: PlannedTest, stop: StopFlag) -> None:
+    """Let the specimen rest before a test, except on a virtual bench."""
+    if test.config.is_virtual:
         return
     clock = RealClock()
-    left = item.rest_s
+    left = test.rest_s
     while left > 0 and not stop.reason:
         clock.sleep(min(REST_STEP_S, left))
         left -= REST_STEP_S
 
 
 def plan_command(path: Path, again: bool, as_json: bool) -> int:
-    """Run a plan and say what came of each test; returns the exit status."""
-    from cli.protocols.protocol_command import ProgressLine
-    from daq.interrupt import stop_on_signals
-
+    """Run a plan and print the result of each test; returns the exit status."""
     plan = load_plan(path)
     if again:
         plan.journal.unlink(missing_ok=True)
-    before = standing(plan)
+    before = progress(plan)
     line = ProgressLine(quiet=as_json)
 
     def started(runner: Any, record: Any) -> None:
         if not as_json:
-            n = len(standing(plan).done) + 1
+            n = len(progress(plan).done) + 1
             typer.echo(f"test {n} of {len(plan.items)}: {record.folder.name}", err=True)
         line.start(runner, record)
 
-    watch = Watch(
-        state=line.state, point=lambda *_: line.redraw(), log=lambda t: typer.echo(t, err=True)
-    )
     failed = ""
     results: list[Result] = []
     with stop_on_signals() as stop:
         try:
-            results = run_chain(plan, stop, watch, started)
+            results = run_tests(plan, stop, line.watch(), started)
         except PamrigError as error:
             failed = str(error)
         stopped = bool(stop.reason)
     line.close()
-    after = standing(plan)
-    left = [item.number for item in plan.items if item.number not in after.done]
+    after = progress(plan)
+    left = [test.number for test in plan.items if test.number not in after.done]
     faults = [r for r in results if r.outcome not in ("clean", "stopped")]
     status = 130 if stopped else 2 if failed or faults else 0
     if as_json:
         runs = [
             {"run_id": r.folder.name, "outcome": r.outcome, "points": r.points} for r in results
         ]
-        typer.echo(
-            json.dumps({"plan": plan.name, "runs": runs, "done": len(after.done), "left": left,
-                        "error": failed or None}, indent=2, allow_nan=False)
+        print_json(
+            {"plan": plan.name, "runs": runs, "done": len(after.done), "left": left,
+             "error": failed or None}
         )  # fmt: skip
         return status
     if before.done:
-        typer.echo(f"{len(before.done)} of {len(plan.items)} tests were done before")
+        typer.echo(f"{len(before.done)} of {len(plan.items)} tests had been done before")
     for result in results:
-        typer.echo(
-            f"{result.outcome}: {result.points} of {result.planned} points in {result.folder}"
-        )
-        if result.error:
-            typer.echo(f"  because: {result.error}")
+        print_outcome(result)
     if failed:
         typer.echo(f"pamrig: {failed}", err=True)
     typer.echo(
         f"{plan.name}: {len(after.done)} of {len(plan.items)} tests done"
-        + (f"; run it again to go on with test {left[0]}" if left else "")
+        + (f"; run it again to continue with test {left[0]}" if left else "")
     )
     return status

@@ -4,34 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
+from cli.options import (
+    RUNS,
+    JsonOption,
+    NoteOption,
+    OperatorOption,
+    OutOption,
+    RigOption,
+    RunArgument,
+    RunsOption,
+    SeedOption,
+)
 from rigs.protocols.names import PROTOCOLS, default_rig, default_specimen
 
-OutOption = Annotated[Path, typer.Option("--out", help="Folder of runs.")]
-RUNS = Path("runs")
-RunArgument = Annotated[str, typer.Argument(help="Run folder, run id, or 'last'.")]
-RunsOption = Annotated[Path, typer.Option("--runs", help="Folder of runs.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON value, nothing else.")]
+ProtocolOption = Annotated[
+    str, typer.Option("--protocol", help="Protocol file, or the name of a shipped one.")
+]
 
 
-def _command(name: str, summary: str) -> Callable[..., None]:
+def _command(name: str) -> Callable[..., None]:
     """The command of one protocol."""
+    usual_rig, usual_specimen = default_rig(name), default_specimen(name)
 
     def command(
-        rig: Annotated[
-            str, typer.Option("--rig", help="Rig file, or the name of a shipped one.")
-        ] = default_rig(name),
-        protocol: Annotated[
-            str, typer.Option("--protocol", help="Protocol file, or the name of a shipped one.")
-        ] = name,
+        rig: RigOption = usual_rig,
+        protocol: ProtocolOption = name,
         out: OutOption = RUNS,
-        specimen: Annotated[str, typer.Option(help="What is tested.")] = default_specimen(name),
-        operator: Annotated[str, typer.Option(help="Who tests.")] = "",
-        note: Annotated[str, typer.Option(help="Anything worth remembering.")] = "",
-        seed: Annotated[Optional[int], typer.Option(help="Seed of a virtual bench.")] = None,  # noqa: UP045
+        specimen: Annotated[str, typer.Option(help="What is tested.")] = usual_specimen,
+        operator: OperatorOption = "",
+        note: NoteOption = "",
+        seed: SeedOption = None,
         live: Annotated[
             bool, typer.Option("--live", help="Show the test in the live view.")
         ] = False,
@@ -39,59 +45,58 @@ def _command(name: str, summary: str) -> Callable[..., None]:
             bool, typer.Option("--browser/--no-browser", help="Open the live view in the browser.")
         ] = True,
         wire: Annotated[
-            bool, typer.Option("--wire", help="Record every received byte, too.")
+            bool, typer.Option("--wire", help="Also record every received byte.")
         ] = False,
         as_json: JsonOption = False,
         predict: Annotated[
-            Optional[Path],  # noqa: UP045
-            typer.Option("--predict", help="Plant or rig file: draw what it predicts, live."),
+            Path | None,
+            typer.Option("--predict", help="Plant or rig file: draw its prediction, live."),
         ] = None,
     ) -> None:
-        from cli.protocols.protocol_command import Order, protocol_command
+        from cli.protocols.protocol_command import TestOptions, protocol_command
 
-        order = Order(
+        options = TestOptions(
             rig, protocol, out, specimen, operator, note, seed, live or predict is not None,
             browser, wire, as_json, predict,
         )  # fmt: skip
-        raise typer.Exit(protocol_command(name, order))
+        raise typer.Exit(protocol_command(name, options))
 
-    command.__doc__ = summary
     return command
 
 
 def add_protocols(app: typer.Typer, runs_app: typer.Typer) -> None:
     """Add the commands that run tests to `app`, and those on recorded runs to `runs_app`."""
     for name, summary in PROTOCOLS.items():
-        app.command(name)(_command(name, summary))
-    runs_app.command("tell")(tell)
-    app.command("continue")(go_on)
+        app.command(name, help=summary)(_command(name))
+    runs_app.command("tell")(send_request)
+    app.command("continue")(continue_test)
     app.command("run")(run_plan)
 
 
-def tell(
+def send_request(
     what: Annotated[str, typer.Argument(help="pause, resume, skip, repeat, mark or stop.")],
-    words: Annotated[str, typer.Argument(help="What to mark.")] = "",
+    words: Annotated[str, typer.Argument(help="Text of the marker.")] = "",
     run: Annotated[str, typer.Option("--run", help="Run folder, run id, or 'last'.")] = "last",
-    runs: Annotated[Path, typer.Option("--runs", help="Folder of runs.")] = RUNS,
+    runs: RunsOption = RUNS,
 ) -> None:
-    """Ask something of a test that is running: pause, resume, skip, repeat, mark, stop."""
+    """Send a request to a running test: pause, resume, skip, repeat, mark, stop."""
     from cli.protocols.request import tell_run
 
     typer.echo(tell_run(run, runs, f"{what} {words}".strip()))
 
 
-def go_on(
+def continue_test(
     run: RunArgument = "last",
-    rig: Annotated[str, typer.Option("--rig", help="Rig file, if it has moved since.")] = "",
+    rig: Annotated[str, typer.Option("--rig", help="Rig file, if it was moved.")] = "",
     protocol: Annotated[
-        str, typer.Option("--protocol", help="Protocol file, if it has moved since.")
+        str, typer.Option("--protocol", help="Protocol file, if it was moved.")
     ] = "",
-    operator: Annotated[str, typer.Option(help="Who tests.")] = "",
-    note: Annotated[str, typer.Option(help="Anything worth remembering.")] = "",
+    operator: OperatorOption = "",
+    note: NoteOption = "",
     runs: RunsOption = RUNS,
     as_json: JsonOption = False,
 ) -> None:
-    """Go on with an interrupted test after its last whole trial, as a run linked to the first."""
+    """Continue an interrupted test after its last complete trial, as a run linked to the first."""
     from cli.protocols.resume import continue_command
 
     raise typer.Exit(continue_command(run, runs, rig, protocol, operator, note, as_json))
@@ -100,11 +105,11 @@ def go_on(
 def run_plan(
     plan: Annotated[Path, typer.Argument(help="Plan file (TOML): tests, one after another.")],
     again: Annotated[
-        bool, typer.Option("--again", help="From the start, even if the plan was begun before.")
+        bool, typer.Option("--again", help="From the start, even if part of the plan is done.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a chain of tests; stopped with Ctrl-C it goes on where it was when run again."""
+    """Run a plan of tests; after Ctrl-C, running it again continues it."""
     from cli.protocols.plan import plan_command
 
     raise typer.Exit(plan_command(plan, again, as_json))

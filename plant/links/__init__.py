@@ -1,7 +1,7 @@
 """Dynamics of serial arms with revolute joints.
 
-`reader.load_arm` reads an arm, `dynamics` computes with it, `motion` moves it, `lagrange` derives
-its equations in symbols (needs the extra `symbolic`), `kernel` holds what is compiled.
+`reader.load_arm` reads an arm, `dynamics` computes torques and accelerations, `motion` simulates
+it, `symbolic` derives its equations (needs the extra `symbolic`), `kernel` is the compiled code.
 """
 
 from plant.links.arm import Arm, Link

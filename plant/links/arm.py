@@ -1,4 +1,4 @@
-"""An arm: links in a row, each moved by one revolute joint, after Denavit and Hartenberg."""
+"""A serial arm with revolute joints, with Denavit-Hartenberg parameters."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import numpy as np
 import numpy.typing as npt
 
 from plant.links.errors import LinkError
-from plant.links.inertia import Six, Three, check_inertia, rod_inertia, tensor
+from plant.links.inertia import Six, Three, check_inertia, elements, rod_inertia, tensor
 
 Array = npt.NDArray[np.float64]
 
 
 def check_name(key: str, name: object, example: str) -> None:
-    """Refuse what is no plain word: names stand in generated source and in file names.
-
-    Raises `LinkError`.
-    """
+    """Raise `LinkError` unless the name is an identifier (for source code and file names)."""
     if not isinstance(name, str) or not name.isidentifier():
-        raise LinkError(f'{key} = {name!r}; expected a plain word, e.g. {key} = "{example}"')
+        raise LinkError(
+            f'{key} = {name!r}; expected letters, digits and _, e.g. {key} = "{example}"'
+        )
 
 
 @dataclass(frozen=True)
 class Link:
-    """One row of the table, SI: the joint, the way to the link's frame, and the body.
+    """One link in SI: its joint, the transformation to its frame, and its body.
 
-    The frame stands at the link's far end (thesis, section 2.2): turn by q + offset about the z
-    axis of the frame before, go d along it, then a along the new x, then turn by alpha about x.
+    The frame is at the far end of the link (thesis, section 2.2): rotate by q + offset about the z
+    axis of the previous frame, move d along it, then a along the new x, then rotate by alpha
+    about x.
     `com_m` and `inertia_kg_m2` (xx, yy, zz, xy, xz, yz, about the centre of mass) are in this
     frame, so the middle of a rod of length a is at (-a/2, 0, 0).
 
-    Raises `LinkError` for values that no link can have.
+    Raises `LinkError` for impossible values.
     """
 
     joint: str
@@ -59,14 +59,14 @@ class Link:
             raise LinkError(f"{where}: joint damping {self.damping_n_m_s!r} must be 0 or more")
         if not self.low_rad < self.high_rad:
             low, high = math.degrees(self.low_rad), math.degrees(self.high_rad)
-            raise LinkError(f"{where}: its range must rise, got {low:g} to {high:g} degrees")
+            raise LinkError(f"{where}: its range must increase, got {low:g} to {high:g} degrees")
         check_inertia(self.mass_kg, self.com_m, self.inertia_kg_m2, where)
 
     @classmethod
     def rod(
         cls, joint: str, length_m: float, mass_kg: float, diameter_m: float = 0.0, **more: float
     ) -> Link:
-        """A uniform round rod from its joint to the next; `more` are other fields of `Link`."""
+        """A uniform round rod between its joint and the next; `more` are other fields of `Link`."""
         return cls(
             joint,
             length_m,
@@ -78,7 +78,7 @@ class Link:
 
     @property
     def twist(self) -> tuple[float, float]:
-        """Cosine and sine of alpha; exactly 0 and +-1 at quarter turns."""
+        """Cosine and sine of alpha; exactly 0 and +-1 at multiples of 90 degrees."""
         quarters = self.alpha_rad / (math.pi / 2.0)
         if abs(quarters - round(quarters)) < 1e-12:
             return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarters) % 4]
@@ -87,10 +87,10 @@ class Link:
 
 @dataclass(frozen=True)
 class Arm:
-    """A serial arm on a fixed base. `gravity_m_s2` is the way things fall, in the base frame.
+    """A serial arm on a fixed base; `gravity_m_s2` is a vector in the base frame.
 
-    Raises `LinkError` for an arm without links, two joints of one name, or a gravity that is not
-    finite.
+    Raises `LinkError` for an arm without links, two joints with the same name, or a gravity that
+    is not finite.
     """
 
     name: str
@@ -104,7 +104,7 @@ class Arm:
         names = self.joints
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
-            raise LinkError(f"arm {self.name!r}: more than one joint is called {twice[0]!r}")
+            raise LinkError(f"arm {self.name!r}: more than one joint has the name {twice[0]!r}")
         if len(self.gravity_m_s2) != 3 or not all(map(math.isfinite, self.gravity_m_s2)):
             raise LinkError(
                 f"arm {self.name!r}: gravity {self.gravity_m_s2!r}; expected three finite numbers"
@@ -121,7 +121,7 @@ class Arm:
         return len(self.links)
 
     def joint(self, name: str) -> int:
-        """Index of a joint. Raises `LinkError` for a name the arm does not have."""
+        """Index of a joint. Raises `LinkError` for an unknown name."""
         if name in self.joints:
             return self.joints.index(name)
         near = difflib.get_close_matches(name, self.joints, n=1)
@@ -141,13 +141,13 @@ class Arm:
         )
 
     def without_link(self, joint: str) -> Arm:
-        """The same arm with one link shrunk to nothing: no mass, no length (thesis, 2.4)."""
+        """The same arm with one link without mass and length (thesis, 2.4)."""
         return self.with_link(
             joint, mass_kg=0.0, a_m=0.0, d_m=0.0, com_m=(0.0,) * 3, inertia_kg_m2=(0.0,) * 6
         )
 
     def with_payload(self, mass_kg: float) -> Arm:
-        """The same arm carrying a point mass at its tip, the origin of the last link's frame."""
+        """The same arm with a point mass at its tip, the origin of the last link's frame."""
         if not (math.isfinite(mass_kg) and mass_kg >= 0.0):
             raise LinkError(f"arm {self.name!r}: payload {mass_kg!r} kg; expected 0 or more")
         last = self.links[-1]
@@ -159,20 +159,22 @@ class Arm:
         body = tensor(last.inertia_kg_m2)
         for mass, arm in ((last.mass_kg, old - com), (mass_kg, -com)):
             body = body + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        six = tuple(float(body[i]) for i in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
         return self.with_link(
-            last.joint, mass_kg=total, com_m=tuple(float(v) for v in com), inertia_kg_m2=six
+            last.joint,
+            mass_kg=total,
+            com_m=tuple(float(v) for v in com),
+            inertia_kg_m2=elements(body),
         )
 
     def without_damping(self) -> Arm:
-        """The same arm with frictionless joints: what conserves energy."""
+        """The same arm with frictionless joints; it conserves energy."""
         return dataclasses.replace(
             self, links=tuple(dataclasses.replace(k, damping_n_m_s=0.0) for k in self.links)
         )
 
     @cached_property
     def table(self) -> Array:
-        """(n, 16) numbers as `kernel` takes them, see there; not to be written to."""
+        """Parameters for `kernel`, shape (n, 16); do not write to it."""
         rows = [
             [*k.twist, k.a_m, k.d_m, k.offset_rad, k.mass_kg, *k.com_m, *k.inertia_kg_m2]
             for k in self.links
@@ -182,5 +184,5 @@ class Arm:
 
     @cached_property
     def gravity(self) -> Array:
-        """`gravity_m_s2` as an array; not to be written to."""
+        """`gravity_m_s2` as an array; do not write to it."""
         return np.array(self.gravity_m_s2, dtype=np.float64)

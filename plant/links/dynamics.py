@@ -1,7 +1,7 @@
-"""What an arm's equations say, for one state or a batch: D q'' + h(q, q') + c(q) + b q' = torque.
+"""Dynamics of an arm, for one state or a batch: D q'' + h(q, q') + c(q) + b q' = torque.
 
-Angles rad, rates rad/s, torques N m; arrays (n,) or (batch, n), n joints, and results to match.
-h holds Coriolis and centrifugal torques, c gravity's, b the joints' damping.
+Angles in rad, rates in rad/s, torques in N m; arrays (n,) or (batch, n) for n joints, results of
+the same shape. h: Coriolis and centrifugal torques; c: gravity torques; b: joint damping.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 
 def inverse_dynamics(arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike, qdd: npt.ArrayLike) -> Array:
-    """Torques that give the accelerations `qdd`. Raises `LinkError` for shapes that do not fit."""
+    """Torques for the accelerations `qdd`. Raises `LinkError` for wrong shapes."""
     q, qd, qdd = _rows(arm, q=q, qd=qd, qdd=qdd)
     out = np.empty_like(q)
     kernel.inverse_batch(arm.table, arm.gravity, *_flat(arm, q, qd, qdd, out))
@@ -25,23 +25,23 @@ def inverse_dynamics(arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike, qdd: npt.Arr
 
 
 def forward_dynamics(arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike, torque: npt.ArrayLike) -> Array:
-    """Accelerations under given torques.
+    """Accelerations for given torques.
 
-    Raises `LinkError` for shapes that do not fit and where a joint moves no inertia at all.
+    Raises `LinkError` for wrong shapes and if a joint moves no inertia.
     """
     q, qd, torque = _rows(arm, q=q, qd=qd, torque=torque)
     out = np.empty_like(q)
     bad = kernel.forward_batch(arm.table, arm.gravity, *_flat(arm, q, qd, torque, out))
     if bad >= 0:
         raise LinkError(
-            f"arm {arm.name!r}: its inertia matrix is singular in state {bad}, so that its "
-            "accelerations are not determined; give the links beyond each joint mass or inertia"
+            f"arm {arm.name!r}: its inertia matrix is singular in state {bad}, so its "
+            "accelerations are not determined; give the links after each joint mass or inertia"
         )
     return out
 
 
 def inertia_matrix(arm: Arm, q: npt.ArrayLike) -> Array:
-    """D, symmetric; (n, n) or (batch, n, n), kg m2."""
+    """D, symmetric, in kg m2; shape (n, n) or (batch, n, n)."""
     (q,) = _rows(arm, q=q)
     out = np.empty((*q.shape, arm.degrees))
     (flat,) = _flat(arm, q)
@@ -66,7 +66,7 @@ def velocity_torque(arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike) -> Array:
 
 
 def coriolis_matrix(arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike) -> Array:
-    """The C of h = C q' with Christoffel's symbols, for which D' - 2 C is skew-symmetric.
+    """C of h = C q' from Christoffel symbols, so that D' - 2 C is skew-symmetric.
 
     h is quadratic in the rates, so its polar form is exact:
     column k of C is (h(q' + e_k) - h(q') - h(e_k)) / 2.
@@ -74,7 +74,7 @@ def coriolis_matrix(arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike) -> Array:
     q, qd = _rows(arm, q=q, qd=qd)
     columns = []
     for k in range(arm.degrees):
-        # Of the rates' own size, so that the differences lose no digits.
+        # Of the size of the rates, so that the differences lose no digits.
         size = np.maximum(np.abs(qd).max(axis=-1, keepdims=True), 1.0)
         unit = size * np.eye(arm.degrees)[k] + np.zeros_like(qd)
         both = velocity_torque(arm, q, qd + unit)
@@ -102,13 +102,13 @@ def kinetic_energy(arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike) -> Array:
 
 
 def potential_energy(arm: Arm, q: npt.ArrayLike) -> Array:
-    """Gravity's potential, J; shape () or (batch,)."""
+    """Potential energy of gravity, J; shape () or (batch,)."""
     (q,) = _rows(arm, q=q)
     return total_energy(arm, q, np.zeros_like(q))
 
 
 def _rows(arm: Arm, **given: npt.ArrayLike) -> list[Array]:
-    """Contiguous float arrays of one shape whose last axis is the joints."""
+    """Contiguous float arrays of the same shape, last axis the joints."""
     arrays = {k: np.ascontiguousarray(v, dtype=np.float64) for k, v in given.items()}
     shape = next(iter(arrays.values())).shape
     for name, array in arrays.items():

@@ -1,7 +1,7 @@
-"""What the link dynamics say when they are given an arm that cannot be."""
+"""Error of the link dynamics."""
 
 from plant.errors import PlantError
 
 
 class LinkError(PlantError):
-    """An arm, link, joint or state that cannot be: names it, what was expected and what came."""
+    """An invalid arm, link, joint or state; names it, the expected and the given value."""

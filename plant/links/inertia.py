@@ -1,7 +1,7 @@
-"""Mass, centre of mass and inertia of one rigid link, and whether a body can have them.
+"""Mass, centre of mass and inertia of one rigid link, and a check of their validity.
 
-Tensors are about the centre of mass, with the axes of the link's frame, as the six numbers
-(xx, yy, zz, xy, xz, yz) of the tensor itself: its xy is minus the integral of x y dm.
+Tensors are about the centre of mass, in the axes of the link's frame, given as six elements
+(xx, yy, zz, xy, xz, yz) of the tensor: xy is minus the integral of x y dm.
 """
 
 from __future__ import annotations
@@ -18,20 +18,26 @@ Three = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]
 
 SLACK = 1e-9
-"""Share of the largest moment by which rounding in a file may break an inequality."""
+"""Tolerance of the inequalities for rounding in a file, relative to the largest moment."""
 
 
 def tensor(inertia: Six) -> Array:
-    """The 3 x 3 tensor (kg m2) of six numbers."""
+    """The 3 x 3 tensor (kg m2) from its six elements."""
     xx, yy, zz, xy, xz, yz = inertia
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def rod_inertia(mass_kg: float, length_m: float, diameter_m: float) -> Six:
-    """A round uniform rod along x, about its middle, kg m2.
+def elements(full: Array) -> Six:
+    """The six elements of a symmetric 3 x 3 tensor."""
+    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    return tuple(float(full[i, k]) for i, k in pairs)  # type: ignore[return-value]
 
-    With diameter 0 it is the thin rod of Appendix A, whose only moment is m l^2 / 12 (m l^2 / 3
-    about its end).
+
+def rod_inertia(mass_kg: float, length_m: float, diameter_m: float) -> Six:
+    """A uniform round rod along x, about its middle, kg m2.
+
+    Diameter 0 gives the thin rod of Appendix A, with the only moment m l^2 / 12 (m l^2 / 3 about
+    its end).
     """
     along = mass_kg * diameter_m**2 / 8.0
     across = mass_kg * (length_m**2 / 12.0 + diameter_m**2 / 16.0)
@@ -41,10 +47,10 @@ def rod_inertia(mass_kg: float, length_m: float, diameter_m: float) -> Six:
 def pseudo_inertia(mass_kg: float, com_m: Three, inertia: Six) -> Array:
     """The 4 x 4 pseudo-inertia J about the origin of the link's frame: integral of r r^T dm.
 
-    With r = (x, y, z, 1). In terms of moments about that origin its diagonal is
-    (-Ixx + Iyy + Izz)/2, (Ixx - Iyy + Izz)/2, (Ixx + Iyy - Izz)/2, m. The thesis's erratum prints
-    the first of these three times, which is right for a ball only. Its H_xy are the integrals of
-    x y dm, of opposite sign to the tensor's.
+    Here r = (x, y, z, 1). With moments about that origin, the diagonal is (-Ixx + Iyy + Izz)/2,
+    (Ixx - Iyy + Izz)/2, (Ixx + Iyy - Izz)/2, m. The erratum of the thesis prints the first one
+    three times, which is correct only for a sphere. Its H_xy are the integrals of x y dm, with the
+    opposite sign of the tensor elements.
     """
     com = np.array(com_m, dtype=float)
     about_com = tensor(inertia)
@@ -59,7 +65,7 @@ def pseudo_inertia(mass_kg: float, com_m: Three, inertia: Six) -> Array:
 def from_pseudo_inertia(matrix: Array, origin: str = "pseudo-inertia") -> tuple[float, Three, Six]:
     """Mass (kg), centre of mass (m) and tensor (kg m2) of a 4 x 4 pseudo-inertia.
 
-    Raises `LinkError` where the matrix is not symmetric or belongs to no body.
+    Raises `LinkError` if the matrix is not symmetric or not physically possible.
     """
     j = np.array(matrix, dtype=float)
     if j.shape != (4, 4) or not np.allclose(j, j.T, rtol=SLACK, atol=0.0):
@@ -68,14 +74,14 @@ def from_pseudo_inertia(matrix: Array, origin: str = "pseudo-inertia") -> tuple[
     com = j[:3, 3] / mass if mass else np.zeros(3)
     second = j[:3, :3] - mass * np.outer(com, com)
     full = np.trace(second) * np.eye(3) - second
-    inertia = tuple(float(full[i, k]) for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+    inertia = elements(full)
     position: Three = (float(com[0]), float(com[1]), float(com[2]))
-    check_inertia(mass, position, inertia, origin)  # type: ignore[arg-type]
-    return mass, position, inertia  # type: ignore[return-value]
+    check_inertia(mass, position, inertia, origin)
+    return mass, position, inertia
 
 
 def check_inertia(mass_kg: float, com_m: Three, inertia: Six, origin: str) -> None:
-    """Refuse what no rigid body can have: `origin` names the link in the message.
+    """Check that a rigid body can have these values; `origin` names the link in the message.
 
     Raises:
         LinkError: a mass that is negative or not finite, a massless link with inertia, or a tensor
@@ -91,18 +97,18 @@ def check_inertia(mass_kg: float, com_m: Three, inertia: Six, origin: str) -> No
     if mass_kg == 0.0:
         if any(inertia):
             raise LinkError(
-                f"{origin}: an inertia without mass; give the link a mass or leave its inertia out"
+                f"{origin}: an inertia without mass; give the link a mass or omit the inertia"
             )
         return
     a, b, c = np.linalg.eigvalsh(tensor(inertia))
     stated = f"principal moments {a * 1e9:g}, {b * 1e9:g}, {c * 1e9:g} g mm2"
     if a < -SLACK * max(abs(c), abs(a)):
         raise LinkError(
-            f"{origin}: this is no inertia: {stated}, one of them negative; about the centre of "
-            "mass all are 0 or more (check the signs of the products xy, xz, yz)"
+            f"{origin}: not a valid inertia: {stated}, one of them negative; about the "
+            "centre of mass all must be 0 or more (check the signs of the products xy, xz, yz)"
         )
     if a + b < c * (1.0 - SLACK):
         raise LinkError(
-            f"{origin}: this is no inertia: {stated}; no body has one moment larger than the other "
-            "two together (are they about the centre of mass?)"
+            f"{origin}: not a valid inertia: {stated}; one moment cannot be larger than the "
+            "sum of the other two (are they about the centre of mass?)"
         )

@@ -1,4 +1,4 @@
-"""The compiled integrators behind `motion`."""
+"""Compiled integrators for `motion`."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Array = npt.NDArray[np.float64]
 METHODS = ("gauss6", "rk4")
 
 _ROOT = math.sqrt(15.0)
-# Gauss's collocation method with three stages: weights of the stages, and of the step.
+# Gauss collocation with three stages: weights of the stages and of the step.
 _STAGES = (
     (5 / 36, 2 / 9 - _ROOT / 15, 5 / 36 - _ROOT / 30),
     (5 / 36 + _ROOT / 24, 2 / 9, 5 / 36 - _ROOT / 24),
     (5 / 36 + _ROOT / 30, 2 / 9 + _ROOT / 15, 5 / 36),
 )
 _STEP = (5 / 18, 4 / 9, 5 / 18)
-_MOST_ROUNDS = 60
+_MAX_ITERATIONS = 60
 
 _CONTENT = fingerprint("links/kernel.py", "links/integrate.py")
 
@@ -32,7 +32,7 @@ _CONTENT = fingerprint("links/kernel.py", "links/integrate.py")
 def _rates(
     table: Array, gravity: Array, x: Array, torque: Array, work: Array, d: Array, out: Array
 ) -> bool:
-    """Derivative `out` of the state x = (q, q'). False where D is singular."""
+    """Derivative `out` of the state x = (q, q'). False if D is singular."""
     n = table.shape[0]
     for i in range(n):
         out[i] = x[n + i]
@@ -76,14 +76,15 @@ def _gauss6(
     d: Array,
     lost: Array,
 ) -> bool:
-    """One step; stages by fixed-point rounds from those of the step before, to rounding.
+    """One step. The stages are found by fixed-point iteration from those of the previous step.
 
-    `lost` carries what rounding took from each sum, so that it does not add up over the steps.
+    `lost` holds the rounding error of each sum (compensated summation), so that rounding errors
+    do not accumulate.
     """
     size = x.shape[0]
     last = math.inf
     settled = False
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         change = 0.0
         for stage in range(3):
             a, b, c = _STAGES[stage]
@@ -94,7 +95,7 @@ def _gauss6(
             for i in range(size):
                 change = max(change, abs(k[3, i] - k[stage, i]) / (1.0 + abs(k[3, i])))
                 k[stage, i] = k[3, i]
-        # Rounding leaves a change that no round makes smaller.
+        # Rounding errors limit the change that can be reached.
         settled = change < 1e-9
         if change < 1e-15 or (settled and change >= last):
             break
@@ -108,7 +109,7 @@ def _gauss6(
 
 
 def _build(content: int) -> Callable[..., int]:
-    """Compile the entry point around the content's CRC, which makes it part of the cache's key."""
+    """Compile the entry point; its closure makes the CRC `content` part of the cache key."""
 
     @entry_point(
         "int64(float64[:,::1],float64[::1],float64[::1],float64[::1],float64,int64,int64,float64[:,::1])"
@@ -123,9 +124,9 @@ def _build(content: int) -> Callable[..., int]:
         method: int,
         out: Array,
     ) -> int:
-        """Fill `out` (samples, 2 n) with states `every` steps apart; how many were reached.
+        """Fill `out` (samples, 2 n) with states `every` steps apart; returns how many were reached.
 
-        Fewer than asked for means that the step was too long for the motion.
+        A number below `samples` means that the time step was too long for the motion.
         """
         _ = content
         n = table.shape[0]

@@ -1,13 +1,13 @@
-"""Newton-Euler in compiled code: one state at a time, or batches of states.
+"""Compiled Newton-Euler recursion: one state at a time, or batches of states.
 
-An arm is its table, float64 (n, 16), a row a link: cosine and sine of alpha, a, d, offset, mass,
-centre of mass (3), tensor about it (xx, yy, zz, xy, xz, yz), joint damping. SI. All of it is
-relative to the link's own frame, see `plant.links.arm.Link`.
+An arm is a table, float64 (n, 16), one row per link: cosine and sine of alpha, a, d, offset, mass,
+centre of mass (3), tensor about it (xx, yy, zz, xy, xz, yz), joint damping. SI units, in the
+link's own frame, see `plant.links.arm.Link`.
 
 The recursion is the thesis's equations 2-4 to 2-13 in link frames (Luh, Walker and Paul 1980),
-with the two misprints of equations 2-9 and 2-12 put right: the moment a link hands on is
+with the two misprints of equations 2-9 and 2-12 corrected: the moment on the previous link is
 n(i) = n(i+1) + p(i) x f(i+1) + (p(i) + s(i)) x F(i) + N(i).
-Callers bring the work space, so that nothing is allocated inside a simulation.
+Callers provide the work space, so that nothing is allocated inside a simulation.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ CA, SA, A, D, OFFSET, MASS, COM, INERTIA, DAMPING = 0, 1, 2, 3, 4, 5, 6, 9, 15
 """Columns of an arm's table."""
 COLUMNS = 16
 WORK = 8
-"""Columns of the work space, a row a link: cosine, sine, force F (3), moment N (3)."""
+"""Columns of the work space, one row per link: cosine, sine, force F (3), moment N (3)."""
 
 
 @called
 def turn(table: Array, q: Array, work: Array) -> None:
-    """Set the joints' cosines and sines in `work`; the other functions read them there."""
+    """Set cosine and sine of the joint angles in `work` for the other functions."""
     for i in range(table.shape[0]):
         angle = q[i] + table[i, 4]
         work[i, 0] = math.cos(angle)
@@ -39,18 +39,18 @@ def turn(table: Array, q: Array, work: Array) -> None:
 
 @called
 def recurse(table: Array, gravity: Array, qd: Array, qdd: Array, work: Array, out: Array) -> None:
-    """Torques (n), but for damping, that give accelerations `qdd` at rates `qd`; `turn` first.
+    """Torques (n) without damping for accelerations `qdd` at rates `qd`; call `turn` first.
 
     `out` must not be `qdd`.
     """
     n = table.shape[0]
     wx = wy = wz = ex = ey = ez = 0.0
-    # The base accelerates upwards: that is all there is to gravity.
+    # Gravity is modelled as an upward acceleration of the base.
     ax, ay, az = -gravity[0], -gravity[1], -gravity[2]
     for i in range(n):
         ca, sa, ct, st = table[i, 0], table[i, 1], work[i, 0], work[i, 1]
         rate, push = qd[i], qdd[i]
-        # Rate and acceleration of this link, still in the axes of the frame before (2-4, 2-5).
+        # Rate and acceleration of this link, in the axes of the previous frame (2-4, 2-5).
         ux, uy, uz = ex + wy * rate, ey - wx * rate, ez + push
         vz = wz + rate
         # Into the link's own axes: about z by -theta, then about x by -alpha.
@@ -99,7 +99,7 @@ def recurse(table: Array, gravity: Array, qd: Array, qdd: Array, work: Array, ou
         fx += work[i, 2]
         fy += work[i, 3]
         fz += work[i, 4]
-        # Into the axes of the frame before: there the joint's axis is z (2-13).
+        # Into the axes of the previous frame, where the joint axis is z (2-13).
         t = ca * ny - sa * nz
         nx, ny, nz = ct * nx - st * t, st * nx + ct * t, sa * ny + ca * nz
         t = ca * fy - sa * fz
@@ -111,16 +111,16 @@ def recurse(table: Array, gravity: Array, qd: Array, qdd: Array, work: Array, ou
 def mass_matrix(table: Array, work: Array, d: Array) -> None:
     """Inertia matrix D (n, n) at the angles last given to `turn`.
 
-    The composite body beyond each joint (mass, first moment, tensor about the joint) turned at unit
-    rate has a momentum; its moments about the joints below are a column of D (Walker and Orin
-    1982, third method).
+    For each joint, the composite body after it (mass, first moment, tensor about the joint) rotates
+    at unit rate. The moments of its momentum about the joints before are a column of D (Walker and
+    Orin 1982, third method).
     """
     n = table.shape[0]
     mass = hx = hy = hz = 0.0
     xx = yy = zz = xy = xz = yz = 0.0
     for i in range(n - 1, -1, -1):
         ca, sa, ct, st = table[i, 0], table[i, 1], work[i, 0], work[i, 1]
-        # This link joins the composite body, about the origin of its own frame.
+        # Add this link to the composite body, about the origin of its own frame.
         m, sx, sy, sz = table[i, 5], table[i, 6], table[i, 7], table[i, 8]
         xx += table[i, 9] + m * (sy * sy + sz * sz)
         yy += table[i, 10] + m * (sx * sx + sz * sz)
@@ -132,7 +132,7 @@ def mass_matrix(table: Array, work: Array, d: Array) -> None:
         hx += m * sx
         hy += m * sy
         hz += m * sz
-        # To the joint: the frame before has its origin at -p.
+        # Shift to the joint: the previous frame has its origin at -p.
         px, py, pz = table[i, 2], table[i, 3] * sa, table[i, 3] * ca
         gx, gy, gz = 2.0 * hx + mass * px, 2.0 * hy + mass * py, 2.0 * hz + mass * pz
         xx += gy * py + gz * pz
@@ -187,7 +187,7 @@ def inverse(
 def solve(d: Array, x: Array) -> bool:
     """Solve D x = b in place, b given in `x`, by Cholesky; `d` becomes its factor.
 
-    False where D is not positive definite (a joint that moves no mass); `x` is then worthless.
+    False if D is not positive definite (a joint that moves no mass); `x` is then invalid.
     """
     n = d.shape[0]
     for j in range(n):
@@ -227,7 +227,7 @@ def forward(
     d: Array,
     out: Array,
 ) -> bool:
-    """Accelerations `out` (n) of one state; `d` (n, n) is scratch. False where D is singular."""
+    """Accelerations `out` (n) of one state; `d` (n, n) is scratch. False if D is singular."""
     n = table.shape[0]
     turn(table, q, work)
     for i in range(n):
@@ -241,7 +241,7 @@ def forward(
 
 @called
 def energy(table: Array, gravity: Array, q: Array, qd: Array, work: Array, d: Array) -> float:
-    """Kinetic plus potential energy, J; potential is zero with all masses at the base's origin."""
+    """Kinetic plus potential energy, J; the potential is zero at the base origin."""
     n = table.shape[0]
     turn(table, q, work)
     mass_matrix(table, work, d)
@@ -249,7 +249,7 @@ def energy(table: Array, gravity: Array, q: Array, qd: Array, work: Array, d: Ar
     for i in range(n):
         for k in range(n):
             total += 0.5 * qd[i] * d[i, k] * qd[k]
-    # First moment of the whole arm, brought from the tip to the base frame.
+    # First moment of the whole arm, transformed from the tip to the base frame.
     mass = hx = hy = hz = 0.0
     for i in range(n - 1, -1, -1):
         ca, sa, ct, st = table[i, 0], table[i, 1], work[i, 0], work[i, 1]
@@ -277,10 +277,10 @@ def inverse_batch(
 
 @entry_point("boolean(float64[::1],float64[::1],float64[::1],float64[::1])")
 def inverse_one(pad: Array, q: Array, qd: Array, qdd: Array) -> bool:
-    """Torques of one state, at the end of `pad`; False where a size does not fit.
+    """Torques of one state, written to the end of `pad`; False if a size is wrong.
 
-    `pad` holds gravity (3), the table, work space and torques, one after the other: every array
-    that is handed over costs a tenth of a microsecond, as much as half an arm.
+    `pad` holds gravity (3), table, work space and torques in one array, because each array argument
+    costs a tenth of a microsecond, as much as half an arm.
     """
     n = (pad.shape[0] - 3) // (COLUMNS + WORK + 1)
     if q.shape[0] != n or qd.shape[0] != n or qdd.shape[0] != n:
@@ -298,7 +298,7 @@ def inverse_one(pad: Array, q: Array, qd: Array, qdd: Array) -> bool:
 def forward_batch(
     table: Array, gravity: Array, q: Array, qd: Array, torque: Array, out: Array
 ) -> int:
-    """Accelerations for each row of a batch; the first row whose D is singular, or -1."""
+    """Accelerations for each row of a batch; returns the first row with a singular D, or -1."""
     n = table.shape[0]
     work, d = np.zeros((n, WORK)), np.zeros((n, n))
     for b in range(q.shape[0]):

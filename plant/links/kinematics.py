@@ -1,4 +1,4 @@
-"""Where an arm's links are: frames, tip, and how the tip moves with the joints."""
+"""Kinematics of an arm: link frames, tip position, tip Jacobian."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = npt.NDArray[np.float64]
 
 
 def link_matrix(link: Link, q: float) -> Array:
-    """The 4 x 4 matrix A of one link (thesis, section 2.2): from its frame to the one before."""
+    """The 4 x 4 matrix A of one link (thesis, section 2.2): from its frame to the previous one."""
     ca, sa = link.twist
     ct, st = math.cos(q + link.offset_rad), math.sin(q + link.offset_rad)
     return np.array(
@@ -27,7 +27,7 @@ def link_matrix(link: Link, q: float) -> Array:
 
 
 def link_frames(arm: Arm, q: npt.ArrayLike) -> list[Array]:
-    """Base frame (identity) and each link's frame in the base, n + 1 matrices 4 x 4, m."""
+    """Base frame (identity) and frame of each link in the base frame; n + 1 matrices 4 x 4, m."""
     frames = [np.eye(4)]
     for link, angle in zip(arm.links, np.asarray(q, dtype=float), strict=True):
         frames.append(frames[-1] @ link_matrix(link, float(angle)))
@@ -35,12 +35,12 @@ def link_frames(arm: Arm, q: npt.ArrayLike) -> list[Array]:
 
 
 def tip_position(arm: Arm, q: npt.ArrayLike) -> Array:
-    """Origin of the last link's frame in the base, (3,), m."""
+    """Origin of the last link's frame in the base frame, (3,), m."""
     return np.array(link_frames(arm, q)[-1][:3, 3])
 
 
 def tip_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
-    """(3, n), m/rad: velocity of the tip is this times the joint rates."""
+    """Jacobian of the tip position with respect to the joint angles, (3, n), m/rad."""
     frames = link_frames(arm, q)
     tip = frames[-1][:3, 3]
     return np.stack([np.cross(f[:3, 2], tip - f[:3, 3]) for f in frames[:-1]], axis=1)

@@ -1,8 +1,8 @@
-"""An arm in free motion or under constant torques, and whether its energy stays.
+"""Motion of an arm, free or under constant torques, and the change of its energy.
 
-Two ways: the classical Runge-Kutta method of order 4, and Gauss's implicit method of order 6 with
-three stages, which is symmetric in time, so that energy errors of a long swing stay where they are
-instead of adding up (Hairer, Lubich and Wanner 2006, sections II.1 and V.1).
+Two methods: classical Runge-Kutta of order 4, and implicit Gauss of order 6 with three stages. The
+second is symmetric in time, so energy errors of a long motion stay bounded (Hairer, Lubich and
+Wanner 2006, sections II.1 and V.1).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 class Swing:
     """A motion: `time_s` (samples,), `q` and `qd` (samples, n), `energy_j` (samples,).
 
-    `scale_j` is the size its energy is judged by: the most kinetic energy it had.
+    `scale_j` is the largest kinetic energy, the reference for energy errors.
     """
 
     time_s: Array
@@ -36,7 +36,7 @@ class Swing:
 
     @property
     def drift(self) -> float:
-        """Largest change of energy from the start, as a share of `scale_j`."""
+        """Largest change of energy from the start, relative to `scale_j`."""
         return float(np.abs(self.energy_j - self.energy_j[0]).max() / self.scale_j)
 
 
@@ -50,29 +50,28 @@ def swing(
     torque: npt.ArrayLike | None = None,
     every: int = 10,
 ) -> Swing:
-    """Move an arm from a state, unforced or under constant joint torques.
+    """Simulate an arm from an initial state, free or under constant joint torques.
 
     Args:
-        arm: the arm; its joint damping acts, `arm.without_damping()` has none. Ranges do not stop
-            it.
-        q: angles at the start (n,), rad.
-        qd: rates at the start (n,), rad/s.
-        duration_s: how long.
+        arm: the arm, with its joint damping; joint ranges are ignored.
+        q: initial angles (n,), rad.
+        qd: initial rates (n,), rad/s.
+        duration_s: duration.
         step_s: time step.
         method: "gauss6" or "rk4".
-        torque: (n,), N m; none means unforced.
-        every: keep each so manieth step.
+        torque: (n,), N m; None is 0.
+        every: store every n-th step.
 
     Raises:
-        LinkError: an unknown method, shapes that do not fit, a step that is not positive, or a
-            motion that this step cannot follow.
+        LinkError: an unknown method, wrong shapes, a step that is not positive, or a step too long
+            for the motion.
     """
     if method not in METHODS:
         raise LinkError(f"integration method {method!r}: choose one of {', '.join(METHODS)}")
     if not (step_s > 0.0 and math.isfinite(duration_s) and duration_s >= step_s and every >= 1):
         raise LinkError(
             f"step {step_s!r} s, duration {duration_s!r} s, every {every!r}: the step must be "
-            "positive and no longer than the duration, and at least each 1st step be kept"
+            "positive and not longer than the duration, and every must be at least 1"
         )
     n = arm.degrees
     start = np.zeros((3, n))
@@ -97,8 +96,8 @@ def swing(
     if reached < len(states):
         raise LinkError(
             f"arm {arm.name!r}: {method} cannot follow the motion after "
-            f"{reached * every * step_s:g} s with steps of {step_s:g} s; take shorter ones, and "
-            "see that every joint moves some inertia"
+            f"{reached * every * step_s:g} s with steps of {step_s:g} s; use shorter steps, and "
+            "check that every joint moves some inertia"
         )
     angles, rates = states[:, :n].copy(), states[:, n:].copy()
     energy = total_energy(arm, angles, rates)

@@ -1,9 +1,9 @@
-"""Newton-Euler as chapter 2 of the thesis writes it, in base coordinates and plain numpy.
+"""Newton-Euler as in chapter 2 of the thesis, in base coordinates and plain numpy.
 
-Slow and short, to be read beside equations 2-4 to 2-13 and to check the compiled kernel, which
-works in link coordinates. What is printed differently there: joint i turns about the z axis of
-frame i-1, as in its own Lagrange-Euler section; 2-6 and 2-7 turn with omega(i) throughout; and
-2-12 has to read n(i) = n(i+1) + p(i) x f(i+1) + (p(i) + s(i)) x F(i) + N(i).
+A short reference implementation of equations 2-4 to 2-13, to check the compiled kernel, which uses
+link coordinates. Differences to the print: joint i rotates about the z axis of frame i-1, as in the
+Lagrange-Euler section of the thesis; 2-6 and 2-7 use omega(i) throughout; and 2-12 must be n(i) =
+n(i+1) + p(i) x f(i+1) + (p(i) + s(i)) x F(i) + N(i).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def newton_euler(arm: Arm, q: Array, qd: Array, qdd: Array) -> Array:
     frames = link_frames(arm, q)
     n = arm.degrees
     rate, push = np.zeros(3), np.zeros(3)
-    # Gravity enters as an upward acceleration of the base.
+    # Gravity is modelled as an upward acceleration of the base.
     accel = -arm.gravity
     force, moment = np.empty((n, 3)), np.empty((n, 3))
     for i, link in enumerate(arm.links):

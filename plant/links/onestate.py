@@ -1,7 +1,7 @@
-"""Inverse dynamics for a control loop: one arm, one state a call, as little as possible around it.
+"""Fast inverse dynamics for a control loop: one arm, one state per call.
 
-`dynamics.inverse_dynamics` takes whatever can be made an array and any batch, and spends five
-microseconds on finding out; here the arm is laid out once and a call takes the arrays as they are.
+`dynamics.inverse_dynamics` converts its arguments and accepts batches, which costs five
+microseconds per call. Here the arm is prepared once and the arrays are used without conversion.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ Array = npt.NDArray[np.float64]
 
 
 class OneState:
-    """An arm whose torques are asked for one state at a time.
+    """Computes the torques of an arm for one state at a time.
 
     Args:
-        arm: as it is now; make a new one for another payload.
+        arm: the arm; make a new object for another payload.
 
     Attributes:
-        torque: (n,), N m, of the last state; the next call writes over it.
+        torque: (n,), N m, for the last state; the next call overwrites it.
     """
 
     __slots__ = ("_arm", "_call", "_pad", "torque")
@@ -37,13 +37,13 @@ class OneState:
         self.torque: Array = self._pad[-n:]
 
     def inverse_dynamics(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Torques that give the accelerations `qdd`: :attr:`torque` itself, no copy of it.
+        """Torques for the accelerations `qdd`; returns :attr:`torque` itself, not a copy.
 
         Args:
             q, qd, qdd: contiguous float64 arrays (n,); rad, rad/s, rad/s2.
 
         Raises:
-            LinkError: they are something else.
+            LinkError: wrong types or shapes.
         """
         try:
             if self._call(self._pad, q, qd, qdd):

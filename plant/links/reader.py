@@ -1,4 +1,4 @@
-"""Read an arm from TOML: every key known, every number with a range, every complaint with both."""
+"""Read an arm from TOML; unknown keys and values out of range are errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from plant.links.arm import Arm, Link, check_name
 from plant.links.errors import LinkError
 from plant.links.inertia import Six, Three, rod_inertia
 
-MOST_LINKS = 100
+MAX_LINKS = 100
 
 _DEG = math.pi / 180.0
 # Key: conversion to SI, lowest, highest; in the key's own unit.
@@ -42,7 +42,7 @@ def load_arm(source: str | Path | Mapping[str, Any]) -> Arm:
     """Read an arm from a TOML file, from a parsed table, or by the name of a shipped one.
 
     Raises:
-        LinkError: names file, link and key, says what was expected and what came.
+        LinkError: names file, link and key, the expected and the given value.
     """
     if isinstance(source, Mapping):
         return _arm(source, "arm table")
@@ -57,7 +57,7 @@ def load_arm(source: str | Path | Mapping[str, Any]) -> Arm:
 
 
 def shipped_arms() -> list[str]:
-    """Names of the arms that come with the package."""
+    """Names of the shipped arms."""
     folder = resources.files("configs").joinpath("plant", "links")
     return sorted(e.name.removesuffix(".toml") for e in folder.iterdir() if e.name[-5:] == ".toml")
 
@@ -84,8 +84,8 @@ def _arm(table: Mapping[str, Any], origin: str) -> Arm:
     name = table.get("name")
     _word("name", name, "finger", origin)
     rows = table.get("link")
-    if not isinstance(rows, list) or not 1 <= len(rows) <= MOST_LINKS:
-        raise LinkError(f"{origin}: expected 1 to {MOST_LINKS} tables [[link]], got {rows!r:.40}")
+    if not isinstance(rows, list) or not 1 <= len(rows) <= MAX_LINKS:
+        raise LinkError(f"{origin}: expected 1 to {MAX_LINKS} tables [[link]], got {rows!r:.40}")
     gravity = table.get("gravity_m_s2")
     if gravity is None:
         raise LinkError(f"{origin}: gravity_m_s2 is missing; state it, [0, 0, 0] for none")
@@ -142,7 +142,7 @@ def _word(key: str, value: object, example: str, origin: str) -> None:
 def _body(
     row: Mapping[str, Any], length: float, mass: float, value: Mapping[str, float], origin: str
 ) -> tuple[Three, Six]:
-    """Centre of mass and tensor, from a rod's diameter or as stated."""
+    """Centre of mass and tensor, from the diameter of a rod or from explicit values."""
     stated = [key for key in ("com_mm", "inertia_g_mm2") if key in row]
     if "rod_diameter_mm" in value:
         if stated:

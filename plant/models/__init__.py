@@ -1,1 +1,1 @@
-"""Models of the muscle that can be fitted to a run, compared, and put into the simulation."""
+"""Muscle models that can be fitted to a run, compared, and used in the simulation."""

@@ -1,7 +1,8 @@
-"""Models that follow from the braid: Chou and Hannaford, Hasselroth, Tondu and Lopez.
+"""Models derived from the braid: Chou and Hannaford, Hasselroth, Tondu and Lopez.
 
-All four are p times a quadratic in length. They differ in what they call the coefficients, so a
-fit of one of them to forces alone cannot tell more than that quadratic: see each docstring.
+In all four, the force is p times a quadratic in length; they differ in the parameters of that
+quadratic. A fit to forces alone determines only the quadratic, so not all parameters of a model can
+be free: see each docstring.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ BAR_PA = 1e5
 class ChouHannaford(SeparableLaw):
     """Equations 4-4 to 4-8: F = p (3 L^2 - b^2) / (4 pi n^2), V = (b^2 L - L^3) / (4 pi n^2).
 
-    Holds for an inextensible braid whose middle is a cylinder, 0 < L < b.
+    Valid for an inextensible braid with a cylindrical middle part, 0 < L < b.
     """
 
     parameters = ("braid_length", "turns")
@@ -38,16 +39,16 @@ class ChouHannaford(SeparableLaw):
     def jacobian(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Array:
-        """By b and n."""
+        """With respect to b and n."""
         b, n = q
         by_b = p * (-2.0 * b / (4.0 * np.pi * n * n))
         return np.stack([by_b, p * self.arm(q, length) * (-2.0 / n)])
 
 
 class Hasselroth(SeparableLaw):
-    """Equation 4-19: F = p D^2 a ((1 - eps)^2 - b), eps = 1 - L / L_0, stated for 0 < eps < 0.2.
+    """Equation 4-19: F = p D^2 a ((1 - eps)^2 - b), eps = 1 - L / L_0, valid for 0 < eps < 0.2.
 
-    Forces alone give two numbers, D^2 a / L_0^2 and b L_0^2: D and L_0 must be measured.
+    Forces alone determine two numbers, D^2 a / L_0^2 and b L_0^2: measure D and L_0.
     """
 
     parameters = ("diameter", "gain", "offset", "rest_length")
@@ -72,7 +73,7 @@ class Hasselroth(SeparableLaw):
     def jacobian(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Array:
-        """By D, a, b and L_0."""
+        """With respect to D, a, b and L_0."""
         d, a, _, rest = q
         force = p * self.arm(q, length)
         by_rest = p * length * length * (-2.0 * d * d * a / rest**3)
@@ -83,8 +84,8 @@ class TonduLopez(SeparableLaw):
     """Tondu and Lopez (2000): F = pi r0^2 p (a (1 - k eps)^2 - c), a = 3/tan^2, c = 1/sin^2 of
     the braid angle theta0 at L_0, eps = 1 - L / L_0.
 
-    k >= 1 makes up for the tapered ends. Forces alone give three numbers, so r0, theta0, L_0 and
-    k cannot all be free.
+    k >= 1 corrects for the tapered ends. Forces alone determine three numbers, so r0, theta0, L_0
+    and k cannot all be free.
     """
 
     parameters = ("radius", "braid_angle", "rest_length", "end_factor")
@@ -112,12 +113,14 @@ class TonduLopez(SeparableLaw):
     def jacobian(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Array:
-        """By r0, theta0, L_0 and k."""
+        """With respect to r0, theta0, L_0 and k."""
         return _tondu_sensitivity(q[0], q[1], q[2], np.full_like(length, q[3]), p, length)
 
 
 class TonduLopezPressure(Law):
-    """Tondu and Lopez with k(P) = a_k exp(-P) + b_k, P in bar: the ends fill as pressure rises."""
+    """Tondu and Lopez with k(P) = a_k exp(-P) + b_k, P in bar: the ends
+    fill as the pressure rises.
+    """
 
     parameters = ("radius", "braid_angle", "rest_length", "end_decay", "end_limit")
 
@@ -138,7 +141,7 @@ class TonduLopezPressure(Law):
     def slopes(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Slopes:
-        """By p (through k too), by L."""
+        """With respect to p (also through k) and L."""
         r, angle, rest = q[:3]
         a, c = 3.0 / np.tan(angle) ** 2, 1.0 / np.sin(angle) ** 2
         decay, k = self._k(q, p)
@@ -152,7 +155,7 @@ class TonduLopezPressure(Law):
     def jacobian(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Array:
-        """By r0, theta0, L_0, a_k and b_k."""
+        """With respect to r0, theta0, L_0, a_k and b_k."""
         decay, k = self._k(q, p)
         rows = _tondu_sensitivity(q[0], q[1], q[2], k, p, length)
         return np.stack([rows[0], rows[1], rows[2], rows[3] * decay, rows[3]])
@@ -161,7 +164,7 @@ class TonduLopezPressure(Law):
 def _tondu_sensitivity(
     r: float, angle: float, rest: float, k: Array, p: Array, length: Array
 ) -> Array:
-    """DF by r0, theta0, L_0 and k, shape (4, n)."""
+    """Derivatives of F with respect to r0, theta0, L_0 and k, shape (4, n)."""
     sine, cosine = np.sin(angle), np.cos(angle)
     a, c = 3.0 * cosine**2 / sine**2, 1.0 / sine**2
     contraction = 1.0 - length / rest

@@ -9,7 +9,7 @@ import numpy as np
 from plant.models.law import Array, History, SeparableLaw
 
 _V = 2.0 / (3.0 * math.sqrt(3.0))
-"""sin^2 cos at 54.7 degrees: the largest volume over K (4-15)."""
+"""sin^2 cos at 54.7 degrees: the largest volume, divided by K (4-15)."""
 _SINE0, _COSINE0 = math.sqrt(2.0 / 3.0), math.sqrt(1.0 / 3.0)
 
 
@@ -17,16 +17,16 @@ class Caldwell(SeparableLaw):
     """F = Eff p ((V_54.7 / V)(S_a + 2 E_a) - (S_a + 2 E_a at 54.7 degrees)), cos a = L / h.
 
     S_a = pi f h sin a cos a (4-14), E_a = pi f^2 sin^2 a / 4, V = (pi/4) f^2 h sin^2 a cos a
-    (4-15; printed (D/4)^2 pi L, which contradicts its own K). Equation 4-17's P_new is read as
+    (4-15; printed as (D/4)^2 pi L, which contradicts its own K). P_new of equation 4-17 is taken as
     p V_54.7 / V, the pressure after isothermal compression from the minimum-energy state: of the
-    readings that can be made of the text it is the one that comes nearest to the published
-    statistics. Holds for 0 < L < h. h, f and Eff are nearly one flat direction.
+    possible interpretations, it is closest to the published statistics. Valid for 0 < L < h.
+    h, f and Eff are nearly one flat direction.
     """
 
     parameters = ("thread_length", "diameter_at_90", "efficiency")
 
     def arm(self, q: Array, length: Array) -> Array:
-        """Force over pressure."""
+        """Force divided by pressure."""
         h, f, eff = q
         x = length / h
         sine = np.sqrt(1.0 - x * x)
@@ -34,7 +34,7 @@ class Caldwell(SeparableLaw):
         return np.asarray(eff * (_V * np.pi * f * (h / sine + 0.5 * f / x) - rest))
 
     def arm_slope(self, q: Array, length: Array) -> Array:
-        """By L."""
+        """Derivative with respect to L."""
         h, f, eff = q
         x = length / h
         s2 = 1.0 - x * x
@@ -52,7 +52,7 @@ class Caldwell(SeparableLaw):
     def jacobian(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Array:
-        """By h, f and Eff."""
+        """With respect to h, f and Eff."""
         h, f, eff = q
         x = length / h
         s2 = 1.0 - x * x

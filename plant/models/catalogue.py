@@ -44,18 +44,18 @@ LAWS: dict[str, Law] = {
     "maxwell-slip": MaxwellSlip(terms.QUASI_STATIC),
     "creep": Creep(terms.QUASI_STATIC),
 }
-"""Every law; a model file names one of these."""
+"""All laws; a model file names one of them."""
 
 _NUMBERS = ("value", "low", "high")
 
 
 def names() -> tuple[str, ...]:
-    """Names of the shipped models: simple first, laws with memory last."""
+    """Names of the shipped models: simple models first, laws with memory last."""
     return tuple(LAWS)
 
 
 def get(name: str) -> Model:
-    """A shipped model with the values it was shipped with. Raises `PlantError` if unknown."""
+    """A shipped model with its shipped values. Raises `PlantError` if unknown."""
     if name not in LAWS:
         from difflib import get_close_matches
 
@@ -67,7 +67,7 @@ def get(name: str) -> Model:
 
 
 def load(source: str | Path) -> Model:
-    """A shipped model by name, or a model file by path. Raises `PlantError` naming the key."""
+    """A shipped model by name, or a model file by path. `PlantError` names an invalid key."""
     text = str(source)
     if not text.endswith(".toml"):
         return get(text)
@@ -80,7 +80,7 @@ def load(source: str | Path) -> Model:
 
 
 def to_toml(model: Model, heading: str = "") -> str:
-    """The model file of a model; `load` reads back an equal one."""
+    """Text of a model file; `load` reads back an equal model."""
     law = next(name for name, law in LAWS.items() if law is model.law)
     lines = [f"# {line}" for line in heading.splitlines()]
     lines += [f"name = {_text(model.name)}", f"title = {_text(model.title)}", f"law = {_text(law)}"]
@@ -126,7 +126,7 @@ def _model(table: Mapping[str, Any], origin: str) -> Model:
     if table.get("version") != VERSION:
         raise PlantError(
             f"{origin}: version = {table.get('version')!r}, this program reads {VERSION}; "
-            "fit the model anew"
+            "fit the model again"
         )
     law = LAWS[law_name]
     given = _within(table, "parameters", origin)

@@ -1,4 +1,4 @@
-"""What every force law offers: force, its slopes, its sensitivity to the parameters."""
+"""Interface of a force law: force, its slopes, its sensitivity to the parameters."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Slopes = tuple[Array, Array, Array]
 
 @dataclass(frozen=True)
 class History:
-    """The order in which points were visited, for laws with memory.
+    """The order in which points were measured, for laws with memory.
 
     Attributes:
-        time_s: shape (n,), rising within each trial; None if only the order is known.
-        start: shape (n,), True where a new trial begins from the vented state.
+        time_s: shape (n,), increasing within each trial; None if only the order is known.
+        start: shape (n,), True where a new trial starts from the vented state.
     """
 
     time_s: Array | None = None
@@ -30,11 +30,11 @@ class History:
 
 
 class Law(ABC):
-    """A formula F(p, L, T) with parameters q. Everything is SI but temperature, in degC.
+    """A formula F(p, L, T) with parameters q in SI units, temperature in degC.
 
-    `p` is gauge pressure in Pa, `length` length in m, `t` temperature in degC, all float64 of one
-    shape (n,); `q` has one number a parameter, in the order of `parameters`. Nothing is checked
-    here: `plant.models.model.Model` does that. F > 0 pulls the ends together.
+    `p` is the gauge pressure in Pa, `length` the length in m, `t` the temperature in degC, all
+    float64 with the same shape (n,). `q` has one number per parameter, in the order of
+    `parameters`. `plant.models.model.Model` checks the inputs. F > 0 pulls the ends together.
     """
 
     parameters: ClassVar[tuple[str, ...]]
@@ -43,7 +43,7 @@ class Law(ABC):
     separable: ClassVar[bool] = False
     """The force is p f(L) + g(L): `arm`, `passive` and `swept` exist."""
     memory: ClassVar[bool] = False
-    """The force depends on how a point was reached."""
+    """The force depends on the path to a point."""
     uses_temperature: ClassVar[bool] = False
 
     @abstractmethod
@@ -78,13 +78,13 @@ class Law(ABC):
 
     def _not_separable(self) -> PlantError:
         return PlantError(
-            f"{type(self).__name__} is not of the form p f(L) + g(L) and has no volume of its own; "
-            "take the volume of the braid (chou-hannaford) instead"
+            f"{type(self).__name__} is not of the form p f(L) + g(L) and so has no volume; "
+            "use the volume of the braid (chou-hannaford)"
         )
 
 
 CHUNK = 16384
-"""Points evaluated at a time: intermediate results stay in the processor's cache."""
+"""Points evaluated at a time, so that intermediate results stay in the processor's cache."""
 
 
 def static_force(law: Law, q: Array, p: Array, length: Array, t: Array) -> Array:
@@ -99,7 +99,7 @@ def static_force(law: Law, q: Array, p: Array, length: Array, t: Array) -> Array
 
 
 class SeparableLaw(Law):
-    """F = p f(L) + g(L): the gas volume is V_0 - integral of f dL, and no work is lost."""
+    """F = p f(L) + g(L): the gas volume is V_0 - integral of f dL, without loss of work."""
 
     separable = True
 
@@ -116,7 +116,7 @@ class SeparableLaw(Law):
         """-integral of f dL in m3, up to a constant."""
 
     def passive(self, q: Array, length: Array) -> Array:
-        """g(L) in N; none unless said otherwise."""
+        """g(L) in N; 0 by default."""
         return np.zeros_like(length)
 
     def passive_slope(self, q: Array, length: Array) -> Array:
@@ -126,7 +126,7 @@ class SeparableLaw(Law):
     def force(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Array:
-        """P f(L) + g(L)."""
+        """F = p f(L) + g(L)."""
         return np.asarray(p * self.arm(q, length) + self.passive(q, length))
 
     def slopes(

@@ -1,9 +1,10 @@
-"""Laws that remember: Prandtl-Ishlinskii in pressure, Maxwell-slip in length, creep in time."""
+"""Laws with memory: Prandtl-Ishlinskii in pressure, Maxwell slip in length, creep in time."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -16,7 +17,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 PLAY_KPA = (25.0, 50.0, 100.0, 200.0)
 """Half-widths of the play operators: the pressure steps of a typical test, doubled."""
 SLIP_UM = (100.0, 300.0, 1000.0)
-"""Travels after which the Maxwell elements slip."""
+"""Travel after which each Maxwell element slips."""
 CREEP_S = (2.0, 20.0, 200.0)
 """Time constants of creep."""
 
@@ -27,7 +28,7 @@ def _compiled(function: F) -> F:
 
 @_compiled
 def _play(x: Any, start: Any, half_width: float) -> tuple[Any, Any]:  # pragma: no cover
-    """Play operator, at rest at 0 where a trial starts, and its slope dy/dx (0 or 1)."""
+    """Play operator, 0 at the start of a trial, and its slope dy/dx (0 or 1)."""
     y, slope = np.empty_like(x), np.zeros_like(x)
     last = 0.0
     for i in range(x.size):
@@ -43,7 +44,7 @@ def _play(x: Any, start: Any, half_width: float) -> tuple[Any, Any]:  # pragma: 
 
 @_compiled
 def _stop(x: Any, start: Any, travel: float) -> tuple[Any, Any]:  # pragma: no cover
-    """Stop operator (elastic until `travel`), relaxed where a trial starts, and its slope."""
+    """Stop operator (elastic up to `travel`), 0 at the start of a trial, and its slope."""
     y, slope = np.empty_like(x), np.ones_like(x)
     last = 0.0
     for i in range(x.size):
@@ -92,7 +93,7 @@ def _add_stops(out: Any, x: Any, start: Any, travel: Any, weight: Any) -> None: 
 
 @_compiled
 def _late(x: Any, time_s: Any, start: Any, tau_s: Any, share: Any) -> Any:  # pragma: no cover
-    """X + sum of share (lag(x) - x): first-order lags of a signal straight between its samples."""
+    """Return x + sum of share (lag(x) - x), for first-order lags of a piecewise linear signal."""
     out = np.empty_like(x)
     count = tau_s.size
     lag, decay, ramp = np.empty(count), np.empty(count), np.empty(count)
@@ -103,7 +104,7 @@ def _late(x: Any, time_s: Any, start: Any, tau_s: Any, share: Any) -> Any:  # pr
             out[i] = x[i]
             continue
         step = time_s[i] - time_s[i - 1]
-        # Even sampling, but for the last bits of its times, needs its exponentials once.
+        # With constant sampling (up to rounding of the times) the exponentials are computed once.
         if abs(step - last_step) > 1e-9 * step:
             for k in range(count):
                 a = step / tau_s[k]
@@ -127,114 +128,111 @@ def _starts(n: int, path: History | None) -> Bools:
     return starts
 
 
-class PrandtlIshlinskii(Law):
-    """Static law plus sum of w_i (play_i(p) - p): the force lags the pressure, up against down.
-
-    play_i has the half-width of PLAY_KPA[i]; at w_i > 0 the force is lower on the way up by w_i
-    times the half-width, once that much pressure has been travelled, and higher on the way down.
-    Rate-independent. Holds between rise and fall of pressure at held length.
-    """
+class _Hysteresis(Law):
+    """Static law plus sum of w_i h_i(x): rate-independent operators on pressure or length."""
 
     memory = True
+    _axis: ClassVar[int]
+    """Index of the operators' input among the slopes: 0 pressure, 1 length."""
 
-    def __init__(self, base: Law) -> None:
+    def __init__(self, base: Law, names: tuple[str, ...]) -> None:
         self.base = base
-        names = [f"play_{width:g}_kpa" for width in PLAY_KPA]
         self.parameters = (*base.parameters, *names)  # type: ignore[misc]
         self.linear = base.linear  # type: ignore[misc]
         self.uses_temperature = base.uses_temperature  # type: ignore[misc]
 
-    def _operators(self, p: Array, path: History | None) -> tuple[list[Array], list[Array]]:
-        starts = _starts(p.size, path)
-        pairs = [_play(p, starts, width * 1e3) for width in PLAY_KPA]
-        return [y - p for y, _ in pairs], [s - 1.0 for _, s in pairs]
+    @abstractmethod
+    def _operators(
+        self, p: Array, length: Array, path: History | None
+    ) -> list[tuple[Array, Array]]:
+        """Value and slope of each operator."""
+
+    @abstractmethod
+    def _add(self, out: Array, weights: Array, p: Array, length: Array, starts: Bools) -> None:
+        """Add the weighted operators to `out`, in one pass."""
 
     def force(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Array:
-        """Static force and all plays."""
+        """Static force and all operators."""
         k = len(self.base.parameters)
         out = static_force(self.base, q[:k], p, length, t)
-        _add_plays(out, p, _starts(p.size, path), np.array(PLAY_KPA) * 1e3, q[k:])
+        self._add(out, q[k:], p, length, _starts(p.size, path))
         return out
 
     def slopes(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Slopes:
-        """Slopes onward in the direction in which the point was reached."""
+        """Slopes when moving on in the direction in which the point was reached."""
         k = len(self.base.parameters)
-        _, slopes = self._operators(p, path)
-        by_p, by_l, by_t = self.base.slopes(q[:k], p, length, t)
-        for weight, slope in zip(q[k:], slopes, strict=True):
-            by_p = by_p + weight * slope
-        return by_p, by_l, by_t
+        slopes = list(self.base.slopes(q[:k], p, length, t))
+        for weight, (_, slope) in zip(q[k:], self._operators(p, length, path), strict=True):
+            slopes[self._axis] = slopes[self._axis] + weight * slope
+        return slopes[0], slopes[1], slopes[2]
 
     def jacobian(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Array:
-        """Of the static law, then the plays."""
+        """Of the static law, then of the operators."""
         k = len(self.base.parameters)
-        lags, _ = self._operators(p, path)
-        return np.concatenate([self.base.jacobian(q[:k], p, length, t), np.stack(lags)])
+        values = [value for value, _ in self._operators(p, length, path)]
+        return np.concatenate([self.base.jacobian(q[:k], p, length, t), np.stack(values)])
 
 
-class MaxwellSlip(Law):
+class PrandtlIshlinskii(_Hysteresis):
+    """Static law plus sum of w_i (play_i(p) - p): the force lags behind the pressure.
+
+    play_i has the half-width PLAY_KPA[i]. For w_i > 0 the force is lower by w_i times the
+    half-width while the pressure rises (after that much travel), and higher while it falls.
+    Rate-independent. Valid for rising and falling pressure at constant length.
+    """
+
+    _axis = 0
+
+    def __init__(self, base: Law) -> None:
+        super().__init__(base, tuple(f"play_{width:g}_kpa" for width in PLAY_KPA))
+
+    def _operators(
+        self, p: Array, length: Array, path: History | None
+    ) -> list[tuple[Array, Array]]:
+        starts = _starts(p.size, path)
+        plays = [_play(p, starts, width * 1e3) for width in PLAY_KPA]
+        return [(y - p, slope - 1.0) for y, slope in plays]
+
+    def _add(self, out: Array, weights: Array, p: Array, length: Array, starts: Bools) -> None:
+        _add_plays(out, p, starts, np.array(PLAY_KPA) * 1e3, weights)
+
+
+class MaxwellSlip(_Hysteresis):
     """Static law plus sum of k_i stop_i(L): springs that slip after SLIP_UM[i] of travel.
 
-    The friction of the braid as a function of length: a muscle that shortens pulls less than one
-    that lengthens, by the sum of k_i SLIP_UM[i] at most. Rate-independent, with minor loops.
-    Nothing of it shows at held length: an isometric test leaves every k_i undetermined.
+    The friction of the braid as a function of length: while it shortens, a muscle pulls less than
+    while it lengthens, by at most the sum of k_i SLIP_UM[i]. Rate-independent, with minor loops.
+    An isometric test does not determine the k_i, because the length does not change.
     """
 
-    memory = True
+    _axis = 1
 
     def __init__(self, base: Law) -> None:
-        self.base = base
-        names = [f"slip_{travel:g}_um" for travel in SLIP_UM]
-        self.parameters = (*base.parameters, *names)  # type: ignore[misc]
-        self.linear = base.linear  # type: ignore[misc]
-        self.uses_temperature = base.uses_temperature  # type: ignore[misc]
+        super().__init__(base, tuple(f"slip_{travel:g}_um" for travel in SLIP_UM))
 
-    def _operators(self, length: Array, path: History | None) -> tuple[list[Array], list[Array]]:
+    def _operators(
+        self, p: Array, length: Array, path: History | None
+    ) -> list[tuple[Array, Array]]:
         starts = _starts(length.size, path)
-        pairs = [_stop(length, starts, travel * 1e-6) for travel in SLIP_UM]
-        return [y for y, _ in pairs], [s for _, s in pairs]
+        return [_stop(length, starts, travel * 1e-6) for travel in SLIP_UM]
 
-    def force(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
-        """Static force and all elements."""
-        k = len(self.base.parameters)
-        out = static_force(self.base, q[:k], p, length, t)
-        _add_stops(out, length, _starts(p.size, path), np.array(SLIP_UM) * 1e-6, q[k:])
-        return out
-
-    def slopes(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Slopes:
-        """Slopes onward in the direction in which the point was reached."""
-        k = len(self.base.parameters)
-        _, slopes = self._operators(length, path)
-        by_p, by_l, by_t = self.base.slopes(q[:k], p, length, t)
-        for stiffness, slope in zip(q[k:], slopes, strict=True):
-            by_l = by_l + stiffness * slope
-        return by_p, by_l, by_t
-
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
-        """Of the static law, then the elements."""
-        k = len(self.base.parameters)
-        stops, _ = self._operators(length, path)
-        return np.concatenate([self.base.jacobian(q[:k], p, length, t), np.stack(stops)])
+    def _add(self, out: Array, weights: Array, p: Array, length: Array, starts: Bools) -> None:
+        _add_stops(out, length, starts, np.array(SLIP_UM) * 1e-6, weights)
 
 
 class Creep(Law):
-    """Part of every change comes late: F = F_0 + sum of c_i (lag_i(F_0) - F_0).
+    """Part of every change is delayed: F = F_0 + sum of c_i (lag_i(F_0) - F_0).
 
-    F_0 is the static law, lag_i a first-order lag with the time constant CREEP_S[i]. After a step
-    the share 1 - sum of c_i is there at once. Needs times; at the first point of a trial the muscle
-    is taken to be at rest. Settled points far apart in time leave the c_i undetermined.
+    F_0 is the static law, lag_i a first-order lag with the time constant CREEP_S[i]. The fraction
+    1 - sum of c_i follows a step immediately. Needs the times of the points. The muscle is assumed
+    to be at rest at the first point of a trial. Settled points far apart in time do not determine
+    the c_i.
     """
 
     memory = True
@@ -257,14 +255,14 @@ class Creep(Law):
     def force(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Array:
-        """The late force."""
+        """Static force with its delayed part."""
         k = len(self.base.parameters)
         return self._late(q[k:], static_force(self.base, q[:k], p, length, t), path)
 
     def slopes(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Slopes:
-        """Slopes to a change at once: what comes late is left out."""
+        """Slopes for an immediate change, without the delayed part."""
         k = len(self.base.parameters)
         share = 1.0 - float(np.sum(q[k:]))
         by_p, by_l, by_t = self.base.slopes(q[:k], p, length, t)
@@ -273,7 +271,7 @@ class Creep(Law):
     def jacobian(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Array:
-        """The lag is linear, so the static sensitivities pass through it."""
+        """The lag is linear, so it is applied to the static sensitivities."""
         k = len(self.base.parameters)
         rows = [self._late(q[k:], row, path) for row in self.base.jacobian(q[:k], p, length, t)]
         static = self.base.force(q[:k], p, length, t)

@@ -1,4 +1,4 @@
-"""A model: a force law with values, units, bounds and a domain in which it may be believed."""
+"""A model: a force law with values, units, bounds and a domain of validity."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Outside = Literal["warn", "raise", "ignore"]
 
 
 class OutsideDomain(UserWarning):
-    """A model was asked for something that it was never compared with."""
+    """A model was used outside the range of the data it was fitted to."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter in its own unit; `sd` is the standard uncertainty a fit gave it, if any."""
+    """One parameter in its own unit; `sd` is its standard uncertainty from a fit, or None."""
 
     name: str
     unit: str
@@ -44,7 +44,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Domain:
-    """Ranges, both ends included, of the data behind the values."""
+    """Ranges of the data that the values come from, both ends included."""
 
     pressure_kpa: tuple[float, float]
     length_mm: tuple[float, float]
@@ -53,18 +53,18 @@ class Domain:
 
 @dataclass(frozen=True)
 class Model:
-    """A law and what is known of it; immutable.
+    """A law with its values and their origin; immutable.
 
     Attributes:
-        name: as the command line calls it.
-        title: one line for people.
-        equations: numbers in the thesis, or none.
+        name: name on the command line.
+        title: description in one line.
+        equations: equation numbers in the thesis, if any.
         source: paper or section.
         parameters: in the law's order.
         domain: of the data that the values come from.
-        version: of the model file's form and law; a change of meaning raises it.
-        data: what the values were fitted to; `data_sha256` its hash.
-        notes: what a user must know.
+        version: of the file format and the law; raised when a meaning changes.
+        data: source of the data of the fit; `data_sha256` is its hash.
+        notes: remarks for the user.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Model:
         return {p.name: p.value for p in self.parameters}
 
     def parameter(self, name: str) -> Parameter:
-        """One parameter. Raises `PlantError` if there is none of that name."""
+        """A parameter by name. Raises `PlantError` if unknown."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
@@ -102,7 +102,7 @@ class Model:
     def with_values(self, values: Mapping[str, float]) -> Model:
         """A copy with some values replaced, in the parameters' own units.
 
-        Raises `PlantError` for an unknown name or a value that is no number.
+        Raises `PlantError` for an unknown name or a value that is not finite.
         """
         for name, value in values.items():
             self.parameter(name)
@@ -130,8 +130,8 @@ class Model:
         """Force in N; arguments broadcast against each other.
 
         For a law with memory the order of the points is their history.
-        Raises `PlantError` where the law has no value (such as a length beyond the braid), and
-        outside the domain if `outside` is "raise"; "warn" issues `OutsideDomain`.
+        Raises `PlantError` where the law has no value (for example beyond the length of the braid),
+        and outside the domain if `outside` is "raise"; "warn" issues `OutsideDomain`.
         """
         p, length, t = self._inputs(pressure_pa, length_m, temperature_c, outside)
         q, shape = self.q, p.shape
@@ -164,7 +164,7 @@ class Model:
         return self._slopes(pressure_pa, length_m, temperature_c)[1]
 
     def volume(self, length_m: npt.ArrayLike, at_length_m: float, at_volume_m3: float) -> Array:
-        """Gas volume in m3 that agrees with the force: V = V_0 - integral of f dL.
+        """Gas volume in m3 consistent with the force: V = V_0 - integral of f dL.
 
         `at_volume_m3` is the volume at the length `at_length_m`. Raises `PlantError` for a model
         that is not of the form F = p f(L) + g(L).
@@ -175,7 +175,7 @@ class Model:
         return np.asarray(self.law.swept(q, length) - zero + at_volume_m3)
 
     def dvolume_dl(self, length_m: npt.ArrayLike) -> Array:
-        """dV/dL = -f in m2, what a chamber needs beside `volume`. Raises as `volume` does."""
+        """dV/dL = -f in m2. Raises as `volume` does."""
         return np.asarray(-self.law.arm(self.q, np.asarray(length_m, dtype=np.float64)))
 
     def outside(
@@ -184,8 +184,8 @@ class Model:
         length_m: npt.ArrayLike,
         temperature_c: npt.ArrayLike = 21.0,
     ) -> str:
-        """What lies outside the domain, in words; empty if nothing does."""
-        said = []
+        """Text that lists the inputs outside the domain; empty if there are none."""
+        found = []
         values = (pressure_pa, length_m, temperature_c)
         for (axis, factor), given in zip(AXES, values, strict=True):
             low, high = getattr(self.domain, axis)
@@ -195,14 +195,14 @@ class Model:
             least, most = float(array.min()) / factor, float(array.max()) / factor
             slack = 1e-9 * max(abs(low), abs(high))
             if least < low - slack or most > high + slack:
-                said.append(f"{axis} {least:g} to {most:g}, known {low:g} to {high:g}")
-        return "; ".join(said)
+                found.append(f"{axis} {least:g} to {most:g}, known {low:g} to {high:g}")
+        return "; ".join(found)
 
     def _inputs(
         self, p: npt.ArrayLike, length: npt.ArrayLike, t: npt.ArrayLike, outside: Outside
     ) -> tuple[Array, Array, Array]:
-        if outside != "ignore" and (said := self.outside(p, length, t)):
-            text = f"model {self.name} is used outside its domain: {said}"
+        if outside != "ignore" and (exceeded := self.outside(p, length, t)):
+            text = f"model {self.name} is used outside its domain: {exceeded}"
             if outside == "raise":
                 raise PlantError(text + "; fit it to data from there first")
             warnings.warn(text, OutsideDomain, stacklevel=4)

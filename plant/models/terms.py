@@ -10,7 +10,7 @@ from plant.models.law import Array, History, Law, Slopes
 
 LOW_TOP_PA = 125e3
 HIGH_BOTTOM_PA = 150e3
-"""The thesis fits 0 to 125 and 150 to 600 kPa apart; between them it has no reading."""
+"""The thesis fits 0 to 125 and 150 to 600 kPa separately; it has no data in between."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Term:
 
 
 class TermLaw(Law):
-    """Sum over its terms of parameter times term; linear, so fitted without starting values."""
+    """Sum of parameter times term; linear, so it is fitted without starting values."""
 
     linear = True
     terms: tuple[Term, ...]
@@ -89,11 +89,11 @@ class TermLaw(Law):
         return np.stack([np.broadcast_to(term.value(p, length, t), p.shape) for term in self.terms])
 
     def arm(self, q: Array, length: Array) -> Array:
-        """Sum of the terms with pressure, over pressure."""
+        """Sum of the terms with pressure, divided by pressure."""
         return self._polynomial(q, length, 1, lambda power: (1.0, power))
 
     def passive(self, q: Array, length: Array) -> Array:
-        """Sum of the terms without pressure, and what offsets leave."""
+        """Sum of the terms without pressure, and of the constant part of offset terms."""
         return self._polynomial(q, length, 0, lambda power: (1.0, power))
 
     def swept(self, q: Array, length: Array) -> Array:
@@ -116,8 +116,8 @@ class TermLaw(Law):
 class Blend(Law):
     """One law up to 125 kPa, another from 150 kPa, blended linearly between them.
 
-    The thesis switches at 125 or 150 kPa; a jump there would shake any controller, so the gap in
-    which it has no reading is bridged. At the thesis's pressures the blend is exactly its model.
+    The thesis switches at 125 or 150 kPa. A jump there would disturb a controller, so the gap
+    without data is interpolated. At the pressures of the thesis the blend equals its model.
     """
 
     linear = True
@@ -147,7 +147,7 @@ class Blend(Law):
     def slopes(
         self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
     ) -> Slopes:
-        """Both laws' slopes, blended, and the blend's own slope."""
+        """Slopes of both laws, blended, plus the slope of the weight."""
         a, b = self._parts(q)
         w = self._weight(p)
         low, high = self.low.slopes(a, p, length, t), self.high.slopes(b, p, length, t)
@@ -172,7 +172,7 @@ BLACK_BOX_LOW = TermLaw(
 """Equation 4-41."""
 
 BLACK_BOX_HIGH = TermLaw(k1_product=Term(1, 1), k3_pressure=Term(1), k2_length=Term(0, 1), c=Term())
-"""Equation 4-36; K1 to K3 as headed in Table 4-1."""
+"""Equation 4-36; K1 to K3 as in the headings of Table 4-1."""
 
 BLACK_BOX_LOW_T = TermLaw(
     k1_cube=Term(1, 3),
@@ -199,12 +199,12 @@ BLACK_BOX_HIGH_T = TermLaw(
 """Equation 4-51."""
 
 QUASI_STATIC_LOW = TermLaw(c=Term(), ke_length=Term(0, 1), kb_pressure=Term(1))
-"""Equations 4-59 to 4-62 as Full-regression C-8 fits them: the signs come out of the fit."""
+"""Equations 4-59 to 4-62 as fitted by Full-regression C-8; the fit determines the signs."""
 
 QUASI_STATIC_HIGH = TermLaw(
     c=Term(), kd_product=Term(1, 1), kp_excess=Term(1, offset_pa=LOW_TOP_PA)
 )
-"""Section 4.13.2 as Full-regression C-9 fits it, P_th = 125 kPa."""
+"""Section 4.13.2 as fitted by Full-regression C-9, P_th = 125 kPa."""
 
 BLACK_BOX = Blend(BLACK_BOX_LOW, BLACK_BOX_HIGH)
 BLACK_BOX_T = Blend(BLACK_BOX_LOW_T, BLACK_BOX_HIGH_T)

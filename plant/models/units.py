@@ -1,4 +1,4 @@
-"""Units of model parameters: `N/(kPa mm^3)` to its factor into SI."""
+"""Units of model parameters and their factors to SI, for example `N/(kPa mm^3)`."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ BASE: dict[str, float] = {
     "deg": math.pi / 180.0,
     "%": 0.01,
 }
-"""Known units and their factors; a degree Celsius is kept as it is, never made kelvin."""
+"""Known units and their factors to SI; degrees Celsius are not converted to kelvin."""
 
 _FACTOR = re.compile(r"^([A-Za-z%]+|1)(?:\^(\d+))?$")
 
 
 def to_si(unit: str) -> float:
-    """Factor that turns a number in `unit` into SI.
+    """Factor that converts a number in `unit` to SI.
 
-    A unit is a product of names, with powers, over at most one product in brackets:
+    A unit is a product of names with powers, divided by at most one product in brackets:
     `mm`, `1/%`, `N/mm`, `N/(kPa mm^3 degC)`. Raises `PlantError` for anything else.
     """
     top, slash, bottom = unit.partition("/")

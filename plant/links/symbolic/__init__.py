@@ -1,1 +1,1 @@
-"""Equations of motion in symbols, printed or as source text."""
+"""Symbolic equations of motion, printed or as source code."""

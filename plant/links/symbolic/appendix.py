@@ -1,9 +1,9 @@
-"""Appendix A-2 of the thesis: the two-link equations as printed, and as they have to read.
+"""Appendix A-2 of the thesis: the two-link equations as printed, and corrected.
 
-The appendix counts both angles from the horizontal and its torques are those of these angles. The
-arm here counts each joint from the link before: theta1 = q1, theta2 = q1 + q2, and the virtual work
-of both must agree, so the torques are tau1 - tau2 and tau2. Only after this change of variables can
-the thesis's program (which counts like the arm here) give the appendix's equations.
+The appendix measures both angles from the horizontal, and its torques belong to these angles. The
+arm here measures each joint angle from the previous link: theta1 = q1, theta2 = q1 + q2. Equal
+virtual work gives the torques tau1 - tau2 and tau2. With this change of variables the program of
+the thesis (same angles as the arm here) gives the equations of the appendix.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SYMBOLS: dict[str, Any] = {
         *("theta1", "theta2", "theta1d", "theta2d", "theta1dd", "theta2dd"),
     )
 }
-"""The appendix's symbols; d and dd mark first and second derivatives by time."""
+"""Symbols of the appendix; d and dd are first and second time derivatives."""
 
 _PRINTED = (
     "(m1*lg1**2 + I1 + m1*l1**2)*theta1dd + m2*l1*lg2**2*cos(theta2 - theta1)*theta1dd"
@@ -36,7 +36,7 @@ _PRINTED = (
 
 @dataclass(frozen=True)
 class Difference:
-    """What one torque has in front of one factor, as printed and as derived."""
+    """Coefficient of one factor in one torque, as printed and as derived."""
 
     torque: int
     factor: str
@@ -51,7 +51,7 @@ def printed_equations() -> tuple[Any, Any]:
 
 
 def derived_equations() -> tuple[Any, Any]:
-    """The two torques as Lagrange's equations give them, in the appendix's angles and symbols."""
+    """The two torques from Lagrange's equations, in the angles and symbols of the appendix."""
     e = derive(_two_links())
     s = SYMBOLS
     change = {
@@ -73,7 +73,7 @@ def derived_equations() -> tuple[Any, Any]:
 
 
 def differences() -> list[Difference]:
-    """Where print and derivation differ, factor by factor."""
+    """Differences between print and derivation, factor by factor."""
     found = []
     factors = [SYMBOLS["theta1dd"], SYMBOLS["theta2dd"], "theta1d**2", "theta2d**2", "g"]
     for number, pair in enumerate(zip(printed_equations(), derived_equations(), strict=True), 1):
@@ -85,7 +85,7 @@ def differences() -> list[Difference]:
 
 
 def _two_links() -> Arm:
-    """Any two thin rods: only which of their numbers are zero matters."""
+    """Two thin rods; only the zeros among their parameters matter."""
     return Arm(
         "appendix",
         tuple(

@@ -1,8 +1,8 @@
-"""Evaluates the source of an arm's equations without running it.
+"""Evaluates the source code of an arm's equations without executing it.
 
-The source (see `sourcecode`) is for people to keep and use. Here it is read as data: each function
-becomes a list of sums, products, powers, sines and cosines on numbered cells. A text that says
-anything else is refused. So whatever a name or a damaged file puts into it, nothing of it runs.
+The source (see `sourcecode`) is for users to keep and use. Here it is parsed as data: each function
+becomes a list of sums, products, powers, sines and cosines on numbered cells. Anything else is an
+error. So code that a name or a damaged file puts into the source is never executed.
 """
 
 from __future__ import annotations
@@ -26,18 +26,19 @@ _TWO: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 _ONE: dict[str, Callable[[Any], Any]] = {"sin": np.sin, "cos": np.cos}
 
 Shape = int | tuple["Shape", ...]
-"""A cell, or results in a tuple as the source has them."""
+"""A cell, or a tuple of cells as in the source."""
 
 
 class Equation:
-    """One function of the source: of tuples, with the arm's parameters `p` by default."""
+    """One function of the source; its arguments are tuples, `p` is by default the arm's
+    parameters."""
 
     def __init__(self, node: ast.FunctionDef, p: tuple[float, ...]) -> None:
         self.name = node.name
         self._p = p
         self._arguments = [argument.arg for argument in node.args.args]
         if node.args.vararg or node.args.kwarg or self._arguments[-1:] != ["p"]:
-            raise _strange(node)
+            raise _unexpected(node)
         self._given: dict[str, list[int | None]] = {}
         self._cells: list[Any] = []
         self._names: dict[str, int] = {}
@@ -46,7 +47,7 @@ class Equation:
         for line in node.body:
             self._line(line)
         if len(self._out) != 1 or set(self._given) - set(self._arguments):
-            raise _strange(node)
+            raise _unexpected(node)
 
     def __call__(self, *given: Any, p: Any = None) -> Any:
         """The results, a tuple or a tuple of tuples; numbers or arrays of any one shape."""
@@ -71,18 +72,18 @@ class Equation:
                 return
             case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Name(id=source)):
                 if source in self._given:
-                    raise _strange(line)
+                    raise _unexpected(line)
                 self._given[source] = [self._target(name) for name in names]
             case ast.Assign(targets=[ast.Name(id=name)], value=value):
                 self._names[name] = self._value(value)
             case ast.Return(value=ast.Tuple() as value):
                 self._out.append(self._shape(value))
             case _:
-                raise _strange(line)
+                raise _unexpected(line)
 
     def _target(self, name: ast.expr) -> int | None:
         if not isinstance(name, ast.Name):
-            raise _strange(name)
+            raise _unexpected(name)
         if name.id == "_":
             return None
         self._names[name.id] = self._cell(None)
@@ -103,7 +104,7 @@ class Equation:
         return self._value(node)
 
     def _value(self, node: ast.expr) -> int:
-        # A long sum hangs on its left side: down that in a loop, not by recursion.
+        # A long sum nests on its left side: follow it in a loop, not by recursion.
         later: list[ast.BinOp] = []
         while isinstance(node, ast.BinOp):
             later.append(node)
@@ -118,19 +119,19 @@ class Equation:
             case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in _ONE:
                 cell = self._step(_ONE[name], self._value(argument))
             case _:
-                raise _strange(node)
+                raise _unexpected(node)
         for binary in reversed(later):
             function = _TWO.get(type(binary.op))
             if function is None:
-                raise _strange(binary)
+                raise _unexpected(binary)
             cell = self._step(function, cell, self._value(binary.right))
         return cell
 
 
 def equations_of(source: str) -> dict[str, Equation]:
-    """The functions of a source by name, without `state_space`, which only calls another.
+    """The functions of a source by name, without `state_space`, which only calls another one.
 
-    Raises `LinkError` for text that `sourcecode` does not write.
+    Raises `LinkError` for text that `sourcecode` cannot have written.
     """
     p: tuple[float, ...] | None = None
     out: dict[str, Equation] = {}
@@ -147,7 +148,7 @@ def equations_of(source: str) -> dict[str, Equation]:
                     if name != "state_space":
                         out[name] = Equation(line, p)
                 case _:
-                    raise _strange(line)
+                    raise _unexpected(line)
         if not out:
             raise ValueError
         return out
@@ -158,7 +159,7 @@ def equations_of(source: str) -> dict[str, Equation]:
 def _numbers(line: ast.Assign) -> tuple[float, ...]:
     value = ast.literal_eval(line.value)
     if not isinstance(value, tuple) or not all(isinstance(number, float) for number in value):
-        raise _strange(line)
+        raise _unexpected(line)
     return value
 
 
@@ -168,5 +169,5 @@ def _gathered(shape: Shape, cells: list[Any]) -> Any:
     return cells[shape]
 
 
-def _strange(node: ast.stmt | ast.expr) -> LinkError:
-    return LinkError(f"these are no equations of an arm: line {node.lineno} says something else")
+def _unexpected(node: ast.stmt | ast.expr) -> LinkError:
+    return LinkError(f"these are no equations of an arm: unexpected code in line {node.lineno}")

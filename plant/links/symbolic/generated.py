@@ -1,9 +1,9 @@
-"""An arm's equations as functions: derived once, kept as Python source on disk.
+"""An arm's equations as functions: derived once, cached as Python source on disk.
 
-The source lies in `$PAMRIG_CACHE/links`, or `~/.cache/pamrig/links`; its name depends on the arm,
-and on the files that derive it, so that an old one is never taken for a new one.
-With the source at hand SymPy is not needed. A folder that cannot be written to costs time only.
-The source is never run, here it is only evaluated (see `evaluate`).
+The source is in `$PAMRIG_CACHE/links`, or `~/.cache/pamrig/links`. Its name depends on the arm and
+on the files that derive it, so an outdated file is never used. With a cached source, SymPy is not
+needed. If the folder cannot be written, the equations are derived each time. The source is never
+executed, only evaluated (see `evaluate`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _DERIVING = ("trigpoly.py", "lagrange.py", "statespace.py", "sourcecode.py", "ge
 class GeneratedDynamics:
     """The generated functions of one arm, on arrays (n,) or (batch, n); see `plant.links.dynamics`.
 
-    `functions` are as in the source: of tuples, with the arm's parameters by default.
+    `functions` are those of the source: arguments are tuples, parameters by default the arm's.
     """
 
     def __init__(self, arm: Arm, source: str) -> None:
@@ -49,19 +49,19 @@ class GeneratedDynamics:
         return np.stack([self._stacked(row, shape) for row in rows], axis=-2)
 
     def velocity_torque(self, q: npt.ArrayLike, qd: npt.ArrayLike) -> Array:
-        """H."""
+        """Coriolis and centrifugal torques h."""
         return self._called("coriolis", q, qd)
 
     def gravity_torque(self, q: npt.ArrayLike) -> Array:
-        """C."""
+        """Gravity torques c."""
         return self._called("gravity", q)
 
     def inverse_dynamics(self, q: npt.ArrayLike, qd: npt.ArrayLike, qdd: npt.ArrayLike) -> Array:
-        """Torques that give the accelerations `qdd`."""
+        """Torques for the accelerations `qdd`."""
         return self._called("inverse_dynamics", q, qd, qdd)
 
     def forward_dynamics(self, q: npt.ArrayLike, qd: npt.ArrayLike, torque: npt.ArrayLike) -> Array:
-        """Accelerations under given torques."""
+        """Accelerations for given torques."""
         return self._called("forward_dynamics", q, qd, torque)
 
     def _called(self, name: str, *given: npt.ArrayLike) -> Array:
@@ -89,7 +89,7 @@ class GeneratedDynamics:
 
 @functools.lru_cache(maxsize=32)
 def generated(arm: Arm) -> GeneratedDynamics:
-    """The generated functions of an arm, from the cache where they are there."""
+    """The generated functions of an arm, from the cache if possible."""
     return GeneratedDynamics(arm, generated_source(arm))
 
 
@@ -109,7 +109,7 @@ def generated_source(arm: Arm) -> str:
 
 
 def require_sympy() -> None:
-    """Say how to get SymPy. Raises `LinkError` where it is missing."""
+    """Raise `LinkError` with instructions if SymPy is missing."""
     try:
         importlib.metadata.version("sympy")
     except importlib.metadata.PackageNotFoundError:
@@ -119,7 +119,7 @@ def require_sympy() -> None:
 
 
 def cache_folder() -> Path:
-    """Where generated source is kept."""
+    """Folder of the cached source."""
     stated = os.environ.get("PAMRIG_CACHE")
     return (Path(stated) if stated else Path.home() / ".cache" / "pamrig") / "links"
 
@@ -136,7 +136,7 @@ def _sum(source: str) -> str:
 
 
 def _read(path: Path) -> str | None:
-    """Source from the cache, if it is there and as it was written."""
+    """Source from the cache, or None if missing or damaged."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
@@ -146,7 +146,7 @@ def _read(path: Path) -> str | None:
 
 
 def _write(path: Path, source: str) -> None:
-    """Whole or not at all: another process may be reading."""
+    """Write atomically, because another process may read the file."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")

@@ -1,12 +1,12 @@
-"""The Lagrange-Euler equations of an arm in symbols, after section 2.2 of the thesis.
+"""Symbolic Lagrange-Euler equations of an arm, from section 2.2 of the thesis.
 
-D from the traces of equation 2-18, h from its derivatives (Christoffel's symbols, which is what
-the traces of equation 2-20 come to), c from the potential. Three slips of the printed equations:
-2-18 has J(k) for J(j); the second case of U(ijk) reads i >= j >= i for i >= j >= k; and c has
-U(ij) for U(ji).
+D comes from the traces of equation 2-18, h from its derivatives (Christoffel symbols, equivalent to
+the traces of equation 2-20), c from the potential. The printed equations have three errors: 2-18
+has J(k) for J(j); the second case of U(ijk) has i >= j >= i for i >= j >= k; and c has U(ij) for
+U(ji).
 
-Needs SymPy (`pip install 'pamrig[symbolic]'`). Only parameters that are not zero in the arm become
-symbols, so that a planar arm's equations are as short as they are in a book.
+Needs SymPy (`pip install 'pamrig[symbolic]'`). Only nonzero parameters of the arm become symbols,
+so the equations of a planar arm are as short as in a textbook.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ Matrix = list[list[TrigPoly]]
 
 @dataclass(frozen=True)
 class Equations:
-    """D q'' + h + c + b q' = torque in symbols: SymPy expressions, rows in tuples.
+    """D q'' + h + c + b q' = torque as SymPy expressions, rows in tuples.
 
-    `parameters` gives each symbol its number (SI) in the arm; `christoffel[i][k][m]` is the factor
-    of q'(k) q'(m) in h(i), the thesis's h(ikm).
+    `parameters` maps each symbol to its value (SI); `christoffel[i][k][m]` is the factor of
+    q'(k) q'(m) in h(i), h(ikm) in the thesis.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Equations:
         return len(self.q)
 
     def inertia_rate(self) -> tuple[tuple[Any, ...], ...]:
-        """dD/dt, each entry differentiated by the angles and summed with the rates."""
+        """dD/dt: the derivatives of each entry by the angles, times the rates."""
         return tuple(
             tuple(
                 sympy.Add(*(sympy.diff(d, q) * qd for q, qd in zip(self.q, self.qd, strict=True)))
@@ -61,7 +61,7 @@ class Equations:
         )
 
     def coriolis_matrix(self) -> tuple[tuple[Any, ...], ...]:
-        """C with C q' = h, by Christoffel's symbols."""
+        """C with C q' = h, from Christoffel symbols."""
         return tuple(
             tuple(sympy.Add(*(g * qd for g, qd in zip(row, self.qd, strict=True))) for row in block)
             for block in self.christoffel
@@ -69,11 +69,10 @@ class Equations:
 
 
 class _Parameters:
-    """The numbers of an arm as symbols of one polynomial ring; zeros, and halves, stay numbers."""
+    """The parameters of an arm as symbols of one polynomial ring; zeros stay numbers."""
 
     def __init__(self, arm: Arm) -> None:
         self.values: dict[str, float] = {}
-        self.angles: list[str] = []
         for i, link in enumerate(arm.links, 1):
             self._note(f"l{i}", link.a_m)
             self._note(f"d{i}", link.d_m)
@@ -82,7 +81,7 @@ class _Parameters:
                     self._note(name, value)
             if link.mass_kg:
                 self._note(f"m{i}", link.mass_kg)
-                # Counted from the joint, as books do: thesis, Appendix A-2.
+                # Measured from the joint, as in textbooks and in Appendix A-2 of the thesis.
                 self._note(f"lg{i}", link.a_m + link.com_m[0])
                 self._note(f"yg{i}", link.com_m[1])
                 self._note(f"zg{i}", link.com_m[2])
@@ -111,17 +110,13 @@ class _Parameters:
         return self.of.get(name, self.ring.zero)
 
     def number(self, name: str, value: float) -> Any:
-        """A cosine or sine of a twist: a symbol, or the whole number that it is."""
+        """A cosine or sine of a twist: a symbol, or an integer."""
         return self.of.get(name, self.ring(round(value)))
 
 
-def derive(arm: Arm) -> Equations:
-    """The equations of an arm. Same arm, same result: it is kept for the next call."""
-    return _derived(arm)
-
-
 @functools.lru_cache(maxsize=32)
-def _derived(arm: Arm) -> Equations:
+def derive(arm: Arm) -> Equations:
+    """The equations of an arm; results are cached."""
     n = arm.degrees
     p = _Parameters(arm)
     transforms = _transforms(arm, p)
@@ -131,7 +126,7 @@ def _derived(arm: Arm) -> Equations:
         body = _pseudo_inertia(arm, j, p)
         if not any(entry for row in body for entry in row):
             continue
-        # U(jk) = dA(j)/dq(k), only its three rows that are not zero.
+        # U(jk) = dA(j)/dq(k), only the three nonzero rows.
         u = [_differentiate(transforms[j], k) for k in range(j + 1)]
         for k in range(j + 1):
             left = _times(u[k], body)
@@ -188,9 +183,7 @@ def _transforms(arm: Arm, p: _Parameters) -> list[Matrix]:
         if not out:
             out.append(step[:3])
             continue
-        before = out[-1]
-        bottom = [[zero, zero, zero, const(one)]]
-        padded = before + bottom
+        padded = out[-1] + [step[3]]
         out.append(
             [
                 [total(padded[r][m] * step[m][k] for m in range(4)) for k in range(4)]
@@ -201,7 +194,7 @@ def _transforms(arm: Arm, p: _Parameters) -> list[Matrix]:
 
 
 def _pseudo_inertia(arm: Arm, j: int, p: _Parameters) -> list[list[Any]]:
-    """J(j) of the erratum with its diagonal put right, about the frame's origin."""
+    """J(j) of the erratum with a corrected diagonal, about the frame's origin."""
     i = j + 1
     m = p[f"m{i}"]
     com = (p[f"lg{i}"] - p[f"l{i}"], p[f"yg{i}"], p[f"zg{i}"])
@@ -253,7 +246,7 @@ def _as_expressions(
         tuple(sympy.Symbol(f"{letter}{i}") for i in numbers) for letter in ("q", "qd", "qdd", "tau")
     )
     values = dict(p.values)
-    # Offsets only shift the angles; rates do not notice.
+    # Offsets shift the angles; they do not change the rates.
     angles = []
     for i, link in enumerate(arm.links):
         if link.offset_rad:
@@ -275,7 +268,7 @@ def _as_expressions(
         h.append(sympy.Add(*parts))
     inertia = tuple(tuple(entry.expression(at) for entry in row) for row in d)
     gravity = tuple(entry.expression(at) for entry in c)
-    # A planar arm has moments that never act.
+    # Some moments of a planar arm do not appear in its equations.
     used = {
         str(s) for row in (*inertia, gravity, damping) for value in row for s in value.free_symbols
     }

@@ -17,7 +17,8 @@ FORMS = ("text", "latex", "python")
 
 
 def printed(equations: Equations, form: str = "text") -> str:
-    """The equations in one of `FORMS`, ending in a newline. Raises `LinkError` for another form."""
+    """The equations in one of `FORMS`, with a final newline. Raises `LinkError` for another
+    form."""
     makers: dict[str, Callable[[Equations], str]] = {
         "text": as_text,
         "latex": as_latex,
@@ -29,7 +30,7 @@ def printed(equations: Equations, form: str = "text") -> str:
 
 
 def as_text(equations: Equations) -> str:
-    """Plain text, one equation a line."""
+    """Plain text, one equation per line."""
     n = equations.degrees
     joints = ", ".join(f"q{i + 1} {name}" for i, name in enumerate(equations.joints))
     damped = " + b q'" if any(equations.damping) else ""
@@ -55,7 +56,7 @@ def as_text(equations: Equations) -> str:
 
 
 def as_latex(equations: Equations) -> str:
-    """An `align*` environment a part, to be pasted into a document that uses amsmath."""
+    """One `align*` environment per part, for a document with amsmath."""
     n = equations.degrees
 
     def aligned(title: str, rows: list[tuple[str, Any]]) -> list[str]:

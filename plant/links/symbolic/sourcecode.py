@@ -11,10 +11,10 @@ from plant.links.symbolic.statespace import Step, dynamics_steps, entry, solutio
 
 
 def as_python(equations: Equations) -> str:
-    """Plain functions of angles that may be floats or arrays of any one shape.
+    """Functions of angles that are floats or arrays of the same shape.
 
-    `p` are the parameters in the order of NAMES, by default the arm's own. The source needs numpy
-    alone, and numba can compile its functions.
+    `p` are the parameters in the order of NAMES, by default those of the arm. The source needs only
+    numpy, and numba can compile its functions.
     """
     n = equations.degrees
     q, qd, qdd, tau = equations.q, equations.qd, equations.qdd, equations.torque
@@ -47,7 +47,7 @@ def as_python(equations: Equations) -> str:
             "inverse_dynamics",
             "Torques for given accelerations.",
             {"q": q, "qd": qd, "qdd": qdd},
-            steps[:-n],  # without the last n, which leave the torques as remainders
+            steps[:-n],  # the last n compute the residual torques r
             [torque],
         ),
         _function(
@@ -88,9 +88,9 @@ def _function(
     steps: list[Step],
     rows: Any,
 ) -> list[str]:
-    """Lines of one function: unpack, steps with what they share, results.
+    """Lines of one function: unpack arguments, steps with shared subexpressions, results.
 
-    One row of results is returned as a tuple, several as a tuple of tuples.
+    One row of results is returned as a tuple, several rows as a tuple of tuples.
     """
     flat = [value for row in rows for value in row]
     shared, reduced = sympy.cse(
@@ -101,7 +101,7 @@ def _function(
     lines = ["", "", f"def {name}({', '.join(arguments)}, p=P):", f'    """{doc}"""']
     parameters = tuple(sympy.Symbol(key) for key in equations.parameters)
     for source, symbols in [*arguments.items(), ("p", parameters)]:
-        # What this function does not use goes by the name of nothing.
+        # Unused arguments are unpacked into _.
         targets = [str(s) if s in used else "_" for s in symbols]
         if set(targets) - {"_"}:
             lines.append(f"    {', '.join(targets)}{',' * (len(targets) == 1)} = {source}")
@@ -112,7 +112,7 @@ def _function(
 
 
 def _ordered(shared: list[Step], steps: list[Step]) -> list[Step]:
-    """Steps in their order, each shared part as soon as all that it needs is there."""
+    """Steps in their order, each shared part as soon as its inputs are known."""
     missing = {symbol for symbol, _ in [*shared, *steps]}
     waiting = list(shared)
     out: list[Step] = []

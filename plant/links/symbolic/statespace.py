@@ -1,10 +1,10 @@
-"""The equations in state-space form, solved for the accelerations once and for all, in symbols.
+"""The equations in state-space form, symbolically solved for the accelerations.
 
     x = (q, q'),   x' = (q', D^-1 (torque - h - c - b q'))
 
-D is taken apart as L P L^T (L with a unit diagonal, P diagonal), which needs no pivoting since D is
-positive definite; what comes out is a list of assignments, to be evaluated from top to bottom, with
-no numerical technique (thesis, section 2.3).
+D is factored as L P L^T (L with a unit diagonal, P diagonal). No pivoting is needed because D is
+positive definite. The result is a list of assignments, evaluated from top to bottom, without a
+numerical solver (thesis, section 2.3).
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ Step = tuple[Any, Any]
 
 
 def entry(i: int, k: int) -> Any:
-    """Name of an entry of D, counted from 1; D is symmetric, the smaller index comes first."""
+    """Symbol of an entry of D, with indices from 1; the smaller index comes first."""
     return sympy.Symbol(f"D{min(i, k)}_{max(i, k)}")
 
 
 def dynamics_steps(equations: Equations) -> list[Step]:
-    """Assignments of D's entries that are not zero, of h and c, and of r that is left to D q''.
+    """Assignments of the nonzero entries of D, of h and c, and (the last n) of r.
 
-    r = torque - h - c - b q', the last n.
+    r = torque - h - c - b q' = D q''.
     """
     n = equations.degrees
     steps: list[Step] = []
@@ -45,7 +45,7 @@ def dynamics_steps(equations: Equations) -> list[Step]:
 
 
 def solution_steps(equations: Equations) -> list[Step]:
-    """Assignments that lead from D's entries and r to the accelerations."""
+    """Assignments that compute the accelerations from the entries of D and r."""
     n = equations.degrees
     d = [
         [entry(i + 1, k + 1) if equations.inertia[i][k] != 0 else sympy.S.Zero for k in range(n)]
@@ -56,7 +56,7 @@ def solution_steps(equations: Equations) -> list[Step]:
     lower: list[list[Any]] = [[sympy.S.Zero] * n for _ in range(n)]
 
     def name(symbol: str, value: Any) -> Any:
-        """The value itself where a name would only stand for another name or for nothing."""
+        """Assign the value to a symbol; a symbol or number is used directly."""
         if value.is_Atom:
             return value
         steps.append((sympy.Symbol(symbol), value))

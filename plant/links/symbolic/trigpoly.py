@@ -1,9 +1,9 @@
-"""Exact polynomials in sines and cosines of joint angles, always in one form.
+"""Exact polynomials in sines and cosines of joint angles, in a canonical form.
 
 Sines and cosines of sums of joint angles, with coefficients polynomial in the arm's parameters:
-    sum over v of  a(v) cos(v . q) + b(v) sin(v . q),   v whole numbers.
-A product is turned into such a sum at once, so that sin^2 + cos^2 is 1 and cos(q2) cos(q3) -
-sin(q2) sin(q3) is cos(q2 + q3) without any search: this is why no `simplify` is needed.
+    sum over v of  a(v) cos(v . q) + b(v) sin(v . q),   v integers.
+A product is converted to such a sum immediately, so sin^2 + cos^2 becomes 1 and cos(q2) cos(q3) -
+sin(q2) sin(q3) becomes cos(q2 + q3) without a search. No `simplify` is needed.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any
 import sympy
 
 Waves = tuple[int, ...]
-"""How often each joint angle is counted in one argument."""
+"""Factors of the joint angles in one argument."""
 
 
 class TrigPoly:
-    """One such sum. `terms` maps v to (a, b); v's first number that is not 0 is positive."""
+    """One such sum. `terms` maps v to (a, b); the first nonzero element of v is positive."""
 
     __slots__ = ("terms",)
 
@@ -27,7 +27,7 @@ class TrigPoly:
 
     @classmethod
     def constant(cls, value: Any, degrees: int) -> TrigPoly:
-        """A value without any angle in it."""
+        """A value without angles."""
         return cls({(0,) * degrees: (value, value * 0)})
 
     def __bool__(self) -> bool:
@@ -51,7 +51,7 @@ class TrigPoly:
         return TrigPoly({v: (b * v[joint], a * -v[joint]) for v, (a, b) in self.terms.items()})
 
     def scaled(self, factor: Any) -> TrigPoly:
-        """Times a number or a parameter of the same ring."""
+        """Product with a number or a parameter of the same ring."""
         return TrigPoly({v: (a * factor, b * factor) for v, (a, b) in self.terms.items()})
 
     def expression(self, angles: tuple[Any, ...]) -> Any:
@@ -68,7 +68,7 @@ class TrigPoly:
 
 
 def total(parts: Iterable[TrigPoly]) -> TrigPoly:
-    """Sum of any number of them; of one at least."""
+    """Sum of one or more polynomials."""
     out: dict[Waves, tuple[Any, Any]] = {}
     for part in parts:
         for v, (a, b) in part.terms.items():
@@ -78,7 +78,8 @@ def total(parts: Iterable[TrigPoly]) -> TrigPoly:
 
 
 def _join(out: dict[Waves, tuple[Any, Any]], v: Waves, a: Any, b: Any) -> None:
-    """Add a cos + b sin of v, with v turned so that its first number is positive."""
+    """Add a cos + b sin of v, with the sign of v such that its first nonzero element is
+    positive."""
     lead = next((x for x in v if x), 0)
     if lead < 0:
         v, b = tuple(-x for x in v), -b
@@ -89,7 +90,7 @@ def _join(out: dict[Waves, tuple[Any, Any]], v: Waves, a: Any, b: Any) -> None:
 
 
 def _factored(polynomial: Any) -> Any:
-    """As an expression, with what all its terms share in front, sign included."""
+    """As an expression, with common factors and sign in front."""
     content, rest = polynomial.primitive()
     if all(number < 0 for number in rest.coeffs()):
         content, rest = -content, -rest

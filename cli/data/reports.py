@@ -1,0 +1,105 @@
+"""`pamrig report`, `pamrig view` and `pamrig import thesis|points`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cli.options import RUNS, JsonOption, OutOption, RunArgument, RunsOption, WarmOption
+from cli.output import print_json, writing
+
+
+def report(
+    run: RunArgument = "last",
+    out: Annotated[Path | None, typer.Option("--out", help="HTML file to write.")] = None,
+    runs: RunsOption = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Reduce a run and write its report: one self-contained HTML file."""
+    from analysis.reporting.derived import derive_all
+    from analysis.reporting.report import report_json
+    from daq.store.store import find_run
+
+    found = find_run(runs, run)
+    if as_json:
+        print_json(report_json(found))
+        return
+    path = derive_all(found.folder).folder / "derived" / "report.html"
+    if out is not None:
+        with writing(out):
+            out.write_bytes(path.read_bytes())
+    typer.echo(str(out or path))
+
+
+def view(run: RunArgument = "last", runs: RunsOption = RUNS) -> None:
+    """Open a recorded run in the viewer, until Ctrl-C or until the viewer is closed."""
+    import signal
+    import sys
+
+    from analysis.layouts.layouts import measured_edges
+    from analysis.registry import analysis_of
+    from daq.live.viewfile import open_view
+    from daq.store.store import find_run
+
+    found = find_run(runs, run)
+    kind = analysis_of(found.manifest.get("protocol"))
+    layout = kind.layout(found.manifest.get("parameters") or {})
+    # On SIGTERM, exit normally, so that `finally` also ends the viewer's process.
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    opened = open_view(found, layout, measured_edges(found))
+    try:
+        typer.echo(opened.message)
+        opened.wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        opened.close()
+
+
+def add_imports(app: typer.Typer) -> None:
+    """Add the commands of `pamrig import`."""
+    app.command("thesis")(import_thesis)
+    app.command("points")(import_points)
+
+
+def import_thesis(
+    table: Annotated[str, typer.Argument(help="Thesis table: c01 (isometric).")],
+    out: OutOption = RUNS,
+    warm: WarmOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a run from a thesis table; only measured columns by default."""
+    from analysis.formats.importer import import_thesis
+    from daq.clock import RealClock
+
+    folder = import_thesis(table, out, RealClock(), include_formula=warm)
+    _report_import(table, folder, as_json)
+
+
+def import_points(
+    source: Annotated[str, typer.Argument(help="CSV of settled points, or a dataset folder.")],
+    out: OutOption = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a run from settled points measured elsewhere."""
+    from analysis.formats.importer import import_points
+    from daq.clock import RealClock
+
+    _report_import(source, import_points(source, out, RealClock()), as_json)
+
+
+def _report_import(source: str, folder: Path, as_json: bool) -> None:
+    """Derive table and report of an imported run, and print where they are."""
+    from analysis.reporting.derived import derive_all
+
+    run = derive_all(folder)
+    if as_json:
+        from analysis.reporting.report import report_json
+
+        print_json(report_json(run))
+        return
+    typer.echo(f"imported {source} as {folder}")
+    typer.echo(f"  report: {folder / 'derived' / 'report.html'}")

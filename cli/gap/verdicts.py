@@ -1,0 +1,223 @@
+"""`pamrig gap where|diagnose|shrink|next|report`: diagnose a data set and print the result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from cli.output import print_json
+from gap.data.sources import open_data
+from gap.decision.diagnose import diagnose, diagnose_with_fit
+from gap.output import check_out, write_text
+from gap.verdict import Verdict, plain
+
+
+def _ids(text: str) -> list[str]:
+    """Ids in a comma-separated list."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def _summary(verdict: Verdict) -> str:
+    return f"{verdict.status.replace('_', ' ')}: {verdict.reason}"
+
+
+def diagnose_command(data: Path, without: str, as_json: bool) -> None:
+    """`pamrig gap diagnose`."""
+    verdict = diagnose(open_data(data), _ids(without))
+    if as_json:
+        print_json(verdict.as_dict())
+    else:
+        typer.echo("\n".join(_verdict_text(verdict)))
+
+
+def where_command(data: Path, out: Path | None, as_json: bool) -> None:
+    """`pamrig gap where`: stages, comparisons, and curves of the residual."""
+    from gap.reporting.map_figures import check_picture, write_courses
+    from gap.validation.maps import residual_maps
+    from gap.validation.where import MEANING, stage_errors
+
+    check_picture(out)
+    verdict, problem, fit = diagnose_with_fit(open_data(data))
+    found = stage_errors(problem, fit) if problem is not None and fit is not None else None
+    courses = residual_maps(problem, fit) if problem is not None and fit is not None else []
+    drawn = out is not None and bool(courses)
+    if out is not None and drawn:
+        write_courses(courses, bool(verdict.effects), out)
+    table = verdict.as_dict()
+    if as_json:
+        print_json(
+            {
+                "where": table["where"], "gap": table["gap"], "status": table["status"],
+                "reason": table["reason"], "meaning": MEANING, **plain(found or {}),
+                "maps": [plain(course.as_dict()) for course in courses],
+                "figure": str(out) if drawn else None,
+            }
+        )  # fmt: skip
+        return
+    lines = [_summary(verdict)]
+    if verdict.stages:
+        lines.append("share of the end-to-end gap by stage (Shapley; 95 % interval over slots)")
+    if problem is not None:
+        lines += _where_text(verdict) or ["no stage and no comparison stands out"]
+    if found:
+        lines.append("end to end, commands replayed    rms    floor")
+        lines += [
+            f"  {e['end']:9s}  {e['rms']:15.3g} {e['unit']:3s}  {e['floor']:.3g}"
+            for e in found["end_to_end"]
+        ]
+        lines.append("stage by stage, measured inputs  rms    floor")
+        lines += [
+            f"  {r['block']:9s}  {r['recalibrated']:15.3g} {r['unit']:3s}  {r['floor']:.3g}"
+            for r in found["stage_by_stage"]
+        ]
+    if drawn:
+        lines.append(f"residual over pressure, length, temperature and time: {out}")
+    elif out is not None:
+        lines.append(f"{out} was not written: there is no residual to draw")
+    typer.echo("\n".join(lines))
+
+
+def shrink_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:
+    """`pamrig gap shrink`: the gap before and after, by block and by what was held out."""
+    from gap.validation.improved_plant import improved_plant
+    from gap.validation.shrinkage import as_lines, shrinkage
+
+    check_out(out)
+    verdict, problem, fit = diagnose_with_fit(open_data(data), _ids(without))
+    table = verdict.as_dict()
+    named = bool(verdict.effects)
+    found: dict[str, Any] = {}
+    if problem is not None and fit is not None:
+        # An effect that the verdict does not stand by is no improvement of the plant.
+        kept = fit if named else problem.base
+        found = plain(shrinkage(problem, kept, named))
+        if out is not None:
+            write_text(out, improved_plant(problem, kept))
+    written = out if found else None
+    if as_json:
+        print_json(
+            {
+                "gap": table["gap"], "status": table["status"], "effects": table["effects"],
+                **(found or {"held_out": {}}), "plant": str(written) if written else None,
+            }
+        )  # fmt: skip
+        return
+    lines = [_summary(verdict), *_gap_text(verdict)]
+    lines += as_lines(found) if found else []
+    if written is not None:
+        lines.append(f"improved plant written to {written}")
+    elif out is not None:
+        lines.append(f"{out} was not written: these data do not improve the plant")
+    typer.echo("\n".join(lines))
+
+
+def next_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:
+    """`pamrig gap next`."""
+    from gap.design.advise import protocol_text
+
+    check_out(out)
+    verdict = diagnose(open_data(data), _ids(without))
+    experiment = verdict.next_experiment
+    written = None
+    if experiment is not None and out is not None:
+        text = protocol_text(experiment)
+        if text is not None:
+            write_text(out, text)
+            written = str(out)
+    if as_json:
+        table = verdict.as_dict()
+        print_json(
+            {
+                "status": table["status"], "next_experiment": table["next_experiment"],
+                "protocol_file": written,
+            }
+        )  # fmt: skip
+        return
+    lines = _next_text(verdict, written)
+    if out is not None and written is None:
+        lines.append(f"{out} was not written: the advice is not a test protocol")
+    typer.echo("\n".join(lines))
+
+
+def report_command(data: Path, out: Path, without: str, as_json: bool) -> None:
+    """`pamrig gap report`: the diagnosis as an HTML page."""
+    from gap.reporting.examination import examine
+    from gap.reporting.report import write_report
+    from gap.reporting.text import headline
+
+    check_out(out)
+    examined = examine(open_data(data), _ids(without))
+    write_report(examined, out)
+    if as_json:
+        print_json({"report": str(out), "verdict": examined.verdict.as_dict()})
+    else:
+        typer.echo(headline(examined.verdict))
+        typer.echo(f"report   {out}")
+
+
+def _next_text(verdict: Verdict, written: str | None) -> list[str]:
+    lines = [_summary(verdict)]
+    experiment = verdict.next_experiment
+    if experiment is None:
+        return [*lines, "next        another experiment would not resolve anything"]
+    settings = ", ".join(f"{k} {v}" for k, v in experiment.settings.items())
+    lines.append(f"next        {experiment.trials} x {experiment.protocol} ({settings})")
+    lines.append(
+        f"separation  {experiment.separation_now:.1f} now, {experiment.separation_after:.1f} after "
+        f"({' against '.join(experiment.between)})"
+    )
+    lines.append(f"why         {experiment.why}")
+    if written:
+        lines.append(
+            f"written     {written}; run it with pamrig {experiment.protocol} --protocol {written}"
+        )
+    return lines
+
+
+def _verdict_text(verdict: Verdict) -> list[str]:
+    lines = [_summary(verdict)]
+    if verdict.stage:
+        lines.append(f"stage       {verdict.stage}")
+    for effect in verdict.effects:
+        values = ", ".join(_estimate(name, e) for name, e in effect.parameters.items())
+        lines.append(f"  {100 * effect.probability:3.0f} %  {' + '.join(effect.ids)}  {values}")
+    lines.append(f"  {100 * verdict.probability_none:3.0f} %  no gap")
+    lines.append(f"  {100 * verdict.probability_unknown:3.0f} %  not in the catalogue")
+    notes = [f"note        {note}" for note in verdict.notes]
+    return [*lines, *_gap_text(verdict), *_where_text(verdict), *notes]
+
+
+def _estimate(name: str, estimate: Any) -> str:
+    if isinstance(estimate.value, str):
+        return f"{name} {estimate.value}"
+    if estimate.low is None:
+        return f"{name} {estimate.value:.4g}"
+    return f"{name} {estimate.value:.4g} ({estimate.low:.4g} to {estimate.high:.4g})"
+
+
+def _gap_text(verdict: Verdict) -> list[str]:
+    gap = verdict.gap
+    if gap is None:
+        return []
+    lines = [
+        f"gap         without fit {gap.before:.3g}, recalibrated {gap.recalibrated:.3g}"
+        + (f", after {gap.after:.3g}" if gap.after is not None else "")
+        + (f", floor {gap.floor:.3g}" if gap.floor is not None else "")
+        + f" {gap.unit} (held out by {gap.held_out})"
+    ]
+    if gap.closed is not None and gap.closed_low is not None and gap.closed_high is not None:
+        lines.append(
+            f"closed      {100 * gap.closed:.0f} % "
+            f"({100 * gap.closed_low:.0f} to {100 * gap.closed_high:.0f})"
+        )
+    return lines
+
+
+def _where_text(verdict: Verdict) -> list[str]:
+    lines = [
+        f"share       {s.stage} {100 * s.share:.0f} % ({100 * s.low:.0f} to {100 * s.high:.0f})"
+        for s in verdict.stages
+    ]
+    return lines + [f"contrast    {c.name} z = {c.z:.1f}" for c in verdict.contrasts if c.alarm]

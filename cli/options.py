@@ -1,0 +1,33 @@
+"""Options and arguments that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+RUNS = Path("runs")
+
+DataArgument = Annotated[Path, Argument(help="Folder in the dataset format, or a run folder.")]
+RunArgument = Annotated[str, Argument(help="Run folder, run id, or 'last'.")]
+
+FigureOption = Annotated[Path | None, Option("--figure", help="Figure to write, .png or .svg.")]
+JsonOption = Annotated[bool, Option("--json", help="Print one JSON value, nothing else.")]
+NoteOption = Annotated[str, Option(help="A note for the record.")]
+OperatorOption = Annotated[str, Option(help="Name of the operator.")]
+OutOption = Annotated[Path, Option("--out", help="Folder of runs.")]
+OutFileOption = Annotated[Path | None, Option("--out", help="File to write.")]
+PlantOption = Annotated[
+    Path | None, Option("--plant", help="Constants of the bench, in the format of bench.toml.")
+]
+RegionOption = Annotated[str, Option(help="Only pressures LOW-HIGH in kPa.")]
+RigOption = Annotated[str, Option("--rig", help="Rig file, or the name of a shipped one.")]
+RunsOption = Annotated[Path, Option("--runs", help="Folder of runs.")]
+SeedOption = Annotated[int | None, Option(help="Seed of a virtual bench.")]
+WarmOption = Annotated[
+    bool, Option("--warm", help="Also the warm columns of a thesis table, which are a formula.")
+]
+WithoutOption = Annotated[
+    str, Option("--without", help="Effects to remove from the catalogue, separated by commas.")
+]
