@@ -31,7 +31,8 @@ Shape = int | tuple["Shape", ...]
 
 class Equation:
     """One function of the source; its arguments are tuples, `p` is by default the arm's
-    parameters."""
+    parameters.
+    """
 
     def __init__(self, node: ast.FunctionDef, p: tuple[float, ...]) -> None:
         self.name = node.name
