@@ -5,12 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any
 
-STATUSES = (
-    "named", "named_form_inadequate", "indistinguishable", "mimicable", "unknown",
-    "no_gap_above_floor", "below_resolution", "data_unfit",
-)  # fmt: skip
+
+class Status(StrEnum):
+    """What a diagnosis comes to."""
+
+    NAMED = "named"
+    NAMED_FORM_INADEQUATE = "named_form_inadequate"
+    INDISTINGUISHABLE = "indistinguishable"
+    MIMICABLE = "mimicable"
+    UNKNOWN = "unknown"
+    NO_GAP_ABOVE_FLOOR = "no_gap_above_floor"
+    BELOW_RESOLUTION = "below_resolution"
+    DATA_UNFIT = "data_unfit"
 
 
 @dataclass(frozen=True)
@@ -63,11 +72,15 @@ class Share:
 
 @dataclass(frozen=True)
 class Contrast:
-    """One designed comparison of residuals, as a z-score; `alarm` after family-wise control."""
+    """One designed comparison of residuals, as a z-score.
+
+    `alarm` is set after family-wise control; `drift` marks a change over the order of trials.
+    """
 
     name: str
     z: float
     alarm: bool = False
+    drift: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,11 +96,49 @@ class Experiment:
     why: str = ""
 
 
+class Rejection(StrEnum):
+    """Why an entry of the catalogue is not in the set."""
+
+    NO_CHANNEL = "no_channel"
+    WORSE_FIT = "worse_fit"
+    SMALL_SHARE = "small_share"
+    SMALL_GAIN = "small_gain"
+
+
+@dataclass(frozen=True)
+class WhyNot:
+    """Why an entry is not in the set, with the number that decides: chi-square or a share."""
+
+    rejection: Rejection
+    value: float = 0.0
+
+    def __str__(self) -> str:
+        match self.rejection:
+            case Rejection.NO_CHANNEL:
+                return "no channel in these data would show it"
+            case Rejection.WORSE_FIT:
+                return f"fits worse than the set by {self.value:.0f} in chi-square"
+            case Rejection.SMALL_SHARE:
+                return f"closes {100 * self.value:.0f} % of the gap"
+            case Rejection.SMALL_GAIN:
+                return f"chi-square falls by {self.value:.0f} only"
+
+    @property
+    def rank(self) -> float:
+        """Order of rejected entries: fits that came nearest first, then the share they close."""
+        if self.rejection is Rejection.WORSE_FIT:
+            return 1000.0 - min(round(self.value), 900.0) * 1e-3
+        if self.rejection is Rejection.NO_CHANNEL:
+            return -1.0
+        percent = 100.0 if self.rejection is Rejection.SMALL_SHARE else 1.0
+        return float(round(percent * self.value))
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What a diagnosis found. `as_dict` gives the object of the dataset format."""
 
-    status: str
+    status: Status
     reason: str
     stage: str | None
     effects: tuple[Explanation, ...]
@@ -98,7 +149,7 @@ class Verdict:
     contrasts: tuple[Contrast, ...]
     limits: Mapping[str, float]
     next_experiment: Experiment | None
-    why_not: Mapping[str, str]
+    why_not: Mapping[str, WhyNot]
     notes: tuple[str, ...] = ()
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
@@ -106,7 +157,7 @@ class Verdict:
         """The verdict as plain values: null where something does not apply, never NaN."""
         return {
             "schema": 1,
-            "status": self.status,
+            "status": str(self.status),
             "reason": self.reason,
             "stage": self.stage,
             "effects": [_explanation(effect) for effect in self.effects],
@@ -127,7 +178,7 @@ class Verdict:
             },
             "limits": {key: _number(value) for key, value in self.limits.items()},
             "next_experiment": _experiment(self.next_experiment),
-            "why_not": dict(self.why_not),
+            "why_not": {name: str(why) for name, why in self.why_not.items()},
             "notes": list(self.notes),
             "evidence": plain(self.evidence),
         }  # fmt: skip

@@ -32,9 +32,9 @@ from gap.data.dataset import Trial
 from gap.data.reader import read_dataset
 from gap.design.advise import ENOUGH, advise
 from gap.design.foresight import products, separation
-from gap.design.library import Candidate, candidates
-from gap.estimation.fit_problem import Inquiry, State
-from gap.selection.forward import name_effects
+from gap.design.library import LibraryExperiment, library_experiments
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.selection.search import search_effects
 
 Row = dict[str, Any]
 
@@ -80,34 +80,34 @@ def on_the_blind_bench(trial: Trial, at: int, mounting: int) -> BlindTrial:
     )  # fmt: skip
 
 
-def with_advised(one: BlindSet, candidate: Candidate, repeats: int) -> BlindSet:
+def with_advised(one: BlindSet, option: LibraryExperiment, repeats: int) -> BlindSet:
     """The set with an experiment's trials made after its own."""
     more = [
-        on_the_blind_bench(trial, k * len(candidate.trials) + j, 0)
+        on_the_blind_bench(trial, k * len(option.trials) + j, 0)
         for k in range(repeats)
-        for j, trial in enumerate(candidate.trials)
+        for j, trial in enumerate(option.trials)
     ]
     design = replace(one.design, trials=(*one.design.trials, *more))
     return replace(one, design=design)
 
 
-def refitted(q: Inquiry, state: State, names: Sequence[str]) -> State:
+def refitted(problem: FitProblem, fit: FitResult, names: Sequence[str]) -> FitResult:
     """The best fit of an explanation to other data, shape by shape.
 
     It starts where the fit of constants `names` to less data ended, too: from the stated constants
     a descent may end far off, and its cost would pass for a separation.
     """
-    own = {s.key for s in state.suspects}
-    known = dict(zip(names, state.shift.tolist(), strict=True))
-    shift = np.array([known.get(name, 0.0) for name in q.names])
-    ends = [q.fit_from(shift, state.suspects, state.amounts.tolist())]
-    for suspect in (s for s in q.suspects if s.key in own):
-        ends += [q.fit_afresh([suspect], [suspect.step])]
-        ends += [q.fit_from(shift, [suspect], [suspect.step])]
-    return min((q.polish(end) for end in ends), key=lambda f: f.cost)
+    own = {s.key for s in fit.candidates}
+    known = dict(zip(names, fit.shift.tolist(), strict=True))
+    shift = np.array([known.get(name, 0.0) for name in problem.names])
+    ends = [problem.fit_from(shift, fit.candidates, fit.amounts.tolist())]
+    for candidate in (s for s in problem.candidates if s.key in own):
+        ends += [problem.fit_afresh([candidate], [candidate.step])]
+        ends += [problem.fit_from(shift, [candidate], [candidate.step])]
+    return min((problem.polish(end) for end in ends), key=lambda f: f.cost)
 
 
-def achieved(wrong: State, right: State) -> float:
+def achieved(wrong: FitResult, right: FitResult) -> float:
     """d' as it came out; below 0 where the wrong one fits better."""
     drop = wrong.cost - right.cost
     return float(np.sign(drop) * np.sqrt(abs(drop)))
@@ -120,38 +120,47 @@ def one(number: int, folder: Path) -> Row | None:
     if hidden.kind != "single" or any(t.settled_s is not None for t in hidden.design.trials):
         return None
     write(record(hidden), folder / "set")
-    q = Inquiry(read_dataset(folder / "set"))
-    naming = name_effects(q)
-    pair = [naming.chosen, *naming.rivals[:1]]
+    problem = FitProblem.of(read_dataset(folder / "set"))
+    search = search_effects(problem)
+    pair = [search.best, *search.rivals[:1]]
     truth = hidden.hidden[0].id
-    at = [k for k, choice in enumerate(pair) if choice.state.ids == (truth,)]
-    if len(pair) < 2 or not at or len(pair[1 - at[0]].state.suspects) != 1:
+    at = [k for k, hypothesis in enumerate(pair) if hypothesis.fit.ids == (truth,)]
+    if len(pair) < 2 or not at or len(pair[1 - at[0]].fit.candidates) != 1:
         return None
-    right, wrong = pair[at[0]].state, pair[1 - at[0]].state
-    now = separation(products(q, right, wrong), right, wrong)
+    right, wrong = pair[at[0]].fit, pair[1 - at[0]].fit
+    now = separation(products(problem, right, wrong), right, wrong)
     if now > 2.0 * ENOUGH:
         return None
     row: Row = {
-        "number": number, "truth": truth, "rival": wrong.ids[0], "now": now,
-        "now_achieved": achieved(refitted(q, wrong, q.names), refitted(q, right, q.names)),
-    }  # fmt: skip
-    advised = advise(q, right, [wrong])
+        "number": number,
+        "truth": truth,
+        "rival": wrong.ids[0],
+        "now": now,
+        "now_achieved": achieved(
+            refitted(problem, wrong, problem.names), refitted(problem, right, problem.names)
+        ),
+    }
+    advised = advise(problem, right, [wrong])
     row["protocol"] = advised.protocol if advised is not None else None
     if advised is None or advised.protocol == "reference" or "like_slot" in advised.settings:
         return row
     repeats = int(advised.settings["repeats"])
     wanted = {**advised.settings, "repeats": 0}
-    chosen = next(
-        c for c in candidates(q, right)
+    best = next(
+        c for c in library_experiments(problem, right)
         if {**c.settings, "repeats": 0} == wanted and c.protocol == advised.protocol
     )  # fmt: skip
-    write(record(with_advised(hidden, chosen, repeats)), folder / "more")
-    more = Inquiry(read_dataset(folder / "more"))
+    write(record(with_advised(hidden, best, repeats)), folder / "more")
+    more = FitProblem.of(read_dataset(folder / "more"))
     return row | {
-        "what": chosen.what, "repeats": repeats, "predicted": advised.separation_after,
-        "achieved": achieved(refitted(more, wrong, q.names), refitted(more, right, q.names)),
+        "what": best.what,
+        "repeats": repeats,
+        "predicted": advised.separation_after,
+        "achieved": achieved(
+            refitted(more, wrong, problem.names), refitted(more, right, problem.names)
+        ),
         "cpu_s": round(time.process_time() - begun, 1),
-    }  # fmt: skip
+    }
 
 
 def told(rows: Sequence[Row]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Belief in an explanation: what it rests on, and who may teach it."""
+"""reliability in an explanation: what it rests on, and who may teach it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from gap.check.errors import CheckError
 from gap.check.learn import LEAF, Samples, fit, learnable
 from gap.check.ledger import enter
-from gap.decision.reliability import FEATURES, OUTCOMES, Forest, features, learnt
+from gap.decision.reliability import FEATURES, OUTCOMES, Forest, features, shipped_reliability
 from gap.decision.traits import at_an_end
 from gap.effects.candidates import SUSPECTS
 
@@ -27,18 +27,18 @@ TRAITS = {
 
 
 def test_what_leaves_nothing_and_has_no_rival_near_is_believed() -> None:
-    assert learnt().of(TRAITS)["right"] > 0.8
+    assert shipped_reliability().of(TRAITS)["right"] > 0.8
 
 
 def test_what_leaves_most_of_a_clear_gap_is_taken_for_something_unknown() -> None:
     left = {"left": 25_000.0, "repeated_left": 25_000.0, "margin": 500.0, "closed": 0.1}
-    assert learnt().of(TRAITS | left | {"bent": 3.0})["unknown"] > 0.8
+    assert shipped_reliability().of(TRAITS | left | {"bent": 3.0})["unknown"] > 0.8
 
 
 def test_a_constant_at_its_wall_counts_for_little_where_next_to_nothing_is_left() -> None:
     """A strong effect in a form of its own leads a constant there as well."""
     strong = {"left": 900.0, "repeated_left": 900.0, "bent": 3.2, "bent_base": 8.0}
-    assert learnt().of(TRAITS | strong)["unknown"] < 0.4
+    assert shipped_reliability().of(TRAITS | strong)["unknown"] < 0.4
 
 
 @given(
@@ -48,7 +48,7 @@ def test_a_constant_at_its_wall_counts_for_little_where_next_to_nothing_is_left(
     )
 )
 def test_probabilities_add_up_for_traits_of_any_size(traits: dict[str, float]) -> None:
-    made = learnt().of(traits)
+    made = shipped_reliability().of(traits)
     assert sum(made.values()) == pytest.approx(1.0)
     assert min(made.values()) > 0.0
 
@@ -109,8 +109,8 @@ def test_changed_conditions_never_teach(tmp_path: Path) -> None:
 def test_a_stand_in_is_known_by_the_end_it_was_led_to(
     entry: str, shape: dict[str, float], amount: float, expected: bool
 ) -> None:
-    suspect = replace(next(s for s in SUSPECTS if s.id == entry), shape=shape)
-    assert at_an_end(suspect, amount) is expected
+    candidate = replace(next(s for s in SUSPECTS if s.id == entry), shape=shape)
+    assert at_an_end(candidate, amount) is expected
 
 
 def test_traits_become_features_in_the_order_the_forest_knows() -> None:

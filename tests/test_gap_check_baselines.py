@@ -20,10 +20,10 @@ KEYS = (("creep", "rate"), ("bladder_elasticity", "elasticity"), ("leak", "flow"
 
 
 def made(noise: np.ndarray, amount: float = 0.0) -> Features:
-    suspects = np.column_stack([1.0 - np.exp(-3.0 * T), T**3, np.sin(40.0 * T)])
+    candidates = np.column_stack([1.0 - np.exp(-3.0 * T), T**3, np.sin(40.0 * T)])
     constants = np.column_stack([np.ones(ROWS), T])
-    y = noise + amount * suspects[:, 2]
-    return Features(y, constants, suspects, KEYS)
+    y = noise + amount * candidates[:, 2]
+    return Features(y, constants, candidates, KEYS)
 
 
 def white(seed: int) -> np.ndarray:

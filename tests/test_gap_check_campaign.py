@@ -124,7 +124,7 @@ def test_reserved_sets_are_booked_before_use(tmp_path: Path) -> None:
 
 
 def test_the_page_is_written_from_totals(tmp_path: Path) -> None:
-    from gap.check.command import summary
+    from gap.check.scoring.totals import summary
 
     entries = run_campaign(plan(tmp_path / "run", numbers=(0, 1, 2)))
     found = {"stream": "smoke", "first": 0, "last": 2, **summary(entries)}

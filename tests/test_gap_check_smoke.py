@@ -14,7 +14,7 @@ import pytest
 
 from blind.sets import BLOCK
 from gap.check.campaign import Plan, run_campaign
-from gap.check.command import summary
+from gap.check.scoring.totals import summary
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""What a verdict must not be built on: copies, tables out of time, amounts beyond belief."""
+"""What a verdict must not be built on: copies, tables out of time, amounts beyond reliability."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gap.data.duplicates import without_copies
 from gap.data.quality import unfit_channels
 from gap.data.reader import read_dataset
 from gap.effects.candidates import SUSPECTS
-from gap.estimation.fit_problem import Inquiry
+from gap.estimation.fit_problem import FitProblem
 from gap_bench import write_set
 from gap_sets import settled_set
 
@@ -32,15 +32,17 @@ def test_copies_are_left_out_and_said_to_be(nominal: DataSet) -> None:
 
 
 def test_a_table_without_time_is_never_out_of_time(tmp_path: Path) -> None:
-    asked = Inquiry(read_dataset(settled_set(tmp_path / "table", {}))).suspects
+    asked = FitProblem.of(read_dataset(settled_set(tmp_path / "table", {}))).candidates
     assert asked
     assert not [s.id for s in asked if s.defect or s.id == "camera_delay"]
 
 
 def test_amounts_stay_within_the_range_of_the_catalogue(tmp_path: Path) -> None:
-    q = Inquiry(read_dataset(settled_set(tmp_path / "table", {"force_gain": {"percent": 29.0}})))
+    problem = FitProblem.of(
+        read_dataset(settled_set(tmp_path / "table", {"force_gain": {"percent": 29.0}}))
+    )
     gain = next(s for s in SUSPECTS if s.id == "pressure_gain")
-    assert abs(float(q.fit([gain], [385.0]).amounts[0])) <= 30.0
+    assert abs(float(problem.fit([gain], [385.0]).amounts[0])) <= 30.0
 
 
 def test_force_in_random_order_is_unfit_and_in_order_is_not(nominal: DataSet) -> None:

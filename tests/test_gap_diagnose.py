@@ -13,15 +13,16 @@ import pandas as pd
 import pytest
 
 from gap.data.reader import read_dataset
-from gap.decision.at_bound import PLAIN, leaning
-from gap.decision.classify import _nearest
-from gap.decision.confounders import Mimic
+from gap.decision.at_bound import relieving
+from gap.decision.classify import nearest_confounder
+from gap.decision.config import DECISION
+from gap.decision.confounders import Confounder
 from gap.decision.diagnose import diagnose
 from gap.effects.candidates import SUSPECTS
-from gap.estimation.fit_problem import Inquiry, State
-from gap.selection.forward import Naming, bent_keys, name_effects
-from gap.selection.refine import Choice
-from gap.verdict import STATUSES
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.selection.candidate_fits import Hypothesis, keys_of_shifted_constants
+from gap.selection.search import SearchResult, search_effects
+from gap.verdict import Status
 from gap_bench import write_set
 
 
@@ -46,7 +47,7 @@ def test_replicates_that_are_not_alike_in_time_raise_no_noise(
     effects: dict[str, Any], tmp_path: Path
 ) -> None:
     # As a controller makes them: what the plant misses is then not shared.
-    noise = Inquiry(read_dataset(write_set(tmp_path, effects, seed=11, late_s=0.04))).noise
+    noise = FitProblem.of(read_dataset(write_set(tmp_path, effects, seed=11, late_s=0.04))).noise
     scales = (noise.scales[k] for k in ("force gain", "inlet timing", "slow pressure <"))
     gain_percent, late_ms, slow_kpa = scales
     assert gain_percent < 1.0  # 0.3 is put in
@@ -60,17 +61,17 @@ def test_what_all_mountings_share_may_be_a_label_and_is_asked(tmp_path: Path) ->
     trials = pd.read_csv(tmp_path / "trials.csv")
     trials["held_length_mm"] += 0.16
     trials.to_csv(tmp_path / "trials.csv", index=False)
-    q = Inquiry(read_dataset(tmp_path))
-    own = q.base.shift[-q.mountings :]
+    problem = FitProblem.of(read_dataset(tmp_path))
+    own = problem.base.shift[-problem.mountings :]
     assert np.all(np.abs(own) < 3.1)  # at no wall by itself
-    assert {"length_label", "camera_scale"} <= set(bent_keys(q, q.base))
-    relieving = leaning(q)
-    assert relieving["length_label"] > PLAIN
-    assert set(relieving) <= {"length_label", "camera_scale"}
+    assert {"length_label", "camera_scale"} <= set(keys_of_shifted_constants(problem, problem.base))
+    gains = relieving(problem)
+    assert gains["length_label"] > DECISION.relief_gain
+    assert set(gains) <= {"length_label", "camera_scale"}
 
 
 def test_agreement_that_asks_nothing_of_what_is_stated_leans_on_nothing(nominal_set: Path) -> None:
-    assert leaning(Inquiry(read_dataset(nominal_set))) == {}
+    assert relieving(FitProblem.of(read_dataset(nominal_set))) == {}
 
 
 def test_an_outlet_much_later_than_a_controllers_pulses_are_long_is_found_alone(
@@ -78,10 +79,12 @@ def test_an_outlet_much_later_than_a_controllers_pulses_are_long_is_found_alone(
 ) -> None:
     """It never opens in them: by small changes of the delay a smaller outlet looks nearer."""
     late = {"valve_delay": {"delay_ms": 25.0, "edge": "outlet_on"}}
-    q = Inquiry(read_dataset(write_set(tmp_path, late, seed=3, replicates=2, late_s=0.04)))
-    naming = name_effects(q)
-    assert naming.chosen.keys == ("valve_delay:outlet_on",)
-    assert naming.chosen.state.amounts[0] == pytest.approx(25.0, abs=0.5)
+    problem = FitProblem.of(
+        read_dataset(write_set(tmp_path, late, seed=3, replicates=2, late_s=0.04))
+    )
+    search = search_effects(problem)
+    assert search.best.keys == ("valve_delay:outlet_on",)
+    assert search.best.fit.amounts[0] == pytest.approx(25.0, abs=0.5)
 
 
 def test_a_liner_is_named_with_its_threshold(tmp_path: Path) -> None:
@@ -94,17 +97,17 @@ def test_a_liner_is_named_with_its_threshold(tmp_path: Path) -> None:
     assert threshold.low < 30.0 < threshold.high  # type: ignore[operator]
 
 
-def fitted(name: str, cost: float) -> Choice:
-    suspect = next(s for s in SUSPECTS if s.id == name)
+def fitted(name: str, cost: float) -> Hypothesis:
+    candidate = next(s for s in SUSPECTS if s.id == name)
     none = np.empty(0)
-    return Choice((name,), State(none, (suspect,), np.ones(1), none, cost, np.eye(1)))
+    return Hypothesis((name,), FitResult(none, (candidate,), np.ones(1), none, cost, np.eye(1)))
 
 
 def test_a_rival_that_needs_another_size_is_a_mimic_at_that_size() -> None:
     """By signatures 14 % alike, fitted it takes all but 300 of 100,000."""
     late, later = fitted("valve_delay_pressure", 3e3), fitted("valve_delay", 3.3e3)
-    naming = Naming(late, [later], {}, 1e5, 0.0)
-    nearest = _nearest(naming, 103e3, Mimic(("pressure_lag",), 0.14))
+    search = SearchResult(late, [later], {}, 1e5, 0.0)
+    nearest = nearest_confounder(search, 103e3, Confounder(("pressure_lag",), 0.14))
     assert nearest is not None
     assert nearest.ids == ("valve_delay",)
     assert nearest.share == pytest.approx(0.997)
@@ -122,5 +125,5 @@ def test_the_command_prints_one_object_and_no_more(nominal_set: Path) -> None:
 
     verdict = json.loads(done.stdout, parse_constant=refuse)
     assert verdict["schema"] == 1
-    assert verdict["status"] in STATUSES
+    assert verdict["status"] in set(Status)
     assert {"reason", "stage", "effects", "gap", "where", "limits", "why_not"} <= set(verdict)

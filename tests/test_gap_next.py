@@ -16,10 +16,10 @@ from daq.store.run import open_run
 from gap.data.run_trials import run_trials
 from gap.data.sources import open_data
 from gap.design.advise import ENOUGH, REFERENCES, advise, protocol_text
-from gap.design.foresight import Products, foreseen, products, separation
-from gap.design.library import Candidate, candidates
+from gap.design.foresight import Products, on_experiment, products, separation
+from gap.design.library import LibraryExperiment, library_experiments
 from gap.effects.candidates import SUSPECTS
-from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import tolerance
 from gap.verdict import Experiment
 from gap_sets import settled_set
@@ -30,36 +30,40 @@ from rigs.rigfile.config import load_rig
 from rigs.steps.schedule import outline
 
 
-def fitted(q: Inquiry, name: str, amount: float) -> State:
+def fitted(problem: FitProblem, name: str, amount: float) -> FitResult:
     """The best of an effect's shapes."""
-    fits = [q.fit_afresh([s], [amount]) for s in q.suspects if s.id == name]
+    fits = [problem.fit_afresh([s], [amount]) for s in problem.candidates if s.id == name]
     return min(fits, key=lambda f: f.cost)
 
 
 @pytest.fixture(scope="module")
-def alike(tmp_path_factory: pytest.TempPathFactory) -> tuple[Inquiry, State, State]:
+def alike(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitProblem, FitResult, FitResult]:
     """Settled tables in which a liner and a pressure zero look much alike."""
     hidden = {"liner_threshold": {"threshold_kpa": 6.0}}
-    q = Inquiry(open_data(settled_set(tmp_path_factory.mktemp("next") / "alike", hidden)))
-    return q, fitted(q, "liner_threshold", 6.0), fitted(q, "pressure_zero", 6.0)
+    problem = FitProblem.of(
+        open_data(settled_set(tmp_path_factory.mktemp("next") / "alike", hidden))
+    )
+    return problem, fitted(problem, "liner_threshold", 6.0), fitted(problem, "pressure_zero", 6.0)
 
 
 @pytest.fixture(scope="module")
-def library(alike: tuple[Inquiry, State, State]) -> list[Candidate]:
-    return candidates(alike[0], alike[1])
+def library(alike: tuple[FitProblem, FitResult, FitResult]) -> list[LibraryExperiment]:
+    return library_experiments(alike[0], alike[1])
 
 
-def as_experiment(candidate: Candidate, repeats: int) -> Experiment:
-    settings = {**candidate.settings, "repeats": repeats}
-    return Experiment(candidate.protocol, settings, 1.0, 4.0, repeats, ("a", "b"), candidate.what)
+def as_experiment(option: LibraryExperiment, repeats: int) -> Experiment:
+    settings = {**option.settings, "repeats": repeats}
+    return Experiment(option.protocol, settings, 1.0, 4.0, repeats, ("a", "b"), option.what)
 
 
 # ---------------------------------------------------------------------------- foresight
 
 
-def test_an_explanation_is_not_told_from_itself(alike: tuple[Inquiry, State, State]) -> None:
-    q, liner, _ = alike
-    assert separation(products(q, liner, liner), liner, liner) == pytest.approx(0.0, abs=1e-6)
+def test_an_explanation_is_not_told_from_itself(
+    alike: tuple[FitProblem, FitResult, FitResult],
+) -> None:
+    problem, liner, _ = alike
+    assert separation(products(problem, liner, liner), liner, liner) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_rival_bends_as_far_as_the_tolerances_of_its_constants_let_it() -> None:
@@ -69,11 +73,11 @@ def test_a_rival_bends_as_far_as_the_tolerances_of_its_constants_let_it() -> Non
     gap += 4.0 * columns[:, 0]
     one = next(s for s in SUSPECTS if s.id == "payload")
 
-    def state(shift: list[float]) -> State:
+    def fit(shift: list[float]) -> FitResult:
         nothing = np.zeros(0)
-        return State(np.array(shift), (one,), np.zeros(1), nothing, 0.0, nothing)
+        return FitResult(np.array(shift), (one,), np.zeros(1), nothing, 0.0, nothing)
 
-    rival, best = state([2.9, -0.5]), state([0.4, 0.0])
+    rival, best = fit([2.9, -0.5]), fit([0.4, 0.0])
     prior = 4.0 / (one.bounds[1] - one.bounds[0]) ** 2
 
     def cost(bend: np.ndarray) -> float:
@@ -88,31 +92,31 @@ def test_a_rival_bends_as_far_as_the_tolerances_of_its_constants_let_it() -> Non
 
 
 def test_more_of_an_experiment_separates_more(
-    alike: tuple[Inquiry, State, State], library: list[Candidate]
+    alike: tuple[FitProblem, FitResult, FitResult], library: list[LibraryExperiment]
 ) -> None:
-    q, liner, zero = alike
-    present = products(q, liner, zero)
-    for candidate in library:
-        one = products(foreseen(q, candidate), liner, zero)
+    problem, liner, zero = alike
+    present = products(problem, liner, zero)
+    for option in library:
+        one = products(on_experiment(problem, option), liner, zero)
         apart = [separation(present + one.times(n), liner, zero) for n in (0, 1, 4)]
-        assert apart[0] <= apart[1] + 1e-9 <= apart[2] + 2e-9, candidate.what
+        assert apart[0] <= apart[1] + 1e-9 <= apart[2] + 2e-9, option.what
 
 
 def test_kinds_that_the_data_hold_nothing_of_are_foreseen(
-    alike: tuple[Inquiry, State, State], library: list[Candidate]
+    alike: tuple[FitProblem, FitResult, FitResult], library: list[LibraryExperiment]
 ) -> None:
-    q = alike[0]
-    assert {t.protocol for t in q.data.trials} == {"isometric"}
+    problem = alike[0]
+    assert {t.protocol for t in problem.data.trials} == {"isometric"}
     assert {c.protocol for c in library} >= {
         "isometric", "isobaric", "isotonic", "hysteresis", "isothermal", "step",
     }  # fmt: skip
 
 
 def test_what_a_standard_settles_at_once_is_advised_before_hours_of_trials(
-    alike: tuple[Inquiry, State, State],
+    alike: tuple[FitProblem, FitResult, FitResult],
 ) -> None:
-    q, liner, zero = alike
-    advised = advise(q, liner, [zero])
+    problem, liner, zero = alike
+    advised = advise(problem, liner, [zero])
     assert advised is not None
     assert advised.protocol == "reference"
     assert advised.settings["standard"] == "vent"
@@ -122,9 +126,12 @@ def test_what_a_standard_settles_at_once_is_advised_before_hours_of_trials(
 
 def test_two_muscle_effects_get_an_experiment_of_the_library(tmp_path: Path) -> None:
     hidden = {"bladder_elasticity": {"stiffness_n_mm": 0.08}}
-    q = Inquiry(open_data(settled_set(tmp_path / "soft", hidden)))
-    first, second = fitted(q, "bladder_elasticity", 0.08), fitted(q, "contraction_limit", 0.5)
-    advised = advise(q, first, [second])
+    problem = FitProblem.of(open_data(settled_set(tmp_path / "soft", hidden)))
+    first, second = (
+        fitted(problem, "bladder_elasticity", 0.08),
+        fitted(problem, "contraction_limit", 0.5),
+    )
+    advised = advise(problem, first, [second])
     assert advised is not None
     assert advised.protocol in {"isometric", "isobaric", "isotonic", "hysteresis", "step"}
     assert advised.trials >= 2
@@ -140,24 +147,24 @@ def test_every_standard_is_for_an_effect_of_the_catalogue() -> None:
 
 
 def test_every_experiment_of_the_library_makes_a_file_that_a_rig_takes(
-    library: list[Candidate], tmp_path: Path
+    library: list[LibraryExperiment], tmp_path: Path
 ) -> None:
-    for number, candidate in enumerate(library):
-        rig = "virtual-instruments" if candidate.protocol == "isothermal" else "virtual"
+    for number, option in enumerate(library):
+        rig = "virtual-instruments" if option.protocol == "isothermal" else "virtual"
         config = load_rig(rig)
         path = tmp_path / f"{number}.toml"
         counts = []
         for repeats in (2, 4):
-            text = protocol_text(as_experiment(candidate, repeats))
-            assert text is not None, candidate.protocol
+            text = protocol_text(as_experiment(option, repeats))
+            assert text is not None, option.protocol
             path.write_text(text)
-            kind = procedure(candidate.protocol)
+            kind = procedure(option.protocol)
             counts.append(outline(kind.read(str(path), config).steps())[0])
-        assert counts[1] == 2 * counts[0] > 0, candidate.what
+        assert counts[1] == 2 * counts[0] > 0, option.what
 
 
 def test_an_advised_file_runs_on_the_virtual_bench(
-    library: list[Candidate], tmp_path: Path
+    library: list[LibraryExperiment], tmp_path: Path
 ) -> None:
     bursts = next(c for c in library if c.what == "small steps in short bursts")
     config = load_rig("virtual")

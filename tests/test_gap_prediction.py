@@ -1,4 +1,4 @@
-"""Whether an explanation found on some protocols foretells another, and a wrong one does not."""
+"""Whether an explanation found on some protocols predicts another, and a wrong one does not."""
 
 from __future__ import annotations
 
@@ -9,10 +9,17 @@ import pytest
 
 from gap.data.reader import read_dataset
 from gap.effects.candidates import SUSPECTS
-from gap.estimation.fit_problem import Inquiry, State
-from gap.selection.forward import Naming, name_effects
-from gap.selection.refine import Choice
-from gap.validation.prediction import FORETOLD, LEAST_RIVALS, SHOWN, foretell, margins, rivals_of
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.selection.candidate_fits import Hypothesis
+from gap.selection.search import SearchResult, search_effects
+from gap.validation.prediction import (
+    LEAST_RIVALS,
+    PREDICTED,
+    SHOWN,
+    margins,
+    predict_trials,
+    rivals_of,
+)
 from gap_bench import write_set
 from plant.effects.catalogue import CATALOGUE
 
@@ -20,49 +27,49 @@ NEW = "hysteresis"
 
 
 @pytest.fixture(scope="module")
-def earlier_and_all(tmp_path_factory: pytest.TempPathFactory) -> tuple[Inquiry, Inquiry]:
+def earlier_and_all(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitProblem, FitProblem]:
     folder = tmp_path_factory.mktemp("liner")
     write_set(folder, {"liner_threshold": {"threshold_kpa": 25.0}}, seed=12, replicates=2)
     data = read_dataset(folder)
     known = tuple(trial for trial in data.trials if trial.protocol != NEW)
-    return Inquiry(dataclasses.replace(data, trials=known)), Inquiry(data)
+    return FitProblem.of(dataclasses.replace(data, trials=known)), FitProblem.of(data)
 
 
 @pytest.fixture(scope="module")
-def named(earlier_and_all: tuple[Inquiry, Inquiry]) -> Naming:
-    return name_effects(earlier_and_all[0])
+def named(earlier_and_all: tuple[FitProblem, FitProblem]) -> SearchResult:
+    return search_effects(earlier_and_all[0])
 
 
-def fitted(q: Inquiry, name: str) -> State:
-    suspect = next(s for s in SUSPECTS if s.id == name)
-    return q.polish(q.fit([suspect], [suspect.step]))
+def fitted(problem: FitProblem, name: str) -> FitResult:
+    candidate = next(s for s in SUSPECTS if s.id == name)
+    return problem.polish(problem.fit([candidate], [candidate.step]))
 
 
 def test_what_is_there_is_foretold_and_what_merely_fitted_is_not(
-    earlier_and_all: tuple[Inquiry, Inquiry], named: Naming
+    earlier_and_all: tuple[FitProblem, FitProblem], named: SearchResult
 ) -> None:
     earlier, everything = earlier_and_all
     new = [k for k, t in enumerate(everything.data.trials) if t.protocol == NEW]
-    right, wrong = named.chosen.state, fitted(earlier, "creep")
+    right, wrong = named.best.fit, fitted(earlier, "creep")
     assert right.ids == ("liner_threshold",)
-    found = foretell(everything, new, right, [wrong])
+    found = predict_trials(everything, new, right, [wrong])
     assert found.shown
     assert found.confirmed
-    assert found.share > FORETOLD
+    assert found.share > PREDICTED
     assert found.left < 1.3 * found.rows
     assert found.rivals[("creep",)] > found.left + SHOWN
-    turned = foretell(everything, new, wrong, [right])
+    turned = predict_trials(everything, new, wrong, [right])
     assert not turned.confirmed
-    # Beside one that foretells as much nothing is confirmed.
-    assert not foretell(everything, new, right, [right]).confirmed
+    # Beside one that predicts as much nothing is confirmed.
+    assert not predict_trials(everything, new, right, [right]).confirmed
 
 
 def test_an_explanation_that_nothing_came_near_is_held_against_other_families_all_the_same(
-    earlier_and_all: tuple[Inquiry, Inquiry], named: Naming
+    earlier_and_all: tuple[FitProblem, FitProblem], named: SearchResult
 ) -> None:
     earlier, _ = earlier_and_all
     wrong = fitted(earlier, "creep")
-    alone = dataclasses.replace(named, chosen=Choice(("creep",), wrong), rivals=[])
+    alone = dataclasses.replace(named, best=Hypothesis(("creep",), wrong), rivals=[])
     rivals = list(rivals_of(earlier, alone))
     assert len({CATALOGUE[r.ids[0]].family for r in rivals}) == len(rivals) == LEAST_RIVALS
     assert rivals[0].ids == ("liner_threshold",)  # what is there was not fitted, but stood first
@@ -72,20 +79,22 @@ def test_an_explanation_that_nothing_came_near_is_held_against_other_families_al
 
 
 def test_two_families_are_held_against_each_alone(
-    earlier_and_all: tuple[Inquiry, Inquiry], named: Naming
+    earlier_and_all: tuple[FitProblem, FitProblem], named: SearchResult
 ) -> None:
     earlier, _ = earlier_and_all
     both = [fitted(earlier, "liner_threshold"), fitted(earlier, "wear")]
-    state = earlier.fit([s for b in both for s in b.suspects], [a for b in both for a in b.amounts])
-    pair = dataclasses.replace(named, chosen=Choice(("liner_threshold", "wear"), state), rivals=[])
+    fit = earlier.fit([s for b in both for s in b.candidates], [a for b in both for a in b.amounts])
+    pair = dataclasses.replace(named, best=Hypothesis(("liner_threshold", "wear"), fit), rivals=[])
     alone = [rival.ids for rival in islice(rivals_of(earlier, pair), 2)]
     assert sorted(alone) == [("liner_threshold",), ("wear",)]
 
 
-def test_explanations_part_where_the_effect_is(earlier_and_all: tuple[Inquiry, Inquiry]) -> None:
+def test_explanations_part_where_the_effect_is(
+    earlier_and_all: tuple[FitProblem, FitProblem],
+) -> None:
     earlier, _ = earlier_and_all
-    state = fitted(earlier, "liner_threshold")
-    apart = margins(earlier, state, [earlier.base, state])
+    fit = fitted(earlier, "liner_threshold")
+    apart = margins(earlier, fit, [earlier.base, fit])
     assert apart.shape == (2, len(earlier.data.trials))
     assert not apart[1].any()
     by = {

@@ -11,8 +11,8 @@ import pytest
 from gap.data.reader import read_dataset
 from gap.effects.candidates import SUSPECTS
 from gap.errors import GapError
-from gap.estimation.fit_problem import Inquiry
-from gap.selection.refine import linear_gains
+from gap.estimation.fit_problem import FitProblem
+from gap.selection.candidate_fits import linear_gains
 from gap_sets import settled_set
 
 TRIALS = (
@@ -131,7 +131,7 @@ def test_what_a_sensor_may_be_off_by_in_all_trials_is_no_effect(tmp_path: Path) 
     for text in ("", "pressure_zero_kpa = 1.0\n"):
         (path / "calibration.toml").write_text(text)
         data = read_dataset(path)
-        q = Inquiry(data, [s for s in SUSPECTS if s.id == "pressure_zero"])
-        gains.append(float(linear_gains(q, q.base)[0].max()))
-        assert q.unnamed == q.mountings + len(data.calibration)
+        problem = FitProblem.of(data, [s for s in SUSPECTS if s.id == "pressure_zero"])
+        gains.append(float(linear_gains(problem, problem.base).gain.max()))
+        assert problem.unnamed == problem.mountings + len(data.calibration)
     assert gains[1] < 0.2 * gains[0]

@@ -15,11 +15,22 @@ from gap.data.sources import open_data
 from gap.reporting.examination import Examination, examine
 from gap.reporting.report import render_report
 from gap.reporting.text import experiment_sentence, headline, parameter_text, rivals
-from gap.verdict import Contrast, Estimate, Experiment, Explanation, Gap, Share, Verdict
+from gap.verdict import (
+    Contrast,
+    Estimate,
+    Experiment,
+    Explanation,
+    Gap,
+    Rejection,
+    Share,
+    Status,
+    Verdict,
+    WhyNot,
+)
 from gap_sets import settled_set
 
 PLAIN = Verdict(
-    status="named",
+    status=Status.NAMED,
     reason="liner_threshold explains the gap",
     stage="muscle",
     effects=(
@@ -37,8 +48,8 @@ PLAIN = Verdict(
     contrasts=(Contrast("low-high pressure", 12.3, True), Contrast("up-down", 0.4)),
     limits={"creep": 1.2},
     next_experiment=None,
-    why_not={"creep": "closes 3 % of the gap", "wear": "fits worse than the set by 40",
-             "payload": "no channel in these data would show it"},
+    why_not={"creep": WhyNot(Rejection.SMALL_SHARE, 0.03),
+             "wear": WhyNot(Rejection.WORSE_FIT, 40.0), "payload": WhyNot(Rejection.NO_CHANNEL)},
 )  # fmt: skip
 
 

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gap.data.reader import read_dataset
-from gap.decision.diagnose import searched
+from gap.decision.diagnose import diagnose_with_search
 from gap.effects.candidates import SUSPECTS
-from gap.estimation.fit_problem import Inquiry
-from gap.estimation.shape_fit import shaped
+from gap.estimation.fit_problem import FitProblem
+from gap.estimation.shape_fit import fit_shapes
 from gap.model import force as laws
 from gap.model.features import Points
 from gap.model.force import Context
@@ -88,21 +88,23 @@ def test_stribeck_s_part_of_friction_is_gone_at_speed() -> None:
 
 
 @pytest.fixture(scope="module")
-def tube(tmp_path_factory: pytest.TempPathFactory) -> Inquiry:
-    """A bench whose rubber tube rests at a length that no suspect has."""
+def tube(tmp_path_factory: pytest.TempPathFactory) -> FitProblem:
+    """A bench whose rubber tube rests at a length that no candidate has."""
     folder = tmp_path_factory.mktemp("tube")
     effect = {"bladder_elasticity": {"stiffness_n_mm": 0.6, "rest_mm": 66.0}}
-    return Inquiry(read_dataset(write_set(folder, effect, seed=4)))
+    return FitProblem.of(read_dataset(write_set(folder, effect, seed=4)))
 
 
-def test_a_shape_between_two_suspects_is_found_from_either_side(tube: Inquiry) -> None:
+def test_a_shape_between_two_suspects_is_found_from_either_side(tube: FitProblem) -> None:
     rests = []
     for share in (0.57, 0.82):
-        suspect = next(s for s in SUSPECTS if dict(s.shape) == {"rest": share})
-        picked = tube.fit([suspect], [0.3])
-        fitted = tube.polish(shaped(tube, picked))
+        candidate = next(s for s in SUSPECTS if dict(s.shape) == {"rest": share})
+        picked = tube.fit([candidate], [0.3])
+        fitted = tube.polish(fit_shapes(tube, picked))
         assert fitted.cost < picked.cost
-        rests.append(fitted.suspects[0].shape["rest"] * tube.constants(fitted.shift).braid_length_m)
+        rests.append(
+            fitted.candidates[0].shape["rest"] * tube.constants(fitted.shift).braid_length_m
+        )
     assert rests == pytest.approx([0.066, 0.066], abs=0.0015)
 
 
@@ -110,16 +112,16 @@ def test_a_hardening_tube_is_one_effect_not_two_of_its_family(tmp_path: Path) ->
     """The straight tube fits a hardening one badly; a relative would take what it leaves."""
     hard = {"stiffness_n_mm": 0.1, "rest_mm": 68.0, "hardening_per_mm2": 0.01}
     data = read_dataset(write_set(tmp_path, {"bladder_elasticity": hard}, seed=6))
-    verdict, _, naming = searched(data)
-    assert naming is not None
-    assert naming.chosen.state.ids == ("bladder_elasticity",)
+    verdict, _, search = diagnose_with_search(data)
+    assert search is not None
+    assert search.best.fit.ids == ("bladder_elasticity",)
     assert verdict.stage == "muscle"
 
 
-def test_the_improved_plant_has_the_fitted_shape(tube: Inquiry) -> None:
-    from gap.validation.shrink import improved_plant
+def test_the_improved_plant_has_the_fitted_shape(tube: FitProblem) -> None:
+    from gap.validation.improved_plant import improved_plant
 
-    suspect = next(s for s in SUSPECTS if dict(s.shape) == {"rest": 0.68})
-    written = improved_plant(tube, tube.polish(shaped(tube, tube.fit([suspect], [0.3]))))
+    candidate = next(s for s in SUSPECTS if dict(s.shape) == {"rest": 0.68})
+    written = improved_plant(tube, tube.polish(fit_shapes(tube, tube.fit([candidate], [0.3]))))
     rest = float(next(x for x in written.splitlines() if x.startswith("rest_mm")).split("=")[1])
     assert rest == pytest.approx(66.0, abs=1.5)

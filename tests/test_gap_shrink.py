@@ -14,11 +14,12 @@ from cli.main import app
 from daq.store.run import open_run
 from gap.check.scoring.closed import silent
 from gap.data.sources import open_data
-from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.cross_validation import HeldOut, held_out, left_out
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.intervals import settled
 from gap.validation.free_run import free_running
+from gap.validation.improved_plant import improved_plant
 from gap.validation.learner import generic, splines
-from gap.validation.shrink import Held, held_out, improved_plant, left_out
 from gap.validation.shrinkage import as_lines, shrinkage
 from gap_bench import write_set
 from gap_sets import settled_set
@@ -30,31 +31,33 @@ STIFFNESS = 0.8
 
 
 @pytest.fixture(scope="module")
-def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[Inquiry, State]:
+def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitProblem, FitResult]:
     """A bench with a throttled inlet and a stiff bladder, fitted with both."""
     hidden = {
         "flow_area": {"ratio": RATIO, "side": "inlet"},
         "bladder_elasticity": {"stiffness_n_mm": STIFFNESS},
     }
-    q = Inquiry(open_data(write_set(tmp_path_factory.mktemp("shrink") / "two", hidden, 5, 2)))
-    inlet = next(s for s in q.suspects if s.key == "flow_area:inlet")
-    bladders = [s for s in q.suspects if s.key == "bladder_elasticity"]
-    fits = [q.fit_afresh([inlet, b], [-0.4, 0.8]) for b in bladders]
-    return q, min(fits, key=lambda f: f.cost)
+    problem = FitProblem.of(
+        open_data(write_set(tmp_path_factory.mktemp("shrink") / "two", hidden, 5, 2))
+    )
+    inlet = next(s for s in problem.candidates if s.key == "flow_area:inlet")
+    bladders = [s for s in problem.candidates if s.key == "bladder_elasticity"]
+    fits = [problem.fit_afresh([inlet, b], [-0.4, 0.8]) for b in bladders]
+    return problem, min(fits, key=lambda f: f.cost)
 
 
 def test_a_leak_leaves_the_constants_their_own_uncertainty(tmp_path: Path) -> None:
     """Its conductance is thirty decades smaller than a length: in one matrix with it, in units
     as they stand, nothing else would count."""
     leak = {"leak": {"conductance_m3_s_pa": 2e-12}}
-    q = Inquiry(open_data(write_set(tmp_path, leak, seed=5, replicates=2)))
-    suspect = next(s for s in q.suspects if s.key == "leak")
-    state = settled(q, q.fit_afresh([suspect], [2e-12]))
-    constants = range(len(q.names) - q.unnamed)
-    spread = np.sqrt(np.diag(state.cover))[constants]
+    problem = FitProblem.of(open_data(write_set(tmp_path, leak, seed=5, replicates=2)))
+    candidate = next(s for s in problem.candidates if s.key == "leak")
+    fit = settled(problem, problem.fit_afresh([candidate], [2e-12]))
+    constants = range(len(problem.names) - problem.unnamed)
+    spread = np.sqrt(np.diag(fit.cover))[constants]
     assert np.all(spread > 0.01)
     assert np.all(spread < 1.2)
-    left = left_out(q, state, q.units)
+    left = left_out(problem, fit, problem.units)
     assert np.any(left.change[:, constants] != 0.0)
 
 
@@ -62,7 +65,7 @@ def test_where_less_than_the_floor_is_left_all_or_a_little_less_may_be_closed() 
     """The floor was stated too high then: an interval above one would hold no plant at all."""
     even = np.ones(8)
     left = 0.8 + 0.02 * np.cos(np.arange(8.0))
-    closed = Held(5.0 * even, 5.0 * even, left, even, even).closed()
+    closed = HeldOut(5.0 * even, 5.0 * even, left, even, even).closed()
     assert closed is not None
     ratio, low, high = closed
     assert ratio > 1.04
@@ -76,9 +79,9 @@ def test_the_bench_without_noise_has_its_muscles_mounted_as_before() -> None:
     assert silent(noise).force_zero_n == 0.0
 
 
-def test_run_free_the_gap_is_larger_and_closes_too(two: tuple[Inquiry, State]) -> None:
-    q, state = two
-    free, fed = free_running(q, state), held_out(q, state)
+def test_run_free_the_gap_is_larger_and_closes_too(two: tuple[FitProblem, FitResult]) -> None:
+    problem, fit = two
+    free, fed = free_running(problem, fit), held_out(problem, fit)
     # A throttled inlet adds up over a staircase; measured pressure hides that from the muscle.
     assert free["pressure"].rms("before") > 1.2 * fed["pressure"].rms("before")
     for end in ("pressure", "force"):
@@ -89,10 +92,10 @@ def test_run_free_the_gap_is_larger_and_closes_too(two: tuple[Inquiry, State]) -
 
 
 def test_a_learner_no_freer_than_the_effects_closes_less_than_they_do(
-    two: tuple[Inquiry, State],
+    two: tuple[FitProblem, FitResult],
 ) -> None:
-    q, state = two
-    found = shrinkage(q, state, named=True)
+    problem, fit = two
+    found = shrinkage(problem, fit, named=True)
     force = next(one for one in found["generic"] if one["block"] == "force")
     assert force["closed_named"] > 0.9
     assert force["closed_alike"] < 0.8 * force["closed_named"]
@@ -101,7 +104,7 @@ def test_a_learner_no_freer_than_the_effects_closes_less_than_they_do(
 
 
 def test_what_is_found_carries_over_to_protocols_that_were_left_out(
-    two: tuple[Inquiry, State],
+    two: tuple[FitProblem, FitResult],
 ) -> None:
     found = shrinkage(*two, named=True)
     told = {(t["name"], t["block"]): t for t in found["transfer"] if t["held_out"] == "protocol"}
@@ -115,9 +118,9 @@ def test_what_is_found_carries_over_to_protocols_that_were_left_out(
 
 
 def test_nothing_to_learn_and_nothing_is_learnt(tmp_path: Path) -> None:
-    q = Inquiry(open_data(settled_set(tmp_path / "plain", {})))
-    learnt = generic(q, 2)
-    part = held_out(q, q.base)["force"]
+    problem = FitProblem.of(open_data(settled_set(tmp_path / "plain", {})))
+    learnt = generic(problem, 2)
+    part = held_out(problem, problem.base)["force"]
     weight = part.weight.sum()
     for errors in (learnt.alike["force"], learnt.large["force"]):
         assert np.sqrt(errors.sum() / weight) < 1.5 * part.rms("recalibrated")
@@ -132,34 +135,36 @@ def test_splines_are_a_partition_of_one() -> None:
 
 
 def test_the_improved_plant_holds_constants_and_effects(
-    two: tuple[Inquiry, State], tmp_path: Path
+    two: tuple[FitProblem, FitResult], tmp_path: Path
 ) -> None:
-    q, state = two
+    problem, fit = two
     path = tmp_path / "plant.toml"
-    path.write_text(improved_plant(q, state))
+    path.write_text(improved_plant(problem, fit))
     constants, effects = load_plant(path)
     assert effects.get("flow_area", "ratio") == pytest.approx(RATIO, abs=0.08)
     assert effects.get("bladder_elasticity", "stiffness_n_mm") == pytest.approx(STIFFNESS, rel=0.15)
-    moved = q.constants(settled(q, state).shift)
+    moved = problem.constants(settled(problem, fit).shift)
     assert constants.braid_length_m == pytest.approx(moved.braid_length_m, rel=1e-6)
 
 
 def test_constants_that_the_bench_states_stay_in_the_improved_plant(tmp_path: Path) -> None:
     folder = settled_set(tmp_path / "other", {})
     (folder / "bench.toml").write_text('outlet_normally = "open"\nlength_max_mm = 74.0\n')
-    q = Inquiry(open_data(folder))
+    problem = FitProblem.of(open_data(folder))
     path = tmp_path / "plant.toml"
-    path.write_text(improved_plant(q, q.base))
+    path.write_text(improved_plant(problem, problem.base))
     constants, _ = load_plant(path)
     assert constants.outlet_normally == "open"
     assert constants.length_max_m == pytest.approx(0.074)
     assert nominal().length_max_m != constants.length_max_m
 
 
-def test_simulate_takes_the_improved_plant(two: tuple[Inquiry, State], tmp_path: Path) -> None:
-    q, state = two
+def test_simulate_takes_the_improved_plant(
+    two: tuple[FitProblem, FitResult], tmp_path: Path
+) -> None:
+    problem, fit = two
     path = tmp_path / "plant.toml"
-    path.write_text(improved_plant(q, state))
+    path.write_text(improved_plant(problem, fit))
     forces = []
     for more in ([], ["--plant", str(path)]):
         ran = CliRunner().invoke(

@@ -16,11 +16,11 @@ from typer.testing import CliRunner
 
 from cli.main import app
 from gap.data.sources import open_data
-from gap.estimation.fit_problem import Inquiry, State
-from gap.model.chain import Chain
+from gap.estimation.cross_validation import held_out
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.validation.chain import Chain
 from gap.validation.maps import residual_maps
 from gap.validation.shapley import _shapley, common_squares, waterfall
-from gap.validation.shrink import held_out
 from gap.validation.where import stage_shares
 from gap.verdict import Share
 from gap_bench import write_set
@@ -32,12 +32,12 @@ class Fitted:
     """A bench with something hidden, and the plant with it found."""
 
     folder: Path
-    q: Inquiry
-    state: State
+    problem: FitProblem
+    fit: FitResult
 
     def shares(self) -> tuple[Share, ...]:
-        held = held_out(self.q, self.state)
-        return stage_shares(self.q, self.state, held)
+        held = held_out(self.problem, self.fit)
+        return stage_shares(self.problem, self.fit, held)
 
 
 HIDDEN: dict[str, tuple[dict[str, Any], str, float]] = {
@@ -53,9 +53,11 @@ def examined(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Fitted]:
     made = {}
     for name, (effects, key, amount) in HIDDEN.items():
         folder = write_set(tmp_path_factory.mktemp("where") / name, effects, 3, replicates=2)
-        q = Inquiry(open_data(folder))
-        fits = [q.fit_afresh([s], [amount]) for s in q.suspects if s.key == key]
-        made[name] = Fitted(folder, q, min(fits, key=lambda f: f.cost) if fits else q.base)
+        problem = FitProblem.of(open_data(folder))
+        fits = [problem.fit_afresh([s], [amount]) for s in problem.candidates if s.key == key]
+        made[name] = Fitted(
+            folder, problem, min(fits, key=lambda f: f.cost) if fits else problem.base
+        )
     return made
 
 
@@ -86,26 +88,26 @@ def test_values_are_the_mean_over_all_orders_and_add_up(numbers: list[float]) ->
 def test_a_chain_of_real_stages_alone_gives_the_measurement(
     examined: dict[str, Fitted], name: str
 ) -> None:
-    q, state = examined[name].q, examined[name].state
-    chain = Chain(q, state)
+    problem, fit = examined[name].problem, examined[name].fit
+    chain = Chain(problem, fit)
     for end, rows in chain.run(chain.stages).items():
         assert np.abs(chain.of_rows(end, rows)).max() < 1e-6, end
 
 
 def test_with_the_gas_real_the_muscle_gets_what_was_measured(examined: dict[str, Fitted]) -> None:
-    q, state = examined["muscle"].q, examined["muscle"].state
-    chain = Chain(q, state)
+    problem, fit = examined["muscle"].problem, examined["muscle"].fit
+    chain = Chain(problem, fit)
     fed = chain.of_rows("force", chain.run(("valve", "chamber"))["force"])
     here = chain.rows_of("force")
     # The bladder is real or not with the muscle, so this is the recalibrated model's own residual
     # but for the constants, which were fitted beside the effect.
-    direct = q.residual_at(state.shift, (), np.empty(0))[here]
+    direct = problem.residual_at(fit.shift, (), np.empty(0))[here]
     assert np.allclose(fed, direct, atol=1e-6)
 
 
 def test_open_valves_and_shut_ones_are_told_apart(examined: dict[str, Fitted]) -> None:
-    q, state = examined["valve"].q, examined["valve"].state
-    chain = Chain(q, state)
+    problem, fit = examined["valve"].problem, examined["valve"].fit
+    chain = Chain(problem, fit)
     assert 0.02 < chain._acting.mean() < 0.9
 
 
@@ -125,12 +127,12 @@ def test_shares_go_to_the_stage_that_is_wrong_and_add_up_to_one(
 
 
 def test_values_add_up_to_the_whole_squared_gap(examined: dict[str, Fitted]) -> None:
-    q, state = examined["valve"].q, examined["valve"].state
-    chain = Chain(q, state)
+    problem, fit = examined["valve"].problem, examined["valve"].fit
+    chain = Chain(problem, fit)
     flow = waterfall(chain)
     whole = 0.0
     for end, rows in chain.run(()).items():
-        span = q.rows.span_s[chain.rows_of(end)].sum()
+        span = problem.rows.span_s[chain.rows_of(end)].sum()
         whole += common_squares(chain, end, rows, True).sum() / (span * flow.ends[end][1] ** 2)
     assert flow.value.sum() == pytest.approx(whole, rel=1e-9)
 
@@ -141,9 +143,9 @@ def test_without_a_gap_there_are_no_shares(examined: dict[str, Fitted]) -> None:
 
 def test_a_static_table_has_no_gas_stages(tmp_path: Path) -> None:
     folder = settled_set(tmp_path / "table", {"bladder_elasticity": {"stiffness_n_mm": 0.8}})
-    q = Inquiry(open_data(folder))
-    bladder = next(s for s in q.suspects if s.id == "bladder_elasticity")
-    shares = Fitted(folder, q, q.fit([bladder], [0.8])).shares()
+    problem = FitProblem.of(open_data(folder))
+    bladder = next(s for s in problem.candidates if s.id == "bladder_elasticity")
+    shares = Fitted(folder, problem, problem.fit([bladder], [0.8])).shares()
     assert {s.stage for s in shares} == {"muscle"}
 
 
@@ -151,8 +153,8 @@ def test_a_static_table_has_no_gas_stages(tmp_path: Path) -> None:
 
 
 def test_courses_show_the_residual_before_and_after(examined: dict[str, Fitted]) -> None:
-    q, state = examined["muscle"].q, examined["muscle"].state
-    courses = {(c.block, c.over): c for c in residual_maps(q, state)}
+    problem, fit = examined["muscle"].problem, examined["muscle"].fit
+    courses = {(c.block, c.over): c for c in residual_maps(problem, fit)}
     over = courses["force", "length"]
     assert np.abs(over.before).max() > 3.0 * over.floor
     assert np.abs(over.after).max() < 1.5 * over.floor

@@ -190,10 +190,10 @@ def test_delays_that_look_alike_are_named_by_their_family_once_steps_elsewhere_a
     assert first.status == again.status == "indistinguishable"
     assert {"valve_delay", "valve_delay_pressure"} <= set(again.effects)
     assert again.why == "at other settings, to see whether valve_delay foretells it"
-    assert first.foretold is None
-    assert again.foretold is not None
-    assert again.foretold["confirmed"]
-    assert again.foretold["share"] > 0.9
+    assert first.predicted is None
+    assert again.predicted is not None
+    assert again.predicted["confirmed"]
+    assert again.predicted["share"] > 0.9
     assert found.conclusion == "named"
     assert "confirmed by the step test" in found.why
     assert found.family == "valve_timing"
@@ -296,9 +296,9 @@ def test_sweeps_beyond_the_stage_are_refused(tmp_path: Path) -> None:
 
 
 def row(
-    hidden: str, conclusion: str, families: list[str], mimic: float = 0.0, asked: str = ""
+    hidden: str, conclusion: str, families: list[str], confounder: float = 0.0, asked: str = ""
 ) -> dict[str, object]:
-    measured = {"mimic_index": mimic}
+    measured = {"mimic_index": confounder}
     one = {
         "answer": {"effects": [{"id": hidden, "family": hidden}], "measured": measured},
         "set": [{"ids": [f], "family": f} for f in families], "conclusion": conclusion,

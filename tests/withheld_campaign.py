@@ -94,7 +94,7 @@ def told(found: Investigation) -> Row:
         "rounds": [
             {
                 "protocol": r.protocol, "why": r.why, "minutes": round(r.minutes, 1),
-                "status": r.status, "effects": list(r.effects), "foretold": r.foretold,
+                "status": r.status, "effects": list(r.effects), "foretold": r.predicted,
             }
             for r in found.rounds
         ],

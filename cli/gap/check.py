@@ -40,7 +40,7 @@ def gap_check(
     as_json: JsonOption = False,
 ) -> None:
     """Diagnose data whose effect is withheld, and score the verdicts."""
-    from gap.check.command import check_command
+    from cli.gap.check_command import check_command
 
     check_command(
         stream=stream, sets=sets, out=out, jobs=jobs, scheduler=scheduler, baselines=baselines,

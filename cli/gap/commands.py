@@ -10,7 +10,7 @@ from typing import Any
 import typer
 
 from gap.data.sources import open_data as read_dataset
-from gap.decision.diagnose import diagnose, examine
+from gap.decision.diagnose import diagnose, diagnose_with_fit
 from gap.output import check_out, write_text
 from gap.verdict import Verdict, plain
 
@@ -38,12 +38,12 @@ def where_command(data: Path, out: Path | None, as_json: bool) -> None:
     """`pamrig gap where`: stages, comparisons, and courses of the residual."""
     from gap.reporting.map_figures import check_picture, write_courses
     from gap.validation.maps import residual_maps
-    from gap.validation.where import MEANING, whereabouts
+    from gap.validation.where import MEANING, stage_errors
 
     check_picture(out)
-    verdict, inquiry, state = examine(read_dataset(data))
-    found = whereabouts(inquiry, state) if inquiry is not None and state is not None else None
-    courses = residual_maps(inquiry, state) if inquiry is not None and state is not None else []
+    verdict, problem, fit = diagnose_with_fit(read_dataset(data))
+    found = stage_errors(problem, fit) if problem is not None and fit is not None else None
+    courses = residual_maps(problem, fit) if problem is not None and fit is not None else []
     drawn = out is not None and bool(courses)
     if out is not None and drawn:
         write_courses(courses, bool(verdict.effects), out)
@@ -61,7 +61,7 @@ def where_command(data: Path, out: Path | None, as_json: bool) -> None:
     lines = [f"{verdict.status.replace('_', ' ')}: {verdict.reason}"]
     if verdict.stages:
         lines.append("share of the end-to-end gap by stage (Shapley; 95 % interval over slots)")
-    if inquiry is not None:
+    if problem is not None:
         lines += _where_text(verdict) or ["no stage and no comparison stands out"]
     if found:
         lines.append("end to end, commands replayed    rms    floor")
@@ -83,20 +83,20 @@ def where_command(data: Path, out: Path | None, as_json: bool) -> None:
 
 def shrink_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:
     """`pamrig gap shrink`: the gap before and after, by block and by what was held out."""
-    from gap.validation.shrink import improved_plant
+    from gap.validation.improved_plant import improved_plant
     from gap.validation.shrinkage import as_lines, shrinkage
 
     check_out(out)
-    verdict, inquiry, state = examine(read_dataset(data), struck(without))
+    verdict, problem, fit = diagnose_with_fit(read_dataset(data), struck(without))
     table = verdict.as_dict()
     named = bool(verdict.effects)
     found: dict[str, Any] = {}
-    if inquiry is not None and state is not None:
+    if problem is not None and fit is not None:
         # An effect that the verdict does not stand by is no improvement of the plant.
-        kept = state if named else inquiry.base
-        found = plain(shrinkage(inquiry, kept, named))
+        kept = fit if named else problem.base
+        found = plain(shrinkage(problem, kept, named))
         if out is not None:
-            write_text(out, improved_plant(inquiry, kept))
+            write_text(out, improved_plant(problem, kept))
     written = out if found else None
     if as_json:
         show(

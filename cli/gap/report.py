@@ -31,8 +31,8 @@ def gap_report(
     examined = examine(open_data(data), struck)
     write_report(examined, out)
     if as_json:
-        told = {"report": str(out), "verdict": examined.verdict.as_dict()}
-        typer.echo(json.dumps(told, indent=2, allow_nan=False))
+        values = {"report": str(out), "verdict": examined.verdict.as_dict()}
+        typer.echo(json.dumps(values, indent=2, allow_nan=False))
     else:
         typer.echo(headline(examined.verdict))
         typer.echo(f"report   {out}")

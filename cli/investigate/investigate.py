@@ -1,9 +1,9 @@
-"""Closes the loop: run a test, diagnose, run what the diagnosis asks for, until it is named.
+"""Closes the loop: run a test, diagnose, run what the diagnosis requests, until it is named.
 
 Top floor: here a rig and a diagnosis meet. Each round records an ordinary run; all runs so far are
 diagnosed together. What to run next is what the diagnosis advises, where this rig can run it, and
 otherwise the next test that shows something no test so far has shown. Each test is a trial of what
-the tests before it were explained by: an explanation that foretells it, as no other does, may be
+the tests before it were explained by: an explanation that predicts it, as no other does, may be
 named though the diagnosis alone, which sees no order in its data, would not go so far.
 """
 
@@ -27,14 +27,15 @@ from daq.store.run import Run, open_run
 from gap.data.dataset import DataSet
 from gap.data.from_runs import export_runs, stated_plant
 from gap.data.reader import read_dataset
-from gap.decision.at_bound import leaning
-from gap.decision.diagnose import searched
-from gap.decision.standing import Standing, joint
+from gap.decision.at_bound import relieving
+from gap.decision.diagnose import diagnose_with_search
+from gap.decision.sequential import SequentialVerdict, joint
 from gap.errors import GapError
-from gap.estimation.fit_problem import Inquiry
-from gap.selection.forward import Naming
-from gap.validation.prediction import SHOWN, families, foretell, margins, rivals_of
-from gap.verdict import Verdict
+from gap.estimation.fit_problem import FitProblem
+from gap.reporting.sequential import conclusion_text
+from gap.selection.search import SearchResult
+from gap.validation.prediction import SHOWN, families, margins, predict_trials, rivals_of
+from gap.verdict import Status, Verdict
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig
@@ -45,9 +46,9 @@ if TYPE_CHECKING:
 VALVE_TESTS = ("step",)
 """Tests whose valve commands are diagnosed: elsewhere a loop only holds a pressure."""
 LIKELY = 0.7
-"""Belief in one family from which it is put to the proof before anything else is looked at."""
+"""Reliability of one family from which it is tested before anything else is looked at."""
 FAILED = 2
-"""Tests that did not come out as foretold after which no more are made for that."""
+"""Tests that did not come out as predicted after which no more are made for that."""
 Array = npt.NDArray[np.float64]
 Told = Callable[[str], None]
 
@@ -64,15 +65,21 @@ class Round:
     status: str
     effects: tuple[str, ...]
     headline: str
-    foretold: Mapping[str, Any] | None = None
+    predicted: Mapping[str, Any] | None = None
     """How what was found before fared on this test, where the test shows it."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        values = {**vars(self), "effects": list(self.effects)}
+        return values | {"foretold": values.pop("predicted")}
 
 
 @dataclass(frozen=True)
 class Investigation:
     """What came of it: the last verdict, how it was reached, and what is still needed.
 
-    `conclusion` is "named", "needs reference", "no gap" or "open", and `why` says it in a sentence.
+    `conclusion` is "named", "needs reference", "no gap" or "open", and `why` is
+    its sentence.
     `family` is what was named: a family of the catalogue, or several that act together.
     """
 
@@ -94,7 +101,7 @@ class Investigation:
             "why": self.why,
             "family": self.family,
             "references": dict(self.references),
-            "rounds": [{**vars(r), "effects": list(r.effects)} for r in self.rounds],
+            "rounds": [r.as_dict() for r in self.rounds],
             "minutes": sum(r.minutes for r in self.rounds),
             "data": str(self.folder),
             "ended": self.ended,
@@ -183,7 +190,7 @@ def investigate(
 
 
 @dataclass
-class _Begun(Standing):
+class _Begun(SequentialVerdict):
     """An investigation under way: the tests so far, and what is known after them."""
 
     config: RigConfig
@@ -192,8 +199,8 @@ class _Begun(Standing):
     runs: list[Run] = field(default_factory=list)
     tests: list[Test] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
-    inquiry: Inquiry | None = None
-    naming: Naming | None = None
+    problem: FitProblem | None = None
+    search: SearchResult | None = None
     ended: str | None = None
     _margins: Array | None = None
 
@@ -212,7 +219,7 @@ class _Begun(Standing):
             advised = verdict.next_experiment
             for tests in (left, again):
                 for test in tests:
-                    if test.answers(advised.protocol, advised.why):
+                    if test.answers(advised.protocol, advised.settings):
                         tests.remove(test)
                         between = " and ".join(advised.between)
                         return test, "advised" + (f", to tell {between} apart" if between else "")
@@ -228,16 +235,16 @@ class _Begun(Standing):
     @property
     def _likely(self) -> bool:
         """Whether one family is left, all but named, and no test has put it to the proof yet."""
-        if self.family is None or self.family in self.foretold or self.verdict is None:
+        if self.family is None or self.family in self.predicted or self.verdict is None:
             return False
-        belief = self.verdict.evidence.get("belief", {})
-        return float(belief.get("right", 0.0) + belief.get("part", 0.0)) >= LIKELY
+        reliability = self.verdict.evidence.get("belief", {})
+        return float(reliability.get("right", 0.0) + reliability.get("part", 0.0)) >= LIKELY
 
     def _of_valves_alone(self, left: list[Test]) -> bool:
         """Whether what was found shows where valves act, and no test left looks there."""
-        if self.naming is None or any(test.protocol in VALVE_TESTS for test in left):
+        if self.search is None or any(test.protocol in VALVE_TESTS for test in left):
             return False
-        blocks = {b for suspect in self.naming.chosen.state.suspects for b in suspect.blocks}
+        blocks = {b for candidate in self.search.best.fit.candidates for b in candidate.blocks}
         return blocks == {"pressure"}
 
     def _telling(self, again: list[Test], least: float = SHOWN) -> Test | None:
@@ -245,16 +252,16 @@ class _Begun(Standing):
 
         None where no test parts them by more than `least`, or two have failed already.
         """
-        if self.naming is None or self.inquiry is None or self.family is None:
+        if self.search is None or self.problem is None or self.family is None:
             return None
-        if sum(not found.confirmed for _, found in self.foretold.get(self.family, [])) >= FAILED:
+        if sum(not found.confirmed for _, found in self.predicted.get(self.family, [])) >= FAILED:
             return None
         if self._margins is None:
-            others = [self.inquiry.base, *rivals_of(self.inquiry, self.naming, self._entry_ids)]
-            self._margins = margins(self.inquiry, self.naming.chosen.state, others)
+            others = [self.problem.base, *rivals_of(self.problem, self.search, self._entry_ids)]
+            self._margins = margins(self.problem, self.search.best.fit, others)
         best: tuple[float, Test | None] = (least, None)
         for run, made in zip(self.runs, self.tests, strict=True):
-            apart = float(self._margins[:, _trials_of(self.inquiry, run)].sum(axis=1).min())
+            apart = float(self._margins[:, _trials_of(self.problem, run)].sum(axis=1).min())
             for test in again:
                 if test.what == made.what and apart > best[0]:
                     best = (apart, test)
@@ -262,8 +269,8 @@ class _Begun(Standing):
 
     @property
     def _to_see(self) -> str:
-        assert self.naming is not None
-        names = " and ".join(self.naming.chosen.state.ids)
+        assert self.search is not None
+        names = " and ".join(self.search.best.fit.ids)
         return f"at other settings, to see whether {names} foretells it"
 
     def take(self, test: Test, why: str, run: Run, outcome: str) -> None:
@@ -272,37 +279,45 @@ class _Begun(Standing):
         self.tests.append(test)
         minutes = float((run.final or {}).get("duration_s") or 0.0) / 60.0
         known: tuple[str, tuple[str, ...], str] = ("", (), "the survey is not whole yet")
-        told: dict[str, Any] | None = None
+        predicted: dict[str, Any] | None = None
         if len(self.runs) >= BEFORE_NAMING:
-            told = self._diagnose()
+            predicted = self._diagnose()
             assert self.verdict is not None
             ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)
-            known = (self.verdict.status, ids, self.why)
+            known = (self.verdict.status, ids, conclusion_text(self))
         self.rounds.append(
-            Round(test.protocol, why, run.run_id, outcome, minutes, *known, foretold=told)
+            Round(
+                test.protocol,
+                why,
+                run.run_id,
+                outcome,
+                minutes,
+                *known,
+                predicted=predicted,
+            )
         )
 
     def _diagnose(self) -> dict[str, Any] | None:
         """Diagnose all runs; how what was found before fared on the last of them."""
-        before, known, entries = self.naming, self.inquiry, self._entry_ids
+        before, known, entries = self.search, self.problem, self._entry_ids
         data = joined(self.runs, self.folder / f"data-{len(self.runs):02d}", self.plant)
-        self.verdict, self.inquiry, self.naming = searched(data)
+        self.verdict, self.problem, self.search = diagnose_with_search(data)
         self._margins = None
-        self.leaning = {}
-        if self.inquiry is not None and self.verdict.status == "no_gap_above_floor":
-            self.leaning = leaning(self.inquiry)
-        if before is None or known is None or not before.chosen.keys or self.inquiry is None:
+        self.relieving = {}
+        if self.problem is not None and self.verdict.status == Status.NO_GAP_ABOVE_FLOOR:
+            self.relieving = relieving(self.problem)
+        if before is None or known is None or not before.best.keys or self.problem is None:
             return None
-        state = before.chosen.state
-        new = _trials_of(self.inquiry, self.runs[-1])
-        found = foretell(self.inquiry, new, state, rivals_of(known, before, entries))
+        fit = before.best.fit
+        new = _trials_of(self.problem, self.runs[-1])
+        found = predict_trials(self.problem, new, fit, rivals_of(known, before, entries))
         if not found.shown:
             return None
-        self.foretold.setdefault(joint(families(state.ids)), []).append(
+        self.predicted.setdefault(joint(families(fit.ids)), []).append(
             (self.tests[-1].protocol, found)
         )
         return {
-            "by": list(state.ids), "share": found.share, "confirmed": found.confirmed,
+            "by": list(fit.ids), "share": found.share, "confirmed": found.confirmed,
             "rows": found.rows, "without": found.without, "left": found.left,
             "rivals": {" + ".join(ids): left for ids, left in found.rivals.items()},
         }  # fmt: skip
@@ -315,7 +330,7 @@ class _Begun(Standing):
             self._diagnose()
         assert self.verdict is not None
         found = Investigation(
-            self.conclusion, self.why, self.named, self.verdict, tuple(self.rounds),
+            self.conclusion, conclusion_text(self), self.named, self.verdict, tuple(self.rounds),
             self.references, self.folder, self.ended,
         )  # fmt: skip
         text = json.dumps(found.as_dict(), indent=2, allow_nan=False)
@@ -323,8 +338,10 @@ class _Begun(Standing):
         return found
 
 
-def _trials_of(q: Inquiry, run: Run) -> list[int]:
-    return [k for k, trial in enumerate(q.data.trials) if trial.name.startswith(f"{run.run_id}:")]
+def _trials_of(problem: FitProblem, run: Run) -> list[int]:
+    return [
+        k for k, trial in enumerate(problem.data.trials) if trial.name.startswith(f"{run.run_id}:")
+    ]
 
 
 def _own_folder(out: Path) -> Path:

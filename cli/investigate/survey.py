@@ -30,9 +30,9 @@ class Test:
 
     __test__ = False  # not a test of pytest's
 
-    def answers(self, protocol: str, why: str) -> bool:
-        """Whether an advised experiment is this one."""
-        held = "a minute at each" in why
+    def answers(self, protocol: str, settings: Mapping[str, Any]) -> bool:
+        """Whether an advised experiment is this one; one with `measure` holds for a minute."""
+        held = "measure" in settings
         if protocol == self.protocol:
             return held == ("measure" in self.settings)
         return protocol in self.also and not held

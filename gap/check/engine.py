@@ -11,5 +11,5 @@ from gap.verdict import Verdict
 
 
 def verdict_of_folder(folder: Path, without: Sequence[str] = ()) -> Verdict:
-    """What `pamrig gap diagnose FOLDER --without ...` says."""
+    """The verdict of `pamrig gap diagnose FOLDER --without ...`."""
     return diagnose(read_dataset(folder), without)

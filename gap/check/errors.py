@@ -1,4 +1,4 @@
-"""What a person asked of the blind check that it cannot do."""
+"""Errors of requests that the blind check cannot carry out."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ Diagnose = Callable[[Path, Sequence[str]], Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Task:
-    """What a worker is told: which set, where seals go, and what else to run on it.
+    """The task of a worker: which set, where seals go, and what else to run on it.
 
     `engine` names the diagnosis as `module:function`; it takes a folder and the ids struck from
     the catalogue, and returns a verdict (exchange form) or an object with `as_dict`.

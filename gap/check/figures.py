@@ -11,7 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-# Okabe and Ito's colours, told apart by colour-blind eyes.
+# Okabe and Ito's colours, distinct for colour-blind readers.
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
 
 
@@ -81,9 +81,9 @@ def confusion(found: dict[str, Any], path: Path) -> None:
         total: dict[str, dict[str, int]] = {}
         for name in names:
             for hidden, line in tables.get(name, {}).items():
-                for said, count in line.items():
+                for word, count in line.items():
                     row = total.setdefault(hidden, {})
-                    row[said] = row.get(said, 0) + count
+                    row[word] = row.get(word, 0) + count
         merged.append((title, total))
     rows = sorted({h for _, t in merged for h in t}, key=lambda x: (x == "none", x))
     last = ("none", "unknown", "unfit", "crashed")

@@ -1,4 +1,4 @@
-"""Learn how far an explanation is to be believed: makes `gap/decision/reliability.npz` and
+"""Learn the reliability of explanations: makes `gap/decision/reliability.npz` and
 `gap/decision/reliability.toml`.
 
     pip install 'pamrig[learn]'
@@ -211,7 +211,7 @@ def store(forest: Forest, form: Mapping[str, float], sets: int, folder: Path) ->
 
 
 def main(paths: Sequence[str]) -> int:
-    """Learn from results files and write the shipped belief."""
+    """Learn from results files and write the shipped reliability."""
     read = [json.loads(text) for path in paths for text in Path(path).read_text().splitlines()]
     lines = learnable(read)
     of = samples(lines)

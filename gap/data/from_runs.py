@@ -93,7 +93,7 @@ NO_SETTING = (
 
 
 def _told_apart(run: Run, known: dict[str, list[str]]) -> str:
-    """What tells a run's slots from those of a run of its protocol with other settings: a number.
+    """A number that separates the slots of a run from those of the same protocol, other settings.
 
     Trials of one slot are replicates, and those of other settings are none.
     """

@@ -1,39 +1,39 @@
-"""What agreement within the floor leans on: constants and calibrations led beyond belief.
+"""At-bound diagnostics: effects that would free a stated constant from the end of its tolerance.
 
-Where nothing alarms, the plant agrees because it was recalibrated. If a stated quantity had to go
-three standard deviations for that, an effect in its place may be as likely, and no test on this
-bench tells the two apart: what is stated has to be checked.
+Where there is no gap, the plant agrees because it was recalibrated. If a stated constant had to
+move three standard deviations for that, an effect in its place may be as likely. No test on the
+bench tells the two apart: the stated value has to be checked.
 """
 
 from __future__ import annotations
 
-from gap.estimation.fit_problem import Inquiry
-from gap.selection.forward import bent_keys
-from gap.selection.refine import BENT, linear_gains, refine
+from gap.decision.config import DECISION, DecisionConfig
+from gap.estimation.fit_problem import FitProblem
+from gap.selection.candidate_fits import (
+    Hypothesis,
+    fit_further,
+    keys_of_shifted_constants,
+    linear_gains,
+)
+from gap.selection.config import SELECTION
 
-PLAIN = 16.0
-"""Gain (drop of the whitened sum of squares) of the best effect from which a check is asked for:
-four standard deviations."""
-LEAST = 9.0
-"""Gain of the other effects that the same check must be able to tell: three."""
 
+def relieving(problem: FitProblem, config: DecisionConfig = DECISION) -> dict[str, float]:
+    """Effects that would free a constant at the end of its tolerance, with the gain, best first.
 
-def leaning(q: Inquiry) -> dict[str, float]:
-    """Effects that would relieve a stated quantity at the end of its tolerance, with the gain.
-
-    Best first; empty where none relieves one plainly.
+    Empty where none frees one plainly.
     """
-    if not bent_keys(q, q.base):
+    base = Hypothesis((), problem.base)
+    if not keys_of_shifted_constants(problem, base.fit):
         return {}
-    gains, amounts = linear_gains(q, q.base)
+    linear = linear_gains(problem, base.fit)
     found: dict[str, float] = {}
-    for key in dict.fromkeys(bent_keys(q, q.base, BENT)):  # they share what is to be made up for
-        choice = refine(q, q.base, (), key, gains, amounts)
-        gain = q.base.cost - q.polish(choice.state).cost
+    beyond = SELECTION.shifted_constant_sd  # several constants share what is to be made up for
+    for key in dict.fromkeys(keys_of_shifted_constants(problem, base.fit, beyond)):
+        gain = base.cost - problem.polish(fit_further(problem, base, key, linear).fit).cost
         name = key.partition(":")[0]
         found[name] = max(found.get(name, 0.0), gain)
-    best = max(found.values())
-    if best < PLAIN:
+    if max(found.values()) < config.relief_gain:
         return {}
     ranked = sorted(found.items(), key=lambda item: -item[1])
-    return {name: gain for name, gain in ranked if gain >= LEAST}
+    return {name: gain for name, gain in ranked if gain >= config.relief_gain_others}

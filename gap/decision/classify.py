@@ -1,395 +1,405 @@
-"""The verdict on what a search found: named, one of several, a mimic, unknown, or nothing there."""
+"""The verdict on what a search found."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from gap.decision.confounders import Mimic, Mimicry
-from gap.decision.posterior import ambiguity_set, weigh
-from gap.decision.reliability import learnt
+from gap.decision.config import DECISION, DecisionConfig
+from gap.decision.confounders import Confounder, ConfounderSearch
+from gap.decision.posterior import credible_set, posterior
+from gap.decision.reliability import shipped_reliability
 from gap.decision.traits import traits_of
 from gap.design.advise import advise
 from gap.effects.candidates import DEFECTS
-from gap.estimation.agreement import repeated
-from gap.estimation.fit_problem import Inquiry, State
-from gap.estimation.intervals import headline_estimates, limits_of
-from gap.selection.forward import ALARM, Naming, why_not
-from gap.selection.inclusion import AT_THE_END
-from gap.selection.per_stroke import eased
-from gap.selection.pruning import Cleared, cleared
-from gap.selection.refine import Choice
-from gap.validation.shrink import Held, gap_of, held_out
+from gap.estimation.agreement import shared_chi2
+from gap.estimation.cross_validation import HeldOut, gap_of, held_out
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.estimation.intervals import detection_limits, headline_estimates
+from gap.selection.candidate_fits import Hypothesis
+from gap.selection.config import SELECTION
+from gap.selection.per_stroke import with_per_stroke_delays
+from gap.selection.pruning import prune
+from gap.selection.search import SearchResult, why_not
 from gap.validation.where import contrasts_of, drifting, stage_shares
-from gap.verdict import Explanation, Gap, Verdict
+from gap.verdict import Explanation, Gap, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
-MIMIC = 0.9
-SURE = 0.985
-TOLD_APART = 120.0
-"""Whitened sum of squares that a mimic may leave more than the named effect does."""
-NAMED = 0.72
-"""Least belief that a name is not wrong (all of it hidden, or part) for it to be given."""
-NAMED_SEVERAL = 0.58
-"""The same for several effects: where one of them is wrong, the other seldom is."""
-NAMED_ALL = 0.34
-"""For several effects: least belief in all of them."""
-UNKNOWN = 0.45
-"""Belief in something outside the catalogue from which the verdict says so."""
-HALF = 0.5
-FORM_FULL = 0.9
-UNSEEN = 0.2
-STANDS_OUT = 3.0
-"""Sd of chance by which the gap stands out where a constant is led to the end of its tolerance."""
-SHARED = 4.0
-"""Sd of chance of what is left, and of what replicates share of it, that are no chance."""
-DRIFTS = 0.5
-"""Least probability of something unknown where a drift over the trials is left."""
-NEEDED_REPLICATES = 3
+NAMED = (Status.NAMED, Status.NAMED_FORM_INADEQUATE)
 
 
-def judge(q: Inquiry, naming: Naming) -> tuple[Verdict, Naming]:
-    """Turn the outcome of a search into a verdict, and say which explanation it rests on."""
-    outcome = cleared(q, naming)
-    outcome = replace(outcome, naming=eased(q, outcome.naming))
-    return _judged(q, outcome), outcome.naming
+@dataclass(frozen=True)
+class _Case:
+    """What a verdict is made from: the fits, the outcome of the search, held-out errors."""
+
+    problem: FitProblem
+    search: SearchResult
+    config: DecisionConfig
+
+    @cached_property
+    def held(self) -> dict[str, HeldOut]:
+        """Held-out errors of the best explanation, by block."""
+        return held_out(self.problem, self.search.best.fit)
+
+    @property
+    def names(self) -> str:
+        """The effects of the best explanation."""
+        return " and ".join(self.search.best.fit.ids)
+
+    @property
+    def chance(self) -> float:
+        """One standard deviation of chi-square."""
+        return float(np.sqrt(2.0 * len(self.problem.rows)))
+
+    @cached_property
+    def shared(self) -> float:
+        """Chi-square of the recalibrated plant that replicates share."""
+        return shared_chi2(self.problem, self.problem.base.residual)
+
+    @property
+    def share(self) -> float:
+        """Share of the gap that is explained; what chance may leave does not count as left."""
+        left = max(self.search.left - self.chance, 0.0)
+        return 1.0 - left / max(self.search.gap, 1.0)
+
+    @property
+    def floor_source(self) -> str | None:
+        """Where the floor comes from; None where there are too few replicates for one."""
+        noise = self.problem.noise
+        if noise.pairs and noise.freedom >= self.config.needed_replicates:
+            return "replicates"
+        return "smoothness" if self.problem.data.settled else None
+
+    def block(self, fit: FitResult) -> str:
+        """The block whose gap stands highest above its floor, or is closed most."""
+
+        def height(block: str) -> float:
+            part = self.held[block]
+            floor = max(part.rms("floor"), 1e-6) ** 2
+            gained = part.rms("recalibrated") ** 2 - (
+                part.rms("after") ** 2 if fit.candidates else part.rms("floor") ** 2
+            )
+            sure = not fit.candidates or part.closed() is not None
+            return gained / floor * (0.2 if block == "camera" else 1.0) * (1.0 if sure else 0.1)
+
+        return max(self.held, key=height)
+
+    def nearest_stage(self, block: str) -> str | None:
+        """Stage of the candidate with the largest gain among those that touch the block."""
+        known = {s.key: s for s in self.problem.candidates if not s.defect and block in s.blocks}
+        gains = {k: g for k, g in self.search.first_gain.items() if k in known}
+        if not gains:
+            return None
+        stage = CATALOGUE[known[max(gains, key=lambda k: gains[k])].id].stage
+        return None if stage == "any" else stage
 
 
-def _judged(q: Inquiry, outcome: Cleared) -> Verdict:
-    naming = outcome.naming
-    held = held_out(q, naming.chosen.state)
+@dataclass(frozen=True)
+class _Finding:
+    """Status, reason and probabilities of a verdict, with the explanations that it offers."""
+
+    status: Status
+    reason: str
+    none: float
+    unknown: float
+    named: bool = False
+    stage: str | None = None
+    entries: list[tuple[Hypothesis, float]] = field(default_factory=list)
+    confounders: list[Confounder] = field(default_factory=list)
+    evidence: dict[str, object] = field(default_factory=dict)
+
+
+def classify(
+    problem: FitProblem, search: SearchResult, config: DecisionConfig = DECISION
+) -> tuple[Verdict, SearchResult]:
+    """Turn the outcome of a search into a verdict; also return the search after pruning."""
+    outcome = prune(problem, search)
+    case = _Case(problem, with_per_stroke_delays(problem, outcome.search), config)
     if outcome.defect:
-        return _defect(q, naming, held)
-    if outcome.blurred:
-        return _verdict(
-            q, naming, held, "unknown",
+        finding = _defect(case)
+    elif outcome.uncertain_defect:
+        finding = _unknown(
+            case, case.search.best.fit, 1.0,
             "a gap that a fault of the recording would explain better than any effect, but the "
-            "trials do not agree on the fault", none=0.0, unknown=1.0,
-            stage=_stage_of_block(q, naming, _block(held, naming.chosen.state)),
+            "trials do not agree on the fault",
         )  # fmt: skip
-    if not naming.chosen.keys:
-        return _without_name(q, naming, held)
-    return _with_name(q, naming, held)
+    elif case.search.best.keys:
+        finding = _explained(case)
+    else:
+        finding = _unexplained(case)
+    return _verdict(case, finding), case.search
 
 
-def _share(q: Inquiry, naming: Naming) -> float:
-    """Share of the gap that is explained; what chance may leave does not count as left."""
-    chance = float(np.sqrt(2.0 * len(q.rows)))
-    return 1.0 - max(naming.left - chance, 0.0) / max(naming.excess, 1.0)
+def _unknown(case: _Case, fit: FitResult, unknown: float, reason: str) -> _Finding:
+    """A gap without a name, at the stage of the nearest candidate."""
+    stage = case.nearest_stage(case.block(fit))
+    return _Finding(Status.UNKNOWN, reason, 1.0 - unknown, unknown, stage=stage)
 
 
-def _without_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
-    floor = _floor_source(q)
-    unseen = naming.excess
-    if floor == "replicates":
-        # What replicates do not share is noise, whatever the model of the noise says of its size.
-        unseen = min(unseen, max(repeated(q, q.base.residual), 0.0))
-    unseen /= max(len(q.rows), 1)
-    if floor is None:
-        return _verdict(
-            q, naming, held, "below_resolution",
-            f"{q.noise.freedom} replicates beyond the first: too few to tell a gap from noise, "
-            f"{NEEDED_REPLICATES} are needed", none=0.5, unknown=0.5,
-        )  # fmt: skip
-    if unseen > UNSEEN:
-        block = _block(held, q.base)
-        stage = _stage_of_block(q, naming, block)
-        return _verdict(
-            q, naming, held, "unknown",
-            f"a gap that no entry of the catalogue explains, in the {block} residual",
-            none=0.02, unknown=0.98, stage=stage,
-        )  # fmt: skip
-    far = _out_of_reach(q, naming)
-    if far is not None:
-        block = _block(held, q.base)
-        return _verdict(
-            q, naming, held, "unknown",
-            f"a gap that no entry of the catalogue explains: {far}", none=0.02, unknown=0.98,
-            stage=_stage_of_block(q, naming, block),
-        )  # fmt: skip
-    apart = next((c for c in contrasts_of(q) if c.alarm), None)
-    if apart is not None:
-        # Replicates far apart in time take a drift for noise; their order tells it.
-        return _verdict(
-            q, naming, held, "unknown",
-            f"a gap that no entry of the catalogue explains: the contrast {apart.name} stands at "
-            f"{apart.z:.1f} sd", none=0.02, unknown=0.98,
-            stage=_stage_of_block(q, naming, _block(held, q.base)),
-        )  # fmt: skip
-    best = max(naming.first_gain.values(), default=0.0)
-    unknown = 0.02 + 0.2 * min(unseen / UNSEEN, 1.0) ** 2
-    none = (1.0 - unknown) * (1.0 - 0.15 * min(best / ALARM, 1.0))
-    return _verdict(
-        q, naming, held, "no_gap_above_floor",
-        "the plant, recalibrated within its tolerances, agrees with the data to within the floor",
-        none=none, unknown=1.0 - none,
+def _defect(case: _Case) -> _Finding:
+    """A defect of the recording explains the gap."""
+    fit = case.search.best.fit
+    name, amount = fit.candidates[0].id, float(fit.amounts[0])
+    more = f" by about {amount:.3g} ms" if name.endswith("clock") else ""
+    return _Finding(
+        Status.DATA_UNFIT, DEFECTS[name] + more, 0.0, 1.0,
+        evidence={"defect": name, "amount": amount},
     )  # fmt: skip
 
 
-def _out_of_reach(q: Inquiry, naming: Naming) -> str | None:
-    """What shows a gap although no entry does: a constant at its wall, or what replicates share."""
-    chance = float(np.sqrt(2.0 * len(q.rows)))
-    named = len(q.names) - q.unnamed
-    shift = np.abs(q.base.shift[:named])
-    if shift.max(initial=0.0) > AT_THE_END and naming.excess > STANDS_OUT * chance:
-        constant = q.names[int(np.argmax(shift))]
-        return f"{constant} is led beyond its tolerance, and more than chance is left"
-    shared = repeated(q, q.base.residual)
-    if min(shared, naming.excess) > SHARED * chance:
-        return f"replicates share {shared / chance:.1f} sd more than chance"
+def _unexplained(case: _Case) -> _Finding:
+    """No effect reached the alarm: too few replicates, an unknown gap, or none."""
+    problem, search, config = case.problem, case.search, case.config
+    if case.floor_source is None:
+        return _Finding(
+            Status.BELOW_RESOLUTION,
+            f"{problem.noise.freedom} replicates beyond the first: too few to tell a gap from "
+            f"noise, {config.needed_replicates} are needed",
+            0.5, 0.5,
+        )  # fmt: skip
+    unseen = search.gap
+    if case.floor_source == "replicates":
+        # What replicates do not share is noise, whatever the model of the noise states.
+        unseen = min(unseen, max(case.shared, 0.0))
+    unseen /= max(len(problem.rows), 1)
+    where = None
+    if unseen > config.unexplained_per_row:
+        where = f", in the {case.block(problem.base)} residual"
+    else:
+        where = _hidden_gap(case)
+    if where is not None:
+        reason = f"a gap that no entry of the catalogue explains{where}"
+        return _unknown(case, problem.base, 0.98, reason)
+    best = max(search.first_gain.values(), default=0.0)
+    unknown = 0.02 + 0.2 * min(unseen / config.unexplained_per_row, 1.0) ** 2
+    none = (1.0 - unknown) * (1.0 - 0.15 * min(best / SELECTION.least_gain, 1.0))
+    return _Finding(
+        Status.NO_GAP_ABOVE_FLOOR,
+        "the plant, recalibrated within its tolerances, agrees with the data to within the floor",
+        none, 1.0 - none,
+    )  # fmt: skip
+
+
+def _hidden_gap(case: _Case) -> str | None:
+    """What shows a gap although no effect explains it; None where nothing does.
+
+    A constant at the end of its tolerance, what replicates share, or a contrast: replicates far
+    apart in time take a drift for noise, and their order shows it.
+    """
+    problem, config = case.problem, case.config
+    shift = np.abs(problem.base.shift[: len(problem.names) - problem.unnamed])
+    far = shift.max(initial=0.0) > config.at_bound_sd
+    if far and case.search.gap > config.at_bound_chance * case.chance:
+        constant = problem.names[int(np.argmax(shift))]
+        return f": {constant} is led beyond its tolerance, and more than chance is left"
+    if min(case.shared, case.search.gap) > config.shared_chance * case.chance:
+        return f": replicates share {case.shared / case.chance:.1f} sd more than chance"
+    alarm = next((c for c in contrasts_of(problem) if c.alarm), None)
+    if alarm is not None:
+        return f": the contrast {alarm.name} stands at {alarm.z:.1f} sd"
     return None
 
 
-def _defect(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
-    suspect = naming.chosen.state.suspects[0]
-    amount = float(naming.chosen.state.amounts[0])
-    more = f" by about {amount:.3g} ms" if suspect.id.endswith("clock") else ""
-    return _verdict(
-        q, naming, held, "data_unfit", DEFECTS[suspect.id] + more, none=0.0, unknown=1.0,
-        evidence={"defect": suspect.id, "amount": amount},
+def _explained(case: _Case) -> _Finding:
+    """The search has an explanation: named, one of several, or unknown after all."""
+    problem, search, config = case.problem, case.search, case.config
+    fit, names = search.best.fit, case.names
+    if case.floor_source is None:
+        return _Finding(
+            Status.BELOW_RESOLUTION,
+            f"the data look like {names}, but with {problem.noise.freedom} replicates beyond the "
+            "first nothing can be told from noise",
+            0.3, 0.5, named=True,
+        )  # fmt: skip
+    traits = traits_of(problem, search, case.held)
+    reliability = shipped_reliability().of(traits)
+    found = posterior(search, reliability, min(search.chance, 0.5))
+    one, two = _confounders(case)
+    finding = _Finding(
+        Status.UNKNOWN,
+        f"a gap of which the best entry ({names}) explains {100 * case.share:.0f} %, in a way that "
+        "points to something the catalogue does not hold",
+        found.none,
+        found.unknown,
+        named=True,
+        stage=case.nearest_stage(case.block(fit)),
+        entries=found.entries,
+        confounders=[
+            m for m in (one, two)
+            if m and m.share >= config.confounder_share and not _ruled_out(case, m)
+        ],
+        evidence={
+            "share_explained": case.share,
+            "belief": reliability,
+            "mimics": [{"ids": m.ids, "share": m.share} for m in (one, two) if m],
+            "steps": [{"entry": k, "gain": g} for k, g in search.steps],
+            "further": [test.as_dict(included) for test, included in search.tests],
+            "traits": traits,
+        },
     )  # fmt: skip
-
-
-def _with_name(q: Inquiry, naming: Naming, held: dict[str, Held]) -> Verdict:
-    chosen = naming.chosen
-    block = _block(held, chosen.state)
-    gap = gap_of(block, held[block], True, _floor_source(q), "slot")
-    share = _share(q, naming)
-    names = " and ".join(chosen.state.ids)
-    if _floor_source(q) is None:
-        return _verdict(
-            q, naming, held, "below_resolution",
-            f"the data look like {names}, but with {q.noise.freedom} replicates beyond the first "
-            "nothing can be told from noise", none=0.3, unknown=0.5, gap=gap,
-        )  # fmt: skip
-    traits = traits_of(q, naming, held)
-    belief = learnt().of(traits)
-    none = min(naming.chance, 0.5)
-    weighed = weigh(naming, belief, none)
-    one, two = _mimics(q, naming)
-    extra = [m for m in (one, two) if m and m.share >= MIMIC and not _ruled_out(q, naming, m)]
-    evidence: dict[str, object] = {
-        "share_explained": share,
-        "belief": belief,
-        "mimics": [{"ids": m.ids, "share": m.share} for m in (one, two) if m],
-        "steps": [{"entry": k, "gain": g} for k, g in naming.steps],
-        "further": naming.tried,
-        "traits": traits,
-    }
-    if belief["unknown"] > UNKNOWN:
-        return _verdict(
-            q, naming, held, "unknown",
-            f"a gap of which the best entry ({names}) explains {100 * share:.0f} %, in a way that "
-            "points to something the catalogue does not hold",
-            none=none, unknown=weighed.unknown, gap=gap, stage=_stage_of_block(q, naming, block),
-            entries=weighed.entries, mimics=extra, evidence=evidence,
-        )  # fmt: skip
-    drift = drifting(q, chosen.state)
+    if reliability["unknown"] > config.unknown:
+        return finding
+    drift = drifting(problem, fit)
     if drift is not None:
-        return _verdict(
-            q, naming, held, "unknown",
-            f"a gap of which {names} explains a part and no drift over the trials: the contrast "
-            f"{drift.name} still stands at {drift.z:.1f} sd",
-            none=none, unknown=max(weighed.unknown, DRIFTS), gap=gap,
-            stage=_stage_of_block(q, naming, block), entries=weighed.entries, mimics=extra,
-            evidence=evidence,
-        )  # fmt: skip
-    entries = ambiguity_set(weighed)
-    ids = {frozenset(choice.state.ids) for choice, _ in entries}
-    status, reason = _status(
-        naming, gap, share, _nearest(naming, q.base.cost, one), two, len(ids), names
-    )
-    partly = belief["right"] + belief["part"]
-    if len(chosen.state.ids) > 1:
-        sure = partly >= NAMED_SEVERAL and belief["right"] >= NAMED_ALL
-    else:
-        sure = partly >= NAMED
-    if status in ("named", "named_form_inadequate") and not sure:
-        status, reason = (
-            "indistinguishable",
-            f"{names} fits best, but an explanation that looks like this one is right in "
-            f"{100 * belief['right']:.0f} % of cases only",
+        return replace(
+            finding,
+            unknown=max(found.unknown, config.drift_unknown),
+            reason=f"a gap of which {names} explains a part and no drift over the trials: the "
+            f"contrast {drift.name} still stands at {drift.z:.1f} sd",
         )
-    return _verdict(
-        q, naming, held, status, reason, none=weighed.none, unknown=weighed.unknown, gap=gap,
-        stage=CATALOGUE[chosen.state.ids[0]].stage, entries=entries, mimics=extra,
-        evidence=evidence,
-    )  # fmt: skip
+    entries = credible_set(found)
+    status, reason = _status(case, entries, nearest_confounder(search, problem.base.cost, one), two)
+    right, partly = reliability["right"], reliability["right"] + reliability["part"]
+    several = len(fit.ids) > 1
+    least = config.named_several if several else config.named
+    if status in NAMED and (partly < least or (several and right < config.named_all)):
+        status = Status.INDISTINGUISHABLE
+        reason = (
+            f"{names} fits best, but an explanation that looks like this one is right in "
+            f"{100 * right:.0f} % of cases only"
+        )
+    stage = CATALOGUE[fit.ids[0]].stage
+    return replace(finding, status=status, reason=reason, stage=stage, entries=entries)
 
 
-def _mimics(q: Inquiry, naming: Naming) -> tuple[Mimic | None, Mimic | None]:
+def _confounders(case: _Case) -> tuple[Confounder | None, Confounder | None]:
     """Best single and pair that could stand in for the explanation, by signatures.
 
-    What leaves most of one effect's gap as it is takes its name away even where the data rule it
-    out: told apart by a few per cent of the gap, the name would rest on the effect's exact form.
+    What takes most of the gap of a single effect takes its name away even where the data rule it
+    out: told apart by a few per cent of the gap, the name would rest on the exact form.
     """
-    state = naming.chosen.state
-    one, two = Mimicry(q).of(q.base.residual - state.residual, frozenset(state.ids))
-    if len(state.ids) > 1:
-        one, two = (None if m and _ruled_out(q, naming, m) else m for m in (one, two))
+    fit = case.search.best.fit
+    one, two = ConfounderSearch(case.problem).of(
+        case.problem.base.residual - fit.residual, frozenset(fit.ids)
+    )
+    if len(fit.ids) > 1:
+        one, two = (None if m and _ruled_out(case, m) else m for m in (one, two))
     return one, two
 
 
-def _nearest(naming: Naming, base: float, one: Mimic | None) -> Mimic | None:
-    """The mimic `one`, or the rival of the search that takes more at the size that it needs.
+def nearest_confounder(
+    search: SearchResult, base: float, one: Confounder | None
+) -> Confounder | None:
+    """The confounder `one`, or the rival of the search that takes more at the size that it needs.
 
     `base` is the cost of the plant without any effect.
     """
-    state = naming.chosen.state
-    whole = max(base - state.cost, 1e-9)
-    for rival in naming.rivals if len(state.ids) == 1 else []:
-        taken = 1.0 - (rival.cost - state.cost) / whole
-        if rival.state.ids != state.ids and (one is None or taken > one.share):
-            one = Mimic(rival.state.ids, min(taken, 1.0))
+    fit = search.best.fit
+    whole = max(base - fit.cost, 1e-9)
+    for rival in search.rivals if len(fit.ids) == 1 else []:
+        taken = 1.0 - (rival.cost - fit.cost) / whole
+        if rival.fit.ids != fit.ids and (one is None or taken > one.share):
+            one = Confounder(rival.fit.ids, min(taken, 1.0))
     return one
 
 
-def _ruled_out(q: Inquiry, naming: Naming, mimic: Mimic) -> bool:
-    """Whether a mimic leaves more than noise and inexact forms could."""
-    whole = max(q.base.cost - naming.chosen.cost, 0.0)
-    bearable = max(TOLD_APART, 3.0 * naming.left)
-    return mimic.share < SURE and (1.0 - mimic.share) * whole >= bearable
+def _ruled_out(case: _Case, confounder: Confounder) -> bool:
+    """Whether a confounder leaves more than noise and inexact forms could."""
+    config = case.config
+    left = (1.0 - confounder.share) * max(case.problem.base.cost - case.search.best.cost, 0.0)
+    bearable = max(config.confounder_left, config.confounder_left_factor * case.search.left)
+    return confounder.share < config.confounder_sure and left >= bearable
 
 
 def _status(
-    naming: Naming, gap: Gap, share: float, one: Mimic | None, two: Mimic | None, rivals: int,
-    names: str,
-) -> tuple[str, str]:  # fmt: skip
-    if rivals > 1 or (one is not None and one.share >= MIMIC):
-        other = f"; {' + '.join(one.ids)} would look alike" if one and one.share >= MIMIC else ""
+    case: _Case,
+    entries: list[tuple[Hypothesis, float]],
+    one: Confounder | None,
+    two: Confounder | None,
+) -> tuple[Status, str]:
+    """Status and reason of an explanation that is reliable."""
+    names, least = case.names, case.config.confounder_share
+    alike = one is not None and one.share >= least
+    if alike or len({frozenset(hypothesis.fit.ids) for hypothesis, _ in entries}) > 1:
+        other = f"; {' + '.join(one.ids)} would look alike" if one and alike else ""
         return (
-            "indistinguishable",
+            Status.INDISTINGUISHABLE,
             f"{names} or another entry of the set: these data fit both{other}",
         )
-    if two is not None and two.share >= MIMIC:
-        return "mimicable", f"{names}, or {' and '.join(two.ids)} acting together"
-    if share < FORM_FULL:
+    if two is not None and two.share >= least:
+        return Status.MIMICABLE, f"{names}, or {' and '.join(two.ids)} acting together"
+    if case.share < case.config.form_share:
         return (
-            "named_form_inadequate",
-            f"{names} explains {100 * share:.0f} % of the gap; its form leaves a pattern",
+            Status.NAMED_FORM_INADEQUATE,
+            f"{names} explains {100 * case.share:.0f} % of the gap; its form leaves a pattern",
         )
-    if gap.closed_low is not None and gap.closed_low <= HALF:
+    low = _gap(case, named=True).closed_low
+    if low is not None and low <= case.config.closed_share:
         return (
-            "named_form_inadequate",
+            Status.NAMED_FORM_INADEQUATE,
             f"{names}; held out, the closed fraction is not certain to exceed one half",
         )
-    return "named", f"{names} explains the gap"
+    return Status.NAMED, f"{names} explains the gap"
 
 
-def _verdict(  # noqa: PLR0913 - to be grouped with the verdict's parts
-    q: Inquiry,
-    naming: Naming,
-    held: dict[str, Held],
-    status: str,
-    reason: str,
-    none: float,
-    unknown: float,
-    gap: Gap | None = None,
-    stage: str | None = None,
-    entries: list[tuple[Choice, float]] | None = None,
-    mimics: list[Mimic] | None = None,
-    evidence: dict[str, object] | None = None,
-) -> Verdict:
-    if gap is None and held:
-        block = _block(held, naming.chosen.state)
-        gap = gap_of(block, held[block], False, _floor_source(q), "slot")
-    effects = _explanations(q, entries or [], mimics or [], none, unknown)
+def _gap(case: _Case, named: bool) -> Gap:
+    """The gap of the block that shows it best."""
+    block = case.block(case.search.best.fit)
+    return gap_of(block, case.held[block], named, case.floor_source, "slot")
+
+
+def _verdict(case: _Case, finding: _Finding) -> Verdict:
+    """Complete a finding: gap, stages, limits and the next experiment."""
+    problem, search, entries = case.problem, case.search, finding.entries
+    none, unknown = finding.none, finding.unknown
+    effects = _explanations(problem, case.config, finding)
     whole = none + unknown + sum(effect.probability for effect in effects)
     scale = 1.0 / whole if whole > 0.0 else 1.0
     return Verdict(
-        status=status,
-        reason=reason,
-        stage="muscle" if stage == "any" else stage,  # wear: the pull is where it shows
-        effects=tuple(
-            Explanation(e.ids, e.family, e.probability * scale, e.parameters) for e in effects
-        ),
+        status=finding.status,
+        reason=finding.reason,
+        stage="muscle" if finding.stage == "any" else finding.stage,  # wear shows in the pull
+        effects=tuple(replace(e, probability=e.probability * scale) for e in effects),
         probability_none=none * scale,
         probability_unknown=unknown * scale,
-        gap=gap,
-        stages=stage_shares(q, naming.chosen.state, held) if held else (),
-        contrasts=contrasts_of(q),
-        limits=limits_of(q, ALARM),
-        next_experiment=advise(q, _leader(entries), _others(q, naming, entries, mimics)),
-        why_not=why_not(q, naming, {i for e in effects for i in e.ids}),
-        notes=q.data.notes,
-        evidence={
-            "found": list(naming.chosen.state.ids),
-            **(evidence or {}),
-        },
+        gap=_gap(case, finding.named) if case.held else None,
+        stages=stage_shares(problem, search.best.fit, case.held) if case.held else (),
+        contrasts=contrasts_of(problem),
+        limits=detection_limits(problem, SELECTION.least_gain),
+        next_experiment=advise(
+            problem, entries[0][0].fit if entries else None, _to_tell_apart(case, finding)
+        ),
+        why_not=why_not(problem, search, {i for e in effects for i in e.ids}),
+        notes=problem.data.notes,
+        evidence={"found": list(search.best.fit.ids), **finding.evidence},
     )
 
 
-def _leader(entries: list[tuple[Choice, float]] | None) -> State | None:
-    return entries[0][0].state if entries else None
-
-
-def _others(
-    q: Inquiry,
-    naming: Naming,
-    entries: list[tuple[Choice, float]] | None,
-    mimics: list[Mimic] | None,
-) -> list[State]:
-    """Rivals an experiment should tell from the best: the set, its mimics, or the runner-up."""
-    if not entries:
+def _to_tell_apart(case: _Case, finding: _Finding) -> list[FitResult]:
+    """Fits that an experiment should tell from the best one."""
+    if not finding.entries:
         return []
-    others = [choice.state for choice, _ in entries[1:]]
-    for mimic in mimics or []:
-        suspects = [next(s for s in q.suspects if s.id == name) for name in mimic.ids]
-        others.append(q.fit(suspects, [s.step for s in suspects]))
-    return others or [c.state for c in naming.rivals[:1]]
+    others = [hypothesis.fit for hypothesis, _ in finding.entries[1:]]
+    for confounder in finding.confounders:
+        own = [next(s for s in case.problem.candidates if s.id == i) for i in confounder.ids]
+        others.append(case.problem.fit(own, [s.step for s in own]))
+    return others or [c.fit for c in case.search.rivals[:1]]
 
 
 def _explanations(
-    q: Inquiry, entries: list[tuple[Choice, float]], mimics: list[Mimic], none: float,
-    unknown: float,
-) -> list[Explanation]:  # fmt: skip
+    problem: FitProblem, config: DecisionConfig, finding: _Finding
+) -> list[Explanation]:
+    """Entries of the set with their parameters; those of the same effects are joined."""
     made: dict[frozenset[str], Explanation] = {}
-    for choice, p in entries:
-        ids = choice.state.ids
-        key = frozenset(ids)
-        if key in made:
-            kept = made[key]
-            made[key] = Explanation(kept.ids, kept.family, kept.probability + p, kept.parameters)
+    for hypothesis, p in finding.entries:
+        ids = hypothesis.fit.ids
+        kept = made.get(frozenset(ids))
+        if kept is not None:
+            made[frozenset(ids)] = replace(kept, probability=kept.probability + p)
             continue
-        families = dict.fromkeys(CATALOGUE[name].family for name in ids)
-        made[key] = Explanation(ids, "+".join(families), p, headline_estimates(q, choice.state))
-    # What mimics the best entry shares its credit: on these data nothing tells them apart.
-    for mimic in mimics:
-        key = frozenset(mimic.ids)
-        if key not in made and made:
-            first = next(iter(made.values()))
-            families = dict.fromkeys(CATALOGUE[name].family for name in mimic.ids)
-            made[key] = Explanation(mimic.ids, "+".join(families), 0.4 * first.probability, {})
+        estimates = headline_estimates(problem, hypothesis.fit, shipped_reliability().form)
+        made[frozenset(ids)] = Explanation(ids, _families(ids), p, estimates)
+    # On these data nothing tells a confounder from the best entry.
+    for confounder in finding.confounders:
+        if made and frozenset(confounder.ids) not in made:
+            p = config.confounder_weight * next(iter(made.values())).probability
+            made[frozenset(confounder.ids)] = Explanation(
+                confounder.ids, _families(confounder.ids), p, {}
+            )
     return sorted(made.values(), key=lambda e: -e.probability)
 
 
-def _floor_source(q: Inquiry) -> str | None:
-    if q.noise.pairs and q.noise.freedom >= NEEDED_REPLICATES:
-        return "replicates"
-    return "smoothness" if q.data.settled else None
-
-
-def _block(held: dict[str, Held], state: State) -> str:
-    """The block whose gap stands highest above its floor, or is closed most."""
-
-    def height(block: str) -> float:
-        part = held[block]
-        floor = max(part.rms("floor"), 1e-6) ** 2
-        gained = part.rms("recalibrated") ** 2 - (
-            part.rms("after") ** 2 if state.suspects else part.rms("floor") ** 2
-        )
-        sure = not state.suspects or part.closed() is not None
-        return gained / floor * (0.2 if block == "camera" else 1.0) * (1.0 if sure else 0.1)
-
-    return max(held, key=height)
-
-
-def _stage_of_block(q: Inquiry, naming: Naming, block: str) -> str | None:
-    """Stage of the suspect that comes nearest among those that touch the block."""
-    known = {s.key: s for s in q.suspects if not s.defect and block in s.blocks}
-    gains = {k: g for k, g in naming.first_gain.items() if k in known}
-    if not gains:
-        return None
-    stage = CATALOGUE[known[max(gains, key=lambda k: gains[k])].id].stage
-    return None if stage == "any" else stage
+def _families(ids: tuple[str, ...]) -> str:
+    return "+".join(dict.fromkeys(CATALOGUE[name].family for name in ids))

@@ -1,4 +1,4 @@
-"""What else could look like an effect on this very data: the mimic index."""
+"""Confounders: other effects that could look like an effect on the present data."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.estimation.fit_problem import Inquiry
+from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import gather, projected
 from gap.model.sensitivities import suspect_columns
 
@@ -15,33 +15,46 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Mimic:
+class Confounder:
     """Other effects that together take `share` of an effect's signature on the present data."""
 
     ids: tuple[str, ...]
     share: float
 
 
-class Mimicry:
-    """How well suspects stand in for each other on one data set, constants recalibrated."""
+class ConfounderSearch:
+    """How well candidates stand in for each other on one data set, constants recalibrated."""
 
-    def __init__(self, q: Inquiry) -> None:
-        self.q = q
-        c = q.constants(q.base.shift)
+    def __init__(self, problem: FitProblem) -> None:
+        self.problem = problem
+        c = problem.constants(problem.base.shift)
         self._columns = np.nan_to_num(
-            suspect_columns(q.model, c, q.found(q.base.shift, (), np.empty(0)), q.suspects)
+            suspect_columns(
+                problem.model,
+                c,
+                problem.active_effects(problem.base.shift, (), np.empty(0)),
+                problem.candidates,
+            )
         )
 
-    def of(self, signature: Array, excluded: frozenset[str]) -> tuple[Mimic | None, Mimic | None]:
+    def of(
+        self, signature: Array, excluded: frozenset[str]
+    ) -> tuple[Confounder | None, Confounder | None]:
         """Best single and best pair of other ids for a signature, shape (rows,).
 
         `excluded` are ids that may not stand in; defects of the recording never do.
         """
-        q = self.q
+        problem = self.problem
         evidence = gather(
-            q.noise, q.columns, signature, self._columns, q.rows.block, q.rows.span_s, q.units,
-            np.zeros(len(q.names)),
-        )  # fmt: skip
+            problem.noise,
+            problem.columns,
+            signature,
+            self._columns,
+            problem.rows.block,
+            problem.rows.span_s,
+            problem.units,
+            np.zeros(len(problem.names)),
+        )
         p = projected(evidence, evidence.total)
         whole = float(p[0, 0])
         if whole <= 1e-9:
@@ -49,20 +62,22 @@ class Mimicry:
         b = p[0, 1:]
         g = p[1:, 1:]
         norm = np.maximum(np.diag(g), 1e-12)
-        signs = np.array([s.sign for s in q.suspects])
-        usable = np.array([s.id not in excluded and not s.defect for s in q.suspects])
+        signs = np.array([s.sign for s in problem.candidates])
+        usable = np.array([s.id not in excluded and not s.defect for s in problem.candidates])
         usable &= np.diag(g) > 1e-9 * whole * 1e-3
         single = np.where(usable & ((signs == 0) | (b > 0.0)), b**2 / norm, 0.0)
         best = int(np.argmax(single))
         one = (
-            Mimic((q.suspects[best].id,), float(single[best] / whole)) if single[best] > 0 else None
+            Confounder((problem.candidates[best].id,), float(single[best] / whole))
+            if single[best] > 0
+            else None
         )
         return one, self._pair(b, g, norm, signs, usable, whole)
 
     def _pair(
         self, b: Array, g: Array, norm: Array, signs: Array, usable: npt.NDArray[np.bool_],
         whole: float,
-    ) -> Mimic | None:  # fmt: skip
+    ) -> Confounder | None:  # fmt: skip
         det = norm[:, None] * norm[None, :] - g**2
         good = usable[:, None] & usable[None, :] & (det > 1e-6 * norm[:, None] * norm[None, :])
         safe = np.where(good, det, 1.0)
@@ -70,11 +85,11 @@ class Mimicry:
         second = (b[None, :] * norm[:, None] - g * b[:, None]) / safe
         good &= (signs[:, None] == 0) | (first > 0.0)
         good &= (signs[None, :] == 0) | (second > 0.0)
-        ids = np.array([s.id for s in self.q.suspects])
+        ids = np.array([s.id for s in self.problem.candidates])
         good &= ids[:, None] != ids[None, :]
         share = np.where(good, first * b[:, None] + second * b[None, :], 0.0)
         at = np.unravel_index(int(np.argmax(share)), share.shape)
         if share[at] <= 0.0:
             return None
         pair = (str(ids[at[0]]), str(ids[at[1]]))
-        return Mimic(pair, float(min(share[at] / whole, 1.0)))
+        return Confounder(pair, float(min(share[at] / whole, 1.0)))

@@ -10,18 +10,16 @@ from collections.abc import Iterable
 
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
-from gap.decision.classify import judge
+from gap.decision.classify import classify
 from gap.effects.candidates import SUSPECTS
 from gap.errors import GapError
-from gap.estimation.fit_problem import Inquiry, State
-from gap.selection.forward import Naming, name_effects
-from gap.selection.inclusion import excess
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.selection.config import SELECTION
+from gap.selection.inclusion import excess_chi2
+from gap.selection.search import SearchResult, search_effects
 from gap.selection.timing import mistimed_channel
-from gap.verdict import Verdict
+from gap.verdict import Status, Verdict
 from plant.effects.catalogue import CATALOGUE
-
-_PLAIN = 0.2
-"""Gap, in noise squared a row, from which a channel out of time would not pass unseen."""
 
 
 def diagnose(data: DataSet, without: Iterable[str] = ()) -> Verdict:
@@ -32,26 +30,26 @@ def diagnose(data: DataSet, without: Iterable[str] = ()) -> Verdict:
     Raises:
         GapError: an unknown effect in `without`, or a data set in which nothing can be compared.
     """
-    return examine(data, without)[0]
+    return diagnose_with_fit(data, without)[0]
 
 
-def examine(
+def diagnose_with_fit(
     data: DataSet, without: Iterable[str] = ()
-) -> tuple[Verdict, Inquiry | None, State | None]:
+) -> tuple[Verdict, FitProblem | None, FitResult | None]:
     """Diagnose, and hand back the fits behind the verdict as well; see `diagnose`.
 
-    The state holds what the verdict speaks of: without what the search could not prove.
+    The fit holds what the verdict speaks of: without what the search could not prove.
     """
-    verdict, inquiry, naming = searched(data, without)
-    return verdict, inquiry, naming.chosen.state if naming is not None else None
+    verdict, problem, search = diagnose_with_search(data, without)
+    return verdict, problem, search.best.fit if search is not None else None
 
 
-def searched(
+def diagnose_with_search(
     data: DataSet, without: Iterable[str] = ()
-) -> tuple[Verdict, Inquiry | None, Naming | None]:
+) -> tuple[Verdict, FitProblem | None, SearchResult | None]:
     """Diagnose, and hand back the search behind the verdict as well; see `diagnose`.
 
-    Inquiry and search are None where the data are unfit or nothing can be compared.
+    FitProblem and search are None where the data are unfit or nothing can be compared.
     """
     struck = frozenset(without)
     for name in struck:
@@ -62,21 +60,23 @@ def searched(
     unfit = unfit_channels(data)
     if unfit:
         return _unfit(unfit), None, None
-    inquiry = Inquiry(data, [suspect for suspect in SUSPECTS if suspect.id not in struck])
-    if not len(inquiry.rows):
+    problem = FitProblem.of(
+        data, [candidate for candidate in SUSPECTS if candidate.id not in struck]
+    )
+    if not len(problem.rows):
         return nothing_to_compare(data), None, None
-    if excess(inquiry, inquiry.base) > _PLAIN * len(inquiry.rows):
-        mistimed = mistimed_channel(inquiry)
+    if excess_chi2(problem, problem.base) > SELECTION.timing_excess_per_row * len(problem.rows):
+        mistimed = mistimed_channel(problem)
         if mistimed is not None:
-            return _unfit([Unfit(mistimed.channel, str(mistimed).partition(" ")[2])]), None, None
-    verdict, naming = judge(inquiry, name_effects(inquiry))
-    return verdict, inquiry, naming
+            return _unfit([Unfit(mistimed.channel, mistimed.defect)]), None, None
+    verdict, search = classify(problem, search_effects(problem))
+    return verdict, problem, search
 
 
 def _unfit(found: list[Unfit]) -> Verdict:
     first = found[0]
     return Verdict(
-        status="data_unfit",
+        status=Status.DATA_UNFIT,
         reason="; ".join(str(unfit) for unfit in found[:3]),
         stage=None,
         effects=(),
@@ -98,7 +98,7 @@ def _unfit(found: list[Unfit]) -> Verdict:
 def nothing_to_compare(data: DataSet) -> Verdict:
     """The verdict on data without any two channels that the plant relates."""
     return Verdict(
-        status="below_resolution",
+        status=Status.BELOW_RESOLUTION,
         reason="no trial has channels that the plant relates: pressure with force, pressure with "
         "valve commands, or pressure with a hung load and its length, each with a length",
         stage=None,

@@ -1,12 +1,11 @@
-"""How far an explanation is to be believed, learnt from blind sets whose truth is known.
+"""Reliability of an explanation, learnt from blind sets whose truth is known.
 
-A goodness-of-fit test rejects every explanation when the signal is strong, because no form is ever
-exact; a share of the gap alone lets mimics pass. So the traits of an explanation
-(`gap.decision.traits`) are weighed by a forest of decision trees into four outcomes: it is right;
-part of it is; something else of the catalogue is; nothing of the catalogue is. What a trait says
-depends on the others: a constant at the end of its tolerance is suspicious beside a weak gap, and
-usual beside a strong one of which next to nothing is left. The forest comes from sets that were
-set apart for learning (`python -m gap.check.learn`), never from those that score the diagnosis.
+A goodness-of-fit test rejects every explanation where the signal is strong, because no form is
+exact; a share of the gap alone accepts confounders. So a random forest maps the traits of an
+explanation (`gap.decision.traits`) to the probabilities of four outcomes: it is right; a part of it
+is right; another effect of the catalogue is; an effect outside the catalogue is. The forest comes
+from sets that were set apart for learning (`python -m gap.check.learn`), never from those that
+score the diagnosis.
 """
 
 from __future__ import annotations
@@ -84,7 +83,7 @@ class Forest:
 
     Attributes:
         roots: index of each tree's first node, shape (trees,).
-        feature: which feature a node asks, -1 at a leaf, shape (nodes,).
+        feature: the feature that a node compares, -1 at a leaf, shape (nodes,).
         threshold: up to and with this value the way goes left, shape (nodes,).
         left: index of the node on the left, shape (nodes,); right: the same on the right.
         odds: probability of each outcome at a node, shape (nodes, outcomes).
@@ -109,7 +108,7 @@ class Forest:
 
 
 @dataclass(frozen=True)
-class Belief:
+class Reliability:
     """The forest, and what an entry's true form may do to its headline.
 
     `form` is the error (1 sd) of the logarithm of an entry's headline that its true form brings.
@@ -125,8 +124,8 @@ class Belief:
 
 
 @cache
-def learnt() -> Belief:
-    """The belief that ships with the program."""
+def shipped_reliability() -> Reliability:
+    """The reliability model that ships with the program."""
     shipped = resources.files("gap.decision")
     table = tomllib.loads(shipped.joinpath(_FORM).read_text(encoding="utf-8"))
     with shipped.joinpath(_FOREST).open("rb") as file, np.load(file) as stored:
@@ -142,4 +141,4 @@ def learnt() -> Belief:
             stored["right"].astype(np.int64),
             stored["odds"].astype(np.float64),
         )
-    return Belief(forest, dict(table["form"]))
+    return Reliability(forest, dict(table["form"]))

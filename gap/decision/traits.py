@@ -1,4 +1,4 @@
-"""What an explanation looks like, in a few plain numbers on which belief in it can rest."""
+"""Traits of an explanation: plain numbers from which its reliability is computed."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ from collections.abc import Mapping
 import numpy as np
 
 from gap.effects.candidates import Suspect
-from gap.estimation.agreement import repeated
-from gap.estimation.fit_problem import Inquiry
-from gap.selection.forward import Naming
-from gap.validation.shrink import Held
+from gap.estimation.agreement import shared_chi2
+from gap.estimation.cross_validation import HeldOut
+from gap.estimation.fit_problem import FitProblem
+from gap.selection.search import SearchResult
 from plant.effects.catalogue import CATALOGUE
 
 _MOST = 1e9
 """Stands for a margin over rivals where none was near enough to be fitted."""
 
 
-def traits_of(q: Inquiry, naming: Naming, held: Mapping[str, Held]) -> dict[str, float]:
+def traits_of(
+    problem: FitProblem, search: SearchResult, held: Mapping[str, HeldOut]
+) -> dict[str, float]:
     """Traits of what a search found, all plain numbers.
 
     `excess` and `left` are whitened sums of squares beyond noise before and after, `repeated` and
@@ -30,39 +32,39 @@ def traits_of(q: Inquiry, naming: Naming, held: Mapping[str, Held]) -> dict[str,
     `at_an_end` how many amounts and numbers of shapes stand at an end of their range; `settled`
     whether the data are a table of settled points.
     """
-    state = naming.remaining
-    others = [c.cost for c in naming.rivals if set(c.state.ids) != set(state.ids)]
+    fit = search.remaining
+    others = [c.cost for c in search.rivals if set(c.fit.ids) != set(fit.ids)]
     closed = [c[0] for c in (h.closed() for h in held.values()) if c is not None]
-    families = {CATALOGUE[name].family if name in CATALOGUE else name for name in state.ids}
-    refused = naming.tried[-1] if naming.tried and not naming.tried[-1]["counted"] else {}
+    families = {CATALOGUE[name].family if name in CATALOGUE else name for name in fit.ids}
+    refused = search.tests[-1][0] if search.tests and not search.tests[-1][1] else None
     return {
-        "rows": float(len(q.rows)),
-        "excess": naming.excess,
-        "left": naming.left,
-        "repeated": repeated(q, q.base.residual),
-        "repeated_left": repeated(q, state.residual),
-        "effects": float(len(naming.chosen.keys)),
-        "same_family": float(len(families) < len(state.ids)),
-        "margin": float(min(min(others, default=np.inf) - naming.chosen.cost, _MOST)),
-        "more": max(naming.last_gain.values(), default=0.0),
-        "bent": float(np.abs(state.shift).max(initial=0.0)),
-        "bent_base": float(np.abs(q.base.shift).max(initial=0.0)),
+        "rows": float(len(problem.rows)),
+        "excess": search.gap,
+        "left": search.left,
+        "repeated": shared_chi2(problem, problem.base.residual),
+        "repeated_left": shared_chi2(problem, fit.residual),
+        "effects": float(len(search.best.keys)),
+        "same_family": float(len(families) < len(fit.ids)),
+        "margin": float(min(min(others, default=np.inf) - search.best.cost, _MOST)),
+        "more": max(search.last_gain.values(), default=0.0),
+        "bent": float(np.abs(fit.shift).max(initial=0.0)),
+        "bent_base": float(np.abs(problem.base.shift).max(initial=0.0)),
         "closed": max(closed, default=0.0),
-        "next_seen": float(refused.get("seen", 0.0)),
-        "next_gain": float(refused.get("gain", 0.0)),
-        "first_gain": naming.steps[0][1],
-        "last_gain": naming.steps[-1][1],
+        "next_seen": refused.visibility if refused else 0.0,
+        "next_gain": refused.gain if refused else 0.0,
+        "first_gain": search.steps[0][1],
+        "last_gain": search.steps[-1][1],
         "at_an_end": float(
-            sum(at_an_end(s, a) for s, a in zip(state.suspects, state.amounts, strict=True))
+            sum(at_an_end(s, a) for s, a in zip(fit.candidates, fit.amounts, strict=True))
         ),
-        "settled": float(q.data.settled),
+        "settled": float(problem.data.settled),
     }
 
 
-def at_an_end(suspect: Suspect, amount: float) -> bool:
+def at_an_end(candidate: Suspect, amount: float) -> bool:
     """Whether an amount, or a number of its shape, could not go further."""
-    low, high = suspect.bounds
-    shapes = [(suspect.shape[key], ends) for key, ends in suspect.free.items()]
+    low, high = candidate.bounds
+    shapes = [(candidate.shape[key], ends) for key, ends in candidate.free.items()]
     return bool(
         amount >= 0.98 * high or (low < 0.0 and amount <= 0.98 * low)
         or any(not 1.02 * a < number < 0.98 * b for number, (a, b) in shapes)

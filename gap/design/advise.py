@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from gap.design.foresight import Products, by_trial, foreseen, products, separation, sum_of
-from gap.design.library import Candidate, candidates
-from gap.estimation.fit_problem import Inquiry, State
+from gap.design.foresight import Products, by_trial, on_experiment, products, separation, sum_of
+from gap.design.library import LibraryExperiment, library_experiments
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.verdict import Experiment
 from plant.effects.catalogue import CATALOGUE
 from plant.errors import PlantError
@@ -69,21 +69,23 @@ REFERENCES: dict[str, tuple[Standard, float]] = {
 class _Plan:
     """An experiment with as many repeats as it needs, and where that leads."""
 
-    candidate: Candidate
+    option: LibraryExperiment
     repeats: int
     after: float
 
     @property
     def minutes(self) -> float:
         """Bench time with what it takes to begin a run."""
-        return BEGIN_MIN + self.repeats * self.candidate.minutes
+        return BEGIN_MIN + self.repeats * self.option.minutes
 
 
-def advise(q: Inquiry, best: State | None, rivals: Sequence[State]) -> Experiment | None:
+def advise(
+    problem: FitProblem, best: FitResult | None, rivals: Sequence[FitResult]
+) -> Experiment | None:
     """Return the experiment that best separates `best` from its nearest rival."""
-    if best is None or not best.suspects or not rivals:
+    if best is None or not best.candidates or not rivals:
         return None
-    found = [by_trial(q, best, rival) for rival in rivals]
+    found = [by_trial(problem, best, rival) for rival in rivals]
     apart = [separation(sum_of(f), best, r) for f, r in zip(found, rivals, strict=True)]
     nearest = int(np.argmin(apart))
     rival, now = rivals[nearest], apart[nearest]
@@ -94,7 +96,9 @@ def advise(q: Inquiry, best: State | None, rivals: Sequence[State]) -> Experimen
     enough = ENOUGH if now < ENOUGH else float(np.hypot(now, ENOUGH))
     plans = [
         plan
-        for plan in (_plan(q, best, rival, c, present, enough) for c in _library(q, best))
+        for plan in (
+            _plan(problem, best, rival, c, present, enough) for c in _library(problem, best)
+        )
         if plan is not None
     ]
     reference = _reference(best, rival, present, enough, now, between)
@@ -103,43 +107,54 @@ def advise(q: Inquiry, best: State | None, rivals: Sequence[State]) -> Experimen
     if plans:
         plan = min(plans, key=lambda p: p.minutes)
         return Experiment(
-            plan.candidate.protocol,
-            {**plan.candidate.settings, "repeats": plan.repeats},
-            now, plan.after, plan.repeats * len(plan.candidate.trials), between,
-            f"{plan.candidate.what}: tells {between[0]} from {between[1]} in about "
+            plan.option.protocol,
+            {**plan.option.settings, "repeats": plan.repeats},
+            now, plan.after, plan.repeats * len(plan.option.trials), between,
+            f"{plan.option.what}: tells {between[0]} from {between[1]} in about "
             f"{max(plan.minutes, 1.0):.0f} min",
         )  # fmt: skip
-    again = _same_again(q, best, rival, found[nearest], present, enough, now, between)
+    again = _same_again(problem, best, rival, found[nearest], present, enough, now, between)
     return again if again is not None else _standard(best, between, now)
 
 
-def _library(q: Inquiry, best: State) -> list[Candidate]:
+def _library(problem: FitProblem, best: FitResult) -> list[LibraryExperiment]:
     """The library, or nothing where the plant as known cannot be simulated."""
     try:
-        return candidates(q, best)
+        return library_experiments(problem, best)
     except PlantError:
         return []
 
 
 def _plan(
-    q: Inquiry, best: State, rival: State, candidate: Candidate, present: Products, enough: float
+    problem: FitProblem,
+    best: FitResult,
+    rival: FitResult,
+    option: LibraryExperiment,
+    present: Products,
+    enough: float,
 ) -> _Plan | None:
     """Repeats that an experiment needs; None where it would take too many."""
-    one = products(foreseen(q, candidate), best, rival)
-    for repeats in range(LEAST_REPEATS, MOST_TRIALS // len(candidate.trials) + 1):
+    one = products(on_experiment(problem, option), best, rival)
+    for repeats in range(LEAST_REPEATS, MOST_TRIALS // len(option.trials) + 1):
         after = separation(present + one.times(repeats), best, rival)
         if after >= enough:
-            return _Plan(candidate, repeats, after)
+            return _Plan(option, repeats, after)
     return None
 
 
 def _same_again(
-    q: Inquiry, best: State, rival: State, parts: Sequence[Products], present: Products,
-    enough: float, now: float, between: tuple[str, str],
-) -> Experiment | None:  # fmt: skip
+    problem: FitProblem,
+    best: FitResult,
+    rival: FitResult,
+    parts: Sequence[Products],
+    present: Products,
+    enough: float,
+    now: float,
+    between: tuple[str, str],
+) -> Experiment | None:
     """More trials of the slot that separates best, where that does; else None."""
     found: tuple[int, float, int] | None = None
-    for slot, members in enumerate(q.data.slots.values()):
+    for slot, members in enumerate(problem.data.slots.values()):
         one = sum_of([parts[t] for t in members]).times(1)
         for rounds in range(1, MOST_TRIALS // len(members) + 1):
             after = separation(present + one.times(rounds), best, rival)
@@ -151,8 +166,8 @@ def _same_again(
     if found is None:
         return None
     count, after, slot = found
-    name = list(q.data.slots)[slot]
-    trial = q.data.trials[q.data.slots[name][0]]
+    name = list(problem.data.slots)[slot]
+    trial = problem.data.trials[problem.data.slots[name][0]]
     settings: dict[str, Any] = {"like_slot": name, "repeats": count}
     for key, value in (("held_length_mm", trial.held_length_mm), ("load_kg", trial.load_kg)):
         if np.isfinite(value):
@@ -164,7 +179,7 @@ def _same_again(
 
 
 def _reference(
-    best: State, rival: State, present: Products, enough: float, now: float,
+    best: FitResult, rival: FitResult, present: Products, enough: float, now: float,
     between: tuple[str, str],
 ) -> tuple[float, Experiment] | None:  # fmt: skip
     """Quickest standard that tells the two apart, with its minutes; None where none does."""
@@ -184,32 +199,32 @@ def _reference(
     return minutes, Experiment("reference", settings, now, after, 1, between, why)
 
 
-def _measured(best: State, rival: State, name: str, error: float) -> Products:
+def _measured(best: FitResult, rival: FitResult, name: str, error: float) -> Products:
     """What a direct measurement of one effect's amount adds."""
     n = len(rival.shift)
-    column = np.r_[np.zeros(n), [float(s.id == name) for s in rival.suspects]] / error
+    column = np.r_[np.zeros(n), [float(s.id == name) for s in rival.candidates]] / error
     apart = (_amount(rival, name) - _amount(best, name)) / error
     return Products(apart**2, apart * column, np.outer(column, column))
 
 
-def _amount(state: State, name: str) -> float:
-    return float(sum(a for s, a in zip(state.suspects, state.amounts, strict=True) if s.id == name))
+def _amount(fit: FitResult, name: str) -> float:
+    return float(sum(a for s, a in zip(fit.candidates, fit.amounts, strict=True) if s.id == name))
 
 
-def _standard(best: State, between: tuple[str, str], now: float) -> Experiment:
-    """What the catalogue says would tell the best entry apart, where no figure can be promised."""
+def _standard(best: FitResult, between: tuple[str, str], now: float) -> Experiment:
+    """The catalogue's own advice for the best entry, where no separation can be computed."""
     name = next((n for n in best.ids if n in REFERENCES), best.ids[0])
-    told = CATALOGUE[name].told_apart_by if name in CATALOGUE else ""
+    advice = CATALOGUE[name].told_apart_by if name in CATALOGUE else ""
     standard = REFERENCES[name][0] if name in REFERENCES else None
     settings = {
         "standard": standard.name if standard else "see why",
-        "procedure": standard.what if standard else told,
+        "procedure": standard.what if standard else advice,
     }
-    return Experiment("reference", settings, now, now, 1, between, told)
+    return Experiment("reference", settings, now, now, 1, between, advice)
 
 
 def reference_for(name: str) -> str:
-    """What gives an effect by itself: a standard, or what the catalogue says tells it apart."""
+    """What gives an effect by itself: a standard, or the advice of the catalogue."""
     if name in REFERENCES:
         standard = REFERENCES[name][0]
         return f"{standard.name}: {standard.what}"

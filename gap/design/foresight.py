@@ -8,15 +8,14 @@ with probability Phi(d'/2): 3.3 is right 95 times in 100. Noise is as the data's
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from gap.design.library import Candidate, as_data
-from gap.estimation.fit_problem import Inquiry, State
+from gap.design.library import LibraryExperiment, as_data
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import tolerance
 from gap.estimation.noise import WHITE, Noise, usual
 from gap.estimation.normal_equations import solved
@@ -47,9 +46,9 @@ class Products:
         return Products(count * self.difference, count * self.across, count * self.gram)
 
 
-def products(q: Inquiry, best: State, rival: State) -> Products:
-    """Of all the data of `q`, whatever they are."""
-    return sum_of(by_trial(q, best, rival))
+def products(problem: FitProblem, best: FitResult, rival: FitResult) -> Products:
+    """Of all the data of `problem`, whatever they are."""
+    return sum_of(by_trial(problem, best, rival))
 
 
 def sum_of(parts: Sequence[Products]) -> Products:
@@ -60,30 +59,28 @@ def sum_of(parts: Sequence[Products]) -> Products:
     return total
 
 
-def by_trial(q: Inquiry, best: State, rival: State) -> list[Products]:
-    """Of each trial of the data of `q`."""
-    gap = q._residual(q.constants(best.shift), best.active) - q._residual(
-        q.constants(rival.shift), rival.active
-    )
-    columns = q.columns_of(rival)
+def by_trial(problem: FitProblem, best: FitResult, rival: FitResult) -> list[Products]:
+    """Of each trial of the data of `problem`."""
+    gap = problem.predicted_difference(best, rival)
+    columns = problem.columns_of(rival)
     both = np.hstack([columns, gap[:, None]])
     made = []
-    for trial, rows in enumerate(q.noise.trial_rows):
+    for trial, rows in enumerate(problem.noise.trial_rows):
         total = np.zeros((both.shape[1], both.shape[1]))
         if len(rows):
-            total = q.noise.solve(trial, both[rows])[0]
+            total = problem.noise.solve(trial, both[rows])[0]
         made.append(Products(float(total[-1, -1]), total[:-1, -1], total[:-1, :-1]))
     return made
 
 
-def separation(found: Products, best: State, rival: State) -> float:
+def separation(found: Products, best: FitResult, rival: FitResult) -> float:
     """Separation d' once the rival has bent as far as its priors let it.
 
     What its constants cost by then, walls of their tolerances included, counts against it, and
     what those of `best` cost for it. Newton's method: the priors are parabolas, piece by piece.
     """
     n = len(rival.shift)
-    low, high = np.array([s.bounds for s in rival.suspects]).reshape(-1, 2).T
+    low, high = np.array([s.bounds for s in rival.candidates]).reshape(-1, 2).T
     range_prior = 4.0 / np.maximum(high - low, 1e-30) ** 2
     bend = np.zeros(len(found.across))
     for _ in range(_BENDS):
@@ -97,31 +94,31 @@ def separation(found: Products, best: State, rival: State) -> float:
     return float(np.sqrt(max(float(left), 0.0)))
 
 
-def foreseen(q: Inquiry, candidate: Candidate) -> Inquiry:
-    """The inquiry's plant and noise on the trials that an experiment would add."""
-    other = copy.copy(q)
-    other.data = as_data(q, candidate.trials)
-    other.grid = make_grid(other.data)
-    other.model = Model(other.grid)
-    other.model.order = np.array([t.order for t in candidate.trials], dtype=np.float64)
-    other.rows = other.grid.rows
-    other.noise = _noise(q, other.model)
-    return other
+def on_experiment(problem: FitProblem, option: LibraryExperiment) -> FitProblem:
+    """The plant and noise of a problem on the trials that an experiment would add."""
+    data = as_data(problem, option.trials)
+    model = Model(make_grid(data))
+    model.order = np.array([t.order for t in option.trials], dtype=np.float64)
+    return problem.on_model(data, model, _noise(problem, model))
 
 
-def _noise(q: Inquiry, model: Model) -> Noise:
+def _noise(problem: FitProblem, model: Model) -> Noise:
     """Noise of trials not made yet, with the scales that the data's replicates showed."""
     rows = model.grid.rows
-    effects, shared = trial_columns(model, q.data.constants)
+    effects, shared = trial_columns(model, problem.data.constants)
     white = np.ones(len(rows))
     for number, block in enumerate(BLOCKS):
         here = rows.block == number
-        seen = q.rows.block == number
-        own = q.noise.white[seen] - q.rows.doubt[seen] ** 2 - q.rows.floor[seen] ** 2
-        each = np.maximum(own, 0.0) * q.rows.samples[seen]
-        variance = float(np.median(each)) if seen.any() else WHITE[block] ** 2
+        known = problem.rows.block == number
+        own = (
+            problem.noise.white[known]
+            - problem.rows.doubt[known] ** 2
+            - problem.rows.floor[known] ** 2
+        )
+        each = np.maximum(own, 0.0) * problem.rows.samples[known]
+        variance = float(np.median(each)) if known.any() else WHITE[block] ** 2
         white[here] = variance / rows.samples[here] + rows.doubt[here] ** 2 + rows.floor[here] ** 2
-    scales = {effect.kind: effect.sd for effect in TRIAL_EFFECTS} | dict(q.noise.scales)
+    scales = {effect.kind: effect.sd for effect in TRIAL_EFFECTS} | dict(problem.noise.scales)
     noise = Noise(np.maximum(white, 1e-9), [], [], [], scales, 0, 0)
     for group in noise.take_trials(model, effects, shared):
         scales.setdefault(group, usual(group))

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from gap.data.dataset import Channel, DataSet, Trial
-from gap.estimation.fit_problem import Inquiry, State
-from gap.validation.shrink import improved_plant
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.validation.improved_plant import improved_plant
 from plant.constants import PlantConstants
 from plant.effects.effects import Effects
 from plant.errors import PlantError
@@ -34,10 +34,10 @@ SETTING_UP_S = 20.0
 
 
 @dataclass(frozen=True)
-class Candidate:
+class LibraryExperiment:
     """An experiment: its protocol and settings, and what one repeat of it would record.
 
-    `settings` are keys of the protocol's file; `what` says in words what is special about it.
+    `settings` are keys of the protocol's file; `what` states what is special about it.
     """
 
     protocol: str
@@ -63,9 +63,9 @@ class _Bench:
     made: list[int] = field(default_factory=lambda: [0])
 
 
-def candidates(q: Inquiry, best: State) -> list[Candidate]:
+def library_experiments(problem: FitProblem, best: FitResult) -> list[LibraryExperiment]:
     """All experiments of the library for the bench that the data come from."""
-    bench = _bench(q, best)
+    bench = _bench(problem, best)
     low, high, top = bench.low_mm, bench.high_mm, bench.top_kpa
     lengths = [round(low + share * (high - low), 1) for share in (0.05, 0.45, 0.85)]
     levels = [round(share * top, -1) for share in (0.15, 0.3, 0.5, 0.75, 1.0)]
@@ -120,7 +120,7 @@ def candidates(q: Inquiry, best: State) -> list[Candidate]:
         ),
     ]  # fmt: skip
     return [
-        Candidate(protocol, what, settings, tuple(trials), _minutes(trials))
+        LibraryExperiment(protocol, what, settings, tuple(trials), _minutes(trials))
         for protocol, what, settings, trials in made
     ]
 
@@ -134,42 +134,42 @@ def _minutes(trials: Sequence[Trial]) -> float:
     return (seconds + 900.0 * soaks) / 60.0
 
 
-def _bench(q: Inquiry, best: State) -> _Bench:
-    constants = q.constants(best.shift)
-    table = tomllib.loads(improved_plant(q, best))
+def _bench(problem: FitProblem, best: FitResult) -> _Bench:
+    constants = problem.constants(best.shift)
+    table = tomllib.loads(improved_plant(problem, best))
     try:
         effects = Effects.from_config(table.get("effects", {}))
     except PlantError:
         effects = Effects.from_config({})
     reach = [
         float(t["pressure_kpa"].value.max())
-        for t in q.data.trials
+        for t in problem.data.trials
         if "pressure_kpa" in t and len(t["pressure_kpa"])
     ]
     top = min(max(reach, default=500.0), 0.93 * constants.supply_pa * 1e-3)
     low, high = constants.length_min_m * 1e3 + 2.0, constants.length_max_m * 1e3 - 3.0
-    loads = [t.load_kg for t in q.data.trials if np.isfinite(t.load_kg) and t.load_kg > 0.0]
+    loads = [t.load_kg for t in problem.data.trials if np.isfinite(t.load_kg) and t.load_kg > 0.0]
     heaviest = max(loads, default=2.0)
     return _Bench(
-        constants, effects, {kind: _rates(q, kind) for kind in RATES}, low, high,
-        round(max(top, 100.0), -1), q.model.order.max(initial=0.0) + 1.0,
-        (0.5 * heaviest, heaviest), _warmth(q),
+        constants, effects, {kind: _rates(problem, kind) for kind in RATES}, low, high,
+        round(max(top, 100.0), -1), problem.model.order.max(initial=0.0) + 1.0,
+        (0.5 * heaviest, heaviest), _warmth(problem),
     )  # fmt: skip
 
 
-def _warmth(q: Inquiry) -> tuple[float, float]:
-    room = [t.temperature_c for t in q.data.trials if np.isfinite(t.temperature_c)]
+def _warmth(problem: FitProblem) -> tuple[float, float]:
+    room = [t.temperature_c for t in problem.data.trials if np.isfinite(t.temperature_c)]
     usual = float(np.median(room)) if room else 21.0
     return round(usual, 0), round(usual + 15.0, 0)
 
 
-def _rates(q: Inquiry, kind: str) -> tuple[float, float, float]:
+def _rates(problem: FitProblem, kind: str) -> tuple[float, float, float]:
     """Samples a second of pressure, force and length as the data set has them for such trials."""
     made = []
     for at, name in enumerate(("pressure_kpa", "force_n", "length_mm")):
         found = [
             1.0 / float(np.median(np.diff(t[name].time_s)))
-            for t, regulated in zip(q.data.trials, q.grid.regulated, strict=True)
+            for t, regulated in zip(problem.data.trials, problem.grid.regulated, strict=True)
             if regulated == (kind == "regulated") and name in t and len(t[name]) > 5
             and not t.settled and float(np.median(np.diff(t[name].time_s))) > 0.0
         ]  # fmt: skip
@@ -191,17 +191,17 @@ def _simulated(  # noqa: PLR0913 - what a simulated experiment is made of
         length_m=(bench.high_mm if hung else length_mm) * 1e-3, mass_kg=mass_kg if hung else 1.0,
         temperature_c=warm_c, trials=bench.order,
     )  # fmt: skip
-    told = {
+    readings = {
         "pressure_kpa": read_pressure(traces.pressure_read_kpa, bench.effects),
         "force_n": read_force(traces.force_n, bench.effects),
         "length_mm": traces.length_mm,
     }
     channels: dict[str, Channel] = {}
-    for name, rate in zip(told, bench.rates[kind], strict=True):
+    for name, rate in zip(readings, bench.rates[kind], strict=True):
         if name == "length_mm" and not (hung or moves):
             continue
         t = np.arange(0.0, seconds, 1.0 / min(max(rate, 2.0), 1000.0))
-        channels[name] = Channel(t, np.interp(t, traces.time_s, told[name]))
+        channels[name] = Channel(t, np.interp(t, traces.time_s, readings[name]))
     if kind == "valves":
         for name in ("inlet", "outlet"):
             own = [i for i, c in enumerate(inputs.channel) if c == name]
@@ -286,6 +286,6 @@ def _bursts(bench: _Bench, length: float) -> Trial:
     return _simulated(bench, "step", events, now + 0.3, kind="valves", length_mm=length)
 
 
-def as_data(q: Inquiry, trials: Sequence[Trial]) -> DataSet:
+def as_data(problem: FitProblem, trials: Sequence[Trial]) -> DataSet:
     """Simulated trials as a data set of the same bench."""
-    return dataclasses.replace(q.data, origin="advice", trials=tuple(trials), notes=())
+    return dataclasses.replace(problem.data, origin="advice", trials=tuple(trials), notes=())

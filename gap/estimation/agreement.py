@@ -1,7 +1,7 @@
-"""Whether replicates agree: on an amount, and on what is left without a name.
+"""Agreement of replicates: on an amount, and on what a fit leaves.
 
-An effect does the same to all replicates of a slot. What differs between them is noise, however
-large and whatever its law, so both questions can be asked without trusting the noise's model.
+An effect does the same to all replicates of a slot. What differs between them is noise, whatever
+its size and law. So both tests need no model of the noise.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from gap.estimation.fit_problem import Inquiry
+from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import gather
 
 Array = npt.NDArray[np.float64]
@@ -20,25 +20,30 @@ _TRUST = 4.0
 """Replicates that the noise's model is worth beside what the replicates show of the amount."""
 
 
-def inflation(q: Inquiry, key: str) -> float:
-    """How much more the replicates differ in the amount of `key` than the noise's model says.
+def replicate_inflation(problem: FitProblem, key: str) -> float:
+    """Factor by which replicates differ more in the amount of `key` than the noise model predicts.
 
-    Of the best suspect of that key, linearised at the recalibrated plant. Each trial asks for an
-    amount of its own; the spread within slots, weighed as the trials weigh in the amount, over the
-    spread expected. The model counts as much as a few replicates, and a smaller spread than
-    expected earns nothing.
+    Of the best candidate of that key, linearised at the recalibrated plant. Each trial has an
+    amount of its own. The factor is the spread within slots over the spread expected, each trial
+    with its weight in the amount. The model counts as much as a few replicates.
 
     Returns:
         Factor of variance, at least 1.
     """
-    columns = q.signatures(q.base)
-    n = len(q.names)
-    own = [n + 1 + j for j, suspect in enumerate(q.suspects) if suspect.key == key]
-    trials = np.arange(len(q.noise.trial_rows))
+    columns = problem.signatures(problem.base)
+    n = len(problem.names)
+    own = [n + 1 + j for j, candidate in enumerate(problem.candidates) if candidate.key == key]
+    trials = np.arange(len(problem.noise.trial_rows))
     evidence = gather(
-        q.noise, columns[:, :n], q.base.residual, columns[:, own], q.rows.block, q.rows.span_s,
-        trials, q.base.shift,
-    )  # fmt: skip
+        problem.noise,
+        columns[:, :n],
+        problem.base.residual,
+        columns[:, own],
+        problem.rows.block,
+        problem.rows.span_s,
+        trials,
+        problem.base.shift,
+    )
     total = evidence.total
     inner = total[:n, :n] + np.diag(evidence.stiffness)
     best = (-np.inf, 1.0)
@@ -49,7 +54,7 @@ def inflation(q: Inquiry, key: str) -> float:
         size = size + np.einsum("tij,i,j->t", evidence.gram[:, :n, :n], taken, taken)
         gain = float(pull.sum() ** 2 / max(size.sum(), 1e-12))
         if gain > best[0]:
-            best = (gain, _spread(q.units, pull, np.maximum(size, 0.0)))
+            best = (gain, _spread(problem.units, pull, np.maximum(size, 0.0)))
     return best[1]
 
 
@@ -71,7 +76,7 @@ def _spread(units: npt.NDArray[np.int64], pull: Array, size: Array) -> float:
     return max(1.0, (freedom * ratio + _TRUST) / (freedom + _TRUST))
 
 
-def repeated(q: Inquiry, residual: Array) -> float:
+def shared_chi2(problem: FitProblem, residual: Array) -> float:
     """What replicates share of a residual, as whitened squares; that of noise is zero on average.
 
     Products of different replicates of a slot over the features both have, for each trial the mean
@@ -81,10 +86,10 @@ def repeated(q: Inquiry, residual: Array) -> float:
         residual: shape (rows,).
     """
     total = 0.0
-    for members in q.data.slots.values():
+    for members in problem.data.slots.values():
         if len(members) < 2:
             continue
-        parts = [_by_bin(q, trial, residual) for trial in members]
+        parts = [_by_bin(problem, trial, residual) for trial in members]
         products = []
         for a, b in combinations(parts, 2):
             common = a.keys() & b.keys()
@@ -93,10 +98,10 @@ def repeated(q: Inquiry, residual: Array) -> float:
     return total
 
 
-def _by_bin(q: Inquiry, trial: int, residual: Array) -> dict[tuple[int, int], float]:
-    rows = q.noise.trial_rows[trial]
+def _by_bin(problem: FitProblem, trial: int, residual: Array) -> dict[tuple[int, int], float]:
+    rows = problem.noise.trial_rows[trial]
     if not len(rows):
         return {}
-    white = q.noise.whiten(trial, residual[rows][:, None])[:, 0]
-    places = zip(q.rows.block[rows].tolist(), q.rows.bin[rows].tolist(), strict=True)
+    white = problem.noise.whiten(trial, residual[rows][:, None])[:, 0]
+    places = zip(problem.rows.block[rows].tolist(), problem.rows.bin[rows].tolist(), strict=True)
     return dict(zip(places, white.tolist(), strict=True))

@@ -1,14 +1,14 @@
-"""One data set under question: fits constants and suspects to it, nonlinearly.
+"""The fit problem: one data set to which constants and candidate effects are fitted.
 
-Everything above (naming, shrinking, advice) asks this object for fits; it keeps the grid, the
-noise and the signatures, and counts nothing twice.
+Everything above it (selection, validation, design) uses the fits and sensitivities of this object.
 """
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,11 +17,12 @@ from gap.data.dataset import DataSet
 from gap.data.duplicates import without_copies
 from gap.effects.candidates import SUSPECTS, Suspect
 from gap.estimation.information import Evidence, gather, tolerance
-from gap.estimation.noise import learn_noise, usual_noise
-from gap.estimation.non_identical import controlled, out_of_reach
+from gap.estimation.noise import Noise, learn_noise, usual_noise
+from gap.estimation.non_identical import non_identical, unexplainable
 from gap.estimation.normal_equations import covariance, solved
+from gap.model.features import Rows
 from gap.model.force import Active
-from gap.model.grid import make_grid
+from gap.model.grid import Grid, make_grid
 from gap.model.residuals import Model
 from gap.model.sensitivities import (
     calibration_columns,
@@ -42,8 +43,8 @@ _SMALLER = 3
 
 
 @dataclass(frozen=True)
-class State:
-    """A fitted plant: constants moved by `shift` sd, suspects with their amounts.
+class FitResult:
+    """A fitted plant: constants moved by `shift` sd, candidates with their amounts.
 
     Attributes:
         residual: measured minus predicted at this state, shape (rows,).
@@ -52,7 +53,7 @@ class State:
     """
 
     shift: Array
-    suspects: tuple[Suspect, ...]
+    candidates: tuple[Suspect, ...]
     amounts: Array
     residual: Array
     cost: float
@@ -61,71 +62,126 @@ class State:
     @property
     def ids(self) -> tuple[str, ...]:
         """Catalogue ids (or defects) in force, each once, in order of entry."""
-        return tuple(dict.fromkeys(suspect.id for suspect in self.suspects))
+        return tuple(dict.fromkeys(candidate.id for candidate in self.candidates))
 
     @property
     def active(self) -> Active:
         """What the model takes."""
         return [
             (s.id, s.option, float(a), s.shape)
-            for s, a in zip(self.suspects, self.amounts, strict=True)
+            for s, a in zip(self.candidates, self.amounts, strict=True)
         ]
 
 
-class Inquiry:
-    """Fits to one data set; see `State`.
+@dataclass(frozen=True, eq=False)
+class FitProblem:
+    """One data set to which constants and candidate effects are fitted.
+
+    Immutable: a variant is a new problem (`restricted_to`, `with_stated_effects`, `on_model`). A
+    problem keeps the sensitivities that it computed last, and shares them with its variants.
 
     Attributes:
-        names: constants that are recalibrated, in the order of `State.shift`.
-        base: the state with no suspect: constants recalibrated within their tolerances.
-        untouched: rows of the nominal plant as stated, shape (rows,).
+        data: the data set, duplicate trials left out.
+        candidates: effects that a search may use.
+        model: predicts every feature of the data.
+        stated_effects: effects that the data set states; they are no gap.
+        noise: learnt from the replicates.
+        names: what is recalibrated, in the order of `FitResult.shift`: constants of the plant, then
+            the offset of each mounting, then the calibrations that the data set states.
+        mountings: number of mountings.
+        stated_columns: sensitivities of `names` at the stated plant, shape (rows, names).
+        stated_residual: measured minus predicted of the stated plant, shape (rows,).
+        columns: sensitivities of `names` at `base`.
+        base: the fit without any effect: constants recalibrated within their tolerances.
     """
 
-    def __init__(self, data: DataSet, suspects: Sequence[Suspect] = SUSPECTS) -> None:
+    data: DataSet
+    candidates: tuple[Suspect, ...]
+    model: Model
+    stated_effects: Active
+    noise: Noise
+    names: tuple[str, ...]
+    mountings: int
+    stated_columns: Array
+    stated_residual: Array
+    columns: Array
+    base: FitResult
+    _kept: dict[str, tuple[Any, ...]] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, data: DataSet, candidates: Sequence[Suspect] = SUSPECTS) -> FitProblem:
+        """Learn the noise of a data set and recalibrate its constants."""
         data = without_copies(data)
-        self.data = data
         # A table of settled points has no time in it, so nothing in it can be out of time.
         timed = not data.settled
-        self.suspects = tuple(
-            s for s in suspects if timed or not (s.defect or s.id == "camera_delay")
-        )
-        self.grid = make_grid(data)
-        self.model = Model(self.grid)
-        self.given: Active = _given(data)
-        self.rows = self.grid.rows
-        self.untouched = self._residual(data.constants, self.given)
-        self.noise = learn_noise(self.model, data.constants, self.untouched)
-        self.names, stated = constant_columns(
-            self.model, data.constants, self.given, data.constants
-        )
-        self.mountings = int(data.mountings.max(initial=-1)) + 1
-        self.names += [f"mounting {number + 1}" for number in range(self.mountings)]
-        self.names += [f"calibration {key}" for key in data.calibration]
-        self.unnamed = self.mountings + len(data.calibration)
-        self.stated_columns = np.hstack([stated, self._unnamed_columns(data.constants, self.given)])
-        self.columns = self.stated_columns
-        self.units = self._units()
-        self._near: tuple[State, Array] | None = None
-        self._signed: tuple[State, tuple[Suspect, ...], Array] | None = None
-        self.base = self._recalibrate(np.zeros(len(self.names)))
-        # Replicates that a controller made are not alike in time: what the plant as stated misses
-        # differs between them, and would be taken for noise.
-        left = self.base.residual
-        if controlled(data):
-            columns = np.delete(self.signatures(self.base), len(self.names), axis=1)
-            usually = usual_noise(self.model, data.constants, left)
-            left = out_of_reach(columns, left, usually)
-        self.noise = learn_noise(self.model, self.constants(self.base.shift), left)
-        self.base = self._recalibrate(self.base.shift)
-        self.floor_variance = self.noise.variance()
+        usable = tuple(s for s in candidates if timed or not (s.defect or s.id == "camera_delay"))
+        model = Model(make_grid(data))
+        stated = _stated_effects(data)
+        residual = _stacked_residual(model, data.constants, stated)
+        names, columns = constant_columns(model, data.constants, stated, data.constants)
+        mountings = int(data.mountings.max(initial=-1)) + 1
+        names += [f"mounting {number + 1}" for number in range(mountings)]
+        names += [f"calibration {key}" for key in data.calibration]
+        offsets = _offset_columns(model, data, mountings, data.constants, stated)
+        columns = np.hstack([columns, offsets])
+        noise = learn_noise(model, data.constants, residual)
+        start = np.zeros(len(names))
+        nothing = FitResult(start, (), np.empty(0), residual, np.inf, np.eye(len(names)))
+        problem = cls(
+            data, usable, model, stated, noise, tuple(names), mountings, columns, residual, columns,
+            nothing,
+        )._recalibrated(start)  # fmt: skip
+        left = problem.base.residual
+        if non_identical(data):
+            # What the stated plant misses differs between such replicates: it is no noise.
+            others = np.delete(problem.signatures(problem.base), len(names), axis=1)
+            left = unexplainable(others, left, usual_noise(model, data.constants, left))
+        noise = learn_noise(model, problem.constants(problem.base.shift), left)
+        return replace(problem, noise=noise)._recalibrated(problem.base.shift)
 
-    def _residual(self, c: PlantConstants, active: Active) -> Array:
-        rows = self.model.stacked(self.model.residual(c, active))
-        return np.nan_to_num(rows, nan=0.0, posinf=3e3, neginf=-3e3)
+    def _recalibrated(self, shift: Array) -> FitProblem:
+        """The problem with its base fitted from `shift`."""
+        base = self.polish(self._descend(shift, (), np.empty(0), self.stated_columns), 6)
+        columns = self.columns_at(base.shift, (), np.empty(0))
+        return replace(self, base=base, columns=columns, _kept={})
 
-    def _units(self) -> Whole:
+    def restricted_to(self, usable: Callable[[Suspect], bool]) -> FitProblem:
+        """The same problem with the candidates for which `usable` holds."""
+        return replace(self, candidates=tuple(s for s in self.candidates if usable(s)))
+
+    def with_stated_effects(self, effects: Active) -> FitProblem:
+        """The same problem for a plant that has more stated effects; its base stays."""
+        return replace(self, stated_effects=[*self.stated_effects, *effects], _kept={})
+
+    def on_model(self, data: DataSet, model: Model, noise: Noise) -> FitProblem:
+        """The same plant and fits on other trials, with their model and noise."""
+        return replace(self, data=data, model=model, noise=noise, _kept={})
+
+    @property
+    def grid(self) -> Grid:
+        """Features of the data, and what the model needs to predict them."""
+        return self.model.grid
+
+    @property
+    def rows(self) -> Rows:
+        """One row a feature."""
+        return self.model.grid.rows
+
+    @property
+    def unnamed(self) -> int:
+        """Number of offsets of mountings and calibrations, at the end of `names`."""
+        return self.mountings + len(self.data.calibration)
+
+    @cached_property
+    def units(self) -> Whole:
+        """Slot of each trial, shape (trials,)."""
         slots = {slot: k for k, slot in enumerate(self.data.slots)}
         return np.array([slots[trial.slot] for trial in self.data.trials], dtype=np.int64)
+
+    @cached_property
+    def floor_variance(self) -> Array:
+        """Variance of each row that the noise explains, shape (rows,)."""
+        return self.noise.variance()
 
     def constants(self, shift: Array) -> PlantConstants:
         """Constants of the bench moved by `shift` sd of their tolerances."""
@@ -138,98 +194,95 @@ class Inquiry:
             if getattr(c, field) > 0.0 and not field.endswith("per_pa"):
                 value = max(value, 0.02 * getattr(c, field))
             changes[field] = value
-        return dataclasses.replace(c, **changes)
+        return replace(c, **changes)
 
-    def found(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Active:
-        """What the model takes: what is given, each mounting's offset, and suspects in force."""
+    def active_effects(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Active:
+        """What the model takes: what is given, each mounting's offset, and candidates in force."""
         own = shift[len(self.names) - self.unnamed :]
         active = [
-            (s.id, s.option, float(a), s.shape) for s, a in zip(suspects, amounts, strict=True)
+            (s.id, s.option, float(a), s.shape) for s, a in zip(candidates, amounts, strict=True)
         ]
         off = miscalibrated(own[self.mountings :], self.data.calibration)
-        return [*self.given, *mounted(own[: self.mountings]), *off, *active]
-
-    def _unnamed_columns(self, c: PlantConstants, active: Active) -> Array:
-        """Signatures of mountings and calibrations, whose errors all trials of one share."""
-        return np.hstack(
-            [
-                mounting_columns(self.model, c, active, self.mountings),
-                calibration_columns(self.model, c, active, self.data.calibration),
-            ]
-        )
+        return [*self.stated_effects, *mounted(own[: self.mountings]), *off, *active]
 
     def fit(
-        self, suspects: Sequence[Suspect], start: Sequence[float] = (), near: State | None = None
-    ) -> State:
-        """Gauss-Newton over constants (with their prior) and the amounts of `suspects`.
+        self,
+        candidates: Sequence[Suspect],
+        start: Sequence[float] = (),
+        near: FitResult | None = None,
+    ) -> FitResult:
+        """Gauss-Newton over constants (with their prior) and the amounts of `candidates`.
 
         Starts from the constants of `near`, by default of the recalibrated plant.
         """
-        amounts = np.array(start or [0.0] * len(suspects), dtype=np.float64)
+        amounts = np.array(start or [0.0] * len(candidates), dtype=np.float64)
         at = self.base if near is None else near
         columns = self.columns if at is self.base else self.columns_near(at)
         # An amount on top of constants that have already given way may lead far astray; the
         # descent moves both, and gets there from a smaller one.
         for _ in range(_SMALLER):
-            if self.cost_at(at.shift, suspects, amounts) < 1.5 * at.cost:
+            if self.cost_at(at.shift, candidates, amounts) < 1.5 * at.cost:
                 break
             amounts[-1:] *= 0.3
         else:
             amounts[-1:] = 0.0
-        found = self._descend(at.shift, suspects, amounts, columns)
+        found = self._descend(at.shift, candidates, amounts, columns)
         if found.cost > at.cost and np.any(amounts[-1:]):
             # It got lost; from nothing at all it can only get better.
             amounts[-1:] = 0.0
             found = min(
-                found, self._descend(at.shift, suspects, amounts, columns), key=lambda s: s.cost
+                found, self._descend(at.shift, candidates, amounts, columns), key=lambda s: s.cost
             )
         return found
 
-    def columns_near(self, state: State) -> Array:
-        """Signatures of the constants at a state; those of the last one asked for are kept."""
-        if self._near is None or self._near[0] is not state:
-            self._near = (state, self.columns_at(state.shift, state.suspects, state.amounts))
-        return self._near[1]
+    def columns_near(self, fit: FitResult) -> Array:
+        """Sensitivities of the constants at a fit; those of the last fit are kept."""
+        kept = self._kept.get("near")
+        if kept is None or kept[0] is not fit:
+            columns = self.columns_at(fit.shift, fit.candidates, fit.amounts)
+            kept = self._kept["near"] = (fit, columns)
+        return np.asarray(kept[1])
 
-    def fit_afresh(self, suspects: Sequence[Suspect], start: Sequence[float] = ()) -> State:
+    def fit_afresh(self, candidates: Sequence[Suspect], start: Sequence[float] = ()) -> FitResult:
         """Return what `fit` gives when it starts from the constants as stated."""
-        amounts = np.array(start or [0.0] * len(suspects), dtype=np.float64)
-        return self._descend(np.zeros(len(self.names)), suspects, amounts, self.stated_columns)
+        amounts = np.array(start or [0.0] * len(candidates), dtype=np.float64)
+        return self._descend(np.zeros(len(self.names)), candidates, amounts, self.stated_columns)
 
-    def fit_from(self, shift: Array, suspects: Sequence[Suspect], start: Sequence[float]) -> State:
+    def fit_from(
+        self, shift: Array, candidates: Sequence[Suspect], start: Sequence[float]
+    ) -> FitResult:
         """Return what `fit` gives when it starts from given constants, in sd."""
-        amounts = _bounded(suspects, np.array(start, dtype=np.float64))
-        return self._descend(shift, suspects, amounts, self.columns_at(shift, suspects, amounts))
+        amounts = _bounded(candidates, np.array(start, dtype=np.float64))
+        return self._descend(
+            shift, candidates, amounts, self.columns_at(shift, candidates, amounts)
+        )
 
-    def polish(self, state: State, rounds: int = 3) -> State:
-        """Fit again from a state, with signatures of the constants taken there."""
+    def polish(self, fit: FitResult, rounds: int = 3) -> FitResult:
+        """Fit again from a fit, with signatures of the constants taken there."""
         for _ in range(rounds):
-            columns = self.columns_at(state.shift, state.suspects, state.amounts)
-            better = self._descend(state.shift, state.suspects, state.amounts, columns)
-            gained = state.cost - better.cost
+            columns = self.columns_at(fit.shift, fit.candidates, fit.amounts)
+            better = self._descend(fit.shift, fit.candidates, fit.amounts, columns)
+            gained = fit.cost - better.cost
             if gained > -1e-9:
-                state = better
-            if gained < max(1.0, 3e-4 * state.cost):
+                fit = better
+            if gained < max(1.0, 3e-4 * fit.cost):
                 break
-        return state
+        return fit
 
-    def _recalibrate(self, shift: Array) -> State:
-        state = self.polish(self._descend(shift, (), np.empty(0), self.stated_columns), 6)
-        self.columns = self.columns_at(state.shift, (), np.empty(0))
-        return state
-
-    def columns_of(self, state: State) -> Array:
-        """Signatures of constants and amounts at a state, shape (rows, constants + suspects)."""
-        at = (state.shift, state.suspects, state.amounts)
+    def columns_of(self, fit: FitResult) -> Array:
+        """Signatures of constants and amounts at a fit, shape (rows, constants + candidates)."""
+        at = (fit.shift, fit.candidates, fit.amounts)
         return np.hstack([self.columns_at(*at), self.slopes(*at)])
 
-    def columns_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
-        """Signatures of the constants, shape (rows, constants), with suspects in force."""
-        active = self.found(shift, suspects, amounts)
+    def columns_at(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Array:
+        """Signatures of the constants, shape (rows, constants), with candidates in force."""
+        active = self.active_effects(shift, candidates, amounts)
         c = self.constants(shift)
         names, columns = constant_columns(self.model, c, active, self.data.constants)
         names += self.names[len(self.names) - self.unnamed :]
-        columns = np.hstack([columns, self._unnamed_columns(c, active)])
+        columns = np.hstack(
+            [columns, _offset_columns(self.model, self.data, self.mountings, c, active)]
+        )
         made = np.zeros((len(self.rows), len(self.names)))
         for j, name in enumerate(self.names):
             if name in names:
@@ -237,23 +290,23 @@ class Inquiry:
         return np.nan_to_num(made)
 
     def _descend(
-        self, shift: Array, suspects: Sequence[Suspect], amounts: Array, constants: Array
-    ) -> State:
+        self, shift: Array, candidates: Sequence[Suspect], amounts: Array, constants: Array
+    ) -> FitResult:
         n = len(self.names)
         shift = shift.copy()
-        amounts = _bounded(suspects, amounts)
-        residual, cost = self._at(shift, suspects, amounts)
-        matrix, right = np.eye(n + len(suspects)), np.zeros(n + len(suspects))
+        amounts = _bounded(candidates, amounts)
+        residual, cost = self._at(shift, candidates, amounts)
+        matrix, right = np.eye(n + len(candidates)), np.zeros(n + len(candidates))
         damping = 1e-6
         stale = True
         for _ in range(_ROUNDS):
             if stale:
-                columns = np.hstack([constants, self.slopes(shift, suspects, amounts)])
+                columns = np.hstack([constants, self.slopes(shift, candidates, amounts)])
                 matrix, right = self.normal(columns, residual, shift)
             beta = solved(matrix, right, damping)
             new_shift = shift + beta[:n]
-            new_amounts = _bounded(suspects, amounts + beta[n:])
-            trial, trial_cost = self._at(new_shift, suspects, new_amounts)
+            new_amounts = _bounded(candidates, amounts + beta[n:])
+            trial, trial_cost = self._at(new_shift, candidates, new_amounts)
             stale = trial_cost < cost
             if not stale:
                 damping = max(damping, 1e-4) * 8.0
@@ -263,27 +316,42 @@ class Inquiry:
             damping = damping / 10.0
             if gain < max(0.2, 1e-4 * cost):
                 break
-        return State(shift, tuple(suspects), amounts, residual, cost, covariance(matrix))
+        return FitResult(shift, tuple(candidates), amounts, residual, cost, covariance(matrix))
 
-    def state(
-        self, shift: Array, suspects: Sequence[Suspect], amounts: Array, like: State
-    ) -> State:
-        """Return the state at given constants and amounts, with the covariance of another."""
-        amounts = _bounded(suspects, amounts)
-        residual, cost = self._at(shift, suspects, amounts)
-        return State(shift, tuple(suspects), amounts, residual, cost, like.cover)
+    def at(
+        self, shift: Array, candidates: Sequence[Suspect], amounts: Array, like: FitResult
+    ) -> FitResult:
+        """Return the fit at given constants and amounts, with the covariance of another."""
+        amounts = _bounded(candidates, amounts)
+        residual, cost = self._at(shift, candidates, amounts)
+        return FitResult(shift, tuple(candidates), amounts, residual, cost, like.cover)
 
-    def _at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> tuple[Array, float]:
-        residual = self.residual_at(shift, suspects, amounts)
+    def _at(
+        self, shift: Array, candidates: Sequence[Suspect], amounts: Array
+    ) -> tuple[Array, float]:
+        residual = self.residual_at(shift, candidates, amounts)
         return residual, self.whitened(residual) + tolerance(shift)[0]
 
-    def cost_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> float:
+    def cost_at(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> float:
         """Whitened sum of squares at given constants and amounts, prior included."""
-        return self._at(shift, suspects, amounts)[1]
+        return self._at(shift, candidates, amounts)[1]
 
-    def residual_at(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
+    def residual_at(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Array:
         """Measured minus predicted at given constants and amounts, shape (rows,)."""
-        return self._residual(self.constants(shift), self.found(shift, suspects, amounts))
+        return _stacked_residual(
+            self.model, self.constants(shift), self.active_effects(shift, candidates, amounts)
+        )
+
+    def predicted_difference(self, first: FitResult, second: FitResult) -> Array:
+        """Prediction of the second fit minus that of the first, without offsets of mountings.
+
+        Shape (rows,).
+        """
+        one, two = (
+            _stacked_residual(self.model, self.constants(fit.shift), fit.active)
+            for fit in (first, second)
+        )
+        return one - two
 
     def whitened(self, residual: Array) -> float:
         """Sum of squares of a residual in the noise's own measure."""
@@ -293,22 +361,22 @@ class Inquiry:
                 total += float(self.noise.solve(trial, residual[rows][:, None])[0][0, 0])
         return total
 
-    def slopes(self, shift: Array, suspects: Sequence[Suspect], amounts: Array) -> Array:
-        """Signatures of the suspects in force, at their present amounts."""
-        made = np.zeros((len(self.rows), len(suspects)))
+    def slopes(self, shift: Array, candidates: Sequence[Suspect], amounts: Array) -> Array:
+        """Signatures of the candidates in force, at their present amounts."""
+        made = np.zeros((len(self.rows), len(candidates)))
         c = self.constants(shift)
-        active = self.found(shift, suspects, amounts)
-        ahead = len(active) - len(suspects)
-        for j, suspect in enumerate(suspects):
-            there = [block for block in suspect.blocks if block in self.grid.points]
-            step = max(0.3 * suspect.step, 0.02 * abs(amounts[j]))
-            if suspect.id == "transport_delay":
+        active = self.active_effects(shift, candidates, amounts)
+        ahead = len(active) - len(candidates)
+        for j, candidate in enumerate(candidates):
+            there = [block for block in candidate.blocks if block in self.grid.points]
+            step = max(0.3 * candidate.step, 0.02 * abs(amounts[j]))
+            if candidate.id == "transport_delay":
                 step = 1.0
             low = [*active]
             high = [*active]
-            less = max(amounts[j] - step, 0.0) if suspect.sign else amounts[j] - step
-            low[ahead + j] = (suspect.id, suspect.option, less, suspect.shape)
-            high[ahead + j] = (suspect.id, suspect.option, amounts[j] + step, suspect.shape)
+            less = max(amounts[j] - step, 0.0) if candidate.sign else amounts[j] - step
+            low[ahead + j] = (candidate.id, candidate.option, less, candidate.shape)
+            high[ahead + j] = (candidate.id, candidate.option, amounts[j] + step, candidate.shape)
             a = self.model.residual(c, low, there)
             b = self.model.residual(c, high, there)
             span = high[ahead + j][2] - low[ahead + j][2]
@@ -331,35 +399,41 @@ class Inquiry:
         right[:n] -= slope
         return matrix, right
 
-    def stated(self) -> State:
+    def stated(self) -> FitResult:
         """The plant as stated, nothing fitted: where a large effect leaves constants alone."""
         shift = np.zeros(len(self.names))
         residual, cost = self._at(shift, (), np.empty(0))
-        return State(shift, (), np.empty(0), residual, cost, np.eye(len(shift)))
+        return FitResult(shift, (), np.empty(0), residual, cost, np.eye(len(shift)))
 
-    def signatures(self, state: State) -> Array:
-        """Columns [constants | residual | suspects] at `state`, shape (rows, columns).
+    def signatures(self, fit: FitResult) -> Array:
+        """Columns [constants | residual | candidates] at a fit, shape (rows, columns)."""
+        constants = self.columns if np.any(fit.shift) else self.stated_columns
+        return np.hstack([constants, fit.residual[:, None], self._candidate_columns(fit)])
 
-        Those of the last state asked for are kept.
-        """
-        kept = self._signed
-        if kept is not None and kept[0] is state and kept[1] == self.suspects:
-            return kept[2]
-        c = self.constants(state.shift)
-        constants = self.columns if np.any(state.shift) else self.stated_columns
-        active = self.found(state.shift, state.suspects, state.amounts)
-        suspects = suspect_columns(self.model, c, active, self.suspects)
-        made = np.hstack([constants, state.residual[:, None], np.nan_to_num(suspects)])
-        self._signed = (state, self.suspects, made)
-        return made
+    def _candidate_columns(self, fit: FitResult) -> Array:
+        """Sensitivities of all candidates at a fit; those of the last fit are kept."""
+        kept = self._kept.get("candidates")
+        if (
+            kept is None
+            or kept[0] is not fit
+            or not set(map(id, self.candidates)) <= kept[1].keys()
+        ):
+            active = self.active_effects(fit.shift, fit.candidates, fit.amounts)
+            columns = suspect_columns(
+                self.model, self.constants(fit.shift), active, self.candidates
+            )
+            place = {id(candidate): j for j, candidate in enumerate(self.candidates)}
+            kept = self._kept["candidates"] = (fit, place, np.nan_to_num(columns))
+        _, place, columns = kept
+        return np.asarray(columns[:, [place[id(candidate)] for candidate in self.candidates]])
 
-    def evidence(self, state: State) -> Evidence:
-        """Inner products of constants, residual and all suspects at `state`."""
-        columns = self.signatures(state)
+    def evidence(self, fit: FitResult) -> Evidence:
+        """Inner products of constants, residual and all candidates at `fit`."""
+        columns = self.signatures(fit)
         n = len(self.names)
         return gather(
-            self.noise, columns[:, :n], state.residual, columns[:, n + 1 :], self.rows.block,
-            self.rows.span_s, self.units, state.shift,
+            self.noise, columns[:, :n], fit.residual, columns[:, n + 1 :], self.rows.block,
+            self.rows.span_s, self.units, fit.shift,
         )  # fmt: skip
 
     def schemes(self) -> dict[str, Whole]:
@@ -373,13 +447,30 @@ class Inquiry:
         return made
 
 
-def _bounded(suspects: Sequence[Suspect], amounts: Array) -> Array:
-    ranges = np.array([s.bounds for s in suspects]).reshape(-1, 2)
+def _bounded(candidates: Sequence[Suspect], amounts: Array) -> Array:
+    ranges = np.array([s.bounds for s in candidates]).reshape(-1, 2)
     return np.asarray(np.clip(amounts, ranges[:, 0], ranges[:, 1]))
 
 
-def _given(data: DataSet) -> Active:
-    """Effects that `bench.toml` states, in the suspects' terms: they are no gap."""
+def _stacked_residual(model: Model, c: PlantConstants, active: Active) -> Array:
+    """Measured minus predicted, one value a row; what cannot be predicted counts as 0."""
+    return np.nan_to_num(model.stacked(model.residual(c, active)), nan=0.0, posinf=3e3, neginf=-3e3)
+
+
+def _offset_columns(
+    model: Model, data: DataSet, mountings: int, c: PlantConstants, active: Active
+) -> Array:
+    """Sensitivities of mountings and calibrations, whose errors all trials of one share."""
+    return np.hstack(
+        [
+            mounting_columns(model, c, active, mountings),
+            calibration_columns(model, c, active, data.calibration),
+        ]
+    )
+
+
+def _stated_effects(data: DataSet) -> Active:
+    """Effects that `bench.toml` states, in the terms of the candidates."""
     made: Active = []
     for name, table in data.effects.values.items():
         entry = CATALOGUE[name]

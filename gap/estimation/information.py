@@ -1,8 +1,8 @@
-"""All that the data say about constants and suspects, in one small matrix a trial.
+"""Inner products of residual and sensitivities: one small matrix for each held-out unit.
 
-Least squares with the noise's covariance, in the form of inner products of the columns
-[constants | residual | suspects]. Constants carry their tolerance as a prior; suspects are free.
-Fits, held-out fits and simulated nulls all work on these matrices and never touch rows again.
+They are least squares with the covariance of the noise, over the columns
+[constants | residual | candidates]. Constants carry their tolerance as a prior; candidates are
+free. Linear gains, held-out fits and simulated null distributions use these matrices only.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ class Evidence:
 
 
 def gather(
-    noise: Noise, constants: Array, residual: Array, suspects: Array, rows_block: Whole,
+    noise: Noise, constants: Array, residual: Array, candidates: Array, rows_block: Whole,
     rows_span: Array, units: Whole, shift: Array,
 ) -> Evidence:  # fmt: skip
-    """Inner products of [constants | residual | suspects], all with one row a feature."""
-    columns = np.hstack([constants, residual[:, None], suspects])
+    """Inner products of [constants | residual | candidates], all with one row a feature."""
+    columns = np.hstack([constants, residual[:, None], candidates])
     count = int(units.max(initial=-1)) + 1
     width = columns.shape[1]
     gram = np.zeros((count, width, width))
@@ -94,7 +94,7 @@ def tolerance(shift: Array) -> tuple[float, Array, Array]:
 
 
 def projected(evidence: Evidence, gram: Array) -> Array:
-    """Inner products of [residual | suspects] once the constants have taken what they can."""
+    """Inner products of [residual | candidates] once the constants have taken what they can."""
     n = evidence.constants
     rest = slice(n, None)
     inner = gram[:n, :n] + np.diag(evidence.stiffness)

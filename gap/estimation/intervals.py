@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from gap.decision.reliability import learnt
-from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import projected
 from gap.estimation.normal_equations import covariance, solved
 from gap.verdict import Estimate
@@ -13,67 +14,74 @@ from plant.effects.catalogue import CATALOGUE
 
 _Z95 = 1.96
 _FORM = 0.1
+"""Error of the form of an effect for which none is stated."""
 
 
-def settled(q: Inquiry, state: State) -> State:
-    """The state after one last step of Gauss and Newton that nothing damps.
+def settled(problem: FitProblem, fit: FitResult) -> FitResult:
+    """The fit after one last Gauss-Newton step without damping.
 
-    Damping holds back just those directions in which the data say little, such as an effect against
-    the constant that could do the same. There the prior decides, and it is asked here: without this
-    step a constant may stay at the edge of its tolerance while the effect takes the rest.
+    Damping holds back the directions in which the data are weak, such as an effect against the
+    constant that could do the same. There the prior decides. Without this step a constant may stay
+    at the edge of its tolerance while the effect takes the rest.
     """
-    if not state.suspects:
-        return state
-    n = len(q.names)
-    columns = q.columns_of(state)
-    matrix, right = q.normal(columns, state.residual, state.shift)
+    if not fit.candidates:
+        return fit
+    n = len(problem.names)
+    columns = problem.columns_of(fit)
+    matrix, right = problem.normal(columns, fit.residual, fit.shift)
     beta = solved(matrix, right, 0.0)
-    best = state
+    best = fit
     for share in (1.0, 0.5):
-        shift = state.shift + share * beta[:n]
-        moved = q.state(shift, state.suspects, state.amounts + share * beta[n:], state)
+        shift = fit.shift + share * beta[:n]
+        moved = problem.at(shift, fit.candidates, fit.amounts + share * beta[n:], fit)
         if moved.cost < best.cost:
             best = moved
             break
     cover = covariance(matrix)
-    return State(best.shift, best.suspects, best.amounts, best.residual, best.cost, cover)
+    return FitResult(best.shift, best.candidates, best.amounts, best.residual, best.cost, cover)
 
 
-def headline_estimates(q: Inquiry, state: State, whole: bool = True) -> dict[str, Estimate]:
+def headline_estimates(
+    problem: FitProblem,
+    fit: FitResult,
+    form_error: Mapping[str, float] | None = None,
+    whole: bool = True,
+) -> dict[str, Estimate]:
     """Headline parameters of all effects in force, keyed by parameter name.
 
     Shapes of one effect add up. With two effects of the same parameter name the later gets its
     id in front. With `whole`, what a constant of the same meaning took over beyond its tolerance
-    counts to the effect, and the state is settled first; without it the parameters go with the
-    constants of the state as it stands.
+    counts to the effect, and the fit is settled first; without it the parameters go with the
+    constants of the fit as it stands. `form_error` is the error (1 sd, of the logarithm) that
+    the true form of an effect brings into its headline parameter, by catalogue id.
     """
     made: dict[str, Estimate] = {}
-    n = len(q.names)
+    n = len(problem.names)
     if whole:
-        state = settled(q, state)
-    spread = max(1.0, np.sqrt(state.cost / max(len(q.rows), 1)))
-    for name in state.ids:
+        fit = settled(problem, fit)
+    spread = max(1.0, np.sqrt(fit.cost / max(len(problem.rows), 1)))
+    for name in fit.ids:
         entry = CATALOGUE[name]
-        at = [j for j, suspect in enumerate(state.suspects) if suspect.id == name]
+        at = [j for j, candidate in enumerate(fit.candidates) if candidate.id == name]
         if entry.headline is None:
             continue
-        amount = float(state.amounts[at].sum())
+        amount = float(fit.amounts[at].sum())
         index = [n + j for j in at]
-        sd = float(np.sqrt(max(state.cover[np.ix_(index, index)].sum(), 0.0))) * spread
+        sd = float(np.sqrt(max(fit.cover[np.ix_(index, index)].sum(), 0.0))) * spread
         if name == "supply_droop":
-            active = q.found(state.shift, state.suspects, state.amounts)
-            q.model.residual(q.constants(state.shift), active, ["pressure"])
-            fall = q.model.fall_pa * 1e-3
+            active = problem.active_effects(fit.shift, fit.candidates, fit.amounts)
+            problem.model.residual(problem.constants(fit.shift), active, ["pressure"])
+            fall = problem.model.fall_pa * 1e-3
             sd = sd * fall / max(abs(amount), 1e-9)
             amount = fall
         if whole:
-            taken = _taken_over(q, state, name, state.suspects[at[0]].option)
+            taken = _taken_over(problem, fit, name, fit.candidates[at[0]].option)
             amount, sd = amount + taken, float(np.hypot(sd, 0.5 * taken))
-        low, high = interval(amount, _Z95 * sd, _Z95 * learnt().form.get(name, _FORM))
-        shift = _offset(q, name)
+        low, high = interval(amount, _Z95 * sd, _Z95 * (form_error or {}).get(name, _FORM))
+        shift = _offset(problem, name)
         key = entry.headline if entry.headline not in made else f"{name}_{entry.headline}"
         made[key] = Estimate(amount + shift, low + shift, high + shift)
-        option = state.suspects[at[0]].option
+        option = fit.candidates[at[0]].option
         if option:
             word = "side" if name == "flow_area" else "edge"
             made[word if word not in made else f"{name}_{word}"] = Estimate(option)
@@ -84,7 +92,7 @@ def interval(amount: float, noise: float, form: float) -> tuple[float, float]:
     """Interval of a headline with two errors: `noise` adds to it, `form` to its logarithm.
 
     Each side's reaches are added in squares (Zou and Donner, Stat. Med. 27 (2008) 1693). The form
-    behind a headline is never exact, and makes it wrong by a factor, up or down alike.
+    of an effect is never exact; it makes the headline wrong by a factor, up or down alike.
     """
     ends = np.array([amount * np.exp(-form), amount * np.exp(form)])
     low, high = amount - ends.min(), ends.max() - amount
@@ -95,45 +103,45 @@ BEYOND = 2.0
 """Shift of a constant, in sd, that its tolerance hardly explains."""
 
 
-def _taken_over(q: Inquiry, state: State, name: str, option: str) -> float:
+def _taken_over(problem: FitProblem, fit: FitResult, name: str, option: str) -> float:
     """What the constant of an effect's own meaning took of it, in the headline's unit."""
     key = {
         "dead_volume": "dead_volume_ml", "critical_ratio": "critical_ratio",
         "flow_area": f"{option}_conductance_m3_s_pa", "valve_delay": f"{option}_ms",
         "valve_delay_pressure": f"{option}_ms_per_kpa",
     }.get(name)  # fmt: skip
-    if key not in q.names:
+    if key not in problem.names:
         return 0.0
-    shift = float(state.shift[q.names.index(key)])
+    shift = float(fit.shift[problem.names.index(key)])
     if abs(shift) <= BEYOND:
         return 0.0
-    stated, moved = q.data.constants.value(key), q.constants(state.shift).value(key)
+    stated, moved = problem.data.constants.value(key), problem.constants(fit.shift).value(key)
     if name == "flow_area":
-        at = next(j for j, s in enumerate(state.suspects) if s.id == name)
-        return (1.0 + float(state.amounts[at])) * (moved / stated - 1.0)
+        at = next(j for j, s in enumerate(fit.candidates) if s.id == name)
+        return (1.0 + float(fit.amounts[at])) * (moved / stated - 1.0)
     return moved - stated
 
 
-def _offset(q: Inquiry, name: str) -> float:
+def _offset(problem: FitProblem, name: str) -> float:
     """What the headline is at zero effect: ratios and exponents are stated from 1 up."""
     if name in ("flow_area", "polytropic"):
         return 1.0
     if name == "critical_ratio":
-        return float(q.data.constants.critical_ratio)
+        return float(problem.data.constants.critical_ratio)
     return 0.0
 
 
-def limits_of(q: Inquiry, alarm: float) -> dict[str, float]:
+def detection_limits(problem: FitProblem, alarm: float) -> dict[str, float]:
     """Smallest headline parameter of each effect that these data would have shown."""
-    evidence = q.evidence(q.base)
+    evidence = problem.evidence(problem.base)
     p = projected(evidence, evidence.total)
     made: dict[str, float] = {}
-    for j, suspect in enumerate(q.suspects):
-        if suspect.defect or CATALOGUE[suspect.id].headline is None:
+    for j, candidate in enumerate(problem.candidates):
+        if candidate.defect or CATALOGUE[candidate.id].headline is None:
             continue
         strength = float(p[1 + j, 1 + j])
         if strength <= 1e-12:
             continue
         least = float(np.sqrt(alarm / strength))
-        made[suspect.id] = min(made.get(suspect.id, np.inf), least)
+        made[candidate.id] = min(made.get(candidate.id, np.inf), least)
     return made

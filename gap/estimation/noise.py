@@ -288,7 +288,7 @@ def _trend(
     model: Model, c: PlantConstants, noise: Noise, pairs: list[_Pair]
 ) -> tuple[float, Array]:
     """The slow change over trials that replicates show best, one entry a row, and its z."""
-    wear = [suspect for suspect in SUSPECTS if suspect.id == "wear"]
+    wear = [candidate for candidate in SUSPECTS if candidate.id == "wear"]
     columns = suspect_columns(model, c, [], wear)
     best = (0.0, np.zeros(len(columns)))
     for j in range(columns.shape[1]):
@@ -343,7 +343,7 @@ def _learn(noise: Noise, pairs: list[_Pair], prior: dict[str, float], block: Who
                 spread[number] += n * calm + float(np.sum(cover * gram))
                 size[number] += n
         for kind in variance:
-            # Replicates bounce alike, so what they share says nothing about unseen gas.
+            # Replicates bounce alike, so what they share does not show unobserved flow.
             if kind == UNSEEN_GAS:
                 continue
             weight = _PRIOR_WEIGHT

@@ -1,8 +1,8 @@
-"""Replicates that a controller made: alike in what was asked for, not in what the valves did.
+"""Replicates that are not identical: equal commands of a controller, but unequal valve actions.
 
-What a wrong plant misses then differs between them and would pass for noise, many times as large as
-the noise there is. So the noise of such data is learnt from what no constant and no effect of the
-catalogue could make, whichever of them is the right one.
+What a wrong plant misses then differs between the replicates and would pass for noise, many times
+as large as the noise itself. So the noise of such data is learnt from the part of the residual that
+no constant and no candidate effect can make.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _SAME_S = 2e-3
 _RIDGE = 1e-6
 
 
-def controlled(data: DataSet) -> bool:
+def non_identical(data: DataSet) -> bool:
     """Whether valves acted otherwise in some replicate than in the first of its slot."""
     for members in data.slots.values():
         first, *others = (data.trials[member] for member in members)
@@ -36,7 +36,7 @@ def _differ(a: Channel, b: Channel) -> bool:
     return bool(later > _SAME_S or np.any(a.value != b.value))
 
 
-def out_of_reach(columns: Array, residual: Array, noise: Noise) -> Array:
+def unexplainable(columns: Array, residual: Array, noise: Noise) -> Array:
     """What of a residual no mix of signatures makes, shape (rows,).
 
     Args:

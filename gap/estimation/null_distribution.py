@@ -1,10 +1,9 @@
-"""What chance alone would give: gains of the best suspect on data without any gap.
+"""The null distribution: gains of the best candidate on simulated data without a gap.
 
-Each draw is a data set in which only the noise is at work, projected on the suspects as the search
-does. The noise's own size is uncertain too: sensor zeros and gains are drawn once a trial, and few
-replicates say little about their spread. So each draw first draws how large each kind of noise
-really is, given what the replicates showed. Chi-square tables know neither this nor that many
-suspects were asked.
+Each draw is a data set with noise only, projected on the candidates as the search does. The size of
+the noise is uncertain too: zeros and gains of sensors are drawn once a trial, and few replicates
+say little about their spread. So each draw first draws the size of each kind of noise, given the
+replicates. A chi-square table knows neither this nor the number of candidates.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.estimation.fit_problem import Inquiry
+from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import Evidence
 
 Array = npt.NDArray[np.float64]
@@ -40,23 +39,23 @@ class Null:
         return (over + 1.0) / (len(self.best) + 1.0)
 
 
-def simulated_null(q: Inquiry, seed: int = 1) -> Null:
+def simulated_null(problem: FitProblem, seed: int = 1) -> Null:
     """Null of the search's first step; the same seed, the same verdict, from call to call."""
     rng = np.random.default_rng(seed)
-    evidence = q.evidence(q.base)
-    columns = q.signatures(q.base)
+    evidence = problem.evidence(problem.base)
+    columns = problem.signatures(problem.base)
     n = evidence.constants
     rest = [*range(n), *range(n + 1, columns.shape[1])]
     kinds: list[str] = []
     loads: list[Array] = []
-    for trial, rows in enumerate(q.noise.trial_rows):
+    for trial, rows in enumerate(problem.noise.trial_rows):
         if not len(rows):
             continue
-        a = q.noise.whiten(trial, columns[np.ix_(rows, rest)])
-        sd = np.array([q.noise.scales[kind] for kind in q.noise.kinds[trial]])
-        b = q.noise.whiten(trial, q.noise.columns[trial] * sd[None, :])
+        a = problem.noise.whiten(trial, columns[np.ix_(rows, rest)])
+        sd = np.array([problem.noise.scales[kind] for kind in problem.noise.kinds[trial]])
+        b = problem.noise.whiten(trial, problem.noise.columns[trial] * sd[None, :])
         loads.append(b.T @ a)
-        kinds += q.noise.kinds[trial]
+        kinds += problem.noise.kinds[trial]
     whole = evidence.total[np.ix_(rest, rest)]
     # Columns come in units of their own, twelve decades apart.
     unit = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
@@ -65,7 +64,7 @@ def simulated_null(q: Inquiry, seed: int = 1) -> Null:
     whole = whole * unit * unit[:, None]
     size, turn = np.linalg.eigh(whole - load.T @ load)
     root = turn * np.sqrt(np.maximum(size, 0.0))
-    known = _PRIOR_DRAWS + q.noise.freedom
+    known = _PRIOR_DRAWS + problem.noise.freedom
     names = sorted(set(kinds))
     at = np.array([names.index(kind) for kind in kinds], dtype=np.int64)
     scale = np.sqrt(known / rng.chisquare(known, (DRAWS, len(names))))
@@ -77,23 +76,23 @@ def simulated_null(q: Inquiry, seed: int = 1) -> Null:
     own = rng.standard_normal((DRAWS, n)) * np.sqrt(np.diag(prior))
     left = draws[:, n:] - (draws[:, :n] + own) @ lever
     norm = np.diag(whole)[n:] - np.einsum("ij,ij->j", whole[:n, n:], lever)
-    positive = np.array([s.sign > 0 for s in q.suspects])
+    positive = np.array([s.sign > 0 for s in problem.candidates])
     gains = np.where(positive & (left < 0.0), 0.0, left**2 / np.maximum(norm, 1e-9))
     gains[:, norm < 1e-7] = 0.0
     return Null(np.sort(gains.max(axis=1, initial=0.0)))
 
 
-def carried(q: Inquiry, key: str) -> tuple[float, float]:
-    """Gain of the best suspect of `key` on slots that it was not fitted to, and its t-value.
+def held_out_gain(problem: FitProblem, key: str) -> tuple[float, float]:
+    """Gain of the best candidate of `key` on slots that it was not fitted to, and its t-value.
 
     A linear fit at the recalibrated plant: each slot in turn is predicted by what the others say
     about the constants and the amount. Chance, and a fault of a few trials, do not carry over.
     """
-    evidence = q.evidence(q.base)
+    evidence = problem.evidence(problem.base)
     n = evidence.constants
     best = (-np.inf, 0.0)
-    for j, suspect in enumerate(q.suspects):
-        if suspect.key != key:
+    for j, candidate in enumerate(problem.candidates):
+        if candidate.key != key:
             continue
         gains = []
         for unit in range(len(evidence.gram)):

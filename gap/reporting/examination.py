@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import DataSet
-from gap.decision.diagnose import searched
-from gap.estimation.fit_problem import Inquiry, State
+from gap.decision.diagnose import diagnose_with_search
+from gap.estimation.cross_validation import held_out
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
-from gap.selection.forward import Naming
+from gap.selection.search import SearchResult
 from gap.validation.maps import Course, residual_maps
-from gap.validation.shrink import held_out
 from gap.verdict import Verdict
 
 Array = npt.NDArray[np.float64]
@@ -66,15 +66,15 @@ def examine(data: DataSet, without: Iterable[str] = ()) -> Examination:
         GapError: as `gap.decision.diagnose.diagnose`.
     """
     digest = fingerprint(data)
-    verdict, inquiry, naming = searched(data, without)
-    if inquiry is None or naming is None:
+    verdict, problem, search = diagnose_with_search(data, without)
+    if problem is None or search is None:
         return Examination(data, verdict, (), None, digest)
-    block = _block(inquiry, naming, verdict)
+    block = _block(problem, search, verdict)
     if block is None:
         return Examination(data, verdict, (), None, digest)
     return Examination(
-        data, verdict, _ladder(inquiry, naming, block), _field(inquiry, naming, block), digest,
-        tuple(residual_maps(inquiry, naming.chosen.state)),
+        data, verdict, _ladder(problem, search, block), _field(problem, search, block), digest,
+        tuple(residual_maps(problem, search.best.fit)),
     )  # fmt: skip
 
 
@@ -90,40 +90,40 @@ def fingerprint(data: DataSet) -> str:
     return crc.hexdigest()
 
 
-def _block(q: Inquiry, naming: Naming, verdict: Verdict) -> str | None:
+def _block(problem: FitProblem, search: SearchResult, verdict: Verdict) -> str | None:
     """The block that the verdict's gap is about: of its unit, and of its recalibrated error."""
     gap = verdict.gap
     if gap is None:
         return None
-    held = held_out(q, naming.chosen.state)
+    held = held_out(problem, search.best.fit)
     there = [block for block in held if UNITS[block] == gap.unit]
     if not there:
         return None
     return min(there, key=lambda b: abs(held[b].rms("recalibrated") - gap.recalibrated))
 
 
-def _ladder(q: Inquiry, naming: Naming, block: str) -> tuple[Rung, ...]:
-    chosen = naming.chosen.state
-    base = held_out(q, q.base)[block]
+def _ladder(problem: FitProblem, search: SearchResult, block: str) -> tuple[Rung, ...]:
+    best = search.best.fit
+    base = held_out(problem, problem.base)[block]
     rungs = [Rung("as stated", base.rms("before")), Rung("recalibrated", base.rms("recalibrated"))]
-    ids = list(dict.fromkeys(suspect.id for suspect in chosen.suspects))
+    ids = list(dict.fromkeys(candidate.id for candidate in best.candidates))
     for count in range(1, len(ids) + 1):
-        state = chosen if count == len(ids) else _part(q, chosen, ids[:count])
-        rungs.append(Rung(f"+ {ids[count - 1]}", held_out(q, state)[block].rms("after")))
+        fit = best if count == len(ids) else _part(problem, best, ids[:count])
+        rungs.append(Rung(f"+ {ids[count - 1]}", held_out(problem, fit)[block].rms("after")))
     return tuple(rungs)
 
 
-def _part(q: Inquiry, state: State, ids: list[str]) -> State:
+def _part(problem: FitProblem, fit: FitResult, ids: list[str]) -> FitResult:
     """The first of the effects alone, fitted anew."""
-    pairs = zip(state.suspects, state.amounts, strict=True)
-    kept = [(suspect, float(amount)) for suspect, amount in pairs if suspect.id in ids]
-    return q.fit([suspect for suspect, _ in kept], [amount for _, amount in kept])
+    pairs = zip(fit.candidates, fit.amounts, strict=True)
+    kept = [(candidate, float(amount)) for candidate, amount in pairs if candidate.id in ids]
+    return problem.fit([candidate for candidate, _ in kept], [amount for _, amount in kept])
 
 
-def _field(q: Inquiry, naming: Naming, block: str) -> Field:
-    here = q.rows.block == BLOCKS.index(block)
-    rows = q.rows
-    orders = np.array([trial.order for trial in q.data.trials])
+def _field(problem: FitProblem, search: SearchResult, block: str) -> Field:
+    here = problem.rows.block == BLOCKS.index(block)
+    rows = problem.rows
+    orders = np.array([trial.order for trial in problem.data.trials])
     return Field(
         block=block,
         unit=UNITS[block],
@@ -131,7 +131,7 @@ def _field(q: Inquiry, naming: Naming, block: str) -> Field:
         length_mm=rows.length[here] * 1e3,
         order=orders[rows.trial[here]],
         time_s=rows.time_s[here],
-        before=q.base.residual[here],
-        after=naming.chosen.state.residual[here],
+        before=problem.base.residual[here],
+        after=search.best.fit.residual[here],
         weight=rows.span_s[here],
     )

@@ -76,7 +76,7 @@ def _draw(axis: Any, course: Course, named: bool) -> None:
 
 
 def check_picture(path: Path | None) -> None:
-    """Raise `GapError` where no picture could be written: told before the work, not after it."""
+    """Raise `GapError` where no picture could be written: checked before the work, not after it."""
     from matplotlib.backend_bases import FigureCanvasBase
 
     check_out(path)
@@ -86,7 +86,7 @@ def check_picture(path: Path | None) -> None:
 
 
 def write_courses(courses: Sequence[Course], named: bool, path: Path) -> None:
-    """Write the figure to a file; its ending says the format.
+    """Write the figure to a file; its suffix gives the format.
 
     Raises:
         GapError: nothing to draw, an ending that is no picture's, or a file that cannot be written.

@@ -64,7 +64,7 @@ def context(examined: Examination) -> dict[str, Any]:
         "next_why": sentence(verdict.next_experiment.why) if verdict.next_experiment else "",
         "told_apart": told_apart(verdict.effects),
         "limits": limits(verdict),
-        "mimics": _mimics(verdict),
+        "mimics": _confounders(verdict),
         "origin": data.origin,
         "trials": len(data.trials),
         "slots": len(data.slots),
@@ -98,18 +98,18 @@ def _explanations(verdict: Verdict) -> list[dict[str, str]]:
 
 
 def _percent(value: float) -> str:
-    """A probability that is never said to be certain."""
+    """A probability as text; never "certain"."""
     if value > 0.99:
         return "> 99 %"
     return f"{100 * value:.0f} %" if value >= 0.01 else "< 1 %"
 
 
-def _mimics(verdict: Verdict) -> list[str]:
+def _confounders(verdict: Verdict) -> list[str]:
     """What could stand in for the best entry, and how well."""
     found = verdict.evidence.get("mimics", [])
     return [
-        f"{' and '.join(mimic['ids'])} could take {100 * float(mimic['share']):.0f} % of its effect"
-        for mimic in found
+        f"{' and '.join(one['ids'])} could take {100 * float(one['share']):.0f} % of its effect"
+        for one in found
     ]
 
 

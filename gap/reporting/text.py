@@ -1,4 +1,4 @@
-"""What a diagnosis says, in the words of a colleague: one sentence first, then the reasons."""
+"""A verdict in sentences: one sentence first, then the reasons."""
 
 from __future__ import annotations
 
@@ -27,11 +27,10 @@ CAREFUL = (
 
 @dataclass(frozen=True)
 class Rival:
-    """An entry that was not chosen, how much of the gap it would close, and why not."""
+    """An entry that was not chosen, and why not."""
 
     id: str
     why: str
-    rank: float
 
 
 def headline(verdict: Verdict) -> str:
@@ -81,14 +80,14 @@ def sentence(text: str) -> str:
 
 
 def parameter_text(name: str, estimate: Estimate) -> str:
-    """A parameter as a person says it: threshold 33 kPa (29.2 to 36.7)."""
+    """A parameter as text: threshold 33 kPa (29.2 to 36.7)."""
     units = {p.name: p.unit for entry in CATALOGUE.values() for p in entry.parameters}
     base = next((known for known in units if name == known or name.endswith(f"_{known}")), name)
     unit = units.get(base, "")
     tail = "_" + unit.lower().replace("/", "_").replace(" ", "_")
-    said = base.removesuffix(tail) if unit else base
-    if said == "percent":
-        said = ""
+    text = base.removesuffix(tail) if unit else base
+    if text == "percent":
+        text = ""
     value = (
         estimate.value
         if isinstance(estimate.value, str)
@@ -96,7 +95,7 @@ def parameter_text(name: str, estimate: Estimate) -> str:
     )
     if estimate.low is not None and estimate.high is not None:
         value += f" ({estimate.low:.3g} to {estimate.high:.3g})"
-    return f"{said.replace('_', ' ')} {value}".strip()
+    return f"{text.replace('_', ' ')} {value}".strip()
 
 
 def gap_sentences(verdict: Verdict) -> list[str]:
@@ -104,22 +103,22 @@ def gap_sentences(verdict: Verdict) -> list[str]:
     gap = verdict.gap
     if gap is None:
         return []
-    said = [
+    text = [
         f"As stated, the plant is off by {gap.before:.3g} {gap.unit}; recalibrated within the "
         f"tolerances of its constants by {gap.recalibrated:.3g} {gap.unit}."
     ]
     if gap.after is not None and verdict.effects:
-        said.append(f"With what was found {gap.after:.3g} {gap.unit} remain.")
+        text.append(f"With what was found {gap.after:.3g} {gap.unit} remain.")
     if gap.floor is not None:
         source = {
             "replicates": "replicates of the same setting differ by",
             "stated": "the stated noise is",
             "smoothness": "neighbouring points differ from a smooth course by",
         }.get(gap.floor_source or "", "the floor is")
-        said.append(
+        text.append(
             f"No model could do better than the floor: {source} {gap.floor:.3g} {gap.unit}."
         )
-    return said
+    return text
 
 
 def told_apart(effects: tuple[Explanation, ...]) -> list[tuple[str, str]]:
@@ -149,11 +148,11 @@ def experiment_sentence(experiment: Experiment) -> str:
 
 
 UNITS = ("kpa", "mm_s", "mm", "kg", "s", "c")
-SAID = {"kpa": "kPa", "mm_s": "mm/s", "c": "degC"}
+UNIT_TEXT = {"kpa": "kPa", "mm_s": "mm/s", "c": "degC"}
 
 
 def _setting(key: str, value: object) -> str:
-    """A setting of a protocol as a person says it: pressures 80, 150 kPa."""
+    """A setting of a protocol as text: pressures 80, 150 kPa."""
     unit = next((u for u in UNITS if key.endswith(f"_{u}")), "")
     name = key.removesuffix(f"_{unit}") if unit else key
     if isinstance(value, Mapping):
@@ -161,28 +160,15 @@ def _setting(key: str, value: object) -> str:
     if value is None:
         return f"without {name.replace('_', ' ')}"
     many = value if isinstance(value, (list, tuple)) else [value]
-    said = ", ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in many)
-    return f"{name.replace('_', ' ')} {said} {SAID.get(unit, unit)}".strip()
+    text = ", ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in many)
+    return f"{name.replace('_', ' ')} {text} {UNIT_TEXT.get(unit, unit)}".strip()
 
 
 def rivals(verdict: Verdict) -> list[Rival]:
     """Entries that were not chosen, those that came nearest first."""
     named = {name for effect in verdict.effects for name in effect.ids}
-    found = [
-        Rival(name, why, _rank(why)) for name, why in verdict.why_not.items() if name not in named
-    ]
-    return sorted(found, key=lambda rival: (-rival.rank, rival.id))
-
-
-def _rank(why: str) -> float:
-    """Orders reasons: fits that were refined first, then by the share they close."""
-    words = why.split()
-    numbers = [float(w) for w in words if w.replace(".", "", 1).isdigit()]
-    if not numbers:
-        return -1.0
-    if why.startswith("fits worse"):
-        return 1000.0 - min(numbers[0], 900.0) * 1e-3
-    return numbers[0]
+    found = [(-why.rank, name, why) for name, why in verdict.why_not.items() if name not in named]
+    return [Rival(name, str(why)) for _, name, why in sorted(found, key=lambda one: one[:2])]
 
 
 def limits(verdict: Verdict) -> list[tuple[str, str]]:

@@ -1,200 +1,207 @@
-"""When one more effect counts: what it takes, where it shows, and what the first one left.
+"""The inclusion test: whether one more effect is needed beside those found.
 
-What is left of a first effect whose form is not exact can be taken by many others. So a further
-effect must be seen over the floor, and take a fair share of the gap unless it shows in channels of
-its own or the first one leaves nothing.
+The form of a first effect is never exact, and many others can take a part of what it leaves. So a
+further effect must be seen above the floor, and take a fair share of the gap, unless it shows in
+channels of its own, leaves nothing, or frees a constant.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from gap.estimation.fit_problem import Inquiry, State
-
-SHARE_SURE = 0.06
-"""Least share of the gap's excess that a further effect must take away."""
-SEEN_NEXT = 0.6
-"""Least change of the residual in some block, in units of its floor, for an effect to count."""
-FAR_ABOVE = 3.0
-"""The same, from which a further effect counts beside one whose form leaves much."""
-PLAINLY_SEEN = 1.5
-"""The same, from which an effect counts beside one of any size."""
-PLAIN_GAIN = 240.0
-PLAIN_SHARE = 0.1
-PLAIN_OF_LEFT = 0.6
-"""Gain, share of the gap and share of what is left from which less over the floor will do:"""
-PLAIN_SEEN = 0.4
-SETTLED = 0.9
-SETTLED_GAIN = 450.0
-SETTLED_SHARE = 0.02
-"""Share of what is left, gain and share of the gap from which two explain all there is."""
-SHOWS = 0.1
-"""Least change of the residual, in units of its floor, that is any at all."""
-AT_THE_END = 2.9
-BACK = 2.4
-"""Shift of a constant, in sd, that an effect left out may have bent, and that none has to have."""
-RELEASE_GAIN = 120.0
-"""Gain from which an effect counts that brings such constants back."""
-RELIEF = 2.0
-RELIEVED = 3.0
-"""Drop of the largest shift, in sd, and what it must have come down to, for constants that an
-effect relieves."""
-ALL_THAT_IS_LEFT = 0.97
-ALL_GAIN = 1000.0
-"""Share of what is left and gain from which the share of the gap does not matter."""
-_LEAST_NEXT = 40.0
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.selection.config import SELECTION, SelectionConfig
 
 
-def excess(q: Inquiry, state: State) -> float:
-    """Whitened sum of squares beyond what noise alone leaves."""
-    return max(state.cost - len(q.rows), 0.0)
+@dataclass(frozen=True)
+class StepStatistics:
+    """What one more effect does to a fit.
+
+    Attributes:
+        key: key of the effect.
+        gain: drop of chi-square.
+        gap: chi-square of the recalibrated plant beyond the number of rows.
+        left: the same of the fit without the effect.
+        rows: number of rows.
+        alarm: gain that a first effect needs on these data.
+        visibility: largest drop of the residual in a block, in units of its floor.
+        own_channels: it shows in channels that no other effect touches.
+        same_family: another effect of its family is there, whose form it may only correct.
+        best_of_family: no effect of a family that is there leaves as little.
+        shift_before: largest shift of a constant without it, in sd.
+        shift_after: the same with it.
+        frees: a constant came back from the end of its tolerance, and none went there.
+    """
+
+    key: str
+    gain: float
+    gap: float
+    left: float
+    rows: int
+    alarm: float
+    visibility: float
+    own_channels: bool
+    same_family: bool
+    best_of_family: bool
+    shift_before: float
+    shift_after: float
+    frees: bool
+
+    @property
+    def chance(self) -> float:
+        """One sd of chi-square."""
+        return float(np.sqrt(2.0 * self.rows))
+
+    @property
+    def of_left(self) -> float:
+        """Share of what is left."""
+        return self.gain / max(self.left, 1.0)
+
+    def as_dict(self, included: bool) -> dict[str, float | str]:
+        """The record that the verdict carries as evidence."""
+        return {
+            "key": self.key, "gain": self.gain, "bent": self.shift_before,
+            "bent_after": self.shift_after, "alarm": self.alarm,
+            "share": self.gain / max(self.gap, 1.0), "of_left": self.of_left, "left": self.left,
+            "rows": float(self.rows), "seen": self.visibility, "apart": float(self.own_channels),
+            "same_family": float(self.same_family), "counted": float(included),
+        }  # fmt: skip
 
 
-def seen(q: Inquiry, before: State, after: State) -> float:
+def excess_chi2(problem: FitProblem, fit: FitResult) -> float:
+    """Chi-square of a fit beyond the number of rows."""
+    return max(fit.cost - len(problem.rows), 0.0)
+
+
+def visibility(problem: FitProblem, before: FitResult, after: FitResult) -> float:
     """Largest drop of the residual in any block: root of the drop in squares over the floor's."""
-    rows = q.rows
+    rows = problem.rows
     best = 0.0
     for number in np.unique(rows.block).tolist():
         here = rows.block == number
         span = rows.span_s[here] / rows.span_s[here].sum()
         drop = float(span @ (before.residual[here] ** 2 - after.residual[here] ** 2))
-        floor = float(span @ q.floor_variance[here])
+        floor = float(span @ problem.floor_variance[here])
         best = max(best, drop / max(floor, 1e-12))
     return float(np.sqrt(best))
 
 
-def apart(q: Inquiry, state: State, key: str) -> bool:
-    """Whether the effect of `key` shows in channels that no other effect in force touches."""
-    own = next(s.blocks for s in q.suspects if s.key == key)
-    others = {b for s in state.suspects if s.key != key for b in s.blocks}
-    return not set(own) & others & set(q.grid.points)
+def own_channels(problem: FitProblem, fit: FitResult, key: str) -> bool:
+    """Whether the effect of `key` shows in channels that no other effect of the fit touches."""
+    own = next(s.blocks for s in problem.candidates if s.key == key)
+    others = {b for s in fit.candidates if s.key != key for b in s.blocks}
+    return not set(own) & others & set(problem.grid.points)
 
 
-def counts(
-    q: Inquiry, gap: float, alarm: float, before: State, key: str, after: State,
-    relative: float = np.inf,
-) -> bool:  # fmt: skip
-    """Whether a further effect of `key` takes away enough to count as one more.
+def same_family(before: FitResult, after: FitResult) -> bool:
+    """Whether the last effect is of the family of another one in the fit."""
+    return after.candidates[-1].family in {candidate.family for candidate in before.candidates}
 
-    `gap` is the whitened gap beyond noise at the base, `alarm` what a first effect needs,
-    `relative` the cost with the best relative of those in force instead, which mends their form.
+
+def step_statistics(
+    problem: FitProblem,
+    gap: float,
+    alarm: float,
+    before: FitResult,
+    after: FitResult,
+    best_relative: float = np.inf,
+    key: str = "",
+    config: SelectionConfig = SELECTION,
+) -> StepStatistics:
+    """What the last effect of `after` does to the fit `before`.
+
+    Args:
+        gap: chi-square of the recalibrated plant beyond the number of rows.
+        alarm: gain that a first effect needs.
+        best_relative: cost with the best effect of a family that is there instead.
+        key: key of the effect, if it is not the last one.
     """
-    gain = before.cost - after.cost
-    if gain < max(_LEAST_NEXT, alarm):
-        return False
-    if after.cost < relative and (
-        settles(q, gap, before, after) or releases(q, before, after)
-    ):  # fmt: skip
-        return True
-    visible = seen(q, before, after)
-    if visible > PLAIN_SEEN and plain(q, gap, before, gain):
-        return True
-    if visible <= SEEN_NEXT:
-        return False
-    return apart(q, before, key) or _worth(q, gap, alarm, before, after)
-
-
-def plain(q: Inquiry, gap: float, before: State, gain: float) -> bool:
-    """Whether it takes most of what is left, and much of the gap.
-
-    `gap` is the whitened gap beyond noise at the base. Such an effect may show in few moments
-    only, as a valve's does, and stand less high over a floor that is a mean over all of them.
-    """
-    return gain > max(PLAIN_GAIN, PLAIN_SHARE * gap, PLAIN_OF_LEFT * excess(q, before))
-
-
-def settles(q: Inquiry, gap: float, before: State, after: State) -> bool:
-    """Whether both together leave nothing where one of another family left much.
-
-    `gap` is the whitened gap beyond noise at the base. What an inexact form leaves, another effect
-    mends in part; that it takes all of it, and not through one family's likeness, is no accident.
-    """
-    gain = before.cost - after.cost
-    left = excess(q, before)
-    # A first effect may be a thousand times the second: then all there is counts, not its share;
-    # and where it leaves nothing, its form has nothing to mend.
-    everything = gain > max(ALL_GAIN, ALL_THAT_IS_LEFT * left)
-    exact = left < np.sqrt(2.0 * len(q.rows))
-    share = 0.0 if everything or exact else SETTLED_SHARE
-    if gain < max(SETTLED_GAIN, share * gap, SETTLED * left):
-        return False
-    return not akin(before, after) and seen(q, before, after) > SHOWS
-
-
-def _worth(q: Inquiry, gap: float, alarm: float, before: State, after: State) -> bool:
-    """Whether it takes a fair share of the gap or of what is left.
-
-    What is left of a first effect whose form is not exact can be taken by many others; that shows
-    over a floor nowhere, and is little of the gap.
-    """
-    visible = seen(q, before, after)
-    gain = before.cost - after.cost
-    left = max(excess(q, before), 1.0)
-    if gain > SHARE_SURE * gap:
-        return True
-    if left < 2.0 * np.sqrt(2.0 * len(q.rows)) and gain > 1.5 * max(_LEAST_NEXT, alarm):
-        return True  # nothing is left of the first effect that a second could mend
-    if visible > FAR_ABOVE and gain > 0.15 * left:
-        return True
-    if visible > PLAINLY_SEEN and gain > 0.2 * left:
-        return True
-    if gain < 0.35 * left:
-        return False
-    large = left > 0.02 / 0.35 * gap
-    return visible > PLAINLY_SEEN or large
-
-
-def releases(q: Inquiry, before: State, after: State) -> bool:
-    """Whether constants that stood at the end of their tolerance come back from it.
-
-    Such an effect may show nowhere, because constants had taken its place, and at a price.
-    """
-    gain = before.cost - after.cost
-    if gain < max(RELEASE_GAIN, PLAIN_OF_LEFT * excess(q, before)) or akin(before, after):
-        return False
+    key = key or after.candidates[-1].key
     then, now = np.abs(before.shift), np.abs(after.shift)
-    back = np.any((then > AT_THE_END) & (now < BACK))
-    return bool(back and not np.any((then < BACK) & (now > AT_THE_END)))
+    far, back = config.freed_from_sd, config.freed_to_sd
+    freed = np.any((then > far) & (now < back)) and not np.any((then < back) & (now > far))
+    return StepStatistics(
+        key=key,
+        gain=before.cost - after.cost,
+        gap=gap,
+        left=excess_chi2(problem, before),
+        rows=len(problem.rows),
+        alarm=alarm,
+        visibility=visibility(problem, before, after),
+        own_channels=own_channels(problem, before, key),
+        same_family=same_family(before, after),
+        best_of_family=after.cost < best_relative,
+        shift_before=float(then.max(initial=0.0)),
+        shift_after=float(now.max(initial=0.0)),
+        frees=bool(freed),
+    )
 
 
-def relieves(before: State, after: State) -> bool:
-    """Whether the constant that was bent most comes back a good way, and at a price.
-
-    Held-out data cannot tell such an effect from the constants that had taken its place.
-    """
-    if before.cost - after.cost < RELEASE_GAIN or akin(before, after):
+def is_included(s: StepStatistics, config: SelectionConfig = SELECTION) -> bool:
+    """The inclusion test of a further effect."""
+    if s.gain < max(config.further_gain, s.alarm):
         return False
-    drop = most_bent(before) - most_bent(after)
-    return drop > RELIEF and most_bent(after) < RELIEVED
+    if s.best_of_family and (leaves_nothing(s, config) or frees_constant(s, config)):
+        return True
+    if s.visibility > config.most_visibility and takes_most(s, config):
+        return True
+    if s.visibility <= config.further_visibility:
+        return False
+    return s.own_channels or _takes_fair_share(s, config)
 
 
-def akin(before: State, after: State) -> bool:
-    """Whether the last effect is of the family of another in force, and may only mend its form."""
-    return after.suspects[-1].family in {suspect.family for suspect in before.suspects}
+def takes_most(
+    s: StepStatistics, config: SelectionConfig = SELECTION, gain: float | None = None
+) -> bool:
+    """Whether it takes most of what is left, and much of the gap; `gain` may state its gain."""
+    needed = max(config.most_gain, config.most_share * s.gap, config.most_of_left * s.left)
+    return (s.gain if gain is None else gain) > needed
 
 
-def most_bent(state: State) -> float:
-    """Largest shift of a constant, in sd."""
-    return float(np.abs(state.shift).max(initial=0.0))
+def leaves_nothing(s: StepStatistics, config: SelectionConfig = SELECTION) -> bool:
+    """Whether nothing is left with it, where an effect of another family left much.
+
+    Another effect can take a part of what an inexact form leaves, but not all of it by chance.
+    """
+    # Where the first effect leaves nothing, its form has nothing to correct.
+    all_of_it = s.gain > max(config.all_gain, config.all_of_left * s.left)
+    share = 0.0 if all_of_it or s.left < s.chance else config.nothing_share
+    if s.gain < max(config.nothing_gain, share * s.gap, config.nothing_of_left * s.left):
+        return False
+    return not s.same_family and s.visibility > config.nothing_visibility
 
 
-def plea(
-    q: Inquiry, gap: float, alarm: float, before: State, key: str, after: State, counted: bool
-) -> dict[str, float | str]:
-    """What speaks for one more effect, in plain numbers, and whether it counted."""
-    gain = before.cost - after.cost
-    return {
-        "key": key,
-        "gain": gain,
-        "bent": most_bent(before),
-        "bent_after": most_bent(after),
-        "alarm": alarm,
-        "share": gain / max(gap, 1.0),
-        "of_left": gain / max(excess(q, before), 1.0),
-        "left": excess(q, before),
-        "rows": float(len(q.rows)),
-        "seen": seen(q, before, after),
-        "apart": float(apart(q, before, key)),
-        "same_family": float(akin(before, after)),
-        "counted": float(counted),
-    }
+def frees_constant(s: StepStatistics, config: SelectionConfig = SELECTION) -> bool:
+    """Whether a constant comes back from the end of its tolerance.
+
+    Such an effect may show nowhere: the constant had taken its place, and at a price.
+    """
+    needed = max(config.freed_gain, config.most_of_left * s.left)
+    return s.gain >= needed and s.frees and not s.same_family
+
+
+def relieves_constant(s: StepStatistics, config: SelectionConfig = SELECTION) -> bool:
+    """Whether the constant that was shifted most comes back a good way."""
+    if s.gain < config.freed_gain or s.same_family:
+        return False
+    drop = s.shift_before - s.shift_after
+    return drop > config.relief_sd and s.shift_after < config.relieved_sd
+
+
+def _takes_fair_share(s: StepStatistics, config: SelectionConfig) -> bool:
+    """Whether a visible effect takes a fair share of the gap, or of what is left."""
+    if s.gain > config.further_share * s.gap:
+        return True
+    left = max(s.left, 1.0)
+    needed = config.exact_gain * max(config.further_gain, s.alarm)
+    if left < 2.0 * s.chance and s.gain > needed:
+        return True  # nothing is left of the first effect that a second could correct
+    if s.visibility > config.clear_visibility and s.of_left > config.clear_of_left:
+        return True
+    plainly = s.visibility > config.plain_visibility
+    if plainly and s.of_left > config.plain_of_left:
+        return True
+    large = left > config.rest_of_gap / config.rest_of_left * s.gap
+    return s.of_left >= config.rest_of_left and (plainly or large)

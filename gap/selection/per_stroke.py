@@ -12,70 +12,69 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import tolerance
 from gap.estimation.normal_equations import solved
-from gap.selection.forward import Naming
-from gap.selection.inclusion import excess
-from gap.selection.refine import EDGES
+from gap.selection.candidate_fits import EDGES
+from gap.selection.config import SELECTION
+from gap.selection.inclusion import excess_chi2
+from gap.selection.search import SearchResult
 
 Array = npt.NDArray[np.float64]
 
-UNEVEN = 0.1
-"""Sd of a stroke's delay about the mean of all, as a share of it,"""
-MOST = 3.0
-"""and how many of them a stroke may be off: a delay that grows stroke by stroke is no chance."""
 _STEP_S = 1e-4
 
 
-def eased(q: Inquiry, naming: Naming) -> Naming:
+def with_per_stroke_delays(problem: FitProblem, search: SearchResult) -> SearchResult:
     """The outcome of a search with the strokes of a delay that it found free to differ."""
-    uneven = _uneven(q, naming.chosen.state)
-    if uneven is None:
-        return naming
-    return replace(naming, left=min(naming.left, excess(q, uneven)), uneven=uneven)
+    per_stroke = _per_stroke_fit(problem, search.best.fit)
+    if per_stroke is None:
+        return search
+    return replace(
+        search, left=min(search.left, excess_chi2(problem, per_stroke)), per_stroke=per_stroke
+    )
 
 
-def _uneven(q: Inquiry, state: State) -> State | None:
-    """The state one linear step on, its delays free to differ at each stroke.
+def _per_stroke_fit(problem: FitProblem, fit: FitResult) -> FitResult | None:
+    """The fit one linear step on, its delays free to differ at each stroke.
 
     None without a delay, or where its strokes would have to differ too much.
     Constants and amounts move as well: strokes that are late by more had bent them.
     """
     columns, sds = [], []
-    for suspect, amount in zip(state.suspects, state.amounts.tolist(), strict=True):
+    for candidate, amount in zip(fit.candidates, fit.amounts.tolist(), strict=True):
         late = abs(amount) * 1e-3
-        if suspect.id == "valve_delay_pressure":
-            late *= q.data.constants.supply_pa * 1e-3
-        elif suspect.id != "valve_delay":
+        if candidate.id == "valve_delay_pressure":
+            late *= problem.data.constants.supply_pa * 1e-3
+        elif candidate.id != "valve_delay":
             continue
-        own = _strokes(q, state, EDGES.index(suspect.option))
+        own = _strokes(problem, fit, EDGES.index(candidate.option))
         columns.append(own)
-        sds += [max(UNEVEN * late, 1e-9)] * own.shape[1]
+        sds += [max(SELECTION.stroke_sd * late, 1e-9)] * own.shape[1]
     if not sds:
         return None
-    known = q.columns_of(state)
+    known = problem.columns_of(fit)
     every = np.hstack([known, *columns])
-    matrix, right = q.normal(every, state.residual, state.shift)
+    matrix, right = problem.normal(every, fit.residual, fit.shift)
     last = np.arange(known.shape[1], every.shape[1])
     matrix[last, last] += 1.0 / np.square(sds)
     beta = solved(matrix, right, 1e-6)
-    if np.abs(beta[last] / sds).max() > MOST:
+    if np.abs(beta[last] / sds).max() > SELECTION.stroke_most_sd:
         return None
-    n, m = len(state.shift), len(state.amounts)
-    residual = state.residual - every @ beta
+    n, m = len(fit.shift), len(fit.amounts)
+    residual = fit.residual - every @ beta
     return replace(
-        state, shift=state.shift + beta[:n], amounts=state.amounts + beta[n : n + m],
-        residual=residual, cost=q.whitened(residual) + tolerance(state.shift + beta[:n])[0],
+        fit, shift=fit.shift + beta[:n], amounts=fit.amounts + beta[n : n + m],
+        residual=residual, cost=problem.whitened(residual) + tolerance(fit.shift + beta[:n])[0],
     )  # fmt: skip
 
 
-def _strokes(q: Inquiry, state: State, edge: int) -> Array:
+def _strokes(problem: FitProblem, fit: FitResult, edge: int) -> Array:
     """Signatures of a delay, s, at each stroke alone, shape (rows, strokes).
 
     Replicates of a slot share a stroke; `edge` counts inlet on, inlet off, outlet on, outlet off.
     """
-    grid = q.grid
+    grid = problem.grid
     valve, value = divmod(edge, 2)
     of = (grid.edge_of == valve) & ((grid.edge_to > 0.5) == (value == 0))
     trial = np.repeat(np.arange(len(grid.first_edge) - 1), np.diff(grid.first_edge))
@@ -83,16 +82,19 @@ def _strokes(q: Inquiry, state: State, edge: int) -> Array:
     for t in np.unique(trial[of]).tolist():
         own = np.flatnonzero(of & (trial == t))
         number[own] = np.arange(len(own))
-    c, active = q.constants(state.shift), q.found(state.shift, state.suspects, state.amounts)
-    unit = q.units[q.rows.trial]
+    c, active = (
+        problem.constants(fit.shift),
+        problem.active_effects(fit.shift, fit.candidates, fit.amounts),
+    )
+    unit = problem.units[problem.rows.trial]
     made = []
     for stroke in range(int(number.max(initial=-1)) + 1):
         ends = []
         for way in (-_STEP_S, _STEP_S):
             moved = replace(grid, edge_s=grid.edge_s + np.where(number == stroke, way, 0.0))
-            model = replace(q.model, grid=moved)
+            model = replace(problem.model, grid=moved)
             ends.append(model.stacked(model.residual(c, active, ("pressure",))))
         late = (ends[0] - ends[1]) / (2.0 * _STEP_S)
         for slot in np.unique(unit[late != 0.0]).tolist():
             made.append(np.where(unit == slot, late, 0.0))
-    return np.nan_to_num(np.stack(made, axis=1)) if made else np.zeros((len(q.rows), 0))
+    return np.nan_to_num(np.stack(made, axis=1)) if made else np.zeros((len(problem.rows), 0))

@@ -1,153 +1,152 @@
-"""What a search found, cleared of defects of the recording and of effects it could do without.
+"""Pruning of what a search found: defects of the recording, and effects that are not needed.
 
-A defect of the recording bends to much that has nothing to do with it. It may stand as the answer
-only where it explains the gap alone and every trial asks for the same amount of it; otherwise the
+A defect of the recording can take a part of many gaps that it has nothing to do with. It may be the
+answer only where it explains the gap alone and every trial has the same amount of it. Otherwise the
 search is made again among effects alone.
 """
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import t as student
 
-from gap.estimation.fit_problem import Inquiry, State
-from gap.selection.forward import PLAIN, Naming, name_effects
-from gap.selection.inclusion import PLAINLY_SEEN, apart, excess, plain, relieves, seen, settles
-from gap.selection.refine import Choice
-from gap.validation.shrink import Held, held_out
-
-Array = npt.NDArray[np.float64]
-
-ALONE = 0.75
-"""Least share of the gap's excess that a defect must take away alone."""
-SAME = 0.15
-"""Most that trials may differ in the amount they ask for, beyond chance, over that amount."""
-FAR_WORSE = 0.1
-"""Share of the gap's excess by which effects may do worse than a defect and still be named."""
-LEAST_LATE_MS = 5.0
-"""Delay below which a late channel may as well be a slow sensor, which no clock is to blame for."""
-SURE = 0.95
-FORM = 0.12
-"""Share of what is explained below which a further effect in the same channels only mends the
-form of the one before."""
-SECOND = 1.25
-"""Gain, in units of a first effect's alarm, from which one needs no other proof in channels that
-no other touches, beside one that leaves nothing: there it is a first effect."""
-LARGE = 0.2
-"""Share of the gap from which a further effect needs no held-out proof."""
+from gap.estimation.cross_validation import HeldOut, held_out
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.selection.backward import refitted_without
+from gap.selection.candidate_fits import Hypothesis
+from gap.selection.config import SELECTION, SelectionConfig
+from gap.selection.inclusion import (
+    excess_chi2,
+    leaves_nothing,
+    own_channels,
+    relieves_constant,
+    step_statistics,
+    takes_most,
+)
+from gap.selection.search import SearchResult, search_effects
 
 
 @dataclass(frozen=True)
-class Cleared:
-    """The search's outcome among effects alone.
+class PruningResult:
+    """The outcome of a search among effects alone.
 
     Attributes:
-        naming: outcome without any defect, unless `defect`.
+        search: the outcome without any defect, unless `defect`.
         defect: whether a defect of the recording is the answer.
-        blurred: whether a defect, though not certain, explains far more than any effect.
+        uncertain_defect: whether a defect that is not certain fits far better than any effect.
     """
 
-    naming: Naming
+    search: SearchResult
     defect: bool = False
-    blurred: bool = False
+    uncertain_defect: bool = False
 
 
-def cleared(q: Inquiry, naming: Naming) -> Cleared:
-    """Take defects and needless effects out of what a search found."""
-    suspects = naming.chosen.state.suspects
-    if not any(suspect.defect for suspect in suspects):
-        return Cleared(_needed(q, _rivals_cleared(naming)))
-    first = suspects[0].defect
-    if first and _is_defect(q, naming):
-        return Cleared(naming, defect=True)
-    clean = name_effects(without_defects(q))
-    worse = clean.chosen.cost - naming.chosen.cost
-    blurred = first and worse > PLAIN + FAR_WORSE * naming.excess
-    return Cleared(_needed(q, _rivals_cleared(clean)), blurred=blurred)
+def prune(
+    problem: FitProblem, search: SearchResult, config: SelectionConfig = SELECTION
+) -> PruningResult:
+    """Take defects and effects that are not needed out of what a search found."""
+    candidates = search.best.fit.candidates
+    if not any(candidate.defect for candidate in candidates):
+        return PruningResult(_needed(problem, _without_defects(search), config))
+    first = candidates[0].defect
+    if first and _is_defect(problem, search, config):
+        return PruningResult(search, defect=True)
+    clean = search_effects(problem.restricted_to(lambda candidate: not candidate.defect), config)
+    worse = clean.best.cost - search.best.cost
+    uncertain = first and worse > config.sure_gain + config.defect_worse_share * search.gap
+    return PruningResult(
+        _needed(problem, _without_defects(clean), config), uncertain_defect=uncertain
+    )
 
 
-def without_defects(q: Inquiry) -> Inquiry:
-    """The same data and fits, asked about effects alone."""
-    other = copy.copy(q)
-    other.suspects = tuple(suspect for suspect in q.suspects if not suspect.defect)
-    return other
+def _without_defects(search: SearchResult) -> SearchResult:
+    """The outcome with the rivals that hold no defect."""
+    rivals = [h for h in search.rivals if not any(s.defect for s in h.fit.candidates)]
+    return replace(search, rivals=rivals)
 
 
-def _rivals_cleared(naming: Naming) -> Naming:
-    rivals = [c for c in naming.rivals if not any(s.defect for s in c.state.suspects)]
-    return replace(naming, rivals=rivals)
-
-
-def _is_defect(q: Inquiry, naming: Naming) -> bool:
-    if naming.steps[0][1] < max(ALONE * naming.excess, PLAIN):
+def _is_defect(problem: FitProblem, search: SearchResult, config: SelectionConfig) -> bool:
+    """Whether the first effect, a defect, explains the gap alone and alike in all trials."""
+    if search.steps[0][1] < max(config.defect_share * search.gap, config.sure_gain):
         return False
-    state = naming.chosen.state
-    late = float(state.amounts[0])
-    if state.suspects[0].id.endswith("clock") and 0.0 < late < LEAST_LATE_MS:
+    fit = search.best.fit
+    amount = float(fit.amounts[0])
+    if fit.candidates[0].id.endswith("clock") and 0.0 < amount < config.least_clock_ms:
         return False
-    return _disagreement(q, state) < SAME * abs(float(state.amounts[0]))
+    return _spread_over_trials(problem, fit) < config.defect_spread * abs(amount)
 
 
-def _disagreement(q: Inquiry, state: State) -> float:
-    """Spread over trials, beyond chance, of the amount of the first suspect each asks for."""
-    slope = q.slopes(state.shift, state.suspects, state.amounts)[:, 0]
-    asked, weight = [], []
-    for trial, rows in enumerate(q.noise.trial_rows):
+def _spread_over_trials(problem: FitProblem, fit: FitResult) -> float:
+    """Spread over trials, beyond chance, of the amount of the first candidate in each trial."""
+    slope = problem.slopes(fit.shift, fit.candidates, fit.amounts)[:, 0]
+    amounts, weights = [], []
+    for trial, rows in enumerate(problem.noise.trial_rows):
         if len(rows):
-            gram, _ = q.noise.solve(trial, np.stack([slope[rows], state.residual[rows]], axis=1))
+            both = np.stack([slope[rows], fit.residual[rows]], axis=1)
+            gram, _ = problem.noise.solve(trial, both)
             if gram[0, 0] > 0.0:
-                asked.append(gram[0, 1] / gram[0, 0])
-                weight.append(gram[0, 0])
-    if not weight:
+                amounts.append(gram[0, 1] / gram[0, 0])
+                weights.append(gram[0, 0])
+    if not weights:
         return float("inf")
-    d, w = np.array(asked), np.array(weight)
+    d, w = np.array(amounts), np.array(weights)
     return float(np.sqrt(max(float(w @ d**2) - len(d), 0.0) / w.sum()))
 
 
-def _needed(q: Inquiry, naming: Naming) -> Naming:
-    """Strike further effects, last first, whose own gain on held-out slots is not certain."""
-    while len(keys := naming.chosen.keys) > 1:
-        state = naming.chosen.state
-        gain = naming.steps[-1][1]
-        elsewhere = apart(q, state, keys[-1])
-        if elsewhere and gain > PLAIN:
+def _needed(problem: FitProblem, search: SearchResult, config: SelectionConfig) -> SearchResult:
+    """Take out further effects, last first, that are not needed."""
+    while len(search.best.keys) > 1:
+        fit, keys = search.best.fit, search.best.keys
+        if own_channels(problem, fit, keys[-1]) and search.steps[-1][1] > config.sure_gain:
             break
-        pairs = [
-            (suspect, float(amount))
-            for suspect, amount in zip(state.suspects, state.amounts, strict=True)
-            if suspect.key != keys[-1]
-        ]
-        less = q.polish(q.fit([s for s, _ in pairs], [a for _, a in pairs], state))
-        if plain(q, naming.excess, less, gain) or settles(q, naming.excess, less, state):
-            break  # it may show in few slots only, where no mean over slots is certain
-        exact = excess(q, less) < 2.0 * np.sqrt(2.0 * len(q.rows))
-        if relieves(less, state) or (elsewhere and exact and gain > SECOND * naming.alarm):
+        less = refitted_without(problem, fit, keys[-1])
+        if _is_needed(problem, search, less, config):
             break
-        part = gain < FORM * max(q.base.cost - state.cost, 1.0)
-        mends = part and not (elsewhere or exact) and seen(q, less, state) < PLAINLY_SEEN
-        if not mends and (
-            gain > LARGE * naming.excess or _gains_surely(held_out(q, less), held_out(q, state))
-        ):
-            break
-        naming = replace(
-            naming, chosen=Choice(keys[:-1], less), rivals=[], steps=naming.steps[:-1],
-            left=excess(q, less),
-        )  # fmt: skip
-    return naming
+        search = replace(
+            search,
+            best=Hypothesis(keys[:-1], less),
+            rivals=[],
+            steps=search.steps[:-1],
+            left=excess_chi2(problem, less),
+        )
+    return search
 
 
-def _gains_surely(less: dict[str, Held], more: dict[str, Held]) -> bool:
-    """Whether some block's held-out error falls for certain, over units, with the fuller state."""
+def _is_needed(
+    problem: FitProblem, search: SearchResult, less: FitResult, config: SelectionConfig
+) -> bool:
+    """Whether the last effect is needed beside the fit `less` without it."""
+    fit, gain = search.best.fit, search.steps[-1][1]
+    s = step_statistics(
+        problem, search.gap, search.alarm, less, fit, key=search.best.keys[-1], config=config
+    )
+    if takes_most(s, config, gain) or leaves_nothing(s, config):
+        return True  # it may show in few slots, where no mean over slots is certain
+    exact = s.left < 2.0 * s.chance
+    elsewhere = s.own_channels and exact and gain > config.elsewhere_gain * search.alarm
+    if relieves_constant(s, config) or elsewhere:
+        return True
+    part = gain < config.form_share * max(problem.base.cost - fit.cost, 1.0)
+    same_channels = not (s.own_channels or exact)
+    if part and same_channels and s.visibility < config.plain_visibility:
+        return False  # it corrects the form of the effect before it
+    return gain > config.large_share * search.gap or _gains_surely(
+        held_out(problem, less), held_out(problem, fit), config
+    )
+
+
+def _gains_surely(
+    less: dict[str, HeldOut], more: dict[str, HeldOut], config: SelectionConfig
+) -> bool:
+    """Whether the held-out error of some block falls for certain, over units, with more effects."""
     for block, held in more.items():
         use = held.weight > 0.0
         gain = (less[block].after - held.after)[use]
         if len(gain) < 3:
             return True
         error = float(gain.std(ddof=1) / np.sqrt(len(gain)))
-        if float(gain.mean()) > float(student.ppf(SURE, len(gain) - 1)) * error:
+        if float(gain.mean()) > float(student.ppf(config.held_out_level, len(gain) - 1)) * error:
             return True
     return False

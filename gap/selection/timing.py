@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from gap.estimation.fit_problem import Inquiry
+from gap.estimation.fit_problem import FitProblem
 from gap.model.features import Points
+from gap.selection.config import SELECTION
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[Array, Array, bool]
@@ -25,11 +26,6 @@ _WIDTHS_S = (0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5, 0.7)
 _LAGS_S = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.6)
 _SHIFTS_S = (0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.23, 0.32, 0.45)
 _REACH = 60
-_LEAST_SHIFT = 3
-_FAR_BETTER = 0.4
-"""Most that a fault may leave of what the best other relation leaves."""
-_BETTER = 0.75
-_MOST_TRIALS = 0.6
 _LEAST_SPAN = {"pressure": 30.0, "force": 4.0, "load": 4.0}
 """Least travel within a trial, in kPa and N, for its edges to say anything."""
 _LEAST_LEFT = {"pressure": 2.0, "force": 0.3, "load": 0.3}
@@ -44,23 +40,23 @@ class Mistimed:
     late_s: float = 0.0
     width_s: float = 0.0
 
-    def __str__(self) -> str:
+    @property
+    def defect(self) -> str:
+        """What is wrong with the channel."""
         if self.width_s:
             return (
-                f"{self.channel} is smoothed both ways in time (over about {self.width_s:.2g} s), "
+                f"is smoothed both ways in time (over about {self.width_s:.2g} s), "
                 "the other channels are not"
             )
         word = "late" if self.late_s > 0.0 else "early"
-        return (
-            f"{self.channel} is out of time with the other channels, {word} by about "
-            f"{1e3 * abs(self.late_s):.0f} ms"
-        )
+        shift_ms = 1e3 * abs(self.late_s)
+        return f"is out of time with the other channels, {word} by about {shift_ms:.0f} ms"
 
 
-def mistimed_channel(q: Inquiry) -> Mistimed | None:
+def mistimed_channel(problem: FitProblem) -> Mistimed | None:
     """The channel that is out of time or smoothed both ways, if one surely is."""
     for block, own in (("pressure", "pressure_kpa"), ("force", "force_n")):
-        pairs = _pairs(q, block)
+        pairs = _pairs(problem, block)
         if len(pairs) < 2:
             continue
         width = _is_mean_of(pairs, block)
@@ -93,11 +89,14 @@ def _is_late(pairs: list[Pair], block: str) -> float | None:
     if np.sqrt(rival / size) < _LEAST_LEFT[block]:
         return None
     at = int(np.argmin(left.sum(axis=0)))
-    if abs(int(steps[at])) < _LEAST_SHIFT or left[:, at].sum() > _FAR_BETTER * rival:
+    if (
+        abs(int(steps[at])) < SELECTION.timing_least_shift
+        or left[:, at].sum() > SELECTION.timing_far_better * rival
+    ):
         return None
     weight = lagged.min(axis=1)
-    agree = left[:, at] < _BETTER * weight
-    if float(weight[agree].sum()) < _MOST_TRIALS * float(weight.sum()):
+    agree = left[:, at] < SELECTION.timing_trial_better * weight
+    if float(weight[agree].sum()) < SELECTION.timing_most_trials * float(weight.sum()):
         return None
     return float(steps[at]) * _STEP_S
 
@@ -118,12 +117,14 @@ def _lags(x: Array) -> list[Array]:
     return made
 
 
-def _pairs(q: Inquiry, block: str) -> list[Pair]:
+def _pairs(problem: FitProblem, block: str) -> list[Pair]:
     """Measured, predicted, and whether the length moves, on an even clock, trial by trial."""
-    points = q.grid.points.get(block)
+    points = problem.grid.points.get(block)
     if points is None:
         return []
-    raw = getattr(q.model, f"_{block}")(points, q.data.constants, q.given)
+    raw = getattr(problem.model, f"_{block}")(
+        points, problem.data.constants, problem.stated_effects
+    )
     scale = 1e-3 if block == "pressure" else 1.0
     measured = points.reading * scale
     predicted = measured - np.nan_to_num(raw) * scale
@@ -154,11 +155,11 @@ def _is_mean_of(pairs: list[Pair], block: str) -> float | None:
         return None
     at = int(np.argmin(smooth.sum(axis=0)))
     rival = others.sum(axis=0).min()
-    if smooth[:, at].sum() > _FAR_BETTER * rival:
+    if smooth[:, at].sum() > SELECTION.timing_far_better * rival:
         return None
-    agree = smooth[:, at] < _BETTER * others.min(axis=1)
+    agree = smooth[:, at] < SELECTION.timing_trial_better * others.min(axis=1)
     weight = others.min(axis=1)
-    if float(weight[agree].sum()) < _MOST_TRIALS * float(weight.sum()):
+    if float(weight[agree].sum()) < SELECTION.timing_most_trials * float(weight.sum()):
         return None
     return _WIDTHS_S[at]
 

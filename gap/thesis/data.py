@@ -96,7 +96,7 @@ def _trial(name: str, key: tuple[Any, ...], rows: list[Row]) -> Trial:
         replicate="1",
         protocol=TABLES[name],
         mounting="",
-        order=0.0,  # not printed: nothing that goes with it can be asked for
+        order=0.0,  # not printed: no effect that depends on it can be found
         held_length_mm=UNKNOWN if loaded else float(held),
         load_kg=float(held) if loaded else UNKNOWN,
         temperature_c=float(temperature),

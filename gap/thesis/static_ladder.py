@@ -133,19 +133,19 @@ class Ladder:
 
     def climb(self, most: int = 3) -> list[Step]:
         """Add effects until one is not worth it; that one is the last step, not kept."""
-        chosen: list[tuple[str, ...]] = [() for _ in self.settings]
-        steps = [self._step(chosen, None)]
+        best: list[tuple[str, ...]] = [() for _ in self.settings]
+        steps = [self._step(best, None)]
         for _ in range(most):
             tried = {
-                name: self._errors([(*ids, name) if name not in ids else ids for ids in chosen])
+                name: self._errors([(*ids, name) if name not in ids else ids for ids in best])
                 for name in self.candidates
             }
-            further = [self._next(k, ids) for k, ids in enumerate(chosen)]
-            step = self._step(further, self._errors(chosen), tried)
+            further = [self._next(k, ids) for k, ids in enumerate(best)]
+            step = self._step(further, self._errors(best), tried)
             steps.append(step)
             if not step.kept:
                 break
-            chosen = further
+            best = further
         return steps
 
     def alone(self) -> dict[str, float]:
@@ -161,10 +161,10 @@ class Ladder:
         best = min(fits, key=lambda name: fits[name])
         return (*ids, best)
 
-    def _errors(self, chosen: Sequence[tuple[str, ...]]) -> Array:
+    def _errors(self, best: Sequence[tuple[str, ...]]) -> Array:
         """Squared errors of each setting when it was left out, shape (settings,)."""
         squares = np.zeros(len(self.settings))
-        for k, ids in enumerate(chosen):
+        for k, ids in enumerate(best):
             out = self.table.only(self.table.setting == self.settings[k])
             squares[k] = float(np.sum(self.residual(out, self._left(k, ids)) ** 2))
         return squares
@@ -178,14 +178,14 @@ class Ladder:
 
     def _step(
         self,
-        chosen: Sequence[tuple[str, ...]],
+        best: Sequence[tuple[str, ...]],
         above: Array | None,
         tried: Mapping[str, Array] | None = None,
     ) -> Step:
-        squares = self._errors(chosen)
-        common = Counter(chosen).most_common(1)[0][0]
+        squares = self._errors(best)
+        common = Counter(best).most_common(1)[0][0]
         whole = self.fit(self.table, common)
-        added = Counter(ids[-1] for ids in chosen if ids)
+        added = Counter(ids[-1] for ids in best if ids)
         count = len(self.table.force_n)
         p, kept = None, True
         if above is not None:
@@ -199,14 +199,14 @@ class Ladder:
         }
         return Step(
             dict(added), float(np.sqrt(squares.sum() / count)), whole.values,
-            self._spread(chosen, common), p, bool(kept), rivals or None,
+            self._spread(best, common), p, bool(kept), rivals or None,
         )  # fmt: skip
 
     def _spread(
-        self, chosen: Sequence[tuple[str, ...]], common: tuple[str, ...]
+        self, best: Sequence[tuple[str, ...]], common: tuple[str, ...]
     ) -> dict[str, tuple[float, float]]:
         found: dict[str, list[float]] = {}
-        for k, ids in enumerate(chosen):
+        for k, ids in enumerate(best):
             if ids != common:
                 continue
             for name, parameters in self._left(k, ids).values.items():

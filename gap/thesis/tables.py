@@ -26,7 +26,7 @@ THESIS_TURNS = 2.34
 C2_NOISE_N = 0.596
 """What C-2 differs from C-1 by, rms over all cells: noise that was added, not measured twice."""
 LEAST_SETTINGS = 8
-"""With fewer settings no signed-rank test can be as sure as the ladder asks."""
+"""With fewer settings no signed-rank test can be as sure as the ladder requires."""
 AT_REST = (
     "liner_threshold", "bladder_elasticity", "contraction_limit", "end_cap", "fibre_stretch",
     "pressure_zero", "force_zero", "length_label",
@@ -36,7 +36,7 @@ CYCLES = (*AT_REST, "braid_friction")
 
 @dataclass(frozen=True)
 class TableVerdict:
-    """One table: its ladder, its floor, and what is to be said of it.
+    """One table: its ladder, its floor, and what it can show.
 
     Attributes:
         transfer: error of plants fitted to C-1 alone, as its ladder built them, in N.
@@ -84,7 +84,7 @@ def diagnose_thesis() -> list[TableVerdict]:
 
 
 def points_of(data: DataSet) -> Table:
-    """Settled points of a data set; a path is known where its table says up or down."""
+    """Settled points of a data set; a path is known where its table states up or down."""
     columns: list[list[float]] = [[], [], [], []]
     path: list[int] = []
     slots = {slot: k for k, slot in enumerate(data.slots)}
@@ -164,7 +164,7 @@ def _warm() -> TableVerdict:
         "below_resolution",
         "the columns above 21 degC follow from the 21 degC column by a formula, so they hold no "
         f"evidence; the catalogue's forms ({names}) reproduce that formula to "
-        f"{kept[-1].rms:.2f} N, which says nothing about a muscle",
+        f"{kept[-1].rms:.2f} N, which shows nothing about a muscle",
         None, "a formula has none", tuple(steps), {},
     )  # fmt: skip
 

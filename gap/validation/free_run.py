@@ -1,8 +1,8 @@
-"""Errors of the model run free, end to end, on held-out units: before, recalibrated, after, floor.
+"""Errors of the free-running model on held-out units: before, recalibrated, after, floor.
 
-Stage by stage every block is fed with what was measured; here nothing measured is fed in but
-commands, settings and the first pressure. A small error at each step may add up here, and a large
-one may average out, so both are told.
+Stage by stage, each block is fed with what was measured. Free-running, only commands, settings and
+the first pressure are fed in. A small error at each step may add up, and a large one may average
+out, so both kinds are reported.
 """
 
 from __future__ import annotations
@@ -10,50 +10,50 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gap.estimation.fit_problem import Inquiry, State
-from gap.model.chain import Chain
+from gap.estimation.cross_validation import HeldOut, left_out
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.validation.chain import Chain
 from gap.validation.shapley import replicate_tables
-from gap.validation.shrink import Held, left_out
 
 Array = npt.NDArray[np.float64]
 
 
-def free_running(q: Inquiry, state: State) -> dict[str, Held]:
-    """Squared errors by kind of end on held-out slots; see `gap.validation.shrink.Held`.
+def free_running(problem: FitProblem, fit: FitResult) -> dict[str, HeldOut]:
+    """Squared errors by kind of end on held-out slots; see `gap.estimation.cross_validation.Held`.
 
     Constants and amounts are those fitted to all other slots. The floor is what replicates of a
     slot differ by at the same end.
     """
-    chain = Chain(q, state)
-    named = bool(state.suspects)
-    n = len(q.names)
-    base = left_out(q, q.base, q.units).change
-    fits = left_out(q, state, q.units).change if named else base
-    count = int(q.units.max(initial=-1)) + 1
+    chain = Chain(problem, fit)
+    named = bool(fit.candidates)
+    n = len(problem.names)
+    base = left_out(problem, problem.base, problem.units).change
+    fits = left_out(problem, fit, problem.units).change if named else base
+    count = int(problem.units.max(initial=-1)) + 1
     untouched = chain.free(np.zeros(n), None)
     made = {
         end: {name: np.zeros(count) for name in ("before", "recalibrated", "after", "weight")}
         for end in untouched
     }
     for unit in range(count):
-        recalibrated = chain.free(q.base.shift + base[unit], None)
+        recalibrated = chain.free(problem.base.shift + base[unit], None)
         after = recalibrated
         if named:
-            amounts = state.amounts + fits[unit, n:]
-            bounds = np.array([s.bounds for s in state.suspects])
+            amounts = fit.amounts + fits[unit, n:]
+            bounds = np.array([s.bounds for s in fit.candidates])
             amounts = np.clip(amounts, bounds[:, 0], bounds[:, 1])
-            after = chain.free(state.shift + fits[unit, :n], amounts)
+            after = chain.free(fit.shift + fits[unit, :n], amounts)
         for end, table in made.items():
             at = chain.rows_of(end)
-            own = q.units[q.rows.trial[at]] == unit
-            span = q.rows.span_s[at][own]
+            own = problem.units[problem.rows.trial[at]] == unit
+            span = problem.rows.span_s[at][own]
             table["weight"][unit] = span.sum()
             for name, ran in (
                 ("before", untouched), ("recalibrated", recalibrated), ("after", after),
             ):  # fmt: skip
                 table[name][unit] = span @ chain.of_rows(end, ran[end])[own] ** 2
     return {
-        end: Held(
+        end: HeldOut(
             table["before"], table["recalibrated"], table["after"],
             _floor(chain, end, untouched[end], table["weight"]), table["weight"],
         )
@@ -75,5 +75,5 @@ def _floor(chain: Chain, end: str, values: Array, weight: Array) -> Array:
     if known.any():
         usual = float(made[known].sum() / max(float(weight[known].sum()), 1e-12))
     else:
-        usual = float(np.mean(chain.q.floor_variance[chain.rows_of(end)]))
+        usual = float(np.mean(chain.problem.floor_variance[chain.rows_of(end)]))
     return np.where(known, made, usual * weight)

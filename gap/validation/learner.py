@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
 
-from gap.estimation.fit_problem import Inquiry
+from gap.estimation.cross_validation import left_out
+from gap.estimation.fit_problem import FitProblem
 from gap.model.features import BLOCKS
-from gap.validation.shrink import left_out
 from gap.validation.where import pressure_rise
 
 Array = npt.NDArray[np.float64]
@@ -42,21 +42,29 @@ class Learnt:
     inputs: dict[str, int]
 
 
-def generic(q: Inquiry, freedom: int, of_trial: npt.NDArray[np.int64] | None = None) -> Learnt:
-    """Learn the residual of every block without a name; units are slots unless told otherwise."""
-    units = q.units if of_trial is None else of_trial
-    fold = left_out(q, q.base, units).change
+def generic(
+    problem: FitProblem, freedom: int, of_trial: npt.NDArray[np.int64] | None = None
+) -> Learnt:
+    """Learn the residual of every block without a name; units are slots by default."""
+    units = problem.units if of_trial is None else of_trial
+    fold = left_out(problem, problem.base, units).change
     alike: dict[str, Array] = {}
     large: dict[str, Array] = {}
     sizes: dict[str, int] = {}
     for number, block in enumerate(BLOCKS):
-        at = np.flatnonzero(q.rows.block == number)
+        at = np.flatnonzero(problem.rows.block == number)
         if not len(at):
             continue
-        basis = _basis(q, block, at)
+        basis = _basis(problem, block, at)
         sizes[block] = basis.shape[1]
-        table = _Table(basis, q.base.residual[at], q.columns[at], q.rows.span_s[at],
-                       units[q.rows.trial[at]], fold)  # fmt: skip
+        table = _Table(
+            basis,
+            problem.base.residual[at],
+            problem.columns[at],
+            problem.rows.span_s[at],
+            units[problem.rows.trial[at]],
+            fold,
+        )
         alike[block] = table.with_freedom(max(freedom, 1))
         large[block] = table.with_best_penalty()
     return Learnt(alike, large, sizes)
@@ -136,23 +144,23 @@ class _Table:
         return made
 
 
-def _basis(q: Inquiry, block: str, at: npt.NDArray[np.int64]) -> Array:
+def _basis(problem: FitProblem, block: str, at: npt.NDArray[np.int64]) -> Array:
     """Splines of every input of the block, and products of pressure and length splines."""
-    rows = q.rows
-    points = q.grid.points[block]
-    order = q.model.order[rows.trial[at]]
+    rows = problem.rows
+    points = problem.grid.points[block]
+    order = problem.model.order[rows.trial[at]]
     inputs = {
         "pressure": rows.pressure[at],
         "length": rows.length[at],
         "rate": np.arcsinh(rows.rate[at] / 1e-3),
-        "rise": np.arcsinh(pressure_rise(q)[at] / 1e4),
-        "temperature": np.nan_to_num(q.model._features(points, points.temperature), nan=21.0),
+        "rise": np.arcsinh(pressure_rise(problem)[at] / 1e4),
+        "temperature": np.nan_to_num(problem.model._features(points, points.temperature), nan=21.0),
         "time": np.log1p(np.maximum(rows.time_s[at], 0.0)),
         "order": order,
-        "direction": q.model._features(points, points.direction),
+        "direction": problem.model._features(points, points.direction),
     }
     if block == "pressure":
-        inputs["since an edge"] = np.log10(_since_edge(q, at) + 1e-3)
+        inputs["since an edge"] = np.log10(_since_edge(problem, at) + 1e-3)
     made = [np.ones((len(at), 1))]
     made += [splines(x, _KNOTS) for x in inputs.values() if np.ptp(x) > 1e-9]
     if np.ptp(inputs["pressure"]) > 1e-9 and np.ptp(inputs["length"]) > 1e-9:
@@ -170,16 +178,16 @@ def splines(x: Array, count: int) -> Array:
     return np.asarray(BSpline.design_matrix(np.clip(x, inner[0], inner[-1]), knots, 3).toarray())
 
 
-def _since_edge(q: Inquiry, at: npt.NDArray[np.int64]) -> Array:
+def _since_edge(problem: FitProblem, at: npt.NDArray[np.int64]) -> Array:
     """Seconds since the last command's edge, ten where there was none."""
     made = np.full(len(at), 10.0)
-    trials = q.rows.trial[at]
+    trials = problem.rows.trial[at]
     for t in np.unique(trials):
-        edges = q.grid.edge_s[q.grid.first_edge[t] : q.grid.first_edge[t + 1]]
+        edges = problem.grid.edge_s[problem.grid.first_edge[t] : problem.grid.first_edge[t + 1]]
         if not len(edges):
             continue
         own = trials == t
-        time_s = q.rows.time_s[at][own]
+        time_s = problem.rows.time_s[at][own]
         last = np.searchsorted(edges, time_s) - 1
         since = np.where(last >= 0, time_s - edges[np.maximum(last, 0)], 10.0)
         made[own] = np.clip(since, 0.0, 10.0)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.cross_validation import floor_squares
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
-from gap.validation.shrink import floor_squares
 
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
@@ -57,27 +57,29 @@ class Course:
         }  # fmt: skip
 
 
-def residual_maps(q: Inquiry, state: State) -> list[Course]:
+def residual_maps(problem: FitProblem, fit: FitResult) -> list[Course]:
     """Courses of every block over every axis that varies in it."""
     made: list[Course] = []
-    rows = q.rows
-    floors = floor_squares(q, q.units)
+    rows = problem.rows
+    floors = floor_squares(problem, problem.units)
     for number, block in enumerate(BLOCKS):
         here = np.flatnonzero(rows.block == number)
         if not len(here):
             continue
         span = rows.span_s[here]
         floor = float(np.sqrt(max(float(floors[block].sum()), 0.0) / max(span.sum(), 1e-12)))
-        points = q.grid.points[block]
-        warm = q.model._features(points, points.temperature)
+        points = problem.grid.points[block]
+        warm = problem.model._features(points, points.temperature)
         axes = {
             "pressure": rows.pressure[here] * 1e-3,
             "length": rows.length[here] * 1e3,
             "temperature": warm,
-            "time": rows.time_s[here] if not q.data.settled else np.full(len(here), np.nan),
+            "time": rows.time_s[here] if not problem.data.settled else np.full(len(here), np.nan),
         }
         for over, x in axes.items():
-            course = _course(x, span, rows.trial[here], q.base.residual[here], state.residual[here])
+            course = _course(
+                x, span, rows.trial[here], problem.base.residual[here], fit.residual[here]
+            )
             if course is not None:
                 made.append(Course(block, UNITS[block], over, *course, floor))
     return made

@@ -1,30 +1,29 @@
-"""Whether an explanation found on earlier trials foretells trials it has never seen.
+"""Whether an explanation found on earlier trials predicts trials that were not used to find it.
 
-Its amounts stay as they were found; the plant's constants are recalibrated within their tolerances
-as ever. A right explanation leaves of the new trials what noise leaves. One that only bent to the
-earlier ones does not, and another one that fitted them as well mostly leaves more.
+Its amounts stay as they were found; the constants of the plant are recalibrated within their
+tolerances. A right explanation leaves of the new trials what noise leaves. One that was fitted to a
+wrong cause does not, and a rival that fitted the earlier trials as well mostly leaves more.
 """
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from gap.estimation.fit_problem import Inquiry, State
-from gap.selection.forward import Naming
-from gap.selection.refine import in_best_form, linear_gains, refine
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.selection.candidate_fits import Hypothesis, fit_further, in_best_form, linear_gains
+from gap.selection.search import SearchResult
 from plant.effects.catalogue import CATALOGUE
 
 Array = npt.NDArray[np.float64]
 
 SHOWN = 120.0
 """Least whitened squares that the new trials must have left without the explanation, beyond those
-left with it: below that they say nothing for or against it."""
-FORETOLD = 0.9
+left with it: below that they show nothing for or against it."""
+PREDICTED = 0.9
 """Least share of the new trials' gap that it must take away."""
 REFUTED = 0.5
 """Share below which the new trials speak against it."""
@@ -35,7 +34,7 @@ LEAST_RIVALS = 2
 
 
 @dataclass(frozen=True)
-class Foretelling:
+class Prediction:
     """What new trials have left beyond noise, as whitened sums of squares.
 
     Attributes:
@@ -63,8 +62,8 @@ class Foretelling:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the new trials came out as foretold, and as no rival foretold them."""
-        return self.gained > SHOWN and self.share >= FORETOLD
+        """Whether the new trials came out as predicted, and as no rival predicted them."""
+        return self.gained > SHOWN and self.share >= PREDICTED
 
     @property
     def gained(self) -> float:
@@ -77,68 +76,73 @@ class Foretelling:
         return self.shown and self.share < REFUTED
 
 
-def foretell(
-    q: Inquiry, trials: Collection[int], state: State, rivals: Iterable[State]
-) -> Foretelling:
-    """How the explanation `state`, found without them, and its rivals fare on some trials of `q`.
+def predict_trials(
+    problem: FitProblem, trials: Collection[int], fit: FitResult, rivals: Iterable[FitResult]
+) -> Prediction:
+    """How well the explanation `fit` and its rivals predict trials that were not used to find it.
 
     Args:
-        q: all data, the new trials included.
+        problem: all data, the new trials included.
         trials: which are new.
-        state: found on data without them, perhaps by another inquiry.
-        rivals: other explanations of the same data; asked for only where the trials say anything.
+        state: found on data without them, perhaps by another fit problem.
+        rivals: other explanations of the same data; fitted only where the trials show anything.
     """
-    found = Foretelling(
-        sum(len(q.noise.trial_rows[trial]) for trial in trials),
-        _left_by(q, q.base, trials),
-        _left_by(q, _fixed(q, state), trials),
+    found = Prediction(
+        sum(len(problem.noise.trial_rows[trial]) for trial in trials),
+        _left_by(problem, problem.base, trials),
+        _left_by(problem, _fixed(problem, fit), trials),
         {},
     )
     if found.shown:
-        found.rivals.update({rival.ids: _left_by(q, _fixed(q, rival), trials) for rival in rivals})
+        found.rivals.update(
+            {rival.ids: _left_by(problem, _fixed(problem, rival), trials) for rival in rivals}
+        )
     return found
 
 
 def rivals_of(
-    q: Inquiry, naming: Naming, entries: Iterable[tuple[str, ...]] = ()
-) -> Iterator[State]:
-    """What an explanation of `q` must foretell new trials better than.
+    problem: FitProblem, search: SearchResult, entries: Iterable[tuple[str, ...]] = ()
+) -> Iterator[FitResult]:
+    """What an explanation of `problem` must predict new trials better than.
 
     Without any one of its families, where it has several; then the nearest explanations by other
     families and the other entries of the verdict, fitted now where the search had no need to.
     """
-    chosen = naming.chosen.state
-    own = families(chosen.ids)
+    best = search.best.fit
+    own = families(best.ids)
     for family in sorted(own) if len(own) > 1 else ():
         rest = [
             (s, float(a))
-            for s, a in zip(chosen.suspects, chosen.amounts, strict=True)
+            for s, a in zip(best.candidates, best.amounts, strict=True)
             if CATALOGUE[s.id].family != family
         ]
-        yield q.polish(q.fit([s for s, _ in rest], [a for _, a in rest]))
-    seen: set[str] = set()
-    others = [choice.state for choice in naming.rivals if not own & families(choice.state.ids)]
-    for state in others[:MOST_RIVALS]:
-        seen |= families(state.ids)
-        yield state
-    held = [families(state.ids) for state in others[:MOST_RIVALS]]
+        yield problem.polish(problem.fit([s for s, _ in rest], [a for _, a in rest]))
+    covered: set[str] = set()
+    others = [
+        hypothesis.fit for hypothesis in search.rivals if not own & families(hypothesis.fit.ids)
+    ]
+    for fit in others[:MOST_RIVALS]:
+        covered |= families(fit.ids)
+        yield fit
+    held = [families(fit.ids) for fit in others[:MOST_RIVALS]]
     for ids in entries:
         other = families(ids)
         if other & own or other in held:
             continue
-        seen |= other
-        suspects = [next(s for s in q.suspects if s.id == name) for name in ids]
-        yield q.polish(q.fit(suspects, [s.step for s in suspects]))
-    gains, amounts = linear_gains(q, q.base)
-    for key in sorted(naming.first_gain, key=lambda key: -naming.first_gain[key]):
-        if len(seen) >= LEAST_RIVALS:
+        covered |= other
+        candidates = [next(s for s in problem.candidates if s.id == name) for name in ids]
+        yield problem.polish(problem.fit(candidates, [s.step for s in candidates]))
+    base = Hypothesis((), problem.base)
+    linear = linear_gains(problem, base.fit)
+    for key in sorted(search.first_gain, key=lambda key: -search.first_gain[key]):
+        if len(covered) >= LEAST_RIVALS:
             return
         other = families((key.partition(":")[0],))
-        if not other or other & (own | seen):
+        if not other or other & (own | covered):
             continue
-        seen |= other
-        first = refine(q, q.base, (), key, gains, amounts)
-        yield q.polish(in_best_form(q, q.base, first, gains, amounts).state)
+        covered |= other
+        first = fit_further(problem, base, key, linear)
+        yield problem.polish(in_best_form(problem, base.fit, first, linear).fit)
 
 
 def families(ids: Collection[str]) -> frozenset[str]:
@@ -146,28 +150,27 @@ def families(ids: Collection[str]) -> frozenset[str]:
     return frozenset(CATALOGUE[name].family for name in ids if name in CATALOGUE)
 
 
-def margins(q: Inquiry, state: State, others: Sequence[State]) -> Array:
-    """What others leave of each trial more than `state`, shape (others, trials).
+def margins(problem: FitProblem, fit: FitResult, others: Sequence[FitResult]) -> Array:
+    """What others leave of each trial more than `fit`, shape (others, trials).
 
-    All are fitted to `q`; in whitened squares.
+    All are fitted to `problem`; in whitened squares.
     """
-    trials = range(len(q.data.trials))
-    own = np.array([_left_by(q, state, [trial]) for trial in trials])
-    left = [[_left_by(q, other, [trial]) for trial in trials] for other in others]
+    trials = range(len(problem.data.trials))
+    own = np.array([_left_by(problem, fit, [trial]) for trial in trials])
+    left = [[_left_by(problem, other, [trial]) for trial in trials] for other in others]
     return np.asarray(np.array(left).reshape(len(others), len(own)) - own)
 
 
-def _fixed(q: Inquiry, state: State) -> State:
-    """Constants recalibrated on all of `q` with the effects of `state` as they were found."""
-    other = copy.copy(q)
-    other.given = [*q.given, *state.active]
+def _fixed(problem: FitProblem, fit: FitResult) -> FitResult:
+    """Constants recalibrated on all of `problem` with the effects of `fit` as they were found."""
+    other = problem.with_stated_effects(fit.active)
     return other.polish(other.fit(()))
 
 
-def _left_by(q: Inquiry, state: State, trials: Collection[int]) -> float:
+def _left_by(problem: FitProblem, fit: FitResult, trials: Collection[int]) -> float:
     total = 0.0
     for trial in trials:
-        rows = q.noise.trial_rows[trial]
+        rows = problem.noise.trial_rows[trial]
         if len(rows):
-            total += float(q.noise.solve(trial, state.residual[rows][:, None])[0][0, 0])
+            total += float(problem.noise.solve(trial, fit.residual[rows][:, None])[0][0, 0])
     return total

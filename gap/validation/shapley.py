@@ -1,7 +1,7 @@
 """Exact Shapley shares of the stages in the end-to-end gap.
 
 The gap of a set of modelled stages is the squared error at the chain's end when all other stages
-are real (`gap.model.chain`). A stage's value is what modelling it adds to the squared gap,
+are real (`gap.validation.chain`). A stage's value is what modelling it adds to the squared gap,
 averaged over all orders in which the stages could be modelled one after the other: 2^S runs for S
 stages, and the values add up to the whole squared gap. A stage whose error makes up for another's
 has a negative one.
@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
-from gap.model.chain import Chain
+from gap.validation.chain import Chain
 from gap.verdict import Share
 
 Array = npt.NDArray[np.float64]
@@ -96,12 +96,12 @@ def waterfall(chain: Chain) -> Waterfall:
     value = np.zeros((slots, len(stages)))
     ends: dict[str, tuple[float, float]] = {}
     for name in first:
-        span = float(chain.q.rows.span_s[chain.rows_of(name)].sum())
+        span = float(chain.problem.rows.span_s[chain.rows_of(name)].sum())
         floor = floors[name]
         part = _shapley(stages, lambda real, kind=name: squares[real][kind])  # type: ignore[misc]
         value += part / max(span * floor**2, 1e-12)
         own = chain.of_rows(name, first[name])
-        weight = chain.q.rows.span_s[chain.rows_of(name)]
+        weight = chain.problem.rows.span_s[chain.rows_of(name)]
         ends[name] = (float(np.sqrt((weight @ own**2) / max(span, 1e-12))), floor)
     return Waterfall(stages, value, ends)
 
@@ -132,7 +132,7 @@ def common_squares(chain: Chain, name: str, values: Array, noisy: bool) -> Array
     made = np.zeros(len(slots))
     tables = replicate_tables(chain, name, values)
     replicated = any(len(table) > 1 for _, table, _ in tables)
-    variance = chain.q.floor_variance[chain.rows_of(name)]
+    variance = chain.problem.floor_variance[chain.rows_of(name)]
     expected = (
         replicate_tables(chain, name, _spread(chain, name, variance)) if not replicated else []
     )
@@ -150,7 +150,9 @@ def common_squares(chain: Chain, name: str, values: Array, noisy: bool) -> Array
 
 def _spread(chain: Chain, name: str, own: Array) -> Array:
     """Values of `rows_of(name)` put back among all rows of the block."""
-    at = np.flatnonzero(chain.q.rows.block == chain.q.rows.block[chain.rows_of(name)[0]])
+    at = np.flatnonzero(
+        chain.problem.rows.block == chain.problem.rows.block[chain.rows_of(name)[0]]
+    )
     made = np.zeros(len(at))
     made[np.isin(at, chain.rows_of(name))] = own
     return made
@@ -161,14 +163,14 @@ def replicate_tables(chain: Chain, name: str, values: Array) -> list[tuple[int, 
 
     Errors have shape (replicates, bins), seconds shape (bins,).
     """
-    rows = chain.q.rows
+    rows = chain.problem.rows
     at = chain.rows_of(name)
     own = chain.of_rows(name, values)
     place = np.full(len(rows), -1, dtype=np.int64)
     place[at] = np.arange(len(at))
     made: list[tuple[int, Array, Array]] = []
     for slot, members in enumerate(chain.grid.data.slots.values()):
-        parts = [chain.q.noise.trial_rows[t] for t in members]
+        parts = [chain.problem.noise.trial_rows[t] for t in members]
         parts = [p[place[p] >= 0] for p in parts]
         parts = [p for p in parts if len(p)]
         if not parts:
@@ -193,4 +195,4 @@ def _floor(chain: Chain, name: str, values: Array) -> float:
             weight += float(span.sum())
     if weight > 0.0:
         return float(np.sqrt(max(total / weight, 1e-12)))
-    return float(np.sqrt(np.mean(chain.q.floor_variance[chain.rows_of(name)])))
+    return float(np.sqrt(np.mean(chain.problem.floor_variance[chain.rows_of(name)])))

@@ -1,8 +1,8 @@
-"""How far the gap shrinks, told in full: stage by stage, free-running, against a learner, abroad.
+"""Tables of how far the gap shrinks: stage by stage, free-running, against a learner, elsewhere.
 
 A fix that helps where it was fitted may be a fit and no more. So each error is taken on units that
-were left out, the model is run free as well, a learner without names shows what could be had from
-the same inputs, and constants and amounts are compared over the folds.
+were left out, the model is also run free, a learner without named effects shows what the same
+inputs could give, and constants and amounts are compared over the folds.
 """
 
 from __future__ import annotations
@@ -14,56 +14,56 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
-from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.cross_validation import HeldOut, floor_squares, gap_of, held_out, left_out
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.free_run import free_running
 from gap.validation.learner import generic
-from gap.validation.shrink import Held, floor_squares, gap_of, held_out, left_out
 
 Array = npt.NDArray[np.float64]
 
 
-def shrinkage(q: Inquiry, state: State, named: bool) -> dict[str, Any]:
+def shrinkage(problem: FitProblem, fit: FitResult, named: bool) -> dict[str, Any]:
     """All of `pamrig gap shrink`'s tables as plain values; see docs/use/gap.md.
 
-    `named` says whether the verdict stands by the state's effects; if not, "after" is left out.
+    `named`: the verdict names the effects of the fit; if not, "after" is left out.
     """
-    by_slot = held_out(q, state)
+    by_slot = held_out(problem, fit)
     return {
         "held_out": {
             scheme: {
                 block: asdict(gap_of(block, held, named, "replicates", scheme))
                 for block, held in (
-                    by_slot if scheme == "slot" else held_out(q, state, units)
+                    by_slot if scheme == "slot" else held_out(problem, fit, units)
                 ).items()
             }
-            for scheme, units in q.schemes().items()
+            for scheme, units in problem.schemes().items()
         },
         "free_running": [
             {"end": end, **asdict(gap_of(end, held, named, "replicates", "slot"))}
-            for end, held in free_running(q, state).items()
+            for end, held in free_running(problem, fit).items()
         ],
-        "generic": _generic(q, state, by_slot) if named else [],
-        "transfer": _transfer(q, state) if named else [],
-        "stability": _stability(q, state) if named else [],
+        "generic": _generic(problem, fit, by_slot) if named else [],
+        "transfer": _transfer(problem, fit) if named else [],
+        "stability": _stability(problem, fit) if named else [],
     }
 
 
-def _generic(q: Inquiry, state: State, held: dict[str, Held]) -> list[dict[str, Any]]:
+def _generic(problem: FitProblem, fit: FitResult, held: dict[str, HeldOut]) -> list[dict[str, Any]]:
     """Errors of the generic learner beside those of the named effects, block by block."""
-    learnt = generic(q, len(state.amounts))
+    learned = generic(problem, len(fit.amounts))
     made = []
     for block, part in held.items():
         weight = max(float(part.weight.sum()), 1e-12)
         named = part.rms("after")
-        alike = float(np.sqrt(learnt.alike[block].sum() / weight))
-        large = float(np.sqrt(learnt.large[block].sum() / weight))
+        alike = float(np.sqrt(learned.alike[block].sum() / weight))
+        large = float(np.sqrt(learned.large[block].sum() / weight))
         excess = part.rms("recalibrated") ** 2 - part.rms("floor") ** 2
         made.append(
             {
                 "block": block, "unit": UNITS[block], "recalibrated": part.rms("recalibrated"),
                 "named": named, "alike": alike, "large": large, "floor": part.rms("floor"),
-                "freedom": len(state.amounts), "splines": learnt.inputs[block],
+                "freedom": len(fit.amounts), "splines": learned.inputs[block],
                 "closed_named": _closed(part, named, excess),
                 "closed_alike": _closed(part, alike, excess),
                 "closed_large": _closed(part, large, excess),
@@ -72,35 +72,37 @@ def _generic(q: Inquiry, state: State, held: dict[str, Held]) -> list[dict[str, 
     return made
 
 
-def _closed(part: Held, after: float, excess: float) -> float | None:
+def _closed(part: HeldOut, after: float, excess: float) -> float | None:
     """Closed fraction; None where hardly anything stands above the floor."""
     if excess <= 0.1 * part.rms("floor") ** 2:
         return None
     return (part.rms("recalibrated") ** 2 - after**2) / excess
 
 
-def _transfer(q: Inquiry, state: State) -> list[dict[str, Any]]:
+def _transfer(problem: FitProblem, fit: FitResult) -> list[dict[str, Any]]:
     """Errors on each protocol (and mounting) when it was not used to fit, where there are two.
 
     `carries` is false where the fix makes the model worse there by more than the floor's half.
     """
     made = []
     for scheme in ("protocol", "mounting"):
-        labels = [str(getattr(trial, scheme)) for trial in q.data.trials]
+        labels = [str(getattr(trial, scheme)) for trial in problem.data.trials]
         known = list(dict.fromkeys(labels))
         if len(known) < 2:
             continue
         units = np.array([known.index(label) for label in labels], dtype=np.int64)
-        base = left_out(q, q.base, units).squares
-        after = left_out(q, state, units).squares
-        floor = floor_squares(q, q.units)
-        slot_unit = {int(s): int(u) for s, u in zip(q.units, units, strict=True)}
+        base = left_out(problem, problem.base, units).squares
+        after = left_out(problem, fit, units).squares
+        floor = floor_squares(problem, problem.units)
+        slot_unit = {int(s): int(u) for s, u in zip(problem.units, units, strict=True)}
         for number, block in enumerate(BLOCKS):
-            here = q.rows.block == number
+            here = problem.rows.block == number
             if not here.any():
                 continue
             weight = np.bincount(
-                units[q.rows.trial[here]], weights=q.rows.span_s[here], minlength=len(known)
+                units[problem.rows.trial[here]],
+                weights=problem.rows.span_s[here],
+                minlength=len(known),
             )
             floors = np.zeros(len(known))
             for slot, value in enumerate(floor[block]):
@@ -123,32 +125,32 @@ def _transfer(q: Inquiry, state: State) -> list[dict[str, Any]]:
     return made
 
 
-def _stability(q: Inquiry, state: State) -> list[dict[str, Any]]:
+def _stability(problem: FitProblem, fit: FitResult) -> list[dict[str, Any]]:
     """Constants that moved and amounts, with their jackknife error over slots.
 
     An amount with a coefficient of variation near one is carried by a single slot.
     """
-    change = left_out(q, state, q.units).change
-    used = np.bincount(q.units) > 0
+    change = left_out(problem, fit, problem.units).change
+    used = np.bincount(problem.units) > 0
     change = change[used]
     count = len(change)
     if count < 3:
         return []
     error = np.sqrt((count - 1) / count * np.sum((change - change.mean(axis=0)) ** 2, axis=0))
     reach = float(student.ppf(0.975, count - 1))
-    n = len(q.names)
+    n = len(problem.names)
     made = [
         {
             "name": name, "kind": "constant", "unit": "sd of tolerance", "value": float(value),
             "low": float(value - reach * e), "high": float(value + reach * e), "variation": None,
         }
-        for name, value, e in zip(q.names, state.shift, error[:n], strict=True)
+        for name, value, e in zip(problem.names, fit.shift, error[:n], strict=True)
         if abs(value) > 0.5
     ]  # fmt: skip
-    for suspect, value, e in zip(state.suspects, state.amounts, error[n:], strict=True):
+    for candidate, value, e in zip(fit.candidates, fit.amounts, error[n:], strict=True):
         made.append(
             {
-                "name": suspect.key, "kind": "amount", "unit": "headline", "value": float(value),
+                "name": candidate.key, "kind": "amount", "unit": "headline", "value": float(value),
                 "low": float(value - reach * e), "high": float(value + reach * e),
                 "variation": float(e / max(abs(value), 1e-30)),
             }
@@ -168,8 +170,8 @@ def as_lines(found: dict[str, Any]) -> list[str]:
     for one in found["generic"]:
         values = [one[key] for key in ("closed_named", "closed_alike", "closed_large")]
         if values[0] is not None:
-            told = ", ".join(f"{100 * value:.0f} %" for value in values)
-            lines.append(f"  {one['block']:12s} {told}  ({one['splines']} splines)")
+            shares = ", ".join(f"{100 * value:.0f} %" for value in values)
+            lines.append(f"  {one['block']:12s} {shares}  ({one['splines']} splines)")
     worse = [one for one in found["transfer"] if not one["carries"]]
     for one in worse:
         lines.append(

@@ -1,6 +1,6 @@
 """Where the gap lies: shares of the stages, and designed comparisons of residuals.
 
-Shares are exact Shapley values of the chain run end to end (`gap.model.chain`,
+Shares are exact Shapley values of the chain run end to end (`gap.validation.chain`,
 `gap.validation.shapley`). The comparisons are of the recalibrated residual with measured signals
 fed into each block.
 """
@@ -15,11 +15,11 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from gap.data.dataset import Trial
-from gap.estimation.fit_problem import Inquiry, State
-from gap.model.chain import Chain
+from gap.estimation.cross_validation import HeldOut, held_out
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
+from gap.validation.chain import Chain
 from gap.validation.shapley import waterfall
-from gap.validation.shrink import Held, held_out
 from gap.verdict import Contrast, Share
 
 Array = npt.NDArray[np.float64]
@@ -40,18 +40,20 @@ MEANING = (
 """What a share means, in the words that the JSON carries."""
 
 
-def stage_shares(q: Inquiry, state: State, held: Mapping[str, Held]) -> tuple[Share, ...]:
+def stage_shares(
+    problem: FitProblem, fit: FitResult, held: Mapping[str, HeldOut]
+) -> tuple[Share, ...]:
     """Share of the end-to-end gap by stage, largest first; none where there is no gap for sure."""
     if not held:
         return ()
-    return waterfall(Chain(q, state)).shares(known=bool(state.suspects))
+    return waterfall(Chain(problem, fit)).shares(known=bool(fit.candidates))
 
 
-def whereabouts(q: Inquiry, state: State) -> dict[str, list[dict[str, object]]]:
+def stage_errors(problem: FitProblem, fit: FitResult) -> dict[str, list[dict[str, object]]]:
     """Free-running errors at the chain's ends and stage by stage with measured inputs, as plain
     tables: `end_to_end` and `stage_by_stage`, each with its floor.
     """
-    flow = waterfall(Chain(q, state))
+    flow = waterfall(Chain(problem, fit))
     return {
         "end_to_end": [
             {"end": name, "unit": UNITS[name], "rms": rms, "floor": floor}
@@ -63,59 +65,53 @@ def whereabouts(q: Inquiry, state: State) -> dict[str, list[dict[str, object]]]:
                 "recalibrated": part.rms("recalibrated"), "after": part.rms("after"),
                 "floor": part.rms("floor"),
             }
-            for block, part in held_out(q, state).items()
+            for block, part in held_out(problem, fit).items()
         ],
     }  # fmt: skip
 
 
-DRIFT = "early-late trials"
-"""Name of the contrast that a slow change over the trials shows in."""
 DRIFT_SURE = 3.6
 """Sd from which a drift that an explanation leaves is no chance: the explanation was chosen among
 many, and none of them for it."""
 
 
-def contrasts_of(q: Inquiry, state: State | None = None) -> tuple[Contrast, ...]:
+def contrasts_of(problem: FitProblem, fit: FitResult | None = None) -> tuple[Contrast, ...]:
     """Designed comparisons of the recalibrated residual, each with its own z over slots.
 
     A contrast is the difference of two means within a trial (or between trials), averaged over
     the replicates of a slot; slots are the independent units. `alarm` controls the family-wise
-    rate at 1 % over the whole table. With `state` the residual is what that state leaves.
+    rate at 1 % over the whole table. With `fit` the residual is what that state leaves.
     """
-    residual = (q.base if state is None else state).residual
-    made: list[tuple[str, float]] = []
+    residual = (problem.base if fit is None else fit).residual
+    made: list[tuple[str, float | None, bool]] = []
     for block in ("force", "load", "pressure"):
-        here = q.rows.block == BLOCKS.index(block)
+        here = problem.rows.block == BLOCKS.index(block)
         if here.sum() < 8:
             continue
-        for name, first, second in _designs(q, block):
-            z = _within(q, residual, here & first, here & second)
-            if z is not None:
-                made.append((f"{name} ({block})", z))
-        z = _warmth(q, residual, here)
-        if z is not None:
-            made.append((f"hot-cold ({block})", z))
-        z = _order(q, residual, here)
-        if z is not None:
-            made.append((f"{DRIFT} ({block})", z))
-    least = float(norm.isf(_FAMILY_WISE / 2.0 / max(len(made), 1)))
-    made.sort(key=lambda item: -abs(item[1]))
-    return tuple(Contrast(name, z, abs(z) > least) for name, z in made)
+        for name, first, second in _designs(problem, block):
+            z = _within(problem, residual, here & first, here & second)
+            made.append((f"{name} ({block})", z, False))
+        made.append((f"hot-cold ({block})", _warmth(problem, residual, here), False))
+        made.append((f"early-late trials ({block})", _order(problem, residual, here), True))
+    found = [(name, z, drift) for name, z, drift in made if z is not None]
+    least = float(norm.isf(_FAMILY_WISE / 2.0 / max(len(found), 1)))
+    found.sort(key=lambda item: -abs(item[1]))
+    return tuple(Contrast(name, z, abs(z) > least, drift) for name, z, drift in found)
 
 
-def drifting(q: Inquiry, state: State) -> Contrast | None:
+def drifting(problem: FitProblem, fit: FitResult) -> Contrast | None:
     """The drift over the trials that an explanation leaves, if it leaves one."""
     return next(
         (
-            c for c in contrasts_of(q, state)
-            if c.alarm and c.name.startswith(DRIFT) and abs(c.z) > DRIFT_SURE
+            c for c in contrasts_of(problem, fit)
+            if c.alarm and c.drift and abs(c.z) > DRIFT_SURE
         ),
         None,
     )  # fmt: skip
 
 
-def _designs(q: Inquiry, block: str) -> list[tuple[str, Mask, Mask]]:
-    rows = q.rows
+def _designs(problem: FitProblem, block: str) -> list[tuple[str, Mask, Mask]]:
+    rows = problem.rows
     low, high = np.quantile(rows.pressure, [0.33, 0.67])
     short, long = np.quantile(rows.length, [0.33, 0.67])
     speed = np.abs(rows.rate)
@@ -123,12 +119,12 @@ def _designs(q: Inquiry, block: str) -> list[tuple[str, Mask, Mask]]:
     quick = speed > np.median(speed[moving]) if moving.any() else moving
     start = np.zeros(len(rows))
     end = np.ones(len(rows))
-    for trial_rows in q.noise.trial_rows:
+    for trial_rows in problem.noise.trial_rows:
         if len(trial_rows):
             start[trial_rows] = rows.time_s[trial_rows].min()
             end[trial_rows] = rows.time_s[trial_rows].max()
     part = (rows.time_s - start) / np.maximum(end - start, 1e-9)
-    rise = pressure_rise(q)
+    rise = pressure_rise(problem)
     quiet = np.abs(rise) < 1.5e6
     designs = [
         (
@@ -149,11 +145,11 @@ def _designs(q: Inquiry, block: str) -> list[tuple[str, Mask, Mask]]:
     return designs
 
 
-def pressure_rise(q: Inquiry) -> Array:
+def pressure_rise(problem: FitProblem) -> Array:
     """Slope of the pressure at every row, Pa/s, from its neighbours in the trial."""
-    rows = q.rows
+    rows = problem.rows
     made = np.zeros(len(rows))
-    for at in q.noise.trial_rows:
+    for at in problem.noise.trial_rows:
         for number in np.unique(rows.block[at]):
             own = at[rows.block[at] == number]
             own = own[np.argsort(rows.time_s[own], kind="stable")]
@@ -162,13 +158,13 @@ def pressure_rise(q: Inquiry) -> Array:
     return made
 
 
-def _within(q: Inquiry, residual: Array, first: Mask, second: Mask) -> float | None:
+def _within(problem: FitProblem, residual: Array, first: Mask, second: Mask) -> float | None:
     """Z of the difference of two means, over slots."""
     values: list[float] = []
-    for members in q.data.slots.values():
+    for members in problem.data.slots.values():
         here: list[float] = []
         for trial in members:
-            rows = q.noise.trial_rows[trial]
+            rows = problem.noise.trial_rows[trial]
             a, b = rows[first[rows]], rows[second[rows]]
             if len(a) and len(b):
                 here.append(float(residual[a].mean() - residual[b].mean()))
@@ -177,17 +173,17 @@ def _within(q: Inquiry, residual: Array, first: Mask, second: Mask) -> float | N
     return _z(np.array(values))
 
 
-def _order(q: Inquiry, residual: Array, here: Mask) -> float | None:
+def _order(problem: FitProblem, residual: Array, here: Mask) -> float | None:
     """Z of the trend of trial means over the order of trials, slots' own means taken out."""
     x: list[float] = []
     y: list[float] = []
-    for members in q.data.slots.values():
+    for members in problem.data.slots.values():
         means = []
         for trial in members:
-            rows = q.noise.trial_rows[trial]
+            rows = problem.noise.trial_rows[trial]
             rows = rows[here[rows]]
             if len(rows):
-                means.append((q.data.trials[trial].order, float(residual[rows].mean())))
+                means.append((problem.data.trials[trial].order, float(residual[rows].mean())))
         if len(means) > 1:
             table = np.array(means)
             table -= table.mean(axis=0)
@@ -206,16 +202,16 @@ def _order(q: Inquiry, residual: Array, here: Mask) -> float | None:
 _WARMER_K = 3.0
 
 
-def _warmth(q: Inquiry, residual: Array, here: Mask) -> float | None:
+def _warmth(problem: FitProblem, residual: Array, here: Mask) -> float | None:
     """Z of hot against cold trials that are otherwise set alike, over such settings."""
     groups: dict[object, list[tuple[float, float]]] = {}
-    for members in q.data.slots.values():
-        first = q.data.trials[members[0]]
+    for members in problem.data.slots.values():
+        first = problem.data.trials[members[0]]
         alike = (first.protocol, str(first.held_length_mm), str(first.load_kg))
         for trial in members:
-            rows = q.noise.trial_rows[trial]
+            rows = problem.noise.trial_rows[trial]
             rows = rows[here[rows]]
-            warm = _temperature(q.data.trials[trial])
+            warm = _temperature(problem.data.trials[trial])
             if len(rows) and np.isfinite(warm):
                 own = (warm, float(residual[rows].mean()))
                 groups.setdefault(alike, []).append(own)

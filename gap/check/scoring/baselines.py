@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gap.data.reader import read_dataset
-from gap.estimation.fit_problem import Inquiry
+from gap.estimation.fit_problem import FitProblem
 from gap.model.sensitivities import suspect_columns
 from plant.effects.catalogue import CATALOGUE
 
@@ -27,33 +27,35 @@ THRESHOLD = 0.15
 
 @dataclass(frozen=True)
 class Features:
-    """Rows of one data set: residual of the plain plant, constants and suspects as columns.
+    """Rows of one data set: residual of the plain plant, constants and candidates as columns.
 
     Every block of rows (pressure, force, ...) is divided by the scatter it has after the
-    constants are fitted freely, so that units do not decide. `keys` is (id, family) a suspect.
+    constants are fitted freely, so that units do not decide. `keys` is (id, family) a candidate.
     """
 
     residual: Floats
     constants: Floats
-    suspects: Floats
+    candidates: Floats
     keys: tuple[tuple[str, str], ...]
 
 
 def features(folder: Path, without: Sequence[str]) -> Features:
     """Read a folder into rows; what the diagnosis itself compares, before any weighting."""
-    inquiry = Inquiry(read_dataset(folder))
-    chosen = [s for s in inquiry.suspects if not s.defect and s.id not in without]
-    columns = suspect_columns(inquiry.model, inquiry.data.constants, inquiry.given, chosen)
-    residual, constants = inquiry.untouched.copy(), inquiry.columns.copy()
+    problem = FitProblem.of(read_dataset(folder))
+    allowed = [s for s in problem.candidates if not s.defect and s.id not in without]
+    columns = suspect_columns(
+        problem.model, problem.data.constants, problem.stated_effects, allowed
+    )
+    residual, constants = problem.stated_residual.copy(), problem.columns.copy()
     left = residual - constants @ np.linalg.lstsq(constants, residual, rcond=None)[0]
     scale = np.ones(len(residual))
-    for block in np.unique(inquiry.rows.block):
-        here = inquiry.rows.block == block
+    for block in np.unique(problem.rows.block):
+        here = problem.rows.block == block
         scale[here] = max(float(np.sqrt(np.mean(left[here] ** 2))), 1e-9)
-    seen = np.linalg.norm(columns, axis=0) > 1e-9
-    keys = tuple((s.id, s.family) for s, ok in zip(chosen, seen, strict=True) if ok)
+    shown = np.linalg.norm(columns, axis=0) > 1e-9
+    keys = tuple((s.id, s.family) for s, ok in zip(allowed, shown, strict=True) if ok)
     return Features(
-        residual / scale, constants / scale[:, None], columns[:, seen] / scale[:, None], keys
+        residual / scale, constants / scale[:, None], columns[:, shown] / scale[:, None], keys
     )
 
 
@@ -64,19 +66,19 @@ def left_over(y: Floats, columns: Floats) -> float:
 
 
 def by_bic(f: Features) -> int | None:
-    """The suspect with the lowest BIC under independent errors, if it gains more than 10."""
+    """The candidate with the lowest BIC under independent errors, if it gains more than 10."""
     rows = len(f.residual)
     plain = left_over(f.residual, f.constants)
     gains = []
     for j in range(len(f.keys)):
-        one = left_over(f.residual, np.column_stack([f.constants, f.suspects[:, j]]))
+        one = left_over(f.residual, np.column_stack([f.constants, f.candidates[:, j]]))
         gains.append(rows * np.log(plain / max(one, 1e-12)) - np.log(rows))
     best = int(np.argmax(gains))
     return best if gains[best] > BIC_GAIN else None
 
 
 def by_random_folds(f: Features) -> int | None:
-    """The suspect with the lowest error over random folds, if it gains more than its error."""
+    """The candidate with the lowest error over random folds, if it gains more than its error."""
     rng = np.random.default_rng(0)
     fold = rng.permutation(len(f.residual)) % FOLDS
 
@@ -91,7 +93,7 @@ def by_random_folds(f: Features) -> int | None:
     plain = errors(f.constants)
     best, gain = None, 0.0
     for j in range(len(f.keys)):
-        drop = plain - errors(np.column_stack([f.constants, f.suspects[:, j]]))
+        drop = plain - errors(np.column_stack([f.constants, f.candidates[:, j]]))
         if drop.mean() > max(gain, float(drop.std(ddof=1) / np.sqrt(FOLDS))):
             best, gain = j, float(drop.mean())
     return best
@@ -100,9 +102,9 @@ def by_random_folds(f: Features) -> int | None:
 def by_sparse_regression(f: Features) -> list[int]:
     """Suspects that survive thresholding of standardised coefficients, largest first."""
     basis, _ = np.linalg.qr(f.constants)
-    clear = f.suspects - basis @ (basis.T @ f.suspects)
+    clear = f.candidates - basis @ (basis.T @ f.candidates)
     norm = np.linalg.norm(clear, axis=0)
-    usable = norm > 1e-6 * np.linalg.norm(f.suspects, axis=0)
+    usable = norm > 1e-6 * np.linalg.norm(f.candidates, axis=0)
     y = f.residual - basis @ (basis.T @ f.residual)
     size = float(np.linalg.norm(y))
     active = np.flatnonzero(usable)

@@ -19,12 +19,12 @@ from blind.noise import Noise
 from blind.recording import record
 from blind.sets import BlindSet
 from gap.data.reader import read_dataset
-from gap.decision.diagnose import examine
-from gap.estimation.fit_problem import State
+from gap.decision.diagnose import diagnose_with_fit
+from gap.estimation.cross_validation import held_out
+from gap.estimation.fit_problem import FitResult
 from gap.model.features import BLOCKS, UNITS
 from gap.model.grid import make_grid
 from gap.model.residuals import Model
-from gap.validation.shrink import held_out
 
 Floats = np.ndarray
 
@@ -47,20 +47,20 @@ def closed_fraction(
     states. Mountings stay as they were: their offsets are part of either fit. None where the fit
     names nothing or the noise-free gap vanishes.
     """
-    _, asked, state = examine(read_dataset(folder), without)
-    if asked is None or state is None or not state.suspects:
+    _, problem, fit = diagnose_with_fit(read_dataset(folder), without)
+    if problem is None or fit is None or not fit.candidates:
         return None
     clean = folder.with_name("clean")
     write(record(replace(one, noise=silent(one.noise))), clean)
-    held = held_out(asked, state)
+    held = held_out(problem, fit)
     grid = make_grid(read_dataset(clean))
     model = Model(grid)
 
-    def left(fit: State) -> Floats:
-        active = asked.found(fit.shift, fit.suspects, fit.amounts)
-        return np.nan_to_num(model.stacked(model.residual(asked.constants(fit.shift), active)))
+    def left(fit: FitResult) -> Floats:
+        active = problem.active_effects(fit.shift, fit.candidates, fit.amounts)
+        return np.nan_to_num(model.stacked(model.residual(problem.constants(fit.shift), active)))
 
-    before, after = left(asked.base) ** 2, left(state) ** 2
+    before, after = left(problem.base) ** 2, left(fit) ** 2
     rows, best, miss = grid.rows, None, np.inf
     for number, block in enumerate(BLOCKS):
         here = rows.block == number

@@ -29,9 +29,9 @@ def band_name(band: tuple[float, float]) -> str:
 
 def rate(rows: Iterable[Row], flag: str | Test, of: Test) -> dict[str, Any]:
     """Share of the rows that pass `of` for which `flag` holds."""
-    chosen = [r for r in rows if of(r)]
+    kept = [r for r in rows if of(r)]
     test = (lambda r: bool(r[flag])) if isinstance(flag, str) else flag
-    return share([test(r) for r in chosen]).as_json()
+    return share([test(r) for r in kept]).as_json()
 
 
 def catalogue_single(r: Row) -> bool:
@@ -40,7 +40,7 @@ def catalogue_single(r: Row) -> bool:
 
 
 def clear(r: Row) -> bool:
-    """At least twice the floor, and nobody mimics it."""
+    """At least twice the floor, and nobody confounders it."""
     return bool(r["size"] >= CLEAR and r["mimic"] <= MIMICKED)
 
 
@@ -183,9 +183,9 @@ def confusion(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, int]]]:
             single = catalogue_single(r) and band[0] <= r["size"] < band[1]
             if not single and not (r["kind"] == "nominal" and band[0] == 0.0):
                 continue
-            said = verdict_word(r)
+            word = verdict_word(r)
             line = table.setdefault(r["family"] or "none", {})
-            line[said] = line.get(said, 0) + 1
+            line[word] = line.get(word, 0) + 1
         out[band_name(band)] = table
     return out
 
@@ -226,3 +226,15 @@ def totals(rows: Sequence[Row]) -> dict[str, Any]:
         "seconds_median": round(float(np.median(seconds)), 2) if seconds else None,
         "seconds_most": round(float(np.max(seconds)), 2) if seconds else None,
     }  # fmt: skip
+
+
+def summary(entries: list[dict[str, Any]]) -> dict[str, Any]:
+    """Totals of the diagnosis and of every baseline, as plain JSON values."""
+    found = totals([e["score"] for e in entries])
+    names = sorted({name for e in entries for name in e["baselines"]})
+    found["baselines"] = {
+        name: totals([e["baselines"][name] for e in entries if name in e["baselines"]])["headline"]
+        for name in names
+    }
+    found["baseline_sets"] = sum(1 for e in entries if e["baselines"])
+    return found

@@ -1,8 +1,8 @@
-"""How far the gap shrinks: before, recalibrated, after and floor, on data that was held out.
+"""Errors of a fit on data that it was not fitted to.
 
 Errors are root mean squares over time (or points) of one block, in its own unit. Whole slots are
-left out in turn: constants and effects are fitted to the others, the error is taken on the one
-left out. The floor is what replicates of a slot differ by.
+left out in turn: constants and effects are fitted to the others, and the error is taken on the slot
+left out. The floor is the scatter of the replicates of a slot.
 """
 
 from __future__ import annotations
@@ -13,20 +13,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
-from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import gather, tolerance
-from gap.estimation.intervals import headline_estimates, settled
 from gap.estimation.normal_equations import solved
 from gap.model.features import BLOCKS, UNITS
 from gap.verdict import Gap
-from plant.constants import CHOICES, KEYS, nominal
-from plant.effects.catalogue import CATALOGUE
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldOut:
     """Sums over each held-out unit of one block: squared errors and weights, shape (units,).
 
     Attributes:
@@ -48,10 +45,10 @@ class Held:
     def closed(self) -> tuple[float, float, float] | None:
         """Closed fraction with its 95 % interval by the jackknife over units.
 
-        Held-out errors say a little too little for the plant fitted to all units, errors of that
-        fit a little too much: the interval reaches to the upper end of both. No plant closes more
-        than all: where the ratio says so, the floor was stated too high, by that much at least, and
-        the lower end gives way. None where the gap beyond the floor is not certain.
+        Held-out errors give a little too little for the plant fitted to all units, and errors of
+        that fit a little too much: the interval reaches to the upper end of both. A ratio above one
+        shows that the floor was stated too high; the lower end is then reduced by as much. None
+        where the gap beyond the floor is not certain.
         """
         use = self.weight > 0.0
         found = _ratio((self.recalibrated - self.after)[use], (self.recalibrated - self.floor)[use])
@@ -81,32 +78,32 @@ def _ratio(a: Array, b: Array) -> tuple[float, float, float] | None:
 
 
 def held_out(
-    q: Inquiry, state: State, units: npt.NDArray[np.int64] | None = None
-) -> dict[str, Held]:
+    problem: FitProblem, fit: FitResult, units: npt.NDArray[np.int64] | None = None
+) -> dict[str, HeldOut]:
     """Squared errors of every block on held-out units (slots unless `units` says otherwise)."""
-    of_trial = q.units if units is None else units
-    base = left_out(q, q.base, of_trial).squares
-    after = left_out(q, state, of_trial).squares if state.suspects else base
-    floor = floor_squares(q, of_trial)
-    made: dict[str, Held] = {}
+    of_trial = problem.units if units is None else units
+    base = left_out(problem, problem.base, of_trial).squares
+    after = left_out(problem, fit, of_trial).squares if fit.candidates else base
+    floor = floor_squares(problem, of_trial)
+    made: dict[str, HeldOut] = {}
     count = int(of_trial.max(initial=-1)) + 1
     for number, block in enumerate(BLOCKS):
-        here = q.rows.block == number
+        here = problem.rows.block == number
         if not here.any():
             continue
-        unit = of_trial[q.rows.trial[here]]
-        span = q.rows.span_s[here]
+        unit = of_trial[problem.rows.trial[here]]
+        span = problem.rows.span_s[here]
         weight = np.asarray(np.bincount(unit, weights=span, minlength=count), dtype=np.float64)
-        squares = span * q.untouched[here] ** 2
+        squares = span * problem.stated_residual[here] ** 2
         before = np.asarray(np.bincount(unit, weights=squares, minlength=count), dtype=np.float64)
         inside = tuple(
             np.asarray(
                 np.bincount(unit, weights=span * fit.residual[here] ** 2, minlength=count),
                 dtype=np.float64,
             )
-            for fit in (q.base, state)
+            for fit in (problem.base, fit)
         )
-        made[block] = Held(
+        made[block] = HeldOut(
             before, base[block], after[block], floor[block], weight, (inside[0], inside[1])
         )
     return made
@@ -125,23 +122,23 @@ class Folds:
     squares: dict[str, Array]
 
 
-def left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> Folds:
-    """Fit constants and amounts near `state` to all units but one, for each unit in turn.
+def left_out(problem: FitProblem, fit: FitResult, of_trial: npt.NDArray[np.int64]) -> Folds:
+    """Fit constants and amounts near `fit` to all units but one, for each unit in turn.
 
     Amounts have the catalogue's range as a wide prior around no effect, and stay inside it: where
     the other units say nothing of an effect, it is not there.
     """
-    n = len(q.names)
-    low, high = np.array([s.bounds for s in state.suspects]).reshape(-1, 2).T
+    n = len(problem.names)
+    low, high = np.array([s.bounds for s in fit.candidates]).reshape(-1, 2).T
     loose = 4.0 / np.maximum(high - low, 1e-30) ** 2  # half the range is one sd
-    columns = q.columns_of(state)
+    columns = problem.columns_of(fit)
     evidence = gather(
-        q.noise, columns, state.residual, np.zeros((len(q.rows), 0)), q.rows.block,
-        q.rows.span_s, of_trial, np.zeros(columns.shape[1]),
+        problem.noise, columns, fit.residual, np.zeros((len(problem.rows), 0)), problem.rows.block,
+        problem.rows.span_s, of_trial, np.zeros(columns.shape[1]),
     )  # fmt: skip
     width = columns.shape[1]
     total = evidence.total
-    _, slope, stiffness = tolerance(state.shift)
+    _, slope, stiffness = tolerance(fit.shift)
     errors = {block: np.zeros(len(evidence.gram)) for block in evidence.plain}
     change = np.zeros((len(evidence.gram), width))
     for unit in range(len(evidence.gram)):
@@ -151,9 +148,9 @@ def left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> Folds
         right = gram[:width, width].copy()
         right[:n] -= slope
         matrix[range(n, width), range(n, width)] += loose
-        right[n:] -= loose * state.amounts
+        right[n:] -= loose * fit.amounts
         beta = solved(matrix, right, 0.0)
-        beta[n:] = np.clip(state.amounts + beta[n:], low, high) - state.amounts
+        beta[n:] = np.clip(fit.amounts + beta[n:], low, high) - fit.amounts
         change[unit] = beta
         vector = np.r_[-beta, 1.0]
         for block, plain in evidence.plain.items():
@@ -161,22 +158,23 @@ def left_out(q: Inquiry, state: State, of_trial: npt.NDArray[np.int64]) -> Folds
     return Folds(change, errors)
 
 
-def floor_squares(q: Inquiry, of_trial: npt.NDArray[np.int64]) -> dict[str, Array]:
+def floor_squares(problem: FitProblem, of_trial: npt.NDArray[np.int64]) -> dict[str, Array]:
     """What replicates differ by, as squared errors of each unit and block.
 
     Bessel-corrected within slots; slots without replicates get the noise model's variance.
     """
-    rows = q.rows
+    rows = problem.rows
     count = int(of_trial.max(initial=-1)) + 1
     made = {
         name: np.zeros(count) for number, name in enumerate(BLOCKS) if np.any(rows.block == number)
     }
-    for members in q.data.slots.values():
+    for members in problem.data.slots.values():
         for number, name in enumerate(BLOCKS):
             if name not in made:
                 continue
             at = [
-                q.noise.trial_rows[t][rows.block[q.noise.trial_rows[t]] == number] for t in members
+                problem.noise.trial_rows[t][rows.block[problem.noise.trial_rows[t]] == number]
+                for t in members
             ]
             at = [a for a in at if len(a)]
             unit = of_trial[members[0]]
@@ -187,27 +185,27 @@ def floor_squares(q: Inquiry, of_trial: npt.NDArray[np.int64]) -> dict[str, Arra
             for a in at[1:]:
                 common &= set(rows.bin[a].tolist())
             if len(at) < 2 or len(common) < 3:
-                made[name][unit] += sum(_expected(q, t, number) for t in members)
+                made[name][unit] += sum(_expected(problem, t, number) for t in members)
                 continue
             keep = [a[np.isin(rows.bin[a], list(common))] for a in at]
-            slow = np.zeros(len(rows)) if q.noise.trend is None else q.noise.trend
-            table = np.stack([(q.base.residual - slow)[a] for a in keep])
+            slow = np.zeros(len(rows)) if problem.noise.trend is None else problem.noise.trend
+            table = np.stack([(problem.base.residual - slow)[a] for a in keep])
             span = np.mean([rows.span_s[a] for a in keep], axis=0)
             variance = table.var(axis=0, ddof=1)
             made[name][unit] += float((span * variance).sum() / max(span.sum(), 1e-12)) * weight
     return made
 
 
-def _expected(q: Inquiry, trial: int, number: int) -> float:
+def _expected(problem: FitProblem, trial: int, number: int) -> float:
     """Squared errors that the noise model expects of one trial and block."""
-    rows = q.noise.trial_rows[trial]
-    here = q.rows.block[rows] == number
-    v = np.array([q.noise.scales[kind] ** 2 for kind in q.noise.kinds[trial]])
-    variance = q.noise.white[rows] + (q.noise.columns[trial] ** 2) @ v
-    return float((variance * q.rows.span_s[rows])[here].sum())
+    rows = problem.noise.trial_rows[trial]
+    here = problem.rows.block[rows] == number
+    v = np.array([problem.noise.scales[kind] ** 2 for kind in problem.noise.kinds[trial]])
+    variance = problem.noise.white[rows] + (problem.noise.columns[trial] ** 2) @ v
+    return float((variance * problem.rows.span_s[rows])[here].sum())
 
 
-def gap_of(block: str, held: Held, named: bool, source: str | None, scheme: str) -> Gap:
+def gap_of(block: str, held: HeldOut, named: bool, source: str | None, scheme: str) -> Gap:
     """The verdict's gap of one block."""
     closed = held.closed() if named else None
     return Gap(
@@ -222,81 +220,3 @@ def gap_of(block: str, held: Held, named: bool, source: str | None, scheme: str)
         closed_high=closed[2] if closed else None,
         held_out=scheme,
     )
-
-
-def improved_plant(q: Inquiry, state: State) -> str:
-    """The improved plant as TOML: recalibrated and stated constants, and a table for each effect.
-
-    The simulator (`pamrig simulate --plant`), the live prediction (`--predict`), the virtual bench
-    and `bench.toml` read it.
-    """
-    state = settled(q, state)
-    lines = ["# The plant as recalibrated on these data, with the effects that explain the gap."]
-    constants = q.constants(state.shift)
-    usual = nominal()
-    lines += [
-        f"{name} = {constants.value(name):.8g}"
-        for name in KEYS
-        if name in q.names or constants.value(name) != usual.value(name)
-    ]
-    lines += [
-        f'{name} = "{getattr(constants, name)}"'
-        for name in CHOICES
-        if getattr(constants, name) != getattr(usual, name)
-    ]
-    for name in [*q.data.effects.values, *state.ids]:
-        if name not in CATALOGUE:
-            continue
-        lines += ["", f"[effects.{name}]"]
-        entry = CATALOGUE[name]
-        if name not in state.ids:
-            lines += [f"{k} = {_toml(v)}" for k, v in q.data.effects.values[name].items()]
-            continue
-        known = {parameter.name: parameter for parameter in entry.parameters}
-        for key, estimate in headline_estimates(q, only(state, name), whole=False).items():
-            value = estimate.value
-            if isinstance(value, str):
-                lines.append(f'{key} = "{value}"')
-            elif key in known:
-                value = min(max(value, known[key].low), known[key].high)
-                lines.append(f"{key} = {value:.6g}")
-        for key, value in _shape(q, state, name).items():
-            value = min(max(value, known[key].low), known[key].high)
-            lines.append(f"{key} = {value:.4g}")
-    return "\n".join(lines) + "\n"
-
-
-_SAME_NUMBER = {
-    "liner_threshold": {"width_kpa": "width_kpa"},
-    "contraction_limit": {"decay_mm": "scale_mm"},
-    "braid_friction": {"kpa": "travel_kpa", "mm": "travel_mm"},
-    "viscosity": {"power": "exponent", "pressure": "pressure_share"},
-    "link_friction": {"travel_mm": "travel_mm"},
-}
-"""Numbers of a fitted shape that the plant's own form of the effect has too."""
-
-
-def _shape(q: Inquiry, state: State, name: str) -> dict[str, float]:
-    """Shape parameters of the plant's form of an effect, where its fitted shape says them."""
-    own = [(abs(a), s) for s, a in zip(state.suspects, state.amounts, strict=True) if s.id == name]
-    shape = max(own, key=lambda one: one[0])[1].shape
-    known = _SAME_NUMBER.get(name, {})
-    made = {known[key]: value for key, value in shape.items() if key in known}
-    if name == "bladder_elasticity":
-        made["rest_mm"] = shape["rest"] * q.constants(state.shift).braid_length_m * 1e3
-    return made
-
-
-def _toml(value: object) -> str:
-    return f'"{value}"' if isinstance(value, str) else repr(value)
-
-
-def only(state: State, name: str) -> State:
-    """The state with the suspects of one effect, for its parameters."""
-    at = [j for j, suspect in enumerate(state.suspects) if suspect.id == name]
-    n = len(state.shift)
-    index = [*range(n), *(n + j for j in at)]
-    return State(
-        state.shift, tuple(state.suspects[j] for j in at), state.amounts[at], state.residual,
-        state.cost, state.cover[np.ix_(index, index)],
-    )  # fmt: skip

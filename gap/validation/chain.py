@@ -1,7 +1,7 @@
 """The whole chain from valve commands to the muscle's pull, each stage real or modelled.
 
 The recorded commands are replayed (never the controller): commands give flow (valve), flow gives
-pressure (chamber), pressure gives pull (muscle), a hung load asks for a pull (load). A stage is
+pressure (chamber), pressure gives pull (muscle), a hung load requires a pull (load). A stage is
 modelled by the recalibrated plant; a real stage has in addition what was found in it and what its
 model still leaves between measured input and measured output, so that it gives the measured output
 for the measured input and answers another input as its model does. With every stage real the chain
@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.effects.candidates import Suspect
-from gap.estimation.fit_problem import Inquiry, State
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.features import BLOCKS, Points
@@ -42,7 +42,7 @@ ENDS = ("force", "load", "pressure")
 class _Gas:
     """Readings that a replay gives at every node, beside what was read there, Pa."""
 
-    told: Array
+    true: Array
     read: Array
 
 
@@ -54,17 +54,19 @@ class Chain:
             with a hung load whose force is read or in which something was found, sensor where a
             sensor effect was found.
         ends: trials that end in each kind of `ENDS`, shape (trials,) each. The pressure is read
-            in every trial with valve commands; pull is read, or asked for by a hung load.
+            in every trial with valve commands; pull is read, or required by a hung load.
     """
 
-    def __init__(self, q: Inquiry, state: State) -> None:
-        self.q = q
-        self.grid = q.grid
-        self._c = q.constants(state.shift)
-        self._stated = q.found(state.shift, (), np.empty(0))
-        self._found = list(zip(state.suspects, state.amounts, strict=True))
+    def __init__(self, problem: FitProblem, fit: FitResult) -> None:
+        self.problem = problem
+        self.grid = problem.grid
+        self._c = problem.constants(fit.shift)
+        self._stated = problem.active_effects(fit.shift, (), np.empty(0))
+        self._found = list(zip(fit.candidates, fit.amounts, strict=True))
         self._full = self._active(STAGES)
-        self._points = {name: q.grid.points[name] for name in ENDS if name in q.grid.points}
+        self._points = {
+            name: problem.grid.points[name] for name in ENDS if name in problem.grid.points
+        }
         self.ends = self._ends()
         self._learn()
         self._rests = self._leftovers()
@@ -108,7 +110,7 @@ class Chain:
         self, c: PlantConstants, active: Active, step: Array, learn: bool = False
     ) -> Array:
         points, grid = self._points["pressure"], self.grid
-        parameters = self.q.model._parameters(c, active)
+        parameters = self.problem.model._parameters(c, active)
         true = laws.true_length(points, active, c)
         length = np.ascontiguousarray(np.clip(true, 1e-4, 0.999 * c.braid_length_m))
         out = np.empty(len(points.reading))
@@ -139,7 +141,7 @@ class Chain:
         nodes = self._points["pressure"]
         moved = np.zeros(len(points.reading))
         slope = np.zeros(len(points.reading))
-        off = gas.told - gas.read
+        off = gas.true - gas.read
         for t in range(len(points.first) - 1):
             a, b = points.first[t : t + 2]
             c, d = nodes.first[t : t + 2]
@@ -155,23 +157,23 @@ class Chain:
     def _leftovers(self) -> dict[str, tuple[Array, Array]]:
         """What muscle and load still leave between measured input and output, one a point."""
         made: dict[str, tuple[Array, Array]] = {}
-        q, c, active = self.q, self._c, self._full
+        problem, c, active = self.problem, self._c, self._full
         points = self._points.get("force")
         if points is not None:
-            rest = q.model._force(points, c, active)
+            rest = problem.model._force(points, c, active)
             made["force"] = (rest, np.zeros(len(rest)))
         points = self._points.get("load")
         if points is not None:
-            asked, pull = self._pulls(points, c, active)
+            required, pull = self._pulls(points, c, active)
             read = laws.force_true(points.reading, active)
             there = np.isfinite(read)
             made["load"] = (
-                np.where(there, read, asked) - pull, np.where(there, asked - read, 0.0),
+                np.where(there, read, required) - pull, np.where(there, required - read, 0.0),
             )  # fmt: skip
         return made
 
     def _pulls(self, points: Points, c: PlantConstants, active: Active) -> tuple[Array, Array]:
-        context = Context(c, self.q.model.order)
+        context = Context(c, self.problem.model.order)
         return laws.load_pull(points, active, context), laws.muscle_force(points, active, context)
 
     def run(self, real: Iterable[str]) -> dict[str, Array]:
@@ -189,12 +191,12 @@ class Chain:
         for name, ending in self.ends.items():
             if name == "pressure":
                 assert gas is not None
-                raw, points = gas.read - gas.told, self._points[name]
+                raw, points = gas.read - gas.true, self._points[name]
             else:
                 points = self._fed(name, gas)
                 raw = self._missing(name, points, c, active, kept)
             raw = np.where(ending[points.trial], raw, 0.0)
-            rows = self.q.model._features(points, np.nan_to_num(raw)) * SCALE[name]
+            rows = self.problem.model._features(points, np.nan_to_num(raw)) * SCALE[name]
             made[name] = np.clip(rows, -3e3, 3e3)
         return made
 
@@ -203,7 +205,7 @@ class Chain:
 
         Args:
             shift: constants in sd.
-            amounts: of the suspects of the state, all in force; None for the plant without them.
+            amounts: of the candidates of the fit, all in force; None for the plant without them.
         """
         found = self._found
         kept: tuple[str, ...] = ()
@@ -211,7 +213,7 @@ class Chain:
             kept = STAGES
             self._found = [(s, float(a)) for (s, _), a in zip(found, amounts, strict=True)]
         try:
-            return self._run(frozenset(), self._active(kept), self.q.constants(shift))
+            return self._run(frozenset(), self._active(kept), self.problem.constants(shift))
         finally:
             self._found = found
 
@@ -220,28 +222,28 @@ class Chain:
     ) -> Array:
         muscle, load = self._rests[name]
         if name == "force":
-            raw = self.q.model._force(points, c, active)
+            raw = self.problem.model._force(points, c, active)
         else:
-            asked, pull = self._pulls(points, c, active)
-            raw = asked - pull
+            required, pull = self._pulls(points, c, active)
+            raw = required - pull
         raw = raw - (muscle if "muscle" in real else 0.0)
         return np.asarray(raw - (load if "load" in real else 0.0))
 
     def rows_of(self, name: str) -> npt.NDArray[np.int64]:
         """Indices of all rows of a kind of end that belong to trials which end in it."""
-        rows = self.q.rows
+        rows = self.problem.rows
         at = np.flatnonzero(rows.block == BLOCKS.index(name))
         return at[self.ends[name][rows.trial[at]]]
 
     def of_rows(self, name: str, values: Array) -> Array:
         """The values of `run` that belong to `rows_of(name)`."""
-        at = np.flatnonzero(self.q.rows.block == BLOCKS.index(name))
-        return np.asarray(values[self.ends[name][self.q.rows.trial[at]]])
+        at = np.flatnonzero(self.problem.rows.block == BLOCKS.index(name))
+        return np.asarray(values[self.ends[name][self.problem.rows.trial[at]]])
 
 
-def stage_of(suspect: Suspect) -> str:
-    """Stage of a suspect; what may sit anywhere, and shows in the force, counts to the muscle."""
-    if suspect.defect:
+def stage_of(candidate: Suspect) -> str:
+    """Stage of a candidate; what may sit anywhere, and shows in the force, counts to the muscle."""
+    if candidate.defect:
         return "sensor"
-    stage = CATALOGUE[suspect.id].stage
+    stage = CATALOGUE[candidate.id].stage
     return "muscle" if stage == "any" else stage

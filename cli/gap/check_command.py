@@ -13,24 +13,12 @@ import typer
 from gap.check.campaign import Plan, parse_numbers, run_campaign
 from gap.check.errors import CheckError
 from gap.check.ledger import enter, used_before
-from gap.check.scoring.totals import totals
+from gap.check.scoring.totals import summary
 
 STREAMS = ("practice", "reserved", "smoke")
 
 
-def summary(entries: list[dict[str, Any]]) -> dict[str, Any]:
-    """Totals of the diagnosis and of every baseline, as plain JSON values."""
-    found = totals([e["score"] for e in entries])
-    names = sorted({name for e in entries for name in e["baselines"]})
-    found["baselines"] = {
-        name: totals([e["baselines"][name] for e in entries if name in e["baselines"]])["headline"]
-        for name in names
-    }
-    found["baseline_sets"] = sum(1 for e in entries if e["baselines"])
-    return found
-
-
-def check_command(  # noqa: PLR0913 - one argument for each option of the campaign
+def check_command(
     *,
     stream: str,
     sets: str,

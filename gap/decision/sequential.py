@@ -1,31 +1,39 @@
-"""Where an investigation stands: what its last diagnosis and the proofs so far allow it to say."""
+"""The conclusion from a sequence of tests: the last verdict, and what each test proved."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 
-from gap.decision.classify import HALF
+from gap.decision.config import DECISION
 from gap.design.advise import reference_for
-from gap.reporting.text import headline, sentence
-from gap.validation.prediction import FORETOLD, SHOWN, Foretelling, families
-from gap.verdict import Explanation, Verdict
+from gap.validation.prediction import PREDICTED, SHOWN, Prediction, families
+from gap.verdict import Explanation, Status, Verdict
 
-SETTLED = ("named", "named_form_inadequate", "data_unfit")
-UNSETTLED = ("indistinguishable", "mimicable", "unknown")
-"""Verdicts that a test which came out as foretold makes a name of."""
-LEAST = 0.03
-"""Belief in an entry below which nothing need tell it from the one that leads."""
+NAMED = (Status.NAMED, Status.NAMED_FORM_INADEQUATE)
+SETTLED = (Status.NAMED, Status.NAMED_FORM_INADEQUATE, Status.DATA_UNFIT)
+UNSETTLED = (Status.INDISTINGUISHABLE, Status.MIMICABLE, Status.UNKNOWN)
+"""Verdicts that a test which came out as predicted makes a name of."""
+
+
+class Conclusion(StrEnum):
+    """The conclusion after a sequence of tests."""
+
+    NAMED = "named"
+    NEEDS_REFERENCE = "needs reference"
+    NO_GAP = "no gap"
+    OPEN = "open"
 
 
 @dataclass(kw_only=True)
-class Standing:
-    """The last verdict, and how what was found before fared on the tests after it."""
+class SequentialVerdict:
+    """The last verdict, and how well each earlier explanation predicted the tests after it."""
 
     verdict: Verdict | None = None
-    leaning: dict[str, float] = field(default_factory=dict)
+    relieving: dict[str, float] = field(default_factory=dict)
     """Where there is no gap: effects that would relieve what is stated at the end of its tolerance
     (`gap.decision.at_bound`), with the gain."""
-    foretold: dict[str, list[tuple[str, Foretelling]]] = field(default_factory=dict)
+    predicted: dict[str, list[tuple[str, Prediction]]] = field(default_factory=dict)
     """By family, tests that show what was found before them, and how it fared on each."""
 
     @property
@@ -50,23 +58,23 @@ class Standing:
         """Ids of the entries left that are not to be neglected."""
         if self.verdict is None:
             return []
-        return [e.ids for e in self.verdict.effects if e.probability > LEAST]
+        return [e.ids for e in self.verdict.effects if e.probability > DECISION.least_probability]
 
     @property
-    def confirmed(self) -> tuple[str, Foretelling] | None:
-        """The last test that came out as foretold, if it and those before it prove it.
+    def confirmed(self) -> tuple[str, Prediction] | None:
+        """The last test that came out as predicted, if it and those before it prove it.
 
         They were held against each entry left, or one that shares a family with it, no later one
-        spoke against it, and together they take what a proof asks for.
+        spoke against it, and together they gain what a proof needs.
         """
-        last: tuple[str, Foretelling] | None = None
+        last: tuple[str, Prediction] | None = None
         gained = 0.0
-        for protocol, found in reversed(self.foretold.get(self.family or "", [])):
+        for protocol, found in reversed(self.predicted.get(self.family or "", [])):
             if found.refuted:
                 break
             against = [families(ids) for ids in found.rivals]
             held = all(any(other & one for one in against) for other in self._others)
-            if found.share < FORETOLD or not held:
+            if found.share < PREDICTED or not held:
                 continue
             last = last or (protocol, found)
             gained += found.gained
@@ -75,7 +83,7 @@ class Standing:
         return None
 
     @property
-    def _of_family(self) -> list[Explanation]:
+    def of_family(self) -> list[Explanation]:
         """The entries left in which the leading family is."""
         left = self.verdict.effects if self.verdict else ()
         return [effect for effect in left if self.family in families(effect.ids)]
@@ -91,23 +99,23 @@ class Standing:
         if self.verdict.status not in SETTLED:
             return self.confirmed is not None
         named = families(self.verdict.effects[0].ids) if self.verdict.effects else frozenset()
-        return len(named) < 2 or any(f.confirmed for _, f in self.foretold.get(joint(named), []))
+        return len(named) < 2 or any(f.confirmed for _, f in self.predicted.get(joint(named), []))
 
     @property
     def named(self) -> str | None:
         """The family that is named, or the families that act together; None without a name.
 
-        Of several, those that some test needed: a test that is foretold as well without a family
-        is no reason to name it. All of them where no test has told them apart.
+        Of several, those that some test needed: a test that is predicted as well without a family
+        is no reason to name it. All of them where no test has separated them.
         """
-        if self.conclusion != "named" or self.verdict is None or not self.verdict.effects:
+        if self.conclusion != Conclusion.NAMED or self.verdict is None or not self.verdict.effects:
             return None
         if self.confirmed is not None:
             return self.family
         several = families(self.verdict.effects[0].ids)
         needed = {
             gone
-            for _, found in self.foretold.get(joint(several), [])
+            for _, found in self.predicted.get(joint(several), [])
             for ids, left in found.rivals.items()
             for gone in several - families(ids)
             if families(ids) == several - {gone} and left - found.left > SHOWN
@@ -125,56 +133,36 @@ class Standing:
         """
         if self.verdict is None or self.confirmed is not None:
             return False
-        if self.verdict.status not in ("named", "named_form_inadequate"):
+        if self.verdict.status not in NAMED:
             return False
         low = None if self.verdict.gap is None else self.verdict.gap.closed_low
-        return low is None or low <= HALF
+        return low is None or low <= DECISION.closed_share
 
     @property
-    def conclusion(self) -> str:
-        """What a lab is told, in a word or two."""
+    def conclusion(self) -> Conclusion:
+        """The conclusion that the tests so far allow."""
         assert self.verdict is not None
         status = self.verdict.status
-        if status in ("named", "named_form_inadequate") or self.confirmed is not None:
-            return "named"
-        if status in ("indistinguishable", "mimicable") and len(self.verdict.effects) > 1:
-            return "needs reference"
-        if status == "no_gap_above_floor":
-            return "needs reference" if self.leaning else "no gap"
-        return "open"
-
-    @property
-    def why(self) -> str:
-        """The same in a sentence."""
-        assert self.verdict is not None
-        if self.verdict.status == "no_gap_above_floor" and self.leaning:
-            return sentence(
-                "model and bench agree to within the floor only with something that is stated led "
-                f"to the end of its tolerance; {' or '.join(self.leaning)} in its place would do "
-                "as well"
-            )
-        if self.confirmed is None:
-            return headline(self.verdict)
-        protocol, found = self.confirmed
-        ids = [" + ".join(effect.ids) for effect in self._of_family]
-        return sentence(
-            f"It is {' or '.join(ids)}, found on the tests before and confirmed by the {protocol} "
-            f"test, of whose gap it foretold {100 * found.share:.0f} % and no other explanation "
-            "as much"
-        )
+        if status in NAMED or self.confirmed is not None:
+            return Conclusion.NAMED
+        if status in (Status.INDISTINGUISHABLE, Status.MIMICABLE) and len(self.verdict.effects) > 1:
+            return Conclusion.NEEDS_REFERENCE
+        if status == Status.NO_GAP_ABOVE_FLOOR:
+            return Conclusion.NEEDS_REFERENCE if self.relieving else Conclusion.NO_GAP
+        return Conclusion.OPEN
 
     @property
     def references(self) -> dict[str, str]:
         """What would tell the entries left apart, or prove the only one, where no test did."""
         assert self.verdict is not None
-        if self.verdict.status == "no_gap_above_floor":
-            return {name: reference_for(name) for name in self.leaning}
+        if self.verdict.status == Status.NO_GAP_ABOVE_FLOOR:
+            return {name: reference_for(name) for name in self.relieving}
         proven = self.confirmed is not None
-        left = self._of_family if proven else self.verdict.effects
+        left = self.of_family if proven else self.verdict.effects
         names = dict.fromkeys(name for effect in left for name in effect.ids)
         if proven and len(names) == 1:
             return {}
-        if not proven and self.verdict.status not in ("indistinguishable", "mimicable"):
+        if not proven and self.verdict.status not in (Status.INDISTINGUISHABLE, Status.MIMICABLE):
             return {}
         return {name: reference_for(name) for name in names}
 

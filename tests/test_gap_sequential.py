@@ -6,8 +6,9 @@ import dataclasses
 
 import pytest
 
-from gap.decision.standing import Standing, joint
-from gap.validation.prediction import Foretelling, families
+from gap.decision.sequential import SequentialVerdict, joint
+from gap.reporting.sequential import conclusion_text
+from gap.validation.prediction import Prediction, families
 from gap.verdict import Explanation, Gap, Verdict
 from plant.effects.catalogue import CATALOGUE
 
@@ -18,8 +19,8 @@ def verdict_with(status: str, effects: tuple[str, ...] = ()) -> Verdict:
     return Verdict(status, "", None, found, 0.0, 1.0, None, (), (), {}, None, {})
 
 
-def foretold(without: float, left: float, rival: float, by: str = "creep") -> Foretelling:
-    return Foretelling(400, without, left, {(by,): rival})
+def predicted(without: float, left: float, rival: float, by: str = "creep") -> Prediction:
+    return Prediction(400, without, left, {(by,): rival})
 
 
 @pytest.mark.parametrize(
@@ -27,29 +28,31 @@ def foretold(without: float, left: float, rival: float, by: str = "creep") -> Fo
     [
         (("viscosity",), [], "open"),
         (("viscosity", "creep"), [], "needs reference"),
-        (("viscosity",), [foretold(9e3, 420.0, 6e3)], "named"),
-        (("viscosity", "creep"), [foretold(9e3, 420.0, 6e3)], "named"),  # of one family
-        (("viscosity",), [foretold(9e3, 2e3, 6e3)], "open"),  # a fifth of it is not foretold
-        (("viscosity",), [foretold(9e3, 420.0, 480.0)], "open"),  # another foretold it as well
-        (("viscosity",), [foretold(9e3, 420.0, 500.0), foretold(9e3, 420.0, 480.0)], "named"),
-        (("viscosity",), [foretold(450.0, 390.0, 440.0)], "open"),  # nothing there to foretell
-        (("viscosity",), [foretold(9e3, 420.0, 6e3), foretold(9e3, 5e3, 6e3)], "open"),  # refuted
-        (("viscosity",), [foretold(9e3, 420.0, 6e3), foretold(9e3, 420.0, 480.0)], "named"),
-        (("viscosity", "camera_delay"), [foretold(9e3, 420.0, 6e3)], "needs reference"),
-        (("viscosity", "camera_delay"), [foretold(9e3, 420.0, 6e3, "camera_delay")], "named"),
-        (("viscosity", "wear+end_cap"), [foretold(9e3, 420.0, 6e3, "wear")], "named"),
-        (("viscosity", "end_cap+viscosity"), [foretold(9e3, 420.0, 6e3)], "named"),  # in both
+        (("viscosity",), [predicted(9e3, 420.0, 6e3)], "named"),
+        (("viscosity", "creep"), [predicted(9e3, 420.0, 6e3)], "named"),  # of one family
+        (("viscosity",), [predicted(9e3, 2e3, 6e3)], "open"),  # a fifth of it is not predicted
+        (("viscosity",), [predicted(9e3, 420.0, 480.0)], "open"),  # another predicted it as well
+        (("viscosity",), [predicted(9e3, 420.0, 500.0), predicted(9e3, 420.0, 480.0)], "named"),
+        (("viscosity",), [predicted(450.0, 390.0, 440.0)], "open"),  # nothing there to predict
+        (("viscosity",), [predicted(9e3, 420.0, 6e3), predicted(9e3, 5e3, 6e3)], "open"),  # refuted
+        (("viscosity",), [predicted(9e3, 420.0, 6e3), predicted(9e3, 420.0, 480.0)], "named"),
+        (("viscosity", "camera_delay"), [predicted(9e3, 420.0, 6e3)], "needs reference"),
+        (("viscosity", "camera_delay"), [predicted(9e3, 420.0, 6e3, "camera_delay")], "named"),
+        (("viscosity", "wear+end_cap"), [predicted(9e3, 420.0, 6e3, "wear")], "named"),
+        (("viscosity", "end_cap+viscosity"), [predicted(9e3, 420.0, 6e3)], "named"),  # in both
         (("viscosity", "end_cap+viscosity"), [], "needs reference"),
     ],
 )
 def test_one_family_is_named_once_a_later_test_came_out_as_it_foretold(
-    effects: tuple[str, ...], tests: list[Foretelling], conclusion: str
+    effects: tuple[str, ...], tests: list[Prediction], conclusion: str
 ) -> None:
-    standing = Standing(verdict=verdict_with("indistinguishable", effects))
-    standing.foretold[CATALOGUE["viscosity"].family] = [("isobaric", test) for test in tests]
+    standing = SequentialVerdict(verdict=verdict_with("indistinguishable", effects))
+    standing.predicted[CATALOGUE["viscosity"].family] = [("isobaric", test) for test in tests]
     assert standing.conclusion == conclusion
     assert standing.settled == (conclusion == "named")
-    assert ("confirmed by the isobaric test" in standing.why) == (conclusion == "named")
+    assert ("confirmed by the isobaric test" in conclusion_text(standing)) == (
+        conclusion == "named"
+    )
     told_apart = ("camera_delay", "wear+end_cap")
     left = [e for e in effects if conclusion != "named" or e not in told_apart]
     names = {name for effect in left for name in effect.split("+")}
@@ -59,51 +62,53 @@ def test_one_family_is_named_once_a_later_test_came_out_as_it_foretold(
 
 
 def test_what_looked_like_nothing_known_is_named_too_once_it_foretold_a_test() -> None:
-    standing = Standing(verdict=verdict_with("unknown", ("viscosity",)))
+    standing = SequentialVerdict(verdict=verdict_with("unknown", ("viscosity",)))
     assert (standing.conclusion, standing.settled) == ("open", False)
-    standing.foretold[CATALOGUE["viscosity"].family] = [("isobaric", foretold(9e3, 420.0, 6e3))]
+    standing.predicted[CATALOGUE["viscosity"].family] = [("isobaric", predicted(9e3, 420.0, 6e3))]
     assert (standing.conclusion, standing.settled) == ("named", True)
 
 
 def test_a_name_of_two_families_is_put_to_the_proof_that_it_takes_both() -> None:
-    standing = Standing(verdict=verdict_with("named", ("wear+creep",)))
+    standing = SequentialVerdict(verdict=verdict_with("named", ("wear+creep",)))
     assert standing.conclusion == "named"  # if there is no other test
     assert not standing.settled
     key = joint(families(("creep", "wear")))
-    standing.foretold[key] = [("isometric", foretold(9e3, 420.0, 480.0))]  # creep alone did as well
+    standing.predicted[key] = [
+        ("isometric", predicted(9e3, 420.0, 480.0))
+    ]  # creep alone did as well
     assert not standing.settled
-    standing.foretold[key] += [("isometric", foretold(9e3, 420.0, 6e3))]
+    standing.predicted[key] += [("isometric", predicted(9e3, 420.0, 6e3))]
     assert standing.settled
 
 
 def test_of_several_families_those_are_named_that_a_test_needed() -> None:
     """A droop was named with a pressure gain that every test did as well without (seed 174)."""
-    standing = Standing(verdict=verdict_with("named", ("wear+creep",)))
+    standing = SequentialVerdict(verdict=verdict_with("named", ("wear+creep",)))
     wear, creep = CATALOGUE["wear"].family, CATALOGUE["creep"].family
     assert standing.named == f"{wear}+{creep}"  # no test has told them apart
     key = joint(families(("creep", "wear")))
-    tests = standing.foretold.setdefault(key, [])
+    tests = standing.predicted.setdefault(key, [])
     for alone in ({"creep": 430.0, "wear": 440.0}, {"creep": 430.0, "wear": 6e3}):
-        tests.append(("step", Foretelling(400, 9e3, 420.0, {(k,): v for k, v in alone.items()})))
+        tests.append(("step", Prediction(400, 9e3, 420.0, {(k,): v for k, v in alone.items()})))
         assert standing.named == (creep if alone["wear"] > 1e3 else f"{wear}+{creep}")
-    tests.append(("step", Foretelling(400, 9e3, 420.0, {("creep",): 6e3, ("wear",): 430.0})))
+    tests.append(("step", Prediction(400, 9e3, 420.0, {("creep",): 6e3, ("wear",): 430.0})))
     assert standing.named == f"{wear}+{creep}"
 
 
 def test_agreement_that_leans_on_what_is_stated_asks_for_a_check_of_it() -> None:
     """A label 0.2 mm wrong passes for the mounting and the camera's calibration, all at 3 sd."""
-    standing = Standing(verdict=verdict_with("no_gap_above_floor"))
+    standing = SequentialVerdict(verdict=verdict_with("no_gap_above_floor"))
     assert (standing.conclusion, standing.settled, standing.references) == ("no gap", False, {})
-    standing.leaning = {"camera_scale": 25.0, "length_label": 20.0}
+    standing.relieving = {"camera_scale": 25.0, "length_label": 20.0}
     assert (standing.conclusion, standing.settled) == ("needs reference", False)
-    assert "camera_scale or length_label in its place" in standing.why
+    assert "camera_scale or length_label in its place" in conclusion_text(standing)
     assert set(standing.references) == {"camera_scale", "length_label"}
     assert all("gauge block" in how for how in standing.references.values())
 
 
 def test_entries_of_one_family_that_fit_alike_need_a_reference_as_well() -> None:
     alike = verdict_with("indistinguishable", ("length_label", "camera_scale"))
-    standing = Standing(verdict=alike)
+    standing = SequentialVerdict(verdict=alike)
     assert (standing.conclusion, standing.settled) == ("needs reference", False)
     assert set(standing.references) == {"camera_scale", "length_label"}
 
@@ -118,7 +123,7 @@ def test_a_name_not_certain_to_close_half_of_the_gap_waits_for_the_tests_left(
     """An inlet of 0.997 was named before the muscle had been warm (seeds 62 and 194)."""
     named = verdict_with(status, ("flow_area",))
     gap = Gap("kPa", 2.0, 1.5, 1.0, 0.9, "replicates", 0.9, closed_low, 1.0, "slot")
-    standing = Standing(verdict=dataclasses.replace(named, gap=gap))
+    standing = SequentialVerdict(verdict=dataclasses.replace(named, gap=gap))
     assert standing.conclusion == "named"
     assert standing.settled
     assert standing.doubtful == doubtful

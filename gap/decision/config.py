@@ -1,0 +1,80 @@
+"""Every threshold of the verdict, in one place.
+
+`chance` is one standard deviation of chi-square, the root of twice the number of rows. Thresholds
+of reliability were set by cross-validation on practice sets 8600 to 9029 and on reserved sets that
+had scored the diagnosis before; "not recorded" says that no note tells where a value comes from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DecisionConfig:
+    """Thresholds of verdict, posterior, confounders and checks of stated constants."""
+
+    # No explanation found
+    needed_replicates: int = 3
+    """Least replicates beyond the first of a slot: with fewer nothing is told from noise."""
+    unexplained_per_row: float = 0.2
+    """Gap per row, shared by replicates, that is unknown if no effect explains it. Fewer missed
+    effects from outside the catalogue. Set on: not recorded."""
+    at_bound_chance: float = 3.0
+    """Gap, in units of chance, that is real where a constant is at the end of its tolerance."""
+    at_bound_sd: float = 2.9
+    """Shift of a constant, in sd, that is the end of its tolerance."""
+    shared_chance: float = 4.0
+    """Gap, and its part that replicates share, in units of chance, that are no chance."""
+
+    # Reliability of an explanation
+    named: float = 0.72
+    """Least probability that a single effect is right, in full or in part, for it to be named.
+    It bounds the rate of wrong names among explanations at the threshold to 0.28."""
+    named_several: float = 0.58
+    """The same for several effects: where one of them is wrong, the other seldom is."""
+    named_all: float = 0.34
+    """For several effects: least probability that all of them are right."""
+    unknown: float = 0.45
+    """Probability of an effect outside the catalogue from which the verdict is `unknown`."""
+    drift_unknown: float = 0.5
+    """Least probability of `unknown` where a drift over the trials is left."""
+
+    # Form of the named effect
+    form_share: float = 0.9
+    """Share of the gap below which the form of the named effect is inadequate."""
+    closed_share: float = 0.5
+    """Held-out closed fraction that the lower end of its interval must exceed."""
+
+    # Confounders
+    confounder_share: float = 0.9
+    """Share of a signature from which another effect is a confounder. It is also the share from
+    which the blind check scores a set as not identifiable."""
+    confounder_sure: float = 0.985
+    """Share from which a confounder is kept, whatever it leaves."""
+    confounder_left: float = 120.0
+    """Chi-square that a confounder must leave beyond the named effect to be ruled out,"""
+    confounder_left_factor: float = 3.0
+    """or so many times what the named effect leaves, for its form is inexact."""
+    confounder_weight: float = 0.4
+    """Probability of a confounder, in units of that of the best explanation."""
+
+    # Posterior of rivals
+    tail: float = 4.0
+    """Exponent of the weight of a rival that leaves more than the best explanation."""
+    tail_left: float = 100.0
+    """What the best explanation may leave before differences count less: its form is inexact."""
+    credible: float = 0.9
+    """Probability that the credible set covers. One truth in ten lies outside."""
+    least_probability: float = 0.03
+    """Least probability of a member of the credible set beyond the first."""
+
+    # Stated constants at the end of their tolerance
+    relief_gain: float = 16.0
+    """Gain of the best effect from which a check of a stated constant is requested: 4 sd."""
+    relief_gain_others: float = 9.0
+    """Gain of the other effects that the same check must tell: 3 sd."""
+
+
+DECISION = DecisionConfig()
+"""The configuration that ships; it is the default of every function."""

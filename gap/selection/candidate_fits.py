@@ -1,0 +1,241 @@
+"""Fits of one more effect: linear gains, then nonlinear fits in its best shapes and forms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gap.data.dataset import CALIBRATION
+from gap.effects.candidates import Suspect
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.estimation.information import SLACK, projected
+from gap.estimation.shape_fit import fit_shapes
+from gap.selection.config import SELECTION, SelectionConfig
+from gap.selection.inclusion import excess_chi2
+from plant.constants import KEYS
+from plant.effects.catalogue import CATALOGUE
+
+Array = npt.NDArray[np.float64]
+
+EDGES = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
+MOUNTINGS = "mountings"
+"""The common part of the offsets of all mountings: each offset is chance, their mean is not."""
+STANDS_FOR = {
+    "supply_kpa": ("supply_droop", "pressure_gain"),
+    "gas_temperature_k": ("polytropic",),
+    "inlet_conductance_m3_s_pa": ("flow_area:inlet",),
+    "outlet_conductance_m3_s_pa": ("flow_area:outlet",),
+    "critical_ratio": ("critical_ratio",),
+    "dead_volume_ml": ("dead_volume",),
+    MOUNTINGS: ("length_label", "camera_scale"),
+    **{f"calibration {key}": (name,) for key, name in CALIBRATION.items() if name in CATALOGUE},
+    **{f"{e}_ms": (f"valve_delay:{e}",) for e in EDGES},
+    **{f"{e}_ms_per_kpa": (f"valve_delay_pressure:{e}",) for e in EDGES},
+}
+"""Effects in whose place a constant may have moved."""
+_PER_SI = {
+    "critical_ratio": 1.0, "dead_volume": 1e6, "valve_delay": 1e3, "valve_delay_pressure": 1e6,
+}  # fmt: skip
+_ONE_SHAPE = ("polytropic", "supply_droop")
+"""Effects whose shapes are states of the gas: two at once mean nothing."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One explanation that was fitted: its keys (id, or id:edge) and the fitted state."""
+
+    keys: tuple[str, ...]
+    fit: FitResult
+
+    @property
+    def cost(self) -> float:
+        """Whitened sum of squares left."""
+        return self.fit.cost
+
+
+@dataclass(frozen=True)
+class LinearGains:
+    """Gain and amount of each candidate alone, linearised at a fit; both shape (candidates,)."""
+
+    candidates: tuple[Suspect, ...]
+    gain: Array
+    amount: Array
+
+    def by_key(self) -> dict[str, float]:
+        """Best gain of the candidates of each key."""
+        best: dict[str, float] = {}
+        for candidate, gain in zip(self.candidates, self.gain.tolist(), strict=True):
+            best[candidate.key] = max(best.get(candidate.key, 0.0), gain)
+        return best
+
+    def of_key(self, key: str) -> list[int]:
+        """Candidates of a key, best gain first."""
+        own = [j for j, candidate in enumerate(self.candidates) if candidate.key == key]
+        return sorted(own, key=lambda j: -self.gain[j])
+
+    def start(self, j: int) -> float:
+        """Amount from which a fit of candidate `j` starts."""
+        candidate, amount = self.candidates[j], float(self.amount[j])
+        if candidate.id == "transport_delay":
+            return 1.0
+        return max(amount, 0.0) if candidate.sign else amount
+
+
+def linear_gains(problem: FitProblem, fit: FitResult) -> LinearGains:
+    """Linear gains of all candidates of a problem at a fit."""
+    evidence = problem.evidence(fit)
+    p = projected(evidence, evidence.total)
+    norm = np.maximum(np.diag(p)[1:], 1e-9)
+    amount = p[0, 1:] / norm
+    positive = np.array([s.sign > 0 for s in problem.candidates])
+    gain = np.where(positive & (amount < 0.0), 0.0, p[0, 1:] ** 2 / norm)
+    return LinearGains(problem.candidates, gain, amount)
+
+
+def fit_further(
+    problem: FitProblem,
+    before: Hypothesis,
+    key: str,
+    linear: LinearGains,
+    fresh: LinearGains | None = None,
+    config: SelectionConfig = SELECTION,
+) -> Hypothesis:
+    """Fit `key` beside the effects of `before`, in its best shapes.
+
+    Args:
+        linear: gains at `before`.
+        fresh: gains at the stated plant, if the fit shall also start from there.
+    """
+    fit = before.fit
+    at = linear.of_key(key)
+    best: FitResult | None = None
+    for j in at[: config.fitted_shapes]:
+        if best is not None and linear.gain[j] < config.fitted_shape_share * linear.gain[at[0]]:
+            continue
+        candidates = [*fit.candidates, problem.candidates[j]]
+        ends = [] if best is None else [best]
+        ends.append(problem.fit(candidates, [*fit.amounts, linear.start(j)], fit))
+        exchanged = _exchanged(problem, fit, key, config)
+        if exchanged is not None:
+            shift, amount = exchanged
+            ends.append(problem.fit_from(shift, candidates, [*fit.amounts, amount]))
+        if fresh is not None:
+            ends.append(problem.fit_afresh(candidates, [*fit.amounts, fresh.start(j)]))
+        best = min(ends, key=lambda end: end.cost)
+    assert best is not None
+    return Hypothesis((*before.keys, key), best)
+
+
+def _exchanged(
+    problem: FitProblem, fit: FitResult, key: str, config: SelectionConfig
+) -> tuple[Array, float] | None:
+    """Constants with the one in whose place `key` may stand put back, and the equal amount.
+
+    A descent along the valley between the two would take many steps.
+    """
+    for at, name in enumerate(problem.names):
+        shifted = abs(fit.shift[at]) >= config.shifted_constant_sd
+        if key not in STANDS_FOR.get(name, ()) or not shifted:
+            continue
+        c = problem.data.constants
+        sd = problem.data.calibration.get(name.removeprefix("calibration "))
+        amount = float(fit.shift[at]) * (c.tolerance_si(name) if sd is None else sd)
+        if key.startswith("flow_area"):
+            amount /= max(getattr(c, KEYS[name].field), 1e-300)
+        elif key.partition(":")[0] in _PER_SI:
+            amount *= _PER_SI[key.partition(":")[0]]
+        elif sd is None:
+            continue
+        shift = fit.shift.copy()
+        shift[at] = 0.0
+        return shift, amount
+    return None
+
+
+def keys_of_shifted_constants(
+    problem: FitProblem, fit: FitResult, beyond: float = SLACK
+) -> list[str]:
+    """Keys of effects in whose place a constant has moved more than `beyond` sd; four at most.
+
+    Beside strong data the sensitivity of an effect must equal that of the constant to the last
+    digit to show a linear gain, so these are always fitted.
+    """
+    known = {candidate.key for candidate in problem.candidates}
+    far = [
+        (abs(shift), name)
+        for name, shift in zip(problem.names, fit.shift.tolist(), strict=True)
+        if abs(shift) > beyond and name in STANDS_FOR
+    ]
+    own = fit.shift[len(problem.names) - problem.unnamed :][: problem.mountings]
+    common = abs(float(own.sum())) / np.sqrt(max(len(own), 1))
+    if common > beyond:
+        far.append((common, MOUNTINGS))
+    return [k for _, name in sorted(far, reverse=True) for k in STANDS_FOR[name] if k in known][:4]
+
+
+def in_best_form(
+    problem: FitProblem, before: FitResult, hypothesis: Hypothesis, linear: LinearGains
+) -> Hypothesis:
+    """The last effect in the form that leaves least once the numbers of its shape are fitted."""
+    best = fit_shapes(problem, hypothesis.fit)
+    forms = {frozenset(hypothesis.fit.candidates[-1].shape)}
+    for j in np.argsort(-linear.gain).tolist():
+        candidate = problem.candidates[j]
+        form = frozenset(candidate.shape)
+        if candidate.key != hypothesis.keys[-1] or form in forms:
+            continue
+        forms.add(form)
+        start = [*before.amounts, linear.start(j)]
+        other = fit_shapes(problem, problem.fit([*before.candidates, candidate], start, before))
+        best = min(best, other, key=lambda fit: fit.cost)
+    return Hypothesis(hypothesis.keys, best)
+
+
+def rivals_in_best_form(
+    problem: FitProblem,
+    before: FitResult,
+    tried: list[Hypothesis],
+    linear: LinearGains,
+    config: SelectionConfig = SELECTION,
+) -> list[Hypothesis]:
+    """Best first; the leading ones in their best form, so that none leads by a lucky shape."""
+    tried = sorted(tried, key=lambda hypothesis: hypothesis.cost)
+    near = max(
+        near_cost(problem, tried[0].cost, config),
+        before.cost - config.near_rival_share * excess_chi2(problem, before),
+    )
+    leading = [h for h in tried[: config.rivals_in_best_form] if h.cost <= near]
+    made = [in_best_form(problem, before, h, linear) for h in leading] + tried[len(leading) :]
+    return sorted(made, key=lambda hypothesis: hypothesis.cost)
+
+
+def near_cost(problem: FitProblem, least: float, config: SelectionConfig = SELECTION) -> float:
+    """Cost up to which a hypothesis is a near rival of one with cost `least`."""
+    rows = len(problem.rows)
+    return least + config.near_rival * max(least - rows, float(np.sqrt(2.0 * rows)))
+
+
+def with_second_shape(
+    problem: FitProblem,
+    hypothesis: Hypothesis,
+    linear: LinearGains,
+    gap: float,
+    config: SelectionConfig = SELECTION,
+) -> Hypothesis | None:
+    """The last effect with a second shape, where that takes a visible share of the gap."""
+    key, fit = hypothesis.keys[-1], hypothesis.fit
+    used = {id(candidate) for candidate in fit.candidates}
+    at = [j for j in linear.of_key(key) if id(problem.candidates[j]) not in used]
+    if key in _ONE_SHAPE or not at:
+        return None
+    left = excess_chi2(problem, fit)
+    share = min(config.second_shape_of_gap * gap, config.second_shape_of_left * left)
+    if linear.gain[at[0]] < max(config.second_shape_gain, share):
+        return None
+    fitted = problem.fit(
+        [*fit.candidates, problem.candidates[at[0]]], [*fit.amounts, linear.start(at[0])], fit
+    )
+    enough = fitted.cost < hypothesis.cost - config.second_shape_fitted
+    return Hypothesis(hypothesis.keys, fitted) if enough else None

@@ -1,0 +1,88 @@
+"""The improved plant as a TOML file: what `pamrig gap shrink --out` writes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.estimation.intervals import headline_estimates, settled
+from plant.constants import CHOICES, KEYS, nominal
+from plant.effects.catalogue import CATALOGUE
+
+
+def improved_plant(problem: FitProblem, fit: FitResult) -> str:
+    """The improved plant as TOML: recalibrated and stated constants, and a table for each effect.
+
+    The simulator (`pamrig simulate --plant`), the live prediction (`--predict`), the virtual bench
+    and `bench.toml` read it.
+    """
+    fit = settled(problem, fit)
+    lines = ["# The plant as recalibrated on these data, with the effects that explain the gap."]
+    constants = problem.constants(fit.shift)
+    usual = nominal()
+    lines += [
+        f"{name} = {constants.value(name):.8g}"
+        for name in KEYS
+        if name in problem.names or constants.value(name) != usual.value(name)
+    ]
+    lines += [
+        f'{name} = "{getattr(constants, name)}"'
+        for name in CHOICES
+        if getattr(constants, name) != getattr(usual, name)
+    ]
+    for name in [*problem.data.effects.values, *fit.ids]:
+        if name not in CATALOGUE:
+            continue
+        lines += ["", f"[effects.{name}]"]
+        entry = CATALOGUE[name]
+        if name not in fit.ids:
+            lines += [f"{k} = {_toml(v)}" for k, v in problem.data.effects.values[name].items()]
+            continue
+        known = {parameter.name: parameter for parameter in entry.parameters}
+        for key, estimate in headline_estimates(problem, only(fit, name), whole=False).items():
+            value = estimate.value
+            if isinstance(value, str):
+                lines.append(f'{key} = "{value}"')
+            elif key in known:
+                value = min(max(value, known[key].low), known[key].high)
+                lines.append(f"{key} = {value:.6g}")
+        for key, value in _shape(problem, fit, name).items():
+            value = min(max(value, known[key].low), known[key].high)
+            lines.append(f"{key} = {value:.4g}")
+    return "\n".join(lines) + "\n"
+
+
+_SAME_NUMBER = {
+    "liner_threshold": {"width_kpa": "width_kpa"},
+    "contraction_limit": {"decay_mm": "scale_mm"},
+    "braid_friction": {"kpa": "travel_kpa", "mm": "travel_mm"},
+    "viscosity": {"power": "exponent", "pressure": "pressure_share"},
+    "link_friction": {"travel_mm": "travel_mm"},
+}
+"""Numbers of a fitted shape that the plant's own form of the effect has too."""
+
+
+def _shape(problem: FitProblem, fit: FitResult, name: str) -> dict[str, float]:
+    """Shape parameters of the plant's form of an effect, where the fitted shape gives them."""
+    own = [(abs(a), s) for s, a in zip(fit.candidates, fit.amounts, strict=True) if s.id == name]
+    shape = max(own, key=lambda one: one[0])[1].shape
+    known = _SAME_NUMBER.get(name, {})
+    made = {known[key]: value for key, value in shape.items() if key in known}
+    if name == "bladder_elasticity":
+        made["rest_mm"] = shape["rest"] * problem.constants(fit.shift).braid_length_m * 1e3
+    return made
+
+
+def _toml(value: object) -> str:
+    return f'"{value}"' if isinstance(value, str) else repr(value)
+
+
+def only(fit: FitResult, name: str) -> FitResult:
+    """The fit with the candidates of one effect, for its parameters."""
+    at = [j for j, candidate in enumerate(fit.candidates) if candidate.id == name]
+    n = len(fit.shift)
+    index = [*range(n), *(n + j for j in at)]
+    return FitResult(
+        fit.shift, tuple(fit.candidates[j] for j in at), fit.amounts[at], fit.residual,
+        fit.cost, fit.cover[np.ix_(index, index)],
+    )  # fmt: skip

@@ -1,0 +1,104 @@
+"""Explanations by several effects: what enters late, what leaves again, what changes places."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gap.data.reader import read_dataset
+from gap.effects.candidates import SUSPECTS
+from gap.estimation.fit_problem import FitProblem
+from gap.estimation.shape_fit import fit_shapes
+from gap.selection.backward import drop_needless, swapped
+from gap.selection.candidate_fits import Hypothesis, fit_further, linear_gains
+from gap.selection.config import SELECTION
+from gap.selection.inclusion import (
+    excess_chi2,
+    is_included,
+    leaves_nothing,
+    relieves_constant,
+    step_statistics,
+)
+from gap.selection.pruning import prune
+from gap.selection.search import SearchResult
+from gap_bench import write_set
+from gap_sets import settled_set
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> FitProblem:
+    """Settled points of a bench with a stiff liner and a load cell that reads 12 % too much."""
+    hidden = {"liner_threshold": {"threshold_kpa": 30.0}, "force_gain": {"percent": 12.0}}
+    folder = tmp_path_factory.mktemp("table") / "set"
+    return FitProblem.of(read_dataset(settled_set(folder, hidden, replicates=4)))
+
+
+def fitted(problem: FitProblem, *ids: str) -> Hypothesis:
+    candidates = [next(s for s in problem.candidates if s.id == name) for name in ids]
+    fit = problem.polish(fit_shapes(problem, problem.fit(candidates, [s.step for s in candidates])))
+    return Hypothesis(tuple(s.key for s in candidates), fit)
+
+
+def test_an_effect_that_stood_for_two_leaves_once_both_are_there(table: FitProblem) -> None:
+    three = fitted(table, "fibre_stretch", "liner_threshold", "force_gain")
+    two = drop_needless(table, three, chance=30.0)
+    assert two is not None
+    assert two.keys == ("liner_threshold", "force_gain")
+    assert two.cost < three.cost + 30.0
+    assert drop_needless(table, two, chance=30.0) is None
+
+
+def test_an_effect_in_another_s_place_gives_it_back(table: FitProblem) -> None:
+    wrong = fitted(table, "braid_friction", "force_gain")
+    best = swapped(table, wrong)[0]
+    assert best.keys == ("liner_threshold", "force_gain")
+    assert best.fit.ids == best.keys
+    assert best.cost < 0.1 * wrong.cost
+
+
+def test_an_effect_whose_place_a_constant_took_counts_although_it_shows_little(
+    tmp_path: Path,
+) -> None:
+    """A constant led beyond its tolerance hides it from the residual, at a price."""
+    hidden = {
+        "liner_threshold": {"threshold_kpa": 30.0},
+        "flow_area": {"side": "outlet", "ratio": 1.25},
+    }
+    data = read_dataset(write_set(tmp_path, hidden, seed=4, replicates=2))
+    problem = FitProblem.of(data, [s for s in SUSPECTS if s.id in hidden])
+    liner = fitted(problem, "liner_threshold")
+    linear = linear_gains(problem, liner.fit)
+    both = fit_further(problem, liner, "flow_area:outlet", linear)
+    gap = excess_chi2(problem, problem.base)
+    step = step_statistics(problem, gap, SELECTION.least_gain, liner.fit, both.fit)
+    assert step.shift_after < SELECTION.freed_to_sd < SELECTION.freed_from_sd < step.shift_before
+    assert step.visibility < SELECTION.further_visibility
+    assert both.fit.amounts[1] == pytest.approx(0.25, abs=0.1)
+    assert step.gain > 120.0, (liner.cost, both.cost, len(problem.rows))
+    assert is_included(step)
+
+    # Nor does it leave again because held-out slots cannot tell it from the bent constant.
+    assert relieves_constant(step)
+    assert not relieves_constant(
+        step_statistics(problem, gap, SELECTION.least_gain, both.fit, liner.fit)
+    )
+    steps = (("liner_threshold", gap), ("flow_area:outlet", step.gain))
+    found = SearchResult(both, [], {}, gap, excess_chi2(problem, both.fit), steps=steps)
+    assert prune(problem, found).search.best.keys == both.keys
+
+
+def test_what_takes_all_that_is_left_counts_beside_an_effect_of_any_size(table: FitProblem) -> None:
+    """A first effect a thousand times as large makes every share of the gap small."""
+    rows, gap = len(table.rows), 1e7
+    liner = fitted(table, "liner_threshold").fit
+    both = fitted(table, "liner_threshold", "force_gain").fit
+
+    def nothing_is_left(before: float, after: float) -> bool:
+        one, two = replace(liner, cost=rows + before), replace(both, cost=rows + after)
+        return leaves_nothing(step_statistics(table, gap, SELECTION.least_gain, one, two))
+
+    assert nothing_is_left(5000.0, 100.0)
+    assert not nothing_is_left(5000.0, 250.0)
+    assert not nothing_is_left(900.0, 0.0)
