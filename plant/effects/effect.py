@@ -109,7 +109,7 @@ class InSensors:
         force: (amount) -> gain and zero in N.
         camera: (true length, values, constants) -> read minus true length. Raises `PlantError`.
         camera_delay: (amount) -> s by which the time stamps of frames are late.
-        held: (amount) -> m, true minus written length of a muscle that is held.
+        held: (amount) -> mm, true minus written length of a muscle that is held.
         supply: (supply, inside, params, values) -> Pa by which the supply channel shows less,
             for absolute pressures of supply and muscle while the inlet is open.
     """

@@ -46,19 +46,30 @@ def readings(traces: Traces, constants: PlantConstants, effects: Effects) -> Rea
 
 def read_pressure(true_kpa: npt.ArrayLike, effects: Effects) -> Array:
     """Transducer with gain and zero, kPa: true (1 + gain) + zero."""
-    hooks = [(effect.sensors.pressure, amount) for effect, amount in effects.headlines()]
-    return _linear(true_kpa, [hook(amount) for hook, amount in hooks if hook is not None])
+    gain, zero_kpa = pressure_error(effects)
+    return np.asarray(np.asarray(true_kpa) * (1.0 + gain) + zero_kpa)
 
 
 def read_force(true_n: npt.ArrayLike, effects: Effects) -> Array:
     """Force sensor with gain and zero, N: true (1 + gain) + zero."""
+    gain, zero_n = force_error(effects)
+    return np.asarray(np.asarray(true_n) * (1.0 + gain) + zero_n)
+
+
+def pressure_error(effects: Effects) -> tuple[float, float]:
+    """Relative gain and zero (kPa) of the transducer."""
+    hooks = [(effect.sensors.pressure, amount) for effect, amount in effects.headlines()]
+    return _summed([hook(amount) for hook, amount in hooks if hook is not None])
+
+
+def force_error(effects: Effects) -> tuple[float, float]:
+    """Relative gain and zero (N) of the force sensor."""
     hooks = [(effect.sensors.force, amount) for effect, amount in effects.headlines()]
-    return _linear(true_n, [hook(amount) for hook, amount in hooks if hook is not None])
+    return _summed([hook(amount) for hook, amount in hooks if hook is not None])
 
 
-def _linear(true: npt.ArrayLike, errors: list[tuple[float, float]]) -> Array:
-    gain, zero = sum(gain for gain, _ in errors), sum(zero for _, zero in errors)
-    return np.asarray(np.asarray(true) * (1.0 + gain) + zero)
+def _summed(errors: list[tuple[float, float]]) -> tuple[float, float]:
+    return sum(gain for gain, _ in errors), sum(zero for _, zero in errors)
 
 
 def read_length(true_mm: npt.ArrayLike, constants: PlantConstants, effects: Effects) -> Array:

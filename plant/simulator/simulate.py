@@ -135,7 +135,7 @@ def run_commands(  # noqa: PLR0913 - a recording has that many named conditions
         raise PlantError(f"pressure_kpa = {pressure_kpa!r}; allowed above vacuum and up to 1200")
     params = build_params(constants, effects, source, load, mass_kg)
     if load == "isometric":
-        length_m += held_offset_m(effects)
+        length_m += held_offset_mm(effects) * 1e-3
     state = build_state(constants, length_m, temperature_c, trials)
     state[layout.PRESSURE] = state[layout.PRESSURE_READ] = pressure_kpa * 1e3
     sample_s = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
@@ -156,8 +156,8 @@ def run_commands(  # noqa: PLR0913 - a recording has that many named conditions
     )
 
 
-def held_offset_m(effects: Effects) -> float:
-    """True minus written length of a muscle that is held, in m."""
+def held_offset_mm(effects: Effects) -> float:
+    """True minus written length of a muscle that is held, in mm."""
     hooks = [(effect.sensors.held, amount) for effect, amount in effects.headlines()]
     return sum(hook(amount) for hook, amount in hooks if hook is not None)
 

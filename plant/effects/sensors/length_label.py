@@ -9,11 +9,11 @@ from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Sear
 
 
 def _held(amount: float) -> float:
-    return amount * 1e-3
+    return amount
 
 
 def _length(points: Points, amount: float, shape: Shape) -> Array:
-    return np.where(points.held, _held(amount), 0.0)
+    return np.where(points.held, _held(amount) * 1e-3, 0.0)
 
 
 LENGTH_LABEL = Effect(

@@ -9,7 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from plant.simulator.bench import BenchSim
-from plant.simulator.readings import read_force, read_length
+from plant.simulator.readings import (
+    camera_delay_s,
+    force_error,
+    pressure_error,
+    read_force,
+    read_length,
+)
+from plant.simulator.simulate import held_offset_mm
 
 FRESH_KPA = 20.0
 USED_KPA = 60.0
@@ -24,33 +31,34 @@ class Misreading:
 
     def __post_init__(self) -> None:
         self._effects = self.plant.effects
-        self._worn = "wear" in self._effects
-        self._warms = "temperature_stiffening" in self._effects
+        self._pressure = pressure_error(self._effects)
+        self._force = force_error(self._effects)
+        self._label_mm = held_offset_mm(self._effects)
+        self._delay_s = camera_delay_s(self._effects)
+        active = self._effects.active()
+        self._ages = any(effect.plant.scale is not None for effect, _ in active)
         self._fresh = True
         self._temperature_c = float("nan")
-
-    def _get(self, effect: str, parameter: str) -> float:
-        return self._effects.get(effect, parameter)
 
     @property
     def pressure_zero_kpa(self) -> float:
         """Beside the zero error that the transducer's calibration allows."""
-        return self._get("pressure_zero", "offset_kpa")
+        return self._pressure[1]
 
     @property
     def pressure_gain(self) -> float:
         """Relative, beside the one that the transducer's calibration allows."""
-        return self._get("pressure_gain", "percent") / 100.0
+        return self._pressure[0]
 
     @property
     def force_zero_n(self) -> float:
         """Force that reads although nothing pulls, after a tare too."""
-        return self._get("force_zero", "offset_n")
+        return self._force[1]
 
     @property
     def force_gain(self) -> float:
         """Relative, beside the one that the sensor's calibration allows."""
-        return self._get("force_gain", "percent") / 100.0
+        return self._force[0]
 
     def force_n(self, true_n: float) -> float:
         """What the load cell shows of a pull."""
@@ -59,7 +67,7 @@ class Misreading:
     @property
     def label_mm(self) -> float:
         """Where the muscle is held, less what the stage's scale says."""
-        return self._get("length_label", "offset_mm")
+        return self._label_mm
 
     def length_mm(self, true_mm: float) -> float:
         """Where the camera sees a marker that stands at a true length."""
@@ -68,15 +76,15 @@ class Misreading:
     @property
     def camera_delay_s(self) -> float:
         """How much the picture is older than its stamp and its sync LED say."""
-        return self._get("camera_delay", "delay_ms") * 1e-3
+        return self._delay_s
 
     def age(self, temperature_c: float) -> None:
         """Let the muscle be as warm as the bench, and count what it has been through."""
-        if self._warms and temperature_c != self._temperature_c:
+        if not self._ages:
+            return
+        if temperature_c != self._temperature_c:
             self._temperature_c = temperature_c
             self.plant.set_temperature(temperature_c)
-        if not self._worn:
-            return
         pressure_kpa = self.plant.pressure_kpa
         if pressure_kpa < FRESH_KPA:
             self._fresh = True
