@@ -82,7 +82,7 @@ def test_a_name_of_two_families_is_put_to_the_proof_that_it_takes_both() -> None
 
 
 def test_of_several_families_those_are_named_that_a_test_needed() -> None:
-    """A droop was named with a pressure gain that every test did as well without (seed 174)."""
+    """A droop was named with a pressure gain that every test did as well without."""
     standing = SequentialVerdict(verdict=verdict_with("named", ("wear+creep",)))
     wear, creep = CATALOGUE["wear"].family, CATALOGUE["creep"].family
     assert standing.named == f"{wear}+{creep}"  # no test has told them apart
@@ -120,7 +120,7 @@ def test_entries_of_one_family_that_fit_alike_need_a_reference_as_well() -> None
 def test_a_name_not_certain_to_close_half_of_the_gap_waits_for_the_tests_left(
     closed_low: float | None, uncertain: bool, status: str
 ) -> None:
-    """An inlet of 0.997 was named before the muscle had been warm (seeds 62 and 194)."""
+    """An inlet of 0.997 was named before the muscle had been warm."""
     named = verdict_with(status, ("flow_area",))
     gap = Gap("kPa", 2.0, 1.5, 1.0, 0.9, "replicates", 0.9, closed_low, 1.0, "slot")
     standing = SequentialVerdict(verdict=dataclasses.replace(named, gap=gap))
