@@ -15,6 +15,8 @@ from rigs.rigfile.toml_reader import Table, load_toml
 
 NUMBER = re.compile(r"(?P<value>[-+]?\d+(\.\d+)?(E[-+]?\d+)?)", re.IGNORECASE)
 """The answer to a query, where the description gives no pattern of its own."""
+SAMPLES: dict[str, float | str] = {"value": 1.0, "word": "ON", "number": 1}
+"""What a template must be able to print."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,8 @@ def _template(t: Table, key: str, wanted: str) -> str:
         parts = [p for p in string.Formatter().parse(text) if p[1] is not None]
         good = len(parts) == 1 and parts[0][1] == wanted and not parts[0][3]
         good = good and SPEC.fullmatch(parts[0][2] or "") is not None and text.isascii()
-    except ValueError:
+        text.format(**{wanted: SAMPLES[wanted]})
+    except (ValueError, KeyError, IndexError, AttributeError):
         good = False
     if not good:
         raise t.fail(key, f"{text!r} is no line with one {{{wanted}}}", "write {value:.3f} or so")

@@ -18,12 +18,12 @@ MODULES: dict[str, str] = {
 
 The module of that name in ``rigs.devices.pressure`` holds ``open_source(parts)``. A kind that is
 not of ``WITHOUT_PORT`` has a port, and a module of the same name in ``rigs.virtual.emulators`` with
-``emulator(config, plant, send)``.
+``emulator(settings, plant, send)``.
 """
 
 WITHOUT_PORT = ("solenoids", "regulator-output", "hand-regulator")
 SCHEME = {"solenoids": "pwm", "regulator-output": "reg"}
-"""The controller's scheme that a kind needs; others work under ``reg``, or as they say."""
+"""The controller's scheme that a kind needs; a driver with a port checks it by itself."""
 
 
 @dataclass(frozen=True)
