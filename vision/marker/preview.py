@@ -1,4 +1,4 @@
-"""A picture of one measurement: region, threshold mask, profile, fitted edges."""
+"""Draws one measurement: region, threshold mask, profile, fitted edges."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from vision.gray import Box, to_gray
 from vision.marker.gap import GapMeasurement
 
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"  # Okabe and Ito's palette
-SHOWN = 1200  # rows and columns of the picture that are drawn: more than the paper has
-TALLEST = 18.0  # inches of a drawn picture
+SHOWN = 1200  # maximum number of drawn rows and columns
+TALLEST = 18.0  # maximum height of the figure, inches
 
 
 def draw(
@@ -27,13 +27,13 @@ def draw(
     flip: bool = True,
     title: str = "",
 ) -> None:
-    """Write the picture to ``path`` (the suffix says the format: .png, .svg, .pdf).
+    """Write the figure to ``path`` (format by suffix: .png, .svg, .pdf).
 
     Args:
         frame: as given to the measurement.
         method: ``edge`` draws the fitted lines of ``measured``; ``macro`` the scan.
-        threshold: NIH grey value of the mask that is laid over marked pixels.
-        roi: region looked at; for the macro in the flipped frame.
+        threshold: NIH grey value; marked pixels are highlighted.
+        roi: region of the measurement; for the macro in the flipped frame.
     """
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
@@ -128,7 +128,7 @@ def _draw_edges(
         first, last = top, top + high
     part = gray[first : last + 1, left : left + wide]
     slope = float(np.mean([line.slope for line in lines])) if lines else 0.0
-    # along the edges, so that a tilted edge stays as sharp in the profile as it is
+    # average along the edges, so that a tilt does not blur the profile
     middle = 0.5 * (first + last)
     profile = np.zeros(wide)
     for k, row in enumerate(part):
