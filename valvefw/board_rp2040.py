@@ -143,7 +143,6 @@ class RP2040(Board):
         self._source = 0
 
     def ticks_us(self) -> int:
-        """The chip's timer."""
         return machine.mem32[TIMER_RAW_LOW] & 0xFFFFFFFF
 
     def adc(self) -> int:
@@ -174,20 +173,16 @@ class RP2040(Board):
             outlet.put(DRIVE_SILENCE_US)
 
     def regulator(self, counts_x16: int) -> None:
-        """16 bits of counts are 16 bits of duty."""
         if self._regulator is not None:
             self._regulator.duty_u16(counts_x16)
 
     def led(self, on: int) -> None:
-        """Sync LED."""
         self._led.value(on)
 
     def prox(self) -> int:
-        """Active low."""
         return (1 - self._prox_a.value()) | (1 - self._prox_b.value()) << 1
 
     def rx(self) -> bytes:
-        """Bytes in the UART buffer."""
         # A request for more bytes than available would wait 1 to 2 ms for the rest.
         held = self._uart.any()
         return self._uart.read(held if held < RX_BYTES else RX_BYTES) or b"" if held else b""
@@ -210,7 +205,6 @@ class RP2040(Board):
         self._watchdog.feed()
 
     def random16(self) -> int:
-        """From the ring oscillator."""
         two = os.urandom(2)
         return two[0] << 8 | two[1]
 

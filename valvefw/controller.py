@@ -45,22 +45,11 @@ class Controller:
         self.valves = Valves()
         boot_id = board.random16() & 0xFFFF
         self.telemetry = Telemetry(boot_id or 1)
-        self.pwm = Pwm()
         self.openloop = OpenLoop()
         self.regulated = Regulated()
-        self.schemes: dict[str, Scheme] = {}
-        for scheme in (
-            self.pwm,
-            self.openloop,
-            self.regulated,
-            TwoPosition(),
-            InletDuty(),
-            BothDuty(),
-            Sliding(),
-            Ram(),
-            Burst(),
-        ):
-            self.schemes[scheme.name] = scheme
+        self.schemes: dict[str, Scheme] = {"open": self.openloop, "reg": self.regulated}
+        for kind in (Pwm, TwoPosition, InletDuty, BothDuty, Sliding, Ram, Burst):
+            self.schemes[kind.name] = kind()
         self.scheme: Scheme | None = None  # None: vented
         self.setpoint_x16 = 0
         self.counts = 0
@@ -69,18 +58,10 @@ class Controller:
         self._commands = Commands(self)
         self._black_box_due = False
         self._regulator = 0
-        self._led = 0
-        self._led_state = 0
-        self._led_bit_us = 0
-        self._led_left_us = 0
-        self._vent_left_us = 0
-        self._vent_since_us = 0
-        self._vented_run = 0
-        self._vent_lost_at = 0
-        self._lost_run = 0
+        self._vented_run = self._lost_run = self._vent_left_us = self._vent_lost_at = 0
+        self._led = self._led_state = self._led_bit_us = self._led_left_us = 0
         self._watch = SensorWatch()
-        self._driven_inlet_us = 0
-        self._driven_vent_us = 0
+        self._driven_inlet_us = self._driven_vent_us = 0
         self._last_us = board.ticks_us()
         self._confirm_vent()
         board.regulator(0)
@@ -242,9 +223,8 @@ class Controller:
     def _confirm_vent(self) -> None:
         self._vent_left_us = self.values["vent_ms"] * 1000
         self._vent_since_us = self._last_us
-        self._vented_run = 0
+        self._vented_run = self._lost_run = 0
         self._vent_lost_at = 2 * self.values["vent_below"]
-        self._lost_run = 0
 
     def _watch_vent(self, counts: int, dt_us: int) -> None:
         if counts < self.values["vent_below"]:

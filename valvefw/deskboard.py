@@ -58,7 +58,6 @@ class DeskBoard(Board):
         self.pressure_x16 = max(0, min(TOP_X16, pressure))
 
     def ticks_us(self) -> int:
-        """Virtual device time."""
         return self.now_us
 
     def adc(self) -> int:
@@ -68,26 +67,21 @@ class DeskBoard(Board):
         return (self.pressure_x16 >> 4) ^ ((self.now_us // TICK_US) & 1)
 
     def drive(self, inlet_us: int, vent_us: int) -> None:
-        """Takes effect until the next tick."""
         self.inlet_us = inlet_us
         self.vent_us = vent_us
 
     def regulator(self, counts_x16: int) -> None:
-        """Set the pressure that the chamber follows while the inlet is open."""
         self.regulator_x16 = counts_x16
 
     def led(self, on: int) -> None:
-        """Sync LED."""
         self.led_on = on
 
     def rx(self) -> bytes:
-        """The data given to ``run``."""
         data = self._rx
         self._rx = b""
         return data
 
     def tx(self, data: bytes) -> None:
-        """Collect the output of ``run``."""
         self._tx.append(data)
 
     def capture(self, source: int) -> bool:
@@ -102,5 +96,4 @@ class DeskBoard(Board):
         return b"".join([bytes((k & 255, k >> 8)) for k in range(CAPTURE_N)])
 
     def random16(self) -> int:
-        """The boot id given by the test."""
         return self._boot_id

@@ -28,13 +28,9 @@ class Safety:
         self.faults: list[tuple[str, int]] = []
         self.black_box = b""
         self.heartbeat_seen = False
-        self._heartbeat = 0
-        self._hb_left_us = 0
-        self._over = 0
-        self._saturated = 0
-        self._silent = 0
-        self.inlet_run_us = 0
-        self._shut_us = 0
+        self._heartbeat = self._hb_left_us = 0
+        self._over = self._saturated = self._silent = 0
+        self.inlet_run_us = self._shut_us = 0
         self.load(values)
 
     def load(self, values: dict[str, int]) -> None:

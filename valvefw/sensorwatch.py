@@ -39,14 +39,9 @@ class SensorWatch:
         self._on_in_us = values["valve_on_in_us"]
         self._off_in_us = values["valve_off_in_us"]
         self._last = -1
-        self._same_us = 0
         self._track = counts
-        self._away = 0
-        self._filling_us = 0
-        self._filled_us = 0
-        self._idle_us = 0
-        self._shut_us = 0
-        self._leaks = 0
+        self._same_us = self._away = self._leaks = 0
+        self._filling_us = self._filled_us = self._idle_us = self._shut_us = 0
 
     def check(self, counts: int, dt_us: int, inlet_us: int, vent_us: int, renews: bool) -> str:
         """Check one sample; returns a cause, or an empty text.

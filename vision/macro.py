@@ -35,21 +35,15 @@ def macro_profile(
     """
     gray = to_gray(frame)
     left, top, width, height = roi
-    if (
-        width < 1
-        or height < 1
-        or left < 0
-        or top < 0
-        or left + width > gray.shape[1]
-        or top + height > gray.shape[0]
-    ):
+    right, bottom = left + width, top + height
+    if not (0 <= left < right <= gray.shape[1] and 0 <= top < bottom <= gray.shape[0]):
         raise RegionError(
             f"the macro's region {tuple(roi)} (left, top, width, height) does not lie inside the "
             f"frame of {gray.shape[1]} x {gray.shape[0]} pixels: give another with --roi"
         )
     if flip:
         gray = gray[:, ::-1]
-    part = gray[top : top + height, left : left + width]
+    part = gray[top:bottom, left:right]
     marked = 255.0 - part >= threshold if part.dtype != np.uint8 else 255 - part >= threshold
     profile: npt.NDArray[np.float64] = marked.mean(axis=0) * 255.0
     return profile

@@ -42,7 +42,6 @@ class Burst(Scheme):
         super().__init__()
 
     def start(self, values: dict[str, int]) -> None:
-        """Copy parameters and start with a reading."""
         self._p = self._target = self._since = self._delay = 0
         self._trial = self._low = self._high = self._shift = 0
         self._fill_at = self._vent_at = self._fill_width = self._vent_width = self._pair_us = 0
@@ -70,8 +69,7 @@ class Burst(Scheme):
         self._phase = READ
         wait = shut_us + self._settle
         self._wait = wait if wait > self._rest else self._rest
-        self._sum = 0
-        self._n = 0
+        self._sum = self._n = 0
 
     def _out_on_us(self, p: int) -> int:
         return self._on_out + ((p >> 8) - self._atm) * self._on_out_slope // 4095
@@ -80,7 +78,6 @@ class Burst(Scheme):
         return self._off_out + ((p >> 8) - self._atm) * self._off_out_slope // 4095
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """One sample."""
         if setpoint_x16 != self._setpoint_x16:
             if self._setpoint_x16 == 0:  # the outlet has been open
                 valves.vent_us = 0
@@ -115,8 +112,7 @@ class Burst(Scheme):
         if self._n < self._window:
             return
         p = (self._sum << 8) // self._n + (self._atm << 8)
-        self._sum = 0
-        self._n = 0
+        self._sum = self._n = 0
         self._p = p
         error = self._target - p
         dead = self._dead_x16 << 4

@@ -16,7 +16,6 @@ class InletDuty(Scheme):
     both = False
 
     def start(self, values: dict[str, int]) -> None:
-        """Copy ``duty_*`` and start with a reading."""
         self._dead = values["duty_dead"]
         self._gain = values["duty_gain"]
         self._full = values["duty_full"]
@@ -31,7 +30,6 @@ class InletDuty(Scheme):
         return error * self._gain // self._full
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """Start a pass when the previous one is over."""
         if self._wait_us > 0:
             self._wait_us -= dt_us
             if self._wait_us > 0:

@@ -10,12 +10,8 @@ class OpenLoop(Scheme):
     name = "open"
 
     def start(self, values: dict[str, int]) -> None:
-        """Close both valves and end the train."""
         self._inlet = False
-        self._width_us = 0
-        self._period_us = 0
-        self._left = 0
-        self._wait = 0
+        self._width_us = self._period_us = self._left = self._wait = 0
 
     def busy(self) -> bool:
         """True until the last pulse and its period are over."""
@@ -32,7 +28,6 @@ class OpenLoop(Scheme):
         self._wait = lead_us
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """Start the next pulse at its time."""
         if self._wait > 0:
             self._wait -= dt_us
         if self._left and self._wait <= 0:

@@ -24,7 +24,6 @@ class Pwm(Scheme):
     name = "pwm"
 
     def start(self, values: dict[str, int]) -> None:
-        """Copy ``pwm_*`` and start with a reading."""
         self._calm = 0
         self._gain_in = values["pwm_gain_in"]
         self._gain_out = values["pwm_gain_out"]
@@ -41,8 +40,7 @@ class Pwm(Scheme):
         self._rest = values["pwm_period_ms"] * 1000 - self._window * 1000
         # The outlet was open until now: wait until it has closed.
         self._wait = self._settle
-        self._sum = 0
-        self._n = 0
+        self._sum = self._n = 0
         self._level = -1
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
@@ -51,8 +49,7 @@ class Pwm(Scheme):
             valves.inlet_us = 0
             valves.vent_us = VENT_HOLD_US
             self._wait = self._settle
-            self._sum = 0
-            self._n = 0
+            self._sum = self._n = 0
             self._level = -1
             return
         if valves.vent_us > self._max_out:  # left over from a set-point of 0
@@ -67,8 +64,7 @@ class Pwm(Scheme):
             self._sum = total
             self._n = n
             return
-        self._sum = 0
-        self._n = 0
+        self._sum = self._n = 0
         reading = (total << 4) // n
         level = self._level
         dead = self._dead

@@ -15,13 +15,10 @@ class Ram(Scheme):
     name = "ram"
 
     def start(self, values: dict[str, int]) -> None:
-        """Copy the dead zone."""
         self._dead = values["ram_dead"]
-        self._setpoint_x16 = 0
-        self._ignored = 0
+        self._setpoint_x16 = self._ignored = 0
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """Compare and switch, unless a proximity switch is reached."""
         if setpoint_x16 != self._setpoint_x16:
             self._setpoint_x16 = setpoint_x16
             self._ignored = valves.prox

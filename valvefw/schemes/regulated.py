@@ -12,16 +12,13 @@ class Regulated(Scheme):
     renews = True
 
     def start(self, values: dict[str, int]) -> None:
-        """Open for one period."""
         self._bound_us = values["inlet_max_ms"] * 1000
         self._left_us = self._bound_us
 
     def renew(self) -> None:
-        """Start another period."""
         self._left_us = self._bound_us
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """Keep the inlet open while renewed."""
         self._left_us -= dt_us
         valves.vent_us = 0
         if self._left_us > 0:

@@ -20,14 +20,12 @@ class Sliding(Scheme):
     name = "slide"
 
     def start(self, values: dict[str, int]) -> None:
-        """Copy parameters; the first pass has no rate yet."""
         self._dead = values["slide_dead"]
         self._bound = values["slide_bound"]
         self._pass_us = values["slide_ms"] * 1000
         self._since_us = self._pass_us
         self._old = -1
-        self._fill = 0
-        self._vent = 0
+        self._fill = self._vent = 0
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
         """Decide once per pass; keep the decision in between."""
@@ -40,8 +38,7 @@ class Sliding(Scheme):
             self._old = counts
             self._since_us = 0
             error = (setpoint_x16 >> 6) - (counts >> 2)
-            self._fill = 0
-            self._vent = 0
+            self._fill = self._vent = 0
             if error > self._dead and rate < self._bound:
                 self._fill = HOLD_US
             elif rate >= self._bound or error < -self._dead:

@@ -14,11 +14,9 @@ class TwoPosition(Scheme):
     name = "two"
 
     def start(self, values: dict[str, int]) -> None:
-        """Copy the gap."""
         self._dead = values["two_dead"]
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """Compare and switch."""
         error = (setpoint_x16 >> 6) - (counts >> 2)
         valves.inlet_us = HOLD_US if error > self._dead else 0
         valves.vent_us = HOLD_US if error < -self._dead else 0

@@ -8,11 +8,9 @@ class Valves:
     """Remaining times, us from the current tick; the controller counts them down."""
 
     def __init__(self) -> None:
-        self.inlet_us = 0
-        self.vent_us = 0
+        self.shut()
         self.prox = 0  # proximity inputs at this tick: bit 0 is A, bit 1 is B
 
     def shut(self) -> None:
         """Close both valves."""
-        self.inlet_us = 0
-        self.vent_us = 0
+        self.inlet_us = self.vent_us = 0

@@ -145,10 +145,7 @@ def find_edges(img: Image, box: Box, exclude: tuple[Box, ...] = ()) -> Guess:
     pad = int(np.abs(offsets).max()) + 1
     rising, falling = _vote(steps, offsets, dead, np.float32(0.8 * cap), pad)
     least = max(2.0, 24.0 / band, 0.04 * count)
-    edges = [
-        *_peaks(rising, slopes, mid, True, least),
-        *_peaks(falling, slopes, mid, False, least),
-    ]
+    edges = [*_peaks(rising, slopes, mid, True, least), *_peaks(falling, slopes, mid, False, least)]
     return _choose([_with_contrast(e, steps, rows, float(dead)) for e in edges], width)
 
 

@@ -20,9 +20,7 @@ F64 = npt.NDArray[np.float64]
 
 
 def measure_gap(
-    frame: npt.NDArray[Any],
-    region: Box | None = None,
-    exclude: tuple[Box, ...] = (),
+    frame: npt.NDArray[Any], region: Box | None = None, exclude: tuple[Box, ...] = ()
 ) -> GapMeasurement:
     """Measure the light gap between two dark marks in one frame.
 

@@ -153,9 +153,7 @@ def sweep(view, line, scale, near_only, sums):  # type: ignore[no-untyped-def]
     img, rows, group_of, y_mid, room, box_left, box_right, hot_from = view
     p, levels, used = line
     table, hist, normal, right, blocks, misfit, keep, resid, stats = sums
-    a = p[0]
-    b = p[1]
-    sigma = p[2]
+    a, b, sigma = p[0], p[1], p[2]
     core = max(2.3, 3.2 * sigma + 0.8)
     side, step = fill_table(sigma, table, core + 1.0)
     inv_step = 1.0 / step
@@ -176,10 +174,8 @@ def sweep(view, line, scale, near_only, sums):  # type: ignore[no-untyped-def]
     v = np.zeros(6)
     count_rows = rows.shape[0]
     at = -1  # group being summed
-    arm = 0.0
     members = 0
-    s_rho = 0.0
-    n_rho = 0.0
+    arm = s_rho = n_rho = 0.0
     for i in range(count_rows + 1):
         if i == count_rows or group_of[i] != at:
             if at >= 0:
@@ -196,10 +192,8 @@ def sweep(view, line, scale, near_only, sums):  # type: ignore[no-untyped-def]
             at = group_of[i]
             u[:] = 0.0
             v[:] = 0.0
-            arm = 0.0
             members = 0
-            s_rho = 0.0
-            n_rho = 0.0
+            arm = s_rho = n_rho = 0.0
         keep[i] = 0
         if used[at] == 0:
             continue
@@ -302,24 +296,21 @@ def sweep(view, line, scale, near_only, sums):  # type: ignore[no-untyped-def]
             continue
         upper = (u00, u01, u02, u03, u04, u05, u11, u12, u13, u14, u15,
                  u22, u23, u24, u25, u33, u34, u35, u44, u45, u55)  # fmt: skip
-        k = 0
+        entry = 0
         for m in range(6):
             for n in range(m, 6):
-                u[m, n] += upper[k]
-                k += 1
+                u[m, n] += upper[entry]
+                entry += 1
         for m, total in enumerate((v0, v1, v2, v3, v4, v5)):
             v[m] += total
         # flat parts affect levels and slopes only
         for part in range(2):
             if part == 0:
-                x_from, x_to = first, c_first
+                x_from, x_to, level, slope, sign = first, c_first, low, sl, -1.0
             else:
-                x_from, x_to = c_last + 1, last + 1
-            level = low if part == 0 else high
-            slope = sl if part == 0 else sh
+                x_from, x_to, level, slope, sign = c_last + 1, last + 1, high, sh, 1.0
             s0, s1, s2, r0, r1, flat_rho = _flat(pixels, x_from, x_to, x0, level, slope, inv2)
             j = 2 + part
-            sign = -1.0 if part == 0 else 1.0
             u[j, j] += s0
             u[j, 4] += level * s1
             u[j, 5] += sign * s1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from vision.gray import Box
 
@@ -52,4 +52,3 @@ class GapMeasurement:
     left: EdgeLine | None = None
     right: EdgeLine | None = None
     region: Box = (0, 0, 0, 0)
-    polygon: tuple[tuple[float, float], ...] = field(default=())

@@ -79,9 +79,7 @@ def _allow_for_rounding(
     """Fits and added variances for a frame with correlated errors of neighbouring rows (JPEG)."""
     points = [(fit.a + fit.b * (fit.rows[::32] - fit.y_mid), fit.rows[::32]) for fit in fits]
     quantiser = find_quantiser(
-        gray,
-        np.concatenate([p[0] for p in points]),
-        np.concatenate([p[1] for p in points]),
+        gray, np.concatenate([p[0] for p in points]), np.concatenate([p[1] for p in points])
     )
     if quantiser is None and all(fit.drawn for fit in fits):
         return fits, [_rounding_variance(fit) for fit in fits]
@@ -269,7 +267,6 @@ def _combine(left: Fit, right: Fit, extra: list[float], box: Box, doubt: str) ->
     gap = (x_r - x_l) * cosine
     u = math.sqrt(var) * cosine
     u = math.hypot(u, gap * slope * cosine**2 / math.sqrt(weight_l + weight_r))
-    lines = [_line(left), _line(right)]
     reason = doubt
     defects = any(
         f.out[4] > 0.02 or f.out[5] < 0.7 * f.seen or f.out[11] > 0 for f in (left, right)
@@ -277,13 +274,7 @@ def _combine(left: Fit, right: Fit, extra: list[float], box: Box, doubt: str) ->
     limit = LARGEST_U_DEFECTS if defects else LARGEST_U
     if not reason and u > limit:
         reason = f"standard uncertainty {u:.3f} pixels is above {limit:.3f}"
-    corners: list[tuple[float, float]] = []
-    for line, order in ((lines[0], 1), (lines[1], -1)):
-        ends = [(line.x_at(row), float(row)) for row in (line.top, line.bottom)]
-        corners += ends[::order]
-    return GapMeasurement(
-        float(gap), float(u), not reason, reason, lines[0], lines[1], box, tuple(corners)
-    )
+    return GapMeasurement(float(gap), float(u), not reason, reason, _line(left), _line(right), box)
 
 
 def _line(fit: Fit) -> EdgeLine:
