@@ -43,7 +43,7 @@ gc.collect()
 k = 0
 while k < len(took):
     if not k & 63:
-        c.safety.beat(k >> 6)
+        c.safety.heartbeat(k >> 6)
         if k & 1024 and NAME not in ('idle', 'open'):
             c.setpoint_x16 = 16000 if k & 2048 else 9000
     board.now_us += 1000
@@ -89,7 +89,7 @@ while k < n:
     late[k] = now() - due
     board.now_us = int((now() - origin) * 1000) & 0xFFFFFFFF
     if k %% 100 == 0:
-        c.safety.beat(k // 100)
+        c.safety.heartbeat(k // 100)
         c.set_setpoint(16000 if k %% 2000 < 1000 else 9000)
     c.tick()
     board._flow()

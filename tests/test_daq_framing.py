@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.link.codec import CodecError, decode_event, decode_reply, decode_telemetry, encode_request
+from daq.link.codec import (
+    SAMPLE_DTYPE,
+    CodecError,
+    decode_event,
+    decode_reply,
+    encode_request,
+    telemetry_head,
+)
 from daq.link.framer import CobsFramer, LineFramer
 from valvefw import wire
 
@@ -122,21 +129,22 @@ def test_telemetry_decodes_to_what_was_packed(
     head = struct.pack(
         wire.TELEMETRY_HEADER, wire.TELEMETRY, boot, setpoint, seq0, 77, len(samples)
     )
-    frame = decode_telemetry(head + b"".join(struct.pack(wire.SAMPLE, *s) for s in samples))
-    assert (frame.boot, frame.setpoint_x16, frame.seq0, frame.t0_us) == (boot, setpoint, seq0, 77)
-    assert [tuple(int(v) for v in s) for s in frame.samples] == samples
+    payload = head + b"".join(struct.pack(wire.SAMPLE, *s) for s in samples)
+    assert telemetry_head(payload) == (boot, setpoint, seq0, 77, len(samples))
+    decoded = np.frombuffer(payload, SAMPLE_DTYPE, offset=wire.TELEMETRY_HEADER_SIZE)
+    assert [tuple(int(v) for v in s) for s in decoded] == samples
 
 
 @pytest.mark.parametrize("payload", [b"", b"T", b"R1 ok", b"T" + bytes(13) + b"x"])
 def test_what_is_not_telemetry_is_refused(payload: bytes) -> None:
     with pytest.raises(CodecError):
-        decode_telemetry(payload)
+        telemetry_head(payload)
 
 
 def test_telemetry_whose_length_belies_its_count_is_refused() -> None:
     head = struct.pack(wire.TELEMETRY_HEADER, wire.TELEMETRY, 1, 2, 3, 4, 10)
     with pytest.raises(CodecError, match="10 samples has 15 bytes"):
-        decode_telemetry(head + b"x")
+        telemetry_head(head + b"x")
 
 
 @given(st.integers(0, 65535), st.text("abc 0123456789-_", min_size=1, max_size=60))
@@ -174,7 +182,7 @@ def test_what_is_not_a_reply_is_refused(payload: bytes) -> None:
 @settings(max_examples=200)
 @given(st.binary(max_size=300))
 def test_any_bytes_are_either_decoded_or_refused(payload: bytes) -> None:
-    for decode in (decode_telemetry, decode_reply, decode_event):
+    for decode in (telemetry_head, decode_reply, decode_event):
         try:
             value = decode(payload)
         except CodecError:
@@ -186,6 +194,7 @@ def test_sample_layout_is_that_of_the_firmware() -> None:
     assert struct.calcsize(wire.SAMPLE) == wire.SAMPLE_SIZE
     packed = struct.pack(wire.SAMPLE, 1000, 2048, wire.FLAG_INLET, 200, 0)
     head = struct.pack(wire.TELEMETRY_HEADER, wire.TELEMETRY, 1, 2, 3, 4, 1)
-    sample = decode_telemetry(head + packed).samples
+    assert telemetry_head(head + packed)[-1] == 1
+    sample = np.frombuffer(head + packed, SAMPLE_DTYPE, offset=wire.TELEMETRY_HEADER_SIZE)
     assert sample["counts"].dtype == np.uint16
     assert sample[0].item() == (1000, 2048, 1, 200, 0)

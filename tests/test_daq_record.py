@@ -666,7 +666,10 @@ def test_a_batch_costs_less_than_the_clock_has_for_it(tmp_path: Path) -> None:
 
 
 def test_importing_the_record_brings_in_nothing_heavy() -> None:
-    modules = "record run store verify derive transport framer codec telemetry calibration"
+    modules = (
+        "record.writer store.run store.store store.verify store.derive link.transport "
+        "link.framer link.codec link.telemetry calibration"
+    )
     code = (
         f"import sys\nfor m in {modules.split()!r}: __import__('daq.' + m)\n"
         "print([m for m in ('pyarrow', 'pandas', 'serial', 'rerun', 'cv2') if m in sys.modules])"

@@ -312,7 +312,7 @@ def test_empty_and_noise_frames_are_flagged():
 def test_three_marks_need_a_region():
     frame = picture(Scene(gap=120.0, x=200, right_width=60.0), np.random.default_rng(5))
     frame[:, 500:] = frame[:, :140]
-    assert "gaps look alike" in measure_gap(frame).reason
+    assert "similar light gaps" in measure_gap(frame).reason
     got = measure_gap(frame, (60, 0, 250, 480))
     assert got.trusted
     assert abs(got.pixels - 120.0) < 0.02

@@ -1,3 +1,3 @@
-"""Valve controller firmware: runs under MicroPython and CPython alike."""
+"""Firmware of the valve controller, for MicroPython and CPython."""
 
 VERSION = "0.1.0"

@@ -1,14 +1,16 @@
 # ruff: noqa: F821
 # mypy: ignore-errors
-"""The RP2040 board: all its facts and the only firmware file that touches hardware.
+"""The RP2040 board; the only firmware file that accesses hardware.
 
-A Raspberry Pi Pico or a clone. The wire goes over UART0 and a USB adapter, not over the Pico's own
-USB, whose driver may wait half a second for a host that does not read; USB keeps the prompt for
-installing. Wiring and air: docs/reference/wiring.md.
+A Raspberry Pi Pico or a clone. The link uses UART0 and a USB adapter, not the Pico's own USB:
+its driver may wait half a second for a host that does not read. USB is used for installation.
+Wiring
+and pneumatics: docs/reference/wiring.md.
 
-Valve pulses are timed by the PIO, one state machine a valve, to 1 us. Each counts down what it was
-last told and lets go at the end, so that a dead processor leaves both coils without current 20 ms
-later, whatever Python does. The hardware watchdog resets the chip after ``WATCHDOG_MS``.
+The PIO times the valve pulses to 1 us, with one state machine per valve. A state machine counts
+its last value down and switches off at the end. If the processor fails, both coils are
+therefore de-energised within 20 ms. The hardware watchdog resets the chip after
+``WATCHDOG_MS``.
 """
 
 import os
@@ -27,7 +29,7 @@ PIN_UART_RX = 1
 PIN_INLET = 2  # gate of the inlet's transistor, 10 kOhm to ground
 PIN_OUTLET = 3
 PIN_LED = 4
-PIN_REGULATOR = 5  # PWM through a low-pass, where there is a regulator
+PIN_REGULATOR = 5  # PWM through a low-pass, if there is a regulator
 PIN_PROX_A = 6  # open collector to ground, active low
 PIN_PROX_B = 7
 PIN_PRESSURE = 26  # ADC0: 0.5 to 4.5 V through a divider of 2:3, or 0 to 3.3 V
@@ -36,13 +38,13 @@ OUTLET_NORMALLY_OPEN = True
 HAS_REGULATOR = False
 BAUD = 115200
 WATCHDOG_MS = 200
-CPU_HZ = 200000000  # the chip's highest certified; a tick in Python needs it
+CPU_HZ = 200000000  # the chip's highest certified clock; a tick in Python needs it
 TX_BYTES = 2048
-RX_BYTES = 256  # taken in one tick
-MAKE_UP_US = 20000  # ticks that are later than this are left out
+RX_BYTES = 256  # per tick
+MAKE_UP_US = 20000  # ticks with a larger delay are skipped
 REGULATOR_HZ = 10000
 
-PIO_HZ = 5000000  # five instructions a turn: 1 us
+PIO_HZ = 5000000  # five instructions per loop: 1 us
 ADC_BASE = 0x4004C000  # RP2040 data sheet 4.9.6
 ADC_CS = ADC_BASE
 ADC_FCS = ADC_BASE + 0x08
@@ -56,9 +58,9 @@ WATCHDOG_CTRL = 0x40058000  # 4.7.6: bit 30 enables
 
 @rp2.asm_pio(set_init=rp2.PIO.OUT_LOW)
 def pulse():
-    """Pin high for as many us as the newest word says; a word of 0 ends it."""
+    """Pin high for the number of us in the newest word; a word of 0 ends the pulse."""
     label("loop")
-    pull(noblock)  # nothing new: OSR becomes X
+    pull(noblock)  # without a new word, OSR becomes X
     mov(x, osr)
     jmp(not_x, "off")
     set(pins, 1)
@@ -70,10 +72,10 @@ def pulse():
 
 @rp2.asm_pio(set_init=rp2.PIO.OUT_LOW)
 def hold_shut():
-    """Normally open outlet. Y holds 20000; a word is the time until the coil lets go, in us.
+    """Normally open outlet. Y is 20000; a word is the time until the coil is de-energised, us.
 
-    The coil takes current when the count passes Y: a word of Y shuts at once, one of Y + n after
-    n us of venting (send 0 first, which vents at once).
+    The coil is energised when the count passes Y. A word of Y closes the outlet at once, a word
+    of Y + n after n us of venting (send 0 first, which vents at once).
     """
     label("loop")
     pull(noblock)
@@ -89,7 +91,7 @@ def hold_shut():
 
 
 class RP2040(Board):
-    """One Pico with two valves, a pressure sensor, and what else the facts above say."""
+    """A Pico with two valves, a pressure sensor and the options of the constants above."""
 
     name = "rp2040"
     outlet_normally_open = OUTLET_NORMALLY_OPEN
@@ -137,15 +139,14 @@ class RP2040(Board):
         self._queued_at_us = self.ticks_us()
         self._watchdog = None
         self._dma = None
-        self._block = bytearray(4 * CAPTURE_N)  # both inputs in turn
+        self._block = bytearray(4 * CAPTURE_N)  # samples of both inputs alternate
         self._source = 0
 
     def ticks_us(self) -> int:
-        """The chip's own timer."""
         return machine.mem32[TIMER_RAW_LOW] & 0xFFFFFFFF
 
     def adc(self) -> int:
-        """One conversion, 2 us; during a capture, the newest of its samples."""
+        """One conversion, 2 us; during a capture the newest sample."""
         dma = self._dma
         if dma is not None:
             done = 2 * CAPTURE_N - dma.count
@@ -158,7 +159,7 @@ class RP2040(Board):
         return self._pressure.read_u16() >> 4
 
     def drive(self, inlet_us: int, vent_us: int) -> None:
-        """Words for the state machines; none is longer than the board's own silence."""
+        """Words for the state machines, limited to the board's time-out."""
         self._inlet.put(inlet_us if inlet_us < DRIVE_SILENCE_US else DRIVE_SILENCE_US)
         outlet = self._outlet
         if not OUTLET_NORMALLY_OPEN:
@@ -172,26 +173,22 @@ class RP2040(Board):
             outlet.put(DRIVE_SILENCE_US)
 
     def regulator(self, counts_x16: int) -> None:
-        """Sixteen bits of counts are sixteen bits of duty."""
         if self._regulator is not None:
             self._regulator.duty_u16(counts_x16)
 
     def led(self, on: int) -> None:
-        """Sync LED."""
         self._led.value(on)
 
     def prox(self) -> int:
-        """Active low."""
         return (1 - self._prox_a.value()) | (1 - self._prox_b.value()) << 1
 
     def rx(self) -> bytes:
-        """What the UART holds."""
-        # To ask for more than is there waits 1 to 2 ms for the rest.
+        # A request for more bytes than available would wait 1 to 2 ms for the rest.
         held = self._uart.any()
         return self._uart.read(held if held < RX_BYTES else RX_BYTES) or b"" if held else b""
 
     def tx(self, data: bytes) -> None:
-        """Into the UART's buffer; dropped whole if it does not fit by what was sent so far."""
+        """Write to the UART buffer; drop ``data`` as a whole if it does not fit."""
         now_us = self.ticks_us()
         sent = ((now_us - self._queued_at_us) & 0xFFFFFFFF) * (BAUD // 100) // 100000
         if sent:
@@ -202,18 +199,17 @@ class RP2040(Board):
             self._queued += len(data)
 
     def wdt_feed(self) -> None:
-        """The first call starts the watchdog: from then on only a living tick keeps the chip up."""
+        """The first call starts the watchdog; from then on only regular ticks prevent a reset."""
         if self._watchdog is None:
             self._watchdog = machine.WDT(timeout=WATCHDOG_MS)
         self._watchdog.feed()
 
     def random16(self) -> int:
-        """From the ring oscillator."""
         two = os.urandom(2)
         return two[0] << 8 | two[1]
 
     def capture(self, source: int) -> bool:
-        """Both inputs in turn by DMA; the pressure goes on being known."""
+        """Sample both inputs alternately by DMA; pressure readings continue."""
         self._source = source
         machine.mem32[ADC_CS] = 1
         machine.mem32[ADC_FCS] = 1 << 24 | 1 << 3 | 1  # request at one sample, to the DMA
@@ -250,17 +246,17 @@ class RP2040(Board):
         return bytes(out)
 
     def let_go(self) -> None:
-        """Both coils without current, as without power."""
+        """De-energise both coils, as without power."""
         self._inlet.put(0)
         self._outlet.put(0)
 
     def stop_watchdog(self) -> None:
-        """For a person at the prompt, with the coils let go."""
+        """For use at the prompt, with de-energised coils."""
         machine.mem32[WATCHDOG_CTRL] = machine.mem32[WATCHDOG_CTRL] & ~(1 << 30)
 
 
 def run() -> None:
-    """Tick every millisecond for ever; whatever is raised lets go of the valves first."""
+    """Tick every millisecond; de-energise the valves on any exception."""
     machine.freq(CPU_HZ)
     board = RP2040()
     try:
@@ -270,7 +266,7 @@ def run() -> None:
             now_us = time.ticks_us()
             late_us = time.ticks_diff(now_us, due_us)
             if late_us >= 0:
-                # A debt that only grew would pass what ticks_diff can tell, and ticks would end.
+                # An unlimited delay would exceed the range of ticks_diff and stop the ticks.
                 due_us = time.ticks_add(due_us if late_us < MAKE_UP_US else now_us, TICK_US)
                 controller.tick()
     except KeyboardInterrupt:

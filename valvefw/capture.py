@@ -1,7 +1,8 @@
-"""Switching capture: a block of fast samples around one pulse, in place of an oscilloscope.
+"""Switching capture: a block of fast samples around one pulse, instead of an oscilloscope.
 
-The board samples on its own, ``CAPTURE_N`` readings every ``CAPTURE_US``; the pulse begins
-``CAPTURE_LEAD_US`` after the first of them, to a tick. What the lead really was is measured.
+The board samples on its own, ``CAPTURE_N`` readings every ``CAPTURE_US``. The pulse starts
+``CAPTURE_LEAD_US`` after the first reading, with a resolution of one tick. The true lead time
+is measured.
 """
 
 from valvefw.board import Board
@@ -11,7 +12,7 @@ UNKNOWN = -1
 
 
 class Capture:
-    """The last block, and the pulse it is about."""
+    """The last block, and the start time of its pulse."""
 
     def __init__(self, board: Board) -> None:
         self._board = board
@@ -20,7 +21,7 @@ class Capture:
         self.lead_us = UNKNOWN
 
     def begin(self, source: int) -> bool:
-        """Start sampling now; False if this board cannot."""
+        """Start sampling now; False if this board has no capture."""
         if not self._board.capture(source):
             return False
         self._started_us = self._board.ticks_us()
@@ -28,14 +29,14 @@ class Capture:
         self.lead_us = UNKNOWN
         return True
 
-    def driven(self, inlet_us: int, vent_us: int) -> None:
-        """The valves have just been driven while ``waiting``: the first pulse is the edge."""
+    def on_drive(self, inlet_us: int, vent_us: int) -> None:
+        """Called after each drive while ``waiting``: the first pulse determines the lead time."""
         if inlet_us or vent_us:
             self.waiting = False
             self.lead_us = (self._board.ticks_us() - self._started_us) & 0xFFFFFFFF
 
     def part(self, first: int, n: int) -> str:
-        """Readings as three hexadecimal digits each; empty until the block is complete."""
+        """Readings of three hexadecimal digits each; empty until the block is complete."""
         block = self._board.captured()
         if len(block) < 2 * CAPTURE_N:
             return ""

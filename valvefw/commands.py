@@ -1,6 +1,6 @@
-"""Requests as text, `<id> <verb> [arg ...]`, to replies, `<id> ok ...` or `<id> err <code> ...`.
+"""Text requests `<id> <verb> [arg ...]` and replies `<id> ok ...` or `<id> err <code> ...`.
 
-Every argument is checked and refused, never clipped. All verbs: docs/reference/wire-format.md.
+Invalid arguments are refused, never clipped. All verbs: docs/reference/wire-format.md.
 """
 
 from valvefw import config
@@ -28,7 +28,7 @@ _HEX_DIGITS = "0123456789abcdefABCDEF"
 
 
 class Refused(Exception):
-    """A request that is not carried out: a code for programs, a text with the remedy."""
+    """A rejected request: an error code for programs, a text with the remedy."""
 
     def __init__(self, code: str, text: str) -> None:
         self.code = code
@@ -45,7 +45,7 @@ def _number(text: str, low: int, high: int, name: str) -> int:
 
 
 def _plain(text: str) -> int:
-    # int() itself takes signs, blanks and underscores, and not alike on every interpreter.
+    # int() accepts signs, blanks and underscores, depending on the interpreter.
     if not 0 < len(text) <= 10:
         return -1
     for char in text:
@@ -55,7 +55,7 @@ def _plain(text: str) -> int:
 
 
 class Commands:
-    """The verbs; ``answer`` is all the controller calls."""
+    """The verbs; the controller calls only ``answer``."""
 
     def __init__(self, controller) -> None:  # type: ignore[no-untyped-def]
         self._c = controller
@@ -83,7 +83,7 @@ class Commands:
         }
 
     def answer(self, request: bytes) -> str:
-        """Carry out one request (without its type byte) and return the reply."""
+        """Execute one request (without its type byte) and return the reply."""
         request_id = 0
         try:
             if len(request) > MAX_REQUEST:
@@ -121,6 +121,24 @@ class Commands:
     def _need_disarmed(self) -> None:
         if self._c.safety.armed:
             raise Refused("armed", "stop first")
+
+    def _need_idle_openloop(self) -> None:
+        self._need_armed()
+        if self._c.scheme is not self._c.openloop:
+            raise Refused("scheme", "choose scheme open first")
+        if self._c.openloop.busy():
+            raise Refused("busy", "pulses are still running, wait or vent")
+
+    def _pulse_width(self, text: str, longest: int) -> int:
+        width = _number(text, PULSE_UNIT_US, longest, "us")
+        if width % PULSE_UNIT_US:
+            raise Refused("range", "us must be a multiple of %d" % PULSE_UNIT_US)
+        return width
+
+    def _is_inlet(self, valve: str) -> bool:
+        if valve not in ("inlet", "vent"):
+            raise Refused("range", "valve is inlet or vent")
+        return valve == "inlet"
 
     def _id(self, args: list[str]) -> str:
         c = self._c
@@ -207,7 +225,7 @@ class Commands:
     def _hb(self, args: list[str]) -> str:
         c = self._c
         counter = _number(args[0], 0, 65535, "counter")
-        if not c.safety.beat(counter):
+        if not c.safety.heartbeat(counter):
             raise Refused("stale", "counter %d does not go on" % counter)
         if c.scheme is not None:
             c.scheme.renew()
@@ -239,15 +257,11 @@ class Commands:
 
     def _pulse(self, args: list[str]) -> str:
         c = self._c
-        if args[0] not in ("inlet", "vent"):
-            raise Refused("range", "valve is inlet or vent")
+        inlet = self._is_inlet(args[0])
         if len(args) == 3:
             raise Refused("syntax", "a train needs count and period_us")
-        inlet = args[0] == "inlet"
         longest = c.values["inlet_max_ms"] * 1000 if inlet else PULSE_VENT_MAX_US
-        width = _number(args[1], PULSE_UNIT_US, longest, "us")
-        if width % PULSE_UNIT_US:
-            raise Refused("range", "us must be a multiple of %d" % PULSE_UNIT_US)
+        width = self._pulse_width(args[1], longest)
         rest = c.values["inlet_rest_ms"] * 1000 if inlet else 0
         count = 1
         period = width + rest
@@ -256,33 +270,23 @@ class Commands:
             period = _number(args[3], period, PULSE_PERIOD_MAX_US, "period_us")
             if period % TICK_US:
                 raise Refused("range", "period_us must be a multiple of %d" % TICK_US)
-        self._need_armed()
-        if c.scheme is not c.openloop:
-            raise Refused("scheme", "choose scheme open first")
-        if c.openloop.busy():
-            raise Refused("busy", "pulses are still running, wait or vent")
+        self._need_idle_openloop()
         c.openloop.begin(inlet, width, count, period)
         return ""
 
     def _capture(self, args: list[str]) -> str:
         c = self._c
-        if args[0] not in ("inlet", "vent"):
-            raise Refused("range", "valve is inlet or vent")
-        longest = min(CAPTURE_PULSE_MAX_US, c.values["inlet_max_ms"] * 1000)
-        width = _number(args[1], PULSE_UNIT_US, longest, "us")
-        if width % PULSE_UNIT_US:
-            raise Refused("range", "us must be a multiple of %d" % PULSE_UNIT_US)
+        inlet = self._is_inlet(args[0])
+        width = self._pulse_width(
+            args[1], min(CAPTURE_PULSE_MAX_US, c.values["inlet_max_ms"] * 1000)
+        )
         source = _number(args[2], 0, 1, "source")
-        self._need_armed()
-        if c.scheme is not c.openloop:
-            raise Refused("scheme", "choose scheme open first")
-        if c.openloop.busy():
-            raise Refused("busy", "pulses are still running, wait or vent")
+        self._need_idle_openloop()
         if not c.capture.begin(source):
             raise Refused("board", "this board cannot capture from source %d" % source)
         rest = c.values["inlet_rest_ms"] * 1000
-        # The step of this very tick already counts one tick down.
-        c.openloop.begin(args[0] == "inlet", width, 1, width + rest, CAPTURE_LEAD_US + TICK_US)
+        # The step of the current tick already counts down one tick.
+        c.openloop.begin(inlet, width, 1, width + rest, CAPTURE_LEAD_US + TICK_US)
         return "n=%d period_us=%d" % (CAPTURE_N, CAPTURE_US)
 
     def _block(self, args: list[str]) -> str:
@@ -337,9 +341,9 @@ class Commands:
                 raise Refused("syntax", "led sync takes seed and bit_ms")
             seed = _number(args[1], 1, 65535, "seed")
             bit_ms = _number(args[2], 2, 1000, "bit_ms")
-            c.light_pattern(seed, bit_ms)
+            c.led_pattern(seed, bit_ms)
         elif len(args) == 1:
-            c.light(_number(args[0], 0, 1, "led"))
+            c.led_steady(_number(args[0], 0, 1, "led"))
         else:
             raise Refused("syntax", "led takes 0, 1 or sync seed bit_ms")
         return "t=%d" % c.board.ticks_us()

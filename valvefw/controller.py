@@ -1,7 +1,7 @@
-"""The controller: one ``tick`` per millisecond joins board, safety, scheme, wire and telemetry.
+"""The controller: one ``tick`` per millisecond runs safety checks, requests, scheme and telemetry.
 
-State: disarmed or faulted (always vented), or armed with a scheme (``idle`` is vented too).
-Every tick drives the valves anew; nothing else does.
+States: disarmed or fault (always vented), or armed with a scheme (``idle`` is vented too). Only
+``tick`` drives the valves, except for a fault.
 """
 
 from valvefw import VERSION, config
@@ -24,14 +24,14 @@ from valvefw.sensorwatch import SensorWatch
 from valvefw.telemetry import Telemetry
 from valvefw.wire import EVENT, REPLY, REQUEST, TICK_US, Decoder, encode_frame, lfsr_next
 
-VENTED_READINGS = 8  # so many in a row below the threshold confirm a vent
+VENTED_READINGS = 8  # consecutive readings below the threshold that confirm a vent
 
 
 class Controller:
     """Firmware of the valve controller on any ``Board``.
 
     Args:
-        board: the hardware, real or simulated; vented before anything else happens.
+        board: the hardware, real or simulated; it is vented first.
     """
 
     def __init__(self, board: Board) -> None:
@@ -45,22 +45,11 @@ class Controller:
         self.valves = Valves()
         boot_id = board.random16() & 0xFFFF
         self.telemetry = Telemetry(boot_id or 1)
-        self.pwm = Pwm()
         self.openloop = OpenLoop()
         self.regulated = Regulated()
-        self.schemes: dict[str, Scheme] = {}
-        for scheme in (
-            self.pwm,
-            self.openloop,
-            self.regulated,
-            TwoPosition(),
-            InletDuty(),
-            BothDuty(),
-            Sliding(),
-            Ram(),
-            Burst(),
-        ):
-            self.schemes[scheme.name] = scheme
+        self.schemes: dict[str, Scheme] = {"open": self.openloop, "reg": self.regulated}
+        for kind in (Pwm, TwoPosition, InletDuty, BothDuty, Sliding, Ram, Burst):
+            self.schemes[kind.name] = kind()
         self.scheme: Scheme | None = None  # None: vented
         self.setpoint_x16 = 0
         self.counts = 0
@@ -69,18 +58,10 @@ class Controller:
         self._commands = Commands(self)
         self._black_box_due = False
         self._regulator = 0
-        self._led = 0
-        self._led_state = 0
-        self._led_bit_us = 0
-        self._led_left_us = 0
-        self._vent_left_us = 0
-        self._vent_since_us = 0
-        self._vented_run = 0
-        self._vent_lost_at = 0
-        self._lost_run = 0
+        self._vented_run = self._lost_run = self._vent_left_us = self._vent_lost_at = 0
+        self._led = self._led_state = self._led_bit_us = self._led_left_us = 0
         self._watch = SensorWatch()
-        self._driven_inlet_us = 0
-        self._driven_vent_us = 0
+        self._driven_inlet_us = self._driven_vent_us = 0
         self._last_us = board.ticks_us()
         self._confirm_vent()
         board.regulator(0)
@@ -89,14 +70,14 @@ class Controller:
         self.event("boot id=%d cause=%s fw=%s" % boot)
 
     def tick(self) -> None:
-        """One control step: read, judge, obey, drive, report."""
+        """One control step: read, check, handle requests, drive, send telemetry."""
         board = self.board
         now_us = board.ticks_us()
         dt_us = (now_us - self._last_us) & 0xFFFFFFFF
         self._last_us = now_us
         counts = board.adc()
         safety = self.safety
-        if counts < 0:  # no reading: go on with the last one
+        if counts < 0:  # no reading: continue with the last one
             counts = self.counts
             cause = safety.check_silent(dt_us)
         else:
@@ -112,7 +93,7 @@ class Controller:
         data = board.rx()
         if data:
             self.decoder.push(data)
-            self._obey()
+            self._handle_requests()
         scheme = self.scheme
         prox = board.prox()
         if scheme is not None:
@@ -150,7 +131,7 @@ class Controller:
         self._driven_vent_us = vent_us
         board.drive(inlet_us, vent_us)
         if self.capture.waiting:
-            self.capture.driven(inlet_us, vent_us)
+            self.capture.on_drive(inlet_us, vent_us)
         if self._led_bit_us:
             self._blink(dt_us)
         flags = (
@@ -177,7 +158,7 @@ class Controller:
             safety.black_box = telemetry.black_box()
         board.wdt_feed()
 
-    def _obey(self) -> None:
+    def _handle_requests(self) -> None:
         while True:
             payload = self.decoder.next()
             if payload is None:
@@ -187,11 +168,11 @@ class Controller:
                 self.board.tx(encode_frame(bytes((REPLY,)) + reply.encode()))
 
     def event(self, text: str) -> None:
-        """Send an unsolicited line."""
+        """Send an unsolicited message."""
         self.board.tx(encode_frame(bytes((EVENT,)) + text.encode()))
 
     def trip(self, cause: str) -> None:
-        """Vent, latch a fault and tell; on the chip, telling takes longer than all else."""
+        """Vent, latch a fault and report it; on the chip the report takes longest."""
         self.board.drive(0, VENT_HOLD_US)
         known = len(self.safety.faults)
         if self.safety.latch(cause, self._last_us):
@@ -201,12 +182,12 @@ class Controller:
         self.vent()
 
     def disarm(self) -> None:
-        """Vent and expect no more heartbeats."""
+        """Vent and stop the heartbeat check."""
         self.safety.armed = False
         self.vent()
 
     def vent(self) -> None:
-        """Inlet shut, outlet open, set-point 0; the pressure must then fall in time."""
+        """Close the inlet, open the outlet, set-point 0; the pressure must then fall in time."""
         self.set_setpoint(0)
         if self.scheme is not None:
             self.scheme = None
@@ -214,7 +195,7 @@ class Controller:
             self._confirm_vent()
 
     def choose(self, name: str) -> None:
-        """Run scheme ``name`` from the next tick; the caller has checked that this is allowed."""
+        """Run scheme ``name`` from the next tick; the caller has checked the conditions."""
         self.set_setpoint(0)
         self.valves.shut()
         scheme = self.schemes[name]
@@ -224,7 +205,7 @@ class Controller:
         self._vent_left_us = 0
 
     def set_setpoint(self, setpoint_x16: int) -> None:
-        """New set-point; samples taken under the old one are sent first."""
+        """Change the set-point; first send the samples taken under the old one."""
         if setpoint_x16 != self.setpoint_x16:
             self.send_held()
             self.setpoint_x16 = setpoint_x16
@@ -234,7 +215,7 @@ class Controller:
             self.board.regulator(regulator)
 
     def send_held(self) -> None:
-        """Send the samples collected so far as a short frame."""
+        """Send the collected samples as a short frame."""
         frame = self.telemetry.frame(self.setpoint_x16)
         if frame:
             self.board.tx(frame)
@@ -242,9 +223,8 @@ class Controller:
     def _confirm_vent(self) -> None:
         self._vent_left_us = self.values["vent_ms"] * 1000
         self._vent_since_us = self._last_us
-        self._vented_run = 0
+        self._vented_run = self._lost_run = 0
         self._vent_lost_at = 2 * self.values["vent_below"]
-        self._lost_run = 0
 
     def _watch_vent(self, counts: int, dt_us: int) -> None:
         if counts < self.values["vent_below"]:
@@ -261,22 +241,22 @@ class Controller:
             self.trip("vent_failed")
 
     def _watch_vented(self) -> None:
-        """The vent was confirmed, or has failed, and the reading is high."""
+        """Check for a high reading after a confirmed or failed vent."""
         self._lost_run += 1
         if self._lost_run == VENTED_READINGS:
             self.trip("vent_lost")
 
-    def light(self, on: int) -> None:
-        """Sync LED steady on or off."""
+    def led_steady(self, on: int) -> None:
+        """Switch the sync LED on or off."""
         self._led_bit_us = 0
         self._led = on
         self.board.led(on)
 
-    def light_pattern(self, seed: int, bit_ms: int) -> None:
-        """Sync LED on a pseudo-random pattern from now on (see ``wire.lfsr_next``)."""
+    def led_pattern(self, seed: int, bit_ms: int) -> None:
+        """Start a pseudo-random pattern on the sync LED (see ``wire.lfsr_next``)."""
         self._led_state = seed
         self._led_bit_us = bit_ms * 1000
-        self._led_left_us = -1  # bit 0 begins with this tick
+        self._led_left_us = -1  # bit 0 starts at this tick
         self._led = seed & 1
         self.board.led(self._led)
 

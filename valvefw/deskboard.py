@@ -1,8 +1,8 @@
-"""A board without hardware: a crude chamber in integers, the same on every interpreter.
+"""A simulated board: a simple pressure chamber in integers, equal on every interpreter.
 
-The wire-conformance tests run the firmware on it, under CPython and MicroPython alike; it is
-also the shortest complete example of a ``Board``. Its only noise is the last bit of the reading,
-which alternates as that of a live converter wanders: two runs are equal.
+The wire conformance tests run the firmware on it, under CPython and MicroPython. It is also the
+shortest complete example of a ``Board``. Its only noise is the last bit of the reading, which
+alternates: two runs are equal.
 """
 
 from valvefw.board import Board
@@ -10,12 +10,12 @@ from valvefw.controller import Controller
 from valvefw.wire import CAPTURE_N, CAPTURE_US, TICK_US
 
 FILL_X16_PER_MS = 96  # 1.5 kPa/ms where 1000 kPa are 4095 counts
-VENT_SHARE = 500  # per ms one part in so many of the pressure, and one sixteenth of a count
+VENT_SHARE = 500  # per ms the pressure falls by 1/500, and by one sixteenth of a count
 TOP_X16 = 4095 * 16
 
 
 class DeskBoard(Board):
-    """Firmware, chamber and byte pipe; ``run`` lets virtual time pass."""
+    """Firmware, chamber and byte buffers; ``run`` advances the virtual time."""
 
     name = "desk"
     serial = "DESK-1"
@@ -36,7 +36,7 @@ class DeskBoard(Board):
         self.controller = Controller(self)
 
     def run(self, ticks: int, data: bytes = b"") -> bytes:
-        """Receive ``data``, run so many ticks, return all that was sent."""
+        """Receive ``data``, run ``ticks`` ticks, return all bytes sent."""
         self._rx += data
         for _ in range(ticks):
             self.now_us = (self.now_us + TICK_US) & 0xFFFFFFFF
@@ -58,49 +58,42 @@ class DeskBoard(Board):
         self.pressure_x16 = max(0, min(TOP_X16, pressure))
 
     def ticks_us(self) -> int:
-        """Virtual device time."""
         return self.now_us
 
     def adc(self) -> int:
-        """The chamber's pressure, or whatever a test put in its place."""
+        """The chamber's pressure, or the override of a test."""
         if self.override >= 0:
             return self.override
         return (self.pressure_x16 >> 4) ^ ((self.now_us // TICK_US) & 1)
 
     def drive(self, inlet_us: int, vent_us: int) -> None:
-        """Takes effect until the next tick."""
         self.inlet_us = inlet_us
         self.vent_us = vent_us
 
     def regulator(self, counts_x16: int) -> None:
-        """Pressure the chamber follows while the inlet is open."""
         self.regulator_x16 = counts_x16
 
     def led(self, on: int) -> None:
-        """Sync LED."""
         self.led_on = on
 
     def rx(self) -> bytes:
-        """What ``run`` was given."""
         data = self._rx
         self._rx = b""
         return data
 
     def tx(self, data: bytes) -> None:
-        """What ``run`` returns."""
         self._tx.append(data)
 
     def capture(self, source: int) -> bool:
-        """A ramp, so that whoever reads the block can tell every sample."""
+        """Start a ramp, in which each sample is different."""
         self._block_us = self.now_us
         return source == 0
 
     def captured(self) -> bytes:
-        """Complete when its time is over."""
+        """Complete after the capture time."""
         if self._block_us < 0 or self.now_us - self._block_us < CAPTURE_N * CAPTURE_US:
             return b""
         return b"".join([bytes((k & 255, k >> 8)) for k in range(CAPTURE_N)])
 
     def random16(self) -> int:
-        """The boot id a test chose."""
         return self._boot_id

@@ -1,16 +1,16 @@
-"""What the firmware guards whatever the host does: faults, latched, on raw counts only.
+"""Safety checks independent of the host: latched faults, on raw counts only.
 
-``Safety`` judges; the controller acts (vents). A cause is a short word:
+``Safety`` detects faults; the controller reacts (vents). The causes are:
 
-    host_silent       armed, and no heartbeat within its deadline
+    host_silent       armed, and no heartbeat before its deadline
     over_pressure     N of the last M readings at or above the limit
-    sensor_saturated  readings that can be no pressure, several in a row
+    sensor_saturated  several consecutive invalid readings
     sensor_silent     two sample periods without a reading
     sensor_stuck, sensor_jump, sensor_no_rise, inlet_stuck, outlet_stuck: see sensorwatch
-    inlet_bound       a scheme kept the inlet open past its bound
-    vent_failed       vented, yet the pressure did not fall in time
-    vent_lost         vented, and the pressure came back
-    loop_stalled      no tick for longer than the board waits before it lets go
+    inlet_bound       a scheme kept the inlet open longer than allowed
+    vent_failed       vented, but the pressure did not fall in time
+    vent_lost         vented, but the pressure rose again
+    loop_stalled      no tick for longer than the board's drive time-out
 """
 
 from valvefw.board import DRIVE_SILENCE_US
@@ -21,20 +21,16 @@ SILENT_N = 2
 
 
 class Safety:
-    """Limits, copied when armed and on each change while disarmed; faults, latched."""
+    """Limits, copied when armed and on each change while disarmed; latched faults."""
 
     def __init__(self, values: dict[str, int]) -> None:
         self.armed = False
         self.faults: list[tuple[str, int]] = []
         self.black_box = b""
         self.heartbeat_seen = False
-        self._heartbeat = 0
-        self._hb_left_us = 0
-        self._over = 0
-        self._saturated = 0
-        self._silent = 0
-        self.inlet_run_us = 0
-        self._shut_us = 0
+        self._heartbeat = self._hb_left_us = 0
+        self._over = self._saturated = self._silent = 0
+        self.inlet_run_us = self._shut_us = 0
         self.load(values)
 
     def load(self, values: dict[str, int]) -> None:
@@ -51,14 +47,14 @@ class Safety:
         self._clear_below = values["clear_below"]
 
     def arm(self, values: dict[str, int]) -> None:
-        """Begin to expect heartbeats."""
+        """Start the heartbeat check."""
         self.load(values)
         self.armed = True
         self.heartbeat_seen = False
         self._hb_left_us = self._hb_us
 
-    def beat(self, counter: int) -> bool:
-        """A heartbeat came; False (and no more time) if its counter did not go on."""
+    def heartbeat(self, counter: int) -> bool:
+        """Process a heartbeat; False, without a new deadline, if its counter did not increase."""
         if self.armed:
             if self.heartbeat_seen and not 0 < ((counter - self._heartbeat) & 0xFFFF) < 0x8000:
                 return False
@@ -68,7 +64,7 @@ class Safety:
         return True
 
     def check(self, counts: int, dt_us: int) -> str:
-        """Judge one sample. Returns the cause of a fault, or an empty text."""
+        """Check one sample; returns the cause of a fault, or an empty text."""
         cause = ""
         self._silent = 0
         over = self._over
@@ -91,7 +87,7 @@ class Safety:
         return cause or self.check_host(dt_us)
 
     def check_silent(self, dt_us: int) -> str:
-        """Judge a tick without a reading."""
+        """Check a tick without a reading."""
         self._silent += 1
         if self._silent >= SILENT_N:
             self._silent = SILENT_N
@@ -99,7 +95,7 @@ class Safety:
         return self.check_host(dt_us)
 
     def check_host(self, dt_us: int) -> str:
-        """Count down to the heartbeat's deadline."""
+        """Count down to the heartbeat deadline."""
         if self.armed:
             left = self._hb_left_us - dt_us
             self._hb_left_us = left
@@ -110,10 +106,10 @@ class Safety:
         return ""
 
     def bound_inlet(self, inlet_us: int, tick_us: int) -> int:
-        """How much of ``inlet_us`` may be driven; -1 where the bound was reached: a fault.
+        """The part of ``inlet_us`` that may be driven; -1 at the limit: a fault.
 
-        Openings add up until the inlet has been commanded shut for ``inlet_rest_ms``, longer
-        than the valve takes to fall shut, so that short gaps do not renew the bound.
+        Openings add up until the inlet was commanded closed for ``inlet_rest_ms``, which is
+        longer than the valve's closing time. Short gaps therefore do not reset the limit.
         """
         if inlet_us <= 0:
             if self.inlet_run_us:
@@ -128,7 +124,7 @@ class Safety:
         self._shut_us = 0
         if inlet_us > left:
             inlet_us = left
-        # A pulse that ends within the tick leaves the rest of the tick shut.
+        # A pulse that ends within the tick: closed for the rest of the tick.
         if inlet_us < tick_us:
             self._shut_us = tick_us - inlet_us
             self.inlet_run_us = run + inlet_us
@@ -137,7 +133,7 @@ class Safety:
         return inlet_us
 
     def renewed_inlet(self) -> None:
-        """The inlet is held open by renewal: after that, another scheme must rest it first."""
+        """A scheme with renewal holds the inlet open; a later scheme must first keep it closed."""
         self.inlet_run_us = self._inlet_max_us
         self._shut_us = 0
 
@@ -153,7 +149,7 @@ class Safety:
         return first
 
     def clear(self, counts: int) -> str:
-        """Forget the faults; returns why not, or an empty text."""
+        """Clear the faults; returns the reason if that is not allowed, else an empty text."""
         if not self.faults:
             return ""
         if counts >= self._clear_below:

@@ -1,17 +1,19 @@
-"""Does the pressure reading behave as a pressure behind these valves must? Raw counts only.
+"""Plausibility checks of the pressure reading, on raw counts only.
 
-The converter has no live zero: a broken wire may read 0, which is also a pressure. So beside the
-rails (``safety``) it is judged by what physics allows. Causes:
+The converter has no live zero: a broken wire may read 0, which is also a valid pressure. In
+addition to the rails (``safety``), the reading must therefore be physically possible. Causes:
 
-    sensor_stuck    one and the same reading for ``stuck_ms``: a live one has noise. 0 does not
-                    count, where a small negative zero hides the noise
-    sensor_jump     for four samples away from where ``slew`` lets a pressure go
-    sensor_no_rise  the inlet open for ``rise_ms`` in all, and still below ``rise_counts``
-    inlet_stuck     both valves told to be shut, yet the pressure rises by ``leak_counts``
+    sensor_stuck    constant reading for ``stuck_ms``: a working sensor has noise. 0 does not
+                    count, where a small negative offset hides the noise
+    sensor_jump     four samples further away than ``slew`` allows
+    sensor_no_rise  the inlet open for ``rise_ms`` in total, reading still below ``rise_counts``
+    inlet_stuck     both valves commanded closed, but the pressure rises by ``leak_counts``
     outlet_stuck    the same, but it falls
 
-Checked while a scheme runs. Vented, the only question is whether the pressure goes and stays away.
+Active while a scheme runs. When vented, only the pressure's fall is checked.
 """
+
+from valvefw.config import defaults
 
 JUMP_N = 4
 LEAK_N = 3
@@ -19,31 +21,14 @@ LEAK_SPAN_US = 50000
 
 
 class SensorWatch:
-    """One sample at a time, with what the valves were told during the tick that it ends."""
+    """Checks one sample at a time against the valve commands of the past tick."""
 
     def __init__(self) -> None:
-        self._stuck_us = 0
-        self._slew = 1
-        self._jump = 0
-        self._rise_us = 0
-        self._rise_counts = 0
-        self._leak = 0
-        self._rest_us = 0
-        self._on_in_us = 0
-        self._off_in_us = 0
-        self._last = -1
-        self._same_us = 0
-        self._track = 0
-        self._away = 0
-        self._filling_us = 0
-        self._filled_us = 0
-        self._idle_us = 0
-        self._shut_us = 0
         self._reference = 0
-        self._leaks = 0
+        self.start(defaults(), 0)
 
     def start(self, values: dict[str, int], counts: int) -> None:
-        """Copy parameters when a scheme begins at this reading."""
+        """Copy parameters when a scheme starts at this reading."""
         self._stuck_us = values["stuck_ms"] * 1000
         self._slew = values["slew"]
         self._jump = values["jump"]
@@ -54,20 +39,15 @@ class SensorWatch:
         self._on_in_us = values["valve_on_in_us"]
         self._off_in_us = values["valve_off_in_us"]
         self._last = -1
-        self._same_us = 0
         self._track = counts
-        self._away = 0
-        self._filling_us = 0
-        self._filled_us = 0
-        self._idle_us = 0
-        self._shut_us = 0
-        self._leaks = 0
+        self._same_us = self._away = self._leaks = 0
+        self._filling_us = self._filled_us = self._idle_us = self._shut_us = 0
 
     def check(self, counts: int, dt_us: int, inlet_us: int, vent_us: int, renews: bool) -> str:
-        """Judge one sample: a cause, or an empty text.
+        """Check one sample; returns a cause, or an empty text.
 
-        ``inlet_us`` and ``vent_us`` are what was driven when the tick began; ``renews`` tells of a
-        regulator, behind which an open inlet need not raise the pressure.
+        ``inlet_us`` and ``vent_us`` were driven at the start of the tick. ``renews`` is True
+        with a regulator: then an open inlet may leave the pressure constant.
         """
         if counts != self._last:
             self._last = counts
@@ -107,12 +87,12 @@ class SensorWatch:
             return ""
         if self._filling_us:
             self._idle_us += dt_us
-            if self._idle_us > self._off_in_us:  # until then it has not fallen shut
+            if self._idle_us > self._off_in_us:  # the closing delay is over
                 self._filling_us = 0
         if vent_us or not self._leak:
             self._shut_us = 0
             return ""
-        if away:  # no reading to compare with, nor to judge
+        if away:  # no valid reading to compare
             return ""
         shut_us = self._shut_us + dt_us
         rest_us = self._rest_us

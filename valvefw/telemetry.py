@@ -1,4 +1,4 @@
-"""Samples to telemetry frames; the same ring serves as black box of the last 64 samples."""
+"""Collects samples into telemetry frames; the same ring buffer is the black box of 64 samples."""
 
 import struct
 
@@ -18,7 +18,7 @@ _pack_into = struct.pack_into
 
 
 class Telemetry:
-    """Collects samples; a frame holds those of one set-point."""
+    """Collects samples; all samples of a frame have the same set-point."""
 
     def __init__(self, boot_id: int) -> None:
         self.boot_id = boot_id
@@ -32,7 +32,7 @@ class Telemetry:
     def add(
         self, now_us: int, dt_us: int, counts: int, flags: int, inlet_u5: int, vent_u5: int
     ) -> bool:
-        """One sample; True when a frame is full."""
+        """Add one sample; True when a frame is full."""
         at = self._at
         _pack_into(
             SAMPLE,
@@ -54,7 +54,7 @@ class Telemetry:
         return held + 1 >= self.samples_per_frame
 
     def frame(self, setpoint_x16: int) -> bytes:
-        """The samples held, as a frame ready to send; empty if there are none."""
+        """The collected samples as an encoded frame; empty if there are none."""
         n = self._held
         if not n:
             return b""

@@ -1,8 +1,8 @@
-"""The wire: COBS frames with a CRC-16, four kinds of payload (see docs/reference/wire-format.md).
+"""Wire format: COBS frames with CRC-16, four payload types (see docs/reference/wire-format.md).
 
 A frame is COBS(payload + crc16(payload), high byte first) + one zero byte. Zero bytes occur
-nowhere else, so whoever lost the thread finds it again at the next zero: garbage costs the
-frame it hits and no other. The host imports this file too; there is no second copy.
+nowhere else, so a receiver resynchronises at the next zero: invalid bytes damage only one
+frame. The host imports this file too; there is no second implementation.
 """
 
 import binascii
@@ -24,8 +24,8 @@ PULSE_UNIT_US = 5
 TICK_US = 1000
 
 CAPTURE_N = 800  # samples of a switching capture
-CAPTURE_US = 50  # one every so many us
-CAPTURE_LEAD_US = 5000  # first sample to edge
+CAPTURE_US = 50  # sample period, us
+CAPTURE_LEAD_US = 5000  # from first sample to edge
 
 FLAG_INLET = 1
 FLAG_VENT = 2
@@ -51,7 +51,7 @@ def _crc_table() -> list[int]:
 
 
 def crc16_table(data: bytes, table: list[int], crc: int = 0xFFFF) -> int:
-    """CRC-CCITT, polynomial 0x1021, byte by byte from a table of 256, going on from ``crc``."""
+    """CRC-CCITT, polynomial 0x1021, with a table of 256 entries, starting at ``crc``."""
     for byte in data:
         crc = ((crc << 8) & 0xFF00) ^ table[(crc >> 8) ^ byte]
     return crc
@@ -63,7 +63,7 @@ _TABLE = _crc_table() if _crc_hqx is None else []
 
 
 def crc16(data: bytes, crc: int = 0xFFFF) -> int:
-    """CRC-CCITT, polynomial 0x1021, not reflected, going on from ``crc``; 0xFFFF is the start."""
+    """CRC-CCITT, polynomial 0x1021, not reflected, starting at ``crc``."""
     if _crc_hqx is not None:
         after: int = _crc_hqx(data, crc)
         return after
@@ -74,10 +74,10 @@ _CODES = [bytes([code]) for code in range(256)]
 
 
 def cobs_encode(data: bytes) -> bytes:
-    """Consistent overhead byte stuffing (Cheshire and Baker 1999), without the closing zero."""
+    """Consistent overhead byte stuffing (Cheshire and Baker 1999), without the final zero."""
     codes = _CODES
     runs = data.split(b"\x00")
-    if len(data) < 254:  # no run fills a block, as in nearly every frame
+    if len(data) < 254:  # no full block, as in nearly every frame
         return b"".join([codes[len(run) + 1] + run for run in runs])
     out = []
     for run in runs:
@@ -91,7 +91,7 @@ def cobs_encode(data: bytes) -> bytes:
 
 
 def cobs_decode(data: bytes) -> bytes | None:
-    """The bytes that ``cobs_encode`` was given, or None if these cannot be its result."""
+    """Inverse of ``cobs_encode``; None if ``data`` is not a valid code."""
     size = len(data)
     if not size or b"\x00" in data:
         return None
@@ -99,7 +99,7 @@ def cobs_decode(data: bytes) -> bytes | None:
         return _decode_blocks(data)
     out = bytearray(data)
     at = 0
-    while at < size:  # each code stands where a zero was, the first before all
+    while at < size:  # each code replaces a zero; the first one precedes the data
         code = data[at]
         out[at] = 0
         at += code
@@ -107,7 +107,7 @@ def cobs_decode(data: bytes) -> bytes | None:
 
 
 def _decode_blocks(data: bytes) -> bytes | None:
-    """``cobs_decode`` of data that may hold full blocks, after which no zero was."""
+    """``cobs_decode`` of data with full blocks, which are not followed by a zero."""
     out = []
     size = len(data)
     at = 0
@@ -124,13 +124,13 @@ def _decode_blocks(data: bytes) -> bytes | None:
 
 
 def encode_frame(payload: bytes) -> bytes:
-    """Payload to bytes on the wire, closing zero included."""
+    """Encode a payload for the wire, with the final zero."""
     crc = crc16(payload)
     return cobs_encode(payload + bytes((crc >> 8, crc & 0xFF))) + b"\x00"
 
 
 def decode_frame(frame: bytes) -> bytes | None:
-    """Bytes between two zeros to payload; None unless the CRC agrees."""
+    """Decode the bytes between two zeros; None if the CRC is wrong."""
     data = cobs_decode(frame)
     if data is None or len(data) < 3:
         return None
@@ -149,7 +149,7 @@ def lfsr_next(state: int) -> int:
 
 
 class Decoder:
-    """Bytes in, payloads out one at a time; bounded, and it counts what it had to drop."""
+    """Decodes received bytes to payloads; bounded, and counts dropped data."""
 
     def __init__(self, limit: int = 2 * MAX_PAYLOAD) -> None:
         self._limit = limit
@@ -158,7 +158,7 @@ class Decoder:
         self.lost_bytes = 0
 
     def push(self, data: bytes) -> None:
-        """Take received bytes; of a flood only the newest ``limit`` bytes are kept."""
+        """Add received bytes; on overflow only the newest ``limit`` bytes are kept."""
         held = self._held + data if self._held else data
         if len(held) > self._limit:
             self.lost_bytes += len(held) - self._limit
@@ -166,7 +166,7 @@ class Decoder:
         self._held = held
 
     def next(self) -> bytes | None:
-        """The next good payload, or None when no whole frame is left."""
+        """The next valid payload, or None if there is no complete frame."""
         while True:
             end = self._held.find(b"\x00")
             if end < 0:
@@ -174,7 +174,7 @@ class Decoder:
             frame = self._held[:end]
             self._held = self._held[end + 1 :]
             if not end:
-                continue  # an empty frame: a host may send zeros to clear the line
+                continue  # empty frame: a host may send zeros to resynchronise
             payload = decode_frame(frame)
             if payload is not None:
                 return payload

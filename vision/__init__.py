@@ -1,9 +1,9 @@
-"""Camera frames to muscle length."""
+"""Measures the muscle length in camera frames."""
 
 import os as _os
 
-# Before OpenCV is loaded: how many pixels it lays out for a picture that claims to have them. The
-# cameras of a bench have up to twenty million; a few bytes can claim a thousand million.
-# A program that loads OpenCV before pamrig keeps OpenCV's own bound.
+# Limits the number of pixels that OpenCV allocates for a picture; set before OpenCV is loaded.
+# Bench cameras have up to 20 million pixels, but a small file can declare a thousand million.
+# If a program loads OpenCV before pamrig, OpenCV's default limit applies.
 _most = _os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "25000000")
 MOST_PIXELS = int(_most) if _most.isdigit() else 25_000_000

@@ -1,9 +1,9 @@
-"""Encoded pictures to grey levels, those of strangers in less than 300 MB.
+"""Decodes pictures to grey levels; files from untrusted sources need less than 300 MB.
 
-OpenCV refuses what claims more than ``MOST_PIXELS`` before it lays anything out. What gets past
-that is looked for here: strips and tiles of a TIFF that are larger than its picture; a PNG that
-claims four gigabytes for a chunk, or is animated and laid out several times; and formats that take
-twenty bytes a pixel, as JPEG 2000 does. The last two are no pictures of a bench.
+OpenCV refuses a picture with more than ``MOST_PIXELS`` before it allocates memory. This module
+also refuses: strips and tiles of a TIFF larger than the picture; a PNG with a chunk beyond the
+file, or with animation, which needs memory several times; and formats with twenty bytes per
+pixel, such as JPEG 2000. Bench cameras do not produce the last two.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ import numpy.typing as npt
 from vision import MOST_PIXELS, tiff
 
 PNG = b"\x89PNG\r\n\x1a\n"
-KINDS = (PNG, *tiff.BEGINS, b"\xff\xd8\xff", b"BM", b"RIFF", *(b"P%d" % k for k in range(1, 7)))
-"""How a file begins: PNG, TIFF, JPEG, BMP, WebP, PBM to PPM."""
+KINDS = (PNG, *tiff.SIGNATURES, b"\xff\xd8\xff", b"BM", b"RIFF", *(b"P%d" % k for k in range(1, 7)))
+"""First bytes of supported files: PNG, TIFF, JPEG, BMP, WebP, PBM to PPM."""
 MOST_AT_ONCE = 8 * MOST_PIXELS
-"""Bytes of a strip or tile of a TIFF: that of a whole picture of four channels of 16 bits."""
+"""Limit of one TIFF strip or tile, bytes: a whole picture of four channels with 16 bits."""
 TOO_LARGE = (
     f"more than {MOST_PIXELS / 1e6:g} million pixels; OPENCV_IO_MAX_IMAGE_PIXELS in the "
     "environment raises the limit"
 )
-NO_PICTURE = "not a picture that can be read (damaged, or another format)"
+NO_PICTURE = "not a picture that can be read (damaged, or unsupported format)"
 
 
 class PictureError(ValueError):
-    """Bytes that are no picture, or one larger than those that are read."""
+    """The data are not a supported picture, or the picture is too large."""
 
 
 def decode_gray(data: bytes | memoryview, eight_bit: bool = False) -> npt.NDArray[Any]:
-    """Grey levels of an encoded picture, shape (height, width).
+    """Decode a picture to grey levels, shape (height, width).
 
-    uint8, uint16 or floating point as the picture has them, uint8 with ``eight_bit``; of colour
-    JPEG its own luminance. Of a TIFF the first page is taken.
+    The type is uint8, uint16 or float as in the picture, uint8 with ``eight_bit``. A colour
+    JPEG gives its luminance, a TIFF its first page.
 
     Raises:
-        PictureError: says what is wrong.
+        PictureError: names the reason.
     """
     import cv2
 
@@ -48,7 +48,7 @@ def decode_gray(data: bytes | memoryview, eight_bit: bool = False) -> npt.NDArra
     if not head.startswith(KINDS) or (head == PNG and not _is_whole(view)):
         raise PictureError(NO_PICTURE)
     first = next(tiff.pages(view), None)
-    if first is not None and first.at_once > MOST_AT_ONCE:
+    if first is not None and first.strip_bytes > MOST_AT_ONCE:
         raise PictureError(TOO_LARGE)
     try:
         depth = cv2.IMREAD_GRAYSCALE if eight_bit else cv2.IMREAD_ANYDEPTH
@@ -62,7 +62,7 @@ def decode_gray(data: bytes | memoryview, eight_bit: bool = False) -> npt.NDArra
 
 
 def _is_whole(png: memoryview) -> bool:
-    """Whether all chunks up to the last lie inside the file, and none says it is animated."""
+    """True if all chunks lie inside the file and the picture is not animated."""
     at, kind = len(PNG), b""
     while kind != b"IEND":
         if at + 8 > len(png):

@@ -1,4 +1,4 @@
-"""Frames as grey arrays, and regions checked against them."""
+"""Converts frames to grey arrays and checks regions against the frame."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ import numpy.typing as npt
 Box = tuple[int, int, int, int]
 LEAST_WIDTH, LEAST_HEIGHT = 24, 8
 MOST_SIDE = 1 << 14
-"""Pixels; the search for edges takes time and memory with the square of the height."""
+"""Pixels; time and memory of the edge search grow with the square of the height."""
 
 
 class FrameError(ValueError):
-    """An array that cannot be a camera frame."""
+    """The array is not a camera frame."""
 
 
 class RegionError(ValueError):
-    """A region that does not fit the frame."""
+    """The region does not fit the frame."""
 
 
 def to_gray(frame: npt.NDArray[Any]) -> npt.NDArray[np.uint8] | npt.NDArray[np.float32]:
-    """Grey levels 0..255, shape (height, width), contiguous.
+    """Convert a frame to grey levels 0..255, shape (height, width), contiguous.
 
-    Eight bits stay as they are; 16 bits are divided by 257 and keep their resolution as
-    float32; colour (RGB or RGBA) is weighted 0.299, 0.587, 0.114 (ITU-R BT.601).
+    8-bit frames stay unchanged. 16-bit frames are divided by 257 and become float32. Colour
+    (RGB or RGBA) is weighted 0.299, 0.587, 0.114 (ITU-R BT.601).
 
     Raises:
-        FrameError: not two or three axes, no pixels, or another type of number.
+        FrameError: wrong number of axes, no pixels, or an unsupported type.
     """
     array = np.asarray(frame)
-    if array.ndim == 3 and array.shape[2] in (1, 2):  # grey, grey with opacity
+    if array.ndim == 3 and array.shape[2] in (1, 2):  # grey, grey with alpha
         array = array[:, :, 0]
     if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] not in (3, 4)):
         raise FrameError(
@@ -51,7 +51,7 @@ def to_gray(frame: npt.NDArray[Any]) -> npt.NDArray[np.uint8] | npt.NDArray[np.f
     if levels.ndim == 3:
         levels = levels[:, :, :3] @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
     if not np.isfinite(levels).all():
-        raise FrameError("the frame holds numbers that are not finite")
+        raise FrameError("the frame contains non-finite numbers")
     return np.ascontiguousarray(levels)
 
 
@@ -59,8 +59,7 @@ def clip_region(region: Box | None, width: int, height: int) -> Box:
     """The part of ``region`` (left, top, width, height) inside a frame of this size.
 
     Raises:
-        RegionError: nothing, or too little to find two edges in, is left; or more than any
-            camera's side.
+        RegionError: the part is empty, too small for two edges, or too large.
     """
     if region is None:
         box = (0, 0, width, height)
@@ -81,6 +80,6 @@ def clip_region(region: Box | None, width: int, height: int) -> Box:
         )
     if max(box[2:]) > MOST_SIDE:
         raise RegionError(
-            f"the region holds {box[2]} x {box[3]} pixels; at most {MOST_SIDE} a side are looked at"
+            f"the region holds {box[2]} x {box[3]} pixels; the limit is {MOST_SIDE} per side"
         )
     return box

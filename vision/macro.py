@@ -1,11 +1,11 @@
-"""The thesis's own measurement (Appendix C-5), whole pixels, exactly as NIH Image did it.
+"""The thesis's method (Appendix C-5): whole pixels, identical to NIH Image.
 
     FlipHorizontal; SetThreshold(130); MakeBinary; MakeRoi(10,300,500,70);
     GetPlotData(count,ppv,min,max); row:=0; while PlotData[row] = 0 do row:=row+1;
 
-NIH Image's grey scale runs from 0 (white) to 255 (black), so the threshold marks pixels of
-grey level 125 or less; MakeRoi is left, top, width, height after the flip; GetPlotData of a
-rectangle averages its columns. One dark speck ends the count: that is the original.
+NIH Image's grey scale runs from 0 (white) to 255 (black). The threshold therefore marks pixels
+of grey level 125 or less. MakeRoi takes left, top, width, height after the flip. GetPlotData
+averages the columns of the rectangle. As in the original, one dark speck ends the count.
 """
 
 from __future__ import annotations
@@ -22,34 +22,28 @@ ROI: Box = (10, 300, 500, 70)
 
 
 class NoMarker(ValueError):
-    """No column of the region holds a marked pixel; the original would run off its end."""
+    """No column of the region contains a marked pixel; the original would read beyond its array."""
 
 
 def macro_profile(
     frame: npt.NDArray[Any], threshold: int = THRESHOLD, roi: Box = ROI, flip: bool = True
 ) -> npt.NDArray[np.float64]:
-    """The plot the macro scans: share of marked pixels (times 255) in each column of the roi.
+    """The profile that the macro scans: share of marked pixels (times 255) in each column.
 
     Raises:
         RegionError: the roi does not lie inside the frame.
     """
     gray = to_gray(frame)
     left, top, width, height = roi
-    if (
-        width < 1
-        or height < 1
-        or left < 0
-        or top < 0
-        or left + width > gray.shape[1]
-        or top + height > gray.shape[0]
-    ):
+    right, bottom = left + width, top + height
+    if not (0 <= left < right <= gray.shape[1] and 0 <= top < bottom <= gray.shape[0]):
         raise RegionError(
             f"the macro's region {tuple(roi)} (left, top, width, height) does not lie inside the "
             f"frame of {gray.shape[1]} x {gray.shape[0]} pixels: give another with --roi"
         )
     if flip:
         gray = gray[:, ::-1]
-    part = gray[top : top + height, left : left + width]
+    part = gray[top:bottom, left:right]
     marked = 255.0 - part >= threshold if part.dtype != np.uint8 else 255 - part >= threshold
     profile: npt.NDArray[np.float64] = marked.mean(axis=0) * 255.0
     return profile
@@ -58,16 +52,16 @@ def macro_profile(
 def measure_macro(
     frame: npt.NDArray[Any], threshold: int = THRESHOLD, roi: Box = ROI, flip: bool = True
 ) -> int:
-    """Columns of the roi before the first that holds a marked pixel.
+    """Number of roi columns before the first one with a marked pixel.
 
     Args:
-        frame: grey or colour, 8 or 16 bit; colour is weighted to grey first.
+        frame: grey or colour, 8 or 16 bit; colour is first converted to grey.
         threshold: NIH grey value (0 white, 255 black) from which a pixel is marked.
         roi: left, top, width, height in the (flipped) frame.
         flip: mirror the frame left to right first, as the macro does.
 
     Raises:
-        NoMarker: no column holds a marked pixel.
+        NoMarker: no column contains a marked pixel.
         RegionError: the roi does not lie inside the frame.
     """
     profile = macro_profile(frame, threshold, roi, flip)

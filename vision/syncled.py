@@ -1,9 +1,9 @@
-"""Camera delay from the sync LED: what the frames saw against when the LED was switched.
+"""Measures the camera delay with the sync LED: frames against the LED's switching times.
 
-The valve controller shows one bit of a 16-bit shift register for ``bit_ms`` each (verb
-``led sync <seed> <bit_ms>``). An exposure averages the LED over its duration, so each frame's
-LED level is a linear function of the share of its exposure that was lit. The delay is the
-shift of the pattern along the frames' time stamps that explains the levels best.
+The valve controller shows each bit of a 16-bit shift register for ``bit_ms`` (verb
+``led sync <seed> <bit_ms>``). An exposure averages the LED over its duration, so the LED level
+in a frame is a linear function of the lit share of the exposure. The delay is the time shift of
+the pattern that fits the levels best.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ F64 = npt.NDArray[np.float64]
 
 
 class SyncError(ValueError):
-    """The LED levels do not carry the pattern."""
+    """The LED levels do not contain the pattern."""
 
 
 @dataclass(frozen=True)
 class SyncDelay:
-    """Frame stamp minus device time of the exposure's begin.
+    """Frame time stamp minus device time of the start of the exposure.
 
     ``delay_s`` is the camera-minus-device delay with standard uncertainty ``u_delay_s``;
-    ``contrast`` the LED's light in the frame (grey levels), ``noise`` the sd of the levels
-    about the best fit, ``frames`` those used, ``repeated`` those that showed the same picture
-    as the one before, ``dropped`` the frames that the stamps say are missing, ``ambiguity``
-    the misfit of the next best delay over that of the best (1: no better).
+    ``contrast`` the LED's grey levels, ``noise`` the sd of the levels about the fit, ``frames``
+    the number of frames used, ``repeated`` the number of frames equal to the one before,
+    ``dropped`` the number of missing frames from the time stamps, ``ambiguity`` the misfit of
+    the second best delay over that of the best (1: not distinguishable).
     """
 
     delay_s: float
@@ -47,7 +47,7 @@ class SyncDelay:
 
 
 def pattern(seed: int, bits: int) -> npt.NDArray[np.uint8]:
-    """First ``bits`` bits of the LED pattern: bit k is the lowest bit after k steps from seed.
+    """First ``bits`` bits of the LED pattern: bit k is the lowest bit after k steps from ``seed``.
 
     A 16-bit Galois register shifted right, mask 0xB400 (x^16 + x^14 + x^13 + x^11 + 1).
     """
@@ -72,22 +72,22 @@ def led_level(frame: npt.NDArray[Any], patch: Box) -> float:
 
 
 def patch_row_shift(patch: Box, height: int, readout_s: float) -> float:
-    """Seconds by which the patch's middle row is exposed after the first row."""
+    """Delay of the exposure of the patch's middle row relative to the first row, s."""
     return readout_s * (patch[1] + patch[3] / 2) / height
 
 
 def count_dropped(frame_s: F64, period_s: float) -> int:
-    """Frames that gaps between the stamps leave room for."""
+    """Number of missing frames in the gaps between the time stamps."""
     steps = np.rint(np.diff(frame_s) / period_s)
     return int(np.sum(np.maximum(steps - 1, 0)))
 
 
 def count_repeated(frames: list[npt.NDArray[Any]]) -> int:
-    """Frames identical to the one before: a sensor's noise never repeats."""
+    """Number of frames identical to the one before; sensor noise never repeats."""
     return sum(bool(np.array_equal(a, b)) for a, b in itertools.pairwise(frames))
 
 
-def find_delay(  # noqa: PLR0913 - what a camera states, each by name
+def find_delay(  # noqa: PLR0913 - properties of the camera, by keyword
     levels: F64,
     frame_s: F64,
     start_s: float,
@@ -100,18 +100,18 @@ def find_delay(  # noqa: PLR0913 - what a camera states, each by name
     period_s: float | None = None,
     repeated: npt.NDArray[np.bool_] | None = None,
 ) -> SyncDelay:
-    """Recover the delay between a frame's stamp and the exposure it shows.
+    """Find the delay between a frame's time stamp and its exposure.
 
     Args:
         levels: LED level of each frame, grey levels.
-        frame_s: time stamps of the frames on the clock of ``start_s`` (device clock, after
-            the clock fit).
-        start_s: device time at which bit 0 came on.
+        frame_s: time stamps of the frames on the device clock (after the clock fit).
+        start_s: device time of the start of bit 0.
         seed, bit_ms: the pattern.
-        exposure_s: exposure of a row; row_shift_s: see ``patch_row_shift`` (0: global).
+        exposure_s: exposure time of a row; row_shift_s: see ``patch_row_shift`` (0: global
+            shutter).
         longest_s: delays from -longest_s/10 to longest_s are tried.
-        period_s: frame period for the count of dropped frames; the median step when None.
-        repeated: True where a frame repeats the one before; such frames are left out.
+        period_s: frame period for the count of dropped frames; None takes the median step.
+        repeated: True where a frame repeats the one before; such frames are not used.
 
     Raises:
         SyncError: fewer than 20 frames, or the pattern is not in the levels.
@@ -121,10 +121,10 @@ def find_delay(  # noqa: PLR0913 - what a camera states, each by name
     stale = np.zeros(len(levels), dtype=bool) if repeated is None else np.asarray(repeated)
     use = np.isfinite(levels) & ~stale
     bit_s = bit_ms / 1000.0
-    # only frames that the pattern surely covers, whatever the delay
+    # use only frames that the pattern covers for every possible delay
     use &= frame_s - longest_s >= start_s
     if int(use.sum()) < 20:
-        raise SyncError(f"{int(use.sum())} frames see the sync pattern; at least 20 are needed")
+        raise SyncError(f"{int(use.sum())} frames show the sync pattern; at least 20 are needed")
     value, stamp = levels[use], frame_s[use]
     bits = math.ceil((stamp.max() + longest_s - start_s + exposure_s) / bit_s) + 4
     lit = np.concatenate([[0.0], np.cumsum(pattern(seed, bits)) * bit_s])
@@ -149,7 +149,7 @@ def find_delay(  # noqa: PLR0913 - what a camera states, each by name
     best = int(np.argmin(scores))
     apart = np.abs(tried - tried[best]) > max(bit_s, exposure_s)
     second = float(scores[apart].min()) if apart.any() else math.inf
-    # where no change of the LED falls into any exposure a stretch of delays fits alike
+    # if no exposure contains a change of the LED, a range of delays fits equally well
     alike = scores <= scores[best] + 0.02 * float(centred @ centred)
     first, last = best, best
     while first > 0 and alike[first - 1]:
@@ -174,7 +174,7 @@ def find_delay(  # noqa: PLR0913 - what a camera states, each by name
             "the LED's pattern does not show in the frames: check that the LED is inside its "
             "patch, lit by 'led sync', and not over-exposed"
         )
-    # information on the delay: only frames whose exposure holds a change of the LED carry any
+    # only exposures that contain a change of the LED have information on the delay
     h = min(exposure_s, bit_s) / 50
     rate = (share(delay + h) - share(delay - h)) / (2 * h) * contrast
     rate = rate - rate.mean()
@@ -182,7 +182,7 @@ def find_delay(  # noqa: PLR0913 - what a camera states, each by name
     u = math.sqrt((noise**2 + 1e-6) / power) if power > 0 else math.inf
     u = min(u, (float(flat.max()) - float(flat.min())) / math.sqrt(12) + 0.1 * exposure_s)
     u = max(u, (float(flat.max()) - float(flat.min())) / math.sqrt(12))
-    u = math.hypot(u, 0.01 * exposure_s)  # the patch's rows are not exposed at one moment
+    u = math.hypot(u, 0.01 * exposure_s)  # rows of the patch are exposed at different times
     step = float(np.median(np.diff(frame_s))) if period_s is None else period_s
     return SyncDelay(
         delay,

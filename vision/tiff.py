@@ -1,7 +1,7 @@
-"""Where the pages of a TIFF are, and what reading one lays out, from its tags alone.
+"""Positions of the pages of a TIFF and the memory that reading one needs, from its tags alone.
 
-TIFF 6.0 (Adobe, 1992) and BigTIFF. Strips and tiles are laid out whole by whoever decodes them, and
-a tile may be far larger than the picture it belongs to.
+TIFF 6.0 (Adobe, 1992) and BigTIFF. A decoder allocates strips and tiles as a whole, and a tile
+may be much larger than its picture.
 """
 
 from __future__ import annotations
@@ -10,23 +10,23 @@ import struct
 from collections.abc import Iterator
 from typing import NamedTuple
 
-BEGINS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 MOST_PAGES = 10_000
 MOST_TAGS = 4096
 WIDTH, HEIGHT, BITS, SAMPLES, ROWS, TILE_WIDTH, TILE_HEIGHT = 256, 257, 258, 277, 278, 322, 323
 WHOLE = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 16: "Q", 17: "q"}
-"""Kinds of whole numbers, as `struct` has them."""
+"""Integer types, as `struct` format characters."""
 
 
 class Page(NamedTuple):
-    """A page: where its tags begin, and how many bytes one strip or tile of it takes laid out."""
+    """A page: position of its tags, and decoded size of one strip or tile, bytes."""
 
     at: int
-    at_once: int
+    strip_bytes: int
 
 
 class _Form(NamedTuple):
-    """Byte order; letters of an offset and of a number of tags; bytes of a tag and of its value."""
+    """Byte order; format of an offset and of a tag count; bytes per tag and per value."""
 
     order: str
     offset: str
@@ -36,8 +36,8 @@ class _Form(NamedTuple):
 
     @property
     def first(self) -> int:
-        """Where the offset of the first page stands."""
-        return self.value  # 4, and 8 with offsets of 64 bits
+        """Position of the offset of the first page: 4, or 8 with 64-bit offsets."""
+        return self.value
 
 
 def _form(data: memoryview) -> _Form:
@@ -47,8 +47,8 @@ def _form(data: memoryview) -> _Form:
 
 
 def pages(data: memoryview) -> Iterator[Page]:
-    """The pages of a TIFF in their order, up to the first whose tags are damaged."""
-    if not data[:4].tobytes().startswith(BEGINS):
+    """The pages of a TIFF in order, up to the first one with damaged tags."""
+    if not data[:4].tobytes().startswith(SIGNATURES):
         return
     form = _form(data)
     seen: set[int] = set()
@@ -64,21 +64,21 @@ def pages(data: memoryview) -> Iterator[Page]:
             tags: dict[int, int] = {}
             for place in range(begin, end, form.tag):
                 tag, value = _tag(data, form, place)
-                tags[tag] = max(value, tags.get(tag, 0))  # one that stands twice: the worse
-            yield Page(at, _at_once(tags))
+                tags[tag] = max(value, tags.get(tag, 0))  # of a repeated tag, the larger value
+            yield Page(at, _strip_bytes(tags))
             (at,) = struct.unpack_from(form.order + form.offset, data, end)
-    except (struct.error, OverflowError):  # beyond the end, or beyond any
+    except (struct.error, OverflowError):  # an offset beyond the end of the file
         return
 
 
-def put_first(data: memoryview, at: int) -> None:
-    """Write into ``data`` that the page whose tags begin at ``at`` is the first."""
+def set_first_page(data: memoryview, at: int) -> None:
+    """Make the page whose tags start at ``at`` the first page of ``data``."""
     form = _form(data)
     struct.pack_into(form.order + form.offset, data, form.first, at)
 
 
 def _tag(data: memoryview, form: _Form, at: int) -> tuple[int, int]:
-    """Number and first value of a tag; 0 where it holds no whole number."""
+    """Number and first value of a tag; 0 if it is not an integer."""
     tag, kind, count = struct.unpack_from(f"{form.order}HH{form.offset}", data, at)
     if kind not in WHOLE:
         return tag, 0
@@ -88,8 +88,8 @@ def _tag(data: memoryview, form: _Form, at: int) -> tuple[int, int]:
     return tag, abs(struct.unpack_from(form.order + WHOLE[kind], data, at)[0])
 
 
-def _at_once(tags: dict[int, int]) -> int:
-    """Bytes of one strip or tile: its own, and the four a pixel of a conversion to colour."""
+def _strip_bytes(tags: dict[int, int]) -> int:
+    """Decoded bytes of one strip or tile, at least four per pixel for conversion to colour."""
     width, height = tags.get(WIDTH, 0), tags.get(HEIGHT, 0)
     height = min(height, tags.get(ROWS) or height)
     if TILE_WIDTH in tags or TILE_HEIGHT in tags:

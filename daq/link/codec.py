@@ -4,47 +4,20 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from valvefw import wire
 
 _HEADER = struct.Struct(wire.TELEMETRY_HEADER)
 SAMPLE_DTYPE = np.dtype(
-    [
-        ("dt_us", "<u2"),
-        ("counts", "<u2"),
-        ("flags", "u1"),
-        ("inlet_u5", "u1"),
-        ("vent_u5", "u1"),
-    ]
+    [("dt_us", "<u2"), ("counts", "<u2"), ("flags", "u1"), ("inlet_u5", "u1"), ("vent_u5", "u1")]
 )
 assert SAMPLE_DTYPE.itemsize == wire.SAMPLE_SIZE == struct.calcsize(wire.SAMPLE)
 
 
 class CodecError(ValueError):
     """A payload has a correct CRC but an invalid structure (wrong firmware?)."""
-
-
-@dataclass(frozen=True)
-class Telemetry:
-    """One telemetry frame.
-
-    Attributes:
-        boot: boot id of the device.
-        setpoint_x16: pressure set-point in 1/16 counts.
-        seq0: sequence number of the first sample (32 bits, overflows).
-        t0_us: device time of the first sample (32 bits, overflows).
-        samples: ``SAMPLE_DTYPE``, shape (n,).
-    """
-
-    boot: int
-    setpoint_x16: int
-    seq0: int
-    t0_us: int
-    samples: npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -69,6 +42,9 @@ class Reply:
 def telemetry_head(payload: bytes) -> tuple[int, int, int, int, int]:
     """``boot, setpoint_x16, seq0, t0_us, n`` of a telemetry payload.
 
+    ``seq0`` and ``t0_us`` are sequence number and device time of the first sample (32 bits,
+    overflow). ``n`` samples of ``SAMPLE_DTYPE`` follow the header.
+
     Raises:
         CodecError: not telemetry, or its length does not match ``n``.
     """
@@ -78,17 +54,6 @@ def telemetry_head(payload: bytes) -> tuple[int, int, int, int, int]:
     if len(payload) != _HEADER.size + n * wire.SAMPLE_SIZE:
         raise CodecError(f"telemetry of {n} samples has {len(payload)} bytes")
     return boot, setpoint_x16, seq0, t0_us, n
-
-
-def decode_telemetry(payload: bytes) -> Telemetry:
-    """Decode a telemetry payload (type byte first).
-
-    Raises:
-        CodecError: see :func:`telemetry_head`.
-    """
-    boot, setpoint_x16, seq0, t0_us, _ = telemetry_head(payload)
-    samples = np.frombuffer(payload, SAMPLE_DTYPE, offset=_HEADER.size)
-    return Telemetry(boot, setpoint_x16, seq0, t0_us, samples)
 
 
 def encode_request(request_id: int, text: str) -> bytes:

@@ -182,12 +182,12 @@ class _SerialPort:
     def __init__(self, path: str, baud: int) -> None:
         import serial
 
-        options: dict[str, Any] = {"baudrate": baud, "timeout": READ_TIMEOUT_S}
-        options["write_timeout"] = WRITE_TIMEOUT_S
-        if "://" not in path:
-            options["exclusive"] = True
-        self._serial: Any = serial.serial_for_url(path, **options)
-        self._waits = os.name == "posix" and "://" not in path
+        is_url = "://" in path
+        options: dict[str, Any] = {} if is_url else {"exclusive": True}
+        self._serial: Any = serial.serial_for_url(
+            path, baudrate=baud, timeout=READ_TIMEOUT_S, write_timeout=WRITE_TIMEOUT_S, **options
+        )
+        self._waits = os.name == "posix" and not is_url
         # Best effort: by default, FTDI adapters delay bytes by up to 16 ms.
         with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):
             self._serial.set_low_latency_mode(True)
@@ -379,28 +379,20 @@ def _not_opened(path: str, error: Exception) -> PortError:
     number = getattr(error, "errno", None)
     text = str(error)
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in text:
-        ports = list_ports()
-        ports_text = (
-            f"available ports: {', '.join(ports)}" if ports else "this machine has no serial port"
-        )
-        return PortError(
-            path, "no such port", f"plug the device in or correct the path; {ports_text}"
-        )
-    if number in (errno.EAGAIN, errno.EBUSY) or "PermissionError" in text:
-        return PortError(
-            path,
-            "the port is in use by another program",
-            "close the other program (another pamrig, a terminal, ModemManager) and try again",
-        )
-    if number in (errno.EACCES, errno.EPERM):
-        return PortError(
-            path,
-            "no permission to open the port",
-            "join the group that owns it (dialout or uucp: sudo usermod -aG dialout $USER), "
-            "then log in again",
-        )
-    if number == errno.ECONNREFUSED:
-        return PortError(
-            path, "nothing listens at this address", "start the bench, or correct the address"
-        )
-    return PortError(path, f"cannot be opened: {text}", "check the path and the device")
+        ports = ", ".join(list_ports())
+        what = "no such port"
+        remedy = "plug the device in or correct the path; "
+        remedy += f"available ports: {ports}" if ports else "this machine has no serial port"
+    elif number in (errno.EAGAIN, errno.EBUSY) or "PermissionError" in text:
+        what = "the port is in use by another program"
+        remedy = "close the other program (another pamrig, a terminal, ModemManager) and try again"
+    elif number in (errno.EACCES, errno.EPERM):
+        what = "no permission to open the port"
+        remedy = "join the group that owns it (dialout or uucp: sudo usermod -aG dialout $USER), "
+        remedy += "then log in again"
+    elif number == errno.ECONNREFUSED:
+        what = "nothing listens at this address"
+        remedy = "start the bench, or correct the address"
+    else:
+        what, remedy = f"cannot be opened: {text}", "check the path and the device"
+    return PortError(path, what, remedy)

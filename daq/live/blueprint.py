@@ -34,8 +34,7 @@ def blueprint(layout: LiveLayout, *, extra: bool, whole_s: float | None = None) 
             else:
                 rows.append(
                     rrb.Horizontal(
-                        *[_view(p, span) for p in entry],
-                        column_shares=[p.share for p in entry],
+                        *[_view(p, span) for p in entry], column_shares=[p.share for p in entry]
                     )
                 )
                 shares.append(max(p.share for p in entry))

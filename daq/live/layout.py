@@ -7,7 +7,7 @@ the same description, so both look alike.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 Colour = tuple[int, int, int]
 Kind = Literal["series", "states", "points", "camera", "log", "readout"]
@@ -27,7 +27,7 @@ PALETTE: tuple[Colour, ...] = (
 )
 SKY, ORANGE, GREEN, YELLOW, PURPLE, VERMILLION, GREY, BLUE = PALETTE
 
-_KINDS = ("series", "states", "points", "camera", "log", "readout")
+_KINDS = get_args(Kind)
 
 
 @dataclass(frozen=True)

@@ -198,24 +198,14 @@ class Scene:
         named = [line for line in lines if line[2]]
         plain = [line for line in lines if not line[2]]
         colours = [(ORANGE, PALETTE[0], GREY)[min(k, 2)] for k in range(len(named))]
-        self._rec.log(
-            f"{path}/profile",
-            rr.LineStrips2D(
-                [np.array([a, b], dtype=float) for a, b, _ in plain],
-                colors=[PALETTE[2]],
-                radii=rr.Radius.ui_points(0.6),
-                draw_order=49.0,
-            ),
-        )
-        self._rec.log(
-            f"{path}/edges",
-            rr.LineStrips2D(
-                [np.array([a, b], dtype=float) for a, b, _ in named],
-                colors=colours,
-                radii=rr.Radius.ui_points(1.2),
-                draw_order=50.0,
-            ),
-        )
+        for part, group, colour, radius, order in (
+            ("profile", plain, [PALETTE[2]], 0.6, 49.0),
+            ("edges", named, colours, 1.2, 50.0),
+        ):
+            strips = [np.array([a, b], dtype=float) for a, b, _ in group]
+            size = rr.Radius.ui_points(radius)
+            lines_2d = rr.LineStrips2D(strips, colors=colour, radii=size, draw_order=order)
+            self._rec.log(f"{path}/{part}", lines_2d)
         self._rec.log(
             f"{path}/edges/names",
             rr.Points2D(

@@ -238,12 +238,7 @@ def _mean(
 
 
 def _frames(
-    scene: Scene,
-    run: Run,
-    path: str,
-    frame_ns: dict[int, int],
-    start_ns: int,
-    edges: Edges | None,
+    scene: Scene, run: Run, path: str, frame_ns: dict[int, int], start_ns: int, edges: Edges | None
 ) -> None:
     numbers = sorted(frame_ns)
     for number in numbers[:: max(1, -(-len(numbers) // MOST_FRAMES))]:

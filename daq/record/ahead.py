@@ -148,7 +148,7 @@ class AheadRows:
         }
 
     def __len__(self) -> int:
-        """How many rows there are."""
+        """Number of rows."""
         return len(next(iter(self.columns.values())))
 
     def _entries(self, data: bytes, at: int) -> Iterator[tuple[int, int, int]]:

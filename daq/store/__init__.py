@@ -1,1 +1,1 @@
-"""Recorded runs: opened, indexed, verified, annotated, derived again."""
+"""Opens, lists, indexes, verifies, annotates and derives recorded runs."""

@@ -104,10 +104,7 @@ def engineering(run: Run, stream: str) -> tuple[Columns, dict[str, str]]:
 
 
 def scaled(
-    stream: str,
-    raw: Columns,
-    calibrations: Mapping[str, Calibration],
-    raw_units: Mapping[str, str],
+    stream: str, raw: Columns, calibrations: Mapping[str, Calibration], raw_units: Mapping[str, str]
 ) -> tuple[Columns, dict[str, str]]:
     """Convert a stream's raw columns to engineering units, except times; also units by column.
 

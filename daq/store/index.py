@@ -12,14 +12,13 @@ import sqlite3
 from collections.abc import Iterator
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from daq.errors import RecordError
 from daq.record.runname import by_start
 from daq.store.annotations import ANNOTATIONS
-
-if TYPE_CHECKING:
-    from daq.store.info import RunInfo
+from daq.store.info import RunInfo, run_info
+from daq.store.run import Run
 
 INDEX = "index.sqlite"
 LAYOUT = 2
@@ -76,9 +75,6 @@ def update_index(root: Path | str) -> list[RunInfo]:
     Raises:
         RecordError: the index is damaged; `pamrig runs index` rebuilds it.
     """
-    from daq.store.info import run_info
-    from daq.store.run import Run
-
     folder = Path(root)
     path = index_path(root)
     try:
@@ -140,7 +136,5 @@ def _stamp(folder: Path) -> str:
 
 
 def _info(row: dict[str, Any], folder: Path) -> RunInfo:
-    from daq.store.info import RunInfo
-
     names = {field.name for field in fields(RunInfo)}
     return RunInfo(**{k: v for k, v in row.items() if k in names}, folder=str(folder))

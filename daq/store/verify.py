@@ -37,8 +37,7 @@ def _problems(run: Run) -> Iterator[Problem]:
     if final is not None:
         yield from _against_final(run, final, {p.file for p in found})
         seen.update(final["files"])
-    derived = _derived_problems(folder, seen)
-    yield from derived
+    yield from _derived_problems(folder, seen)
     yield from _annotation_problems(folder, seen)
     reserve = folder / RESERVE_NAME
     if run.outcome == INTERRUPTED and reserve.exists():

@@ -146,7 +146,7 @@ def _page(path: Path, k: int, at: int) -> SourceFrame:
     from vision import tiff
 
     data = np.memmap(path, np.uint8, "c").data
-    tiff.put_first(data, at)
+    tiff.set_first_page(data, at)
     return _picture(path.name, k, data)
 
 

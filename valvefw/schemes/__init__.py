@@ -1,1 +1,1 @@
-"""How the valves are switched: the five schemes of the thesis, and those that came after."""
+"""Control schemes of the valves: the five of the thesis and later ones."""

@@ -1,19 +1,19 @@
-"""Model-based bursts: the scheme that knows the valve's delays and its smallest opening.
+"""Model-based bursts: uses the valve's delays and its shortest opening.
 
-Reading: both valves shut, the mean of a window of samples. Then one of three.
+After a reading (both valves closed, mean of a window of samples) the scheme selects one action:
 
-- *Fill* or *vent*: the valve is opened and, every tick, the pressure is predicted that would
-  remain if its command ended now, the valve falling shut one off-delay later. When that reaches
-  the set-point within the coming tick, the command ends at the very 5 us. The prediction starts
-  from the reading, so a wrong model is worth only its error over the off-delay.
-- *Pair*, where even the shortest opening of one valve goes too far: both valves open, overlapped,
-  each for at least its shortest opening, and the longer one is as much longer as the error asks.
-  Found by bisection over the model, one trial a tick; the shorter opening lies in the middle of the
-  longer, so that the excursion is shared between both sides.
+- *Fill* or *vent*: open one valve. Every tick, predict the pressure after the closing delay if
+the command ended now. When the prediction reaches the set-point within the next tick, end the
+command with a resolution of 5 us. The prediction starts from the reading, so a model error
+matters only during the closing delay. - *Pair*, if even the shortest opening of one valve
+overshoots: open both valves, overlapped, each for at least its shortest opening. The error
+determines the additional opening of one of them. Bisection over the model finds it, one trial
+per tick. The shorter opening lies in the middle of the longer one, so that the excursion is
+equal on both sides.
 
-Within the dead zone nothing moves, and once there it is half as wide again, so that noise at its
-edge does not ask for a cure that is worse. Each pair that did not end there widens it by a quarter:
-a model that is wrong by more than the zone must not become a limit cycle.
+Within the dead zone nothing moves; once inside, the zone is wider by half, so that noise at its
+border causes no action. Each pair that ends outside widens the zone by a quarter: a model error
+larger than the zone must not cause a limit cycle.
 """
 
 from valvefw.schemes.gas import Gas
@@ -26,7 +26,7 @@ VENT = 2
 PLAN = 3
 PAIR = 4
 
-LONGER_US = 80000  # a pair's inlet or outlet may be open longer than the shortest by so much
+LONGER_US = 80000  # limit of the additional opening in a pair
 ROUGH_TRIALS = 8
 FINE_TRIALS = 14
 MAX_WIDER = 8
@@ -39,42 +39,13 @@ class Burst(Scheme):
 
     def __init__(self) -> None:
         self._gas = Gas()
-        self._atm = 0
-        self._on_in = 0
-        self._off_in = 0
-        self._on_out = 0
-        self._on_out_slope = 0
-        self._off_out = 0
-        self._off_out_slope = 0
-        self._margin = 0
-        self._settle = 0
-        self._window = 1
-        self._rest = 0
-        self._longest = 0
-        self._dead_x16 = 0
-        self._phase = READ
-        self._wait = 0
-        self._sum = 0
-        self._n = 0
-        self._p = 0
-        self._target = 0
-        self._setpoint_x16 = 0
-        self._wider = 0
-        self._quiet = False
-        self._since = 0
-        self._delay = 0
-        self._trial = 0
-        self._low = 0
-        self._high = 0
-        self._shift = 0
-        self._fill_at = 0
-        self._vent_at = 0
-        self._fill_width = 0
-        self._vent_width = 0
-        self._pair_us = 0
+        super().__init__()
 
     def start(self, values: dict[str, int]) -> None:
-        """Copy parameters and begin with a reading."""
+        self._p = self._target = self._since = self._delay = 0
+        self._trial = self._low = self._high = self._shift = 0
+        self._fill_at = self._vent_at = self._fill_width = self._vent_width = self._pair_us = 0
+        self._quiet = False
         self._gas.load(values)
         self._atm = values["gas_atm"]
         self._on_in = values["valve_on_in_us"]
@@ -94,12 +65,11 @@ class Burst(Scheme):
         self._read_after(self._off_out)
 
     def _read_after(self, shut_us: int) -> None:
-        """Read once both valves have shut, which the last does in ``shut_us``."""
+        """Read once both valves have closed, the last one in ``shut_us``."""
         self._phase = READ
         wait = shut_us + self._settle
         self._wait = wait if wait > self._rest else self._rest
-        self._sum = 0
-        self._n = 0
+        self._sum = self._n = 0
 
     def _out_on_us(self, p: int) -> int:
         return self._on_out + ((p >> 8) - self._atm) * self._on_out_slope // 4095
@@ -108,7 +78,6 @@ class Burst(Scheme):
         return self._off_out + ((p >> 8) - self._atm) * self._off_out_slope // 4095
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """One sample."""
         if setpoint_x16 != self._setpoint_x16:
             if self._setpoint_x16 == 0:  # the outlet has been open
                 valves.vent_us = 0
@@ -143,8 +112,7 @@ class Burst(Scheme):
         if self._n < self._window:
             return
         p = (self._sum << 8) // self._n + (self._atm << 8)
-        self._sum = 0
-        self._n = 0
+        self._sum = self._n = 0
         self._p = p
         error = self._target - p
         dead = self._dead_x16 << 4
@@ -172,7 +140,7 @@ class Burst(Scheme):
 
     def _fill(self, counts: int, dt_us: int, valves: Valves) -> None:
         since = self._since
-        if since < 0:  # the command begins with this tick
+        if since < 0:  # the command starts at this tick
             self._since = 0
             valves.inlet_us = self._on_in + self._margin
             return
@@ -187,7 +155,7 @@ class Burst(Scheme):
             self._p = p
         left = self._on_in + self._margin - since
         if left >= dt_us:
-            return  # the shortest pulse still runs on its own
+            return  # the shortest pulse is still running
         end = gas.after_fill(p, self._off_in)
         lacking = self._target - end
         per_ms = gas.inflow(end)
@@ -234,7 +202,7 @@ class Burst(Scheme):
         self._read_after(more + off_us)
 
     def _plan(self) -> None:
-        """One trial of the bisection: how much longer the vent (above 0) or the fill is open."""
+        """One bisection trial: additional opening of the outlet (positive) or inlet (negative)."""
         p = self._p
         longer = (self._low + self._high) >> 1
         fill_us = self._off_in + self._margin
@@ -243,7 +211,7 @@ class Burst(Scheme):
             vent_us += longer
         else:
             fill_us -= longer
-        shift = self._shift  # from the opening of the outlet to that of the inlet
+        shift = self._shift  # delay of the inlet after the outlet
         end = self._gas.after_both(p, shift, shift + fill_us, 0, vent_us)
         if end > self._target:
             self._low = longer
@@ -251,7 +219,7 @@ class Burst(Scheme):
             self._high = longer
         self._trial += 1
         if self._trial == ROUGH_TRIALS:
-            # Commands begin on ticks: the shift is what whole ticks and the delays make of it.
+            # Commands start on ticks: the shift results from whole ticks and the delays.
             lead = self._on_in - self._out_on_us(p)
             ticks = (((vent_us - fill_us) >> 1) - lead + 500) // 1000
             self._shift = ticks * 1000 + lead

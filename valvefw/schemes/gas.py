@@ -1,4 +1,4 @@
-"""Flow through the two orifices in integers: how far the pressure goes in a stretch of time.
+"""Flow through the two orifices in integer arithmetic: prediction of the pressure.
 
 Pressures are absolute, in 1/256 of a count. ISO 6358 with a critical ratio of one half:
 dP/dt = rate * P_upstream * psi(P_downstream / P_upstream), rate in millionths per ms. Every
@@ -21,12 +21,12 @@ def _psi(cell: int) -> int:
     return _root(65536 - past * past)
 
 
-# psi in 1/256 for ratios of pressures in 1/64; the last one twice, for interpolation.
+# psi in 1/256 for pressure ratios in 1/64; one more entry for interpolation.
 _PSI = tuple([_psi(cell) for cell in range(_CELLS + 1)] + [0])
 
 
 def psi(ratio: int) -> int:
-    """Share of the choked flow in 1/256 at a ratio of pressures in 1/1024."""
+    """Share of the choked flow in 1/256 at a pressure ratio in 1/1024."""
     if ratio <= 512:
         return 256
     if ratio >= 1024:
@@ -39,12 +39,6 @@ def psi(ratio: int) -> int:
 class Gas:
     """One chamber between two orifices."""
 
-    def __init__(self) -> None:
-        self._supply = 1
-        self._atm = 1
-        self._rate_in = 0
-        self._rate_out = 0
-
     def load(self, values: dict[str, int]) -> None:
         """Copy ``gas_*``."""
         self._atm = values["gas_atm"]
@@ -53,37 +47,37 @@ class Gas:
         self._rate_out = values["gas_rate_out"]
 
     def inflow(self, p: int) -> int:
-        """Rise in 1/256 count per ms with the inlet open at pressure ``p``."""
+        """Pressure rise in 1/256 count per ms with an open inlet at pressure ``p``."""
         supply = self._supply
         ratio = (p << 2) // supply
         return (supply * psi(ratio) >> 6) * self._rate_in // 15625
 
     def outflow(self, p: int) -> int:
-        """Fall in 1/256 count per ms with the outlet open at pressure ``p``."""
+        """Pressure fall in 1/256 count per ms with an open outlet at pressure ``p``."""
         ratio = (self._atm << 18) // p
         return ((p >> 4) * psi(ratio) >> 10) * self._rate_out // 15625
 
     def after_fill(self, p: int, open_us: int) -> int:
-        """Pressure after the inlet alone has been open for so long."""
+        """Pressure after the inlet was open for ``open_us``."""
         while open_us >= STEP_US:
             p += self.inflow(p)
             open_us -= STEP_US
         return p + self.inflow(p) * open_us // STEP_US
 
     def after_vent(self, p: int, open_us: int) -> int:
-        """Pressure after the outlet alone has been open for so long."""
+        """Pressure after the outlet was open for ``open_us``."""
         while open_us >= STEP_US:
             p -= self.outflow(p)
             open_us -= STEP_US
         return p - self.outflow(p) * open_us // STEP_US
 
     def after_both(self, p: int, fill_at: int, fill_end: int, vent_at: int, vent_end: int) -> int:
-        """Pressure after the inlet and the outlet have been open in these spans of time, in us."""
+        """Pressure after inlet and outlet were open in these time spans, us."""
         t = fill_at if fill_at < vent_at else vent_at
         end = fill_end if fill_end > vent_end else vent_end
         while t < end:
             stop = t + STEP_US
-            # No step reaches over an edge.
+            # A step ends at the next switching time.
             if t < fill_at < stop:
                 stop = fill_at
             if t < fill_end < stop:

@@ -1,8 +1,8 @@
 """Proportional pulse-width modulation of the inlet only (5.7.2, Figure 5-11, version 8).
 
-One pass: read; if the error is above the dead zone, fill for a share of the period that is
-proportional to the error and keep shut for the rest of it; if it is below, vent until the next
-reading. From ``duty_full`` on the pulse saturates: the whole period, then one unit shut.
+One pass: read; above the dead zone, fill for a share of the period proportional to the error
+and keep closed for the rest; below it, vent until the next reading. From ``duty_full`` on the
+pulse saturates: the whole period, then one unit closed.
 """
 
 from valvefw.schemes.scheme import HOLD_US, Scheme
@@ -15,16 +15,7 @@ class InletDuty(Scheme):
     name = "duty_in"
     both = False
 
-    def __init__(self) -> None:
-        self._dead = 0
-        self._gain = 0
-        self._full = 1
-        self._period = 0
-        self._unit_us = 0
-        self._wait_us = 0
-
     def start(self, values: dict[str, int]) -> None:
-        """Copy ``duty_*`` and begin with a reading."""
         self._dead = values["duty_dead"]
         self._gain = values["duty_gain"]
         self._full = values["duty_full"]
@@ -33,13 +24,12 @@ class InletDuty(Scheme):
         self._wait_us = 0
 
     def on_units(self, error: int) -> int:
-        """Length of the pulse for the size of an error outside the dead zone."""
+        """Pulse length for an error outside the dead zone."""
         if error >= self._full:
             return self._period
         return error * self._gain // self._full
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """Begin a pass when the one before is over."""
         if self._wait_us > 0:
             self._wait_us -= dt_us
             if self._wait_us > 0:

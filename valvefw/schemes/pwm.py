@@ -1,15 +1,15 @@
 """Proportional pulse-width modulation of inlet and outlet.
 
-One cycle: a pulse proportional to the error, a wait until the valve has shut and the pressure
-stands, the mean of a window of samples, then the next pulse. Reading only when nothing flows
-removes the valve's delays from the loop, so the gain can be near dead-beat. A cycle is
-``pwm_period_ms`` long, or longer where the pulse needs it.
+One cycle: a pulse proportional to the error, a wait until the valve has closed and the pressure
+has settled, the mean of a window of samples. Readings without flow remove the valve's delays
+from the loop, so the gain can be near dead-beat. A cycle takes ``pwm_period_ms``, or longer if
+the pulse needs it.
 
-A valve cannot open for less than its smallest pulse, which may be larger than the error. Such
-a pulse overshoots, and the other valve, whose smallest effect differs, brings the rest back;
-the dead zone ends it. Inside the zone readings are filtered over several windows, and after
-``CALM`` of them the zone is half as wide again: a pressure that stands is left alone, since the
-cure (a smallest pulse and its answer) is worse than the noise that asks for it.
+A valve cannot open for less than its smallest pulse, which may be larger than the error. Such a
+pulse overshoots. The other valve, with another smallest pulse, corrects the rest; the dead zone
+ends it. Inside the zone, readings are filtered over several windows, and after ``CALM`` of them
+the
+zone is wider by half: a correction would disturb a settled pressure more than the noise does.
 """
 
 from valvefw.schemes.scheme import Scheme
@@ -19,32 +19,12 @@ CALM = 4  # windows inside the dead zone before it widens
 
 
 class Pwm(Scheme):
-    """Parameters ``pwm_*``; a set-point of 0 holds the outlet open."""
+    """Parameters ``pwm_*``; a set-point of 0 keeps the outlet open."""
 
     name = "pwm"
 
-    def __init__(self) -> None:
-        self._gain_in = 0
-        self._gain_out = 0
-        self._atm = 0
-        self._dead = 0
-        self._min_in = 0
-        self._min_out = 0
-        self._lag_in = 0
-        self._lag_out = 0
-        self._max_in = 0
-        self._max_out = 0
-        self._settle = 0
-        self._window = 1
-        self._rest = 0
-        self._wait = 0
-        self._sum = 0
-        self._n = 0
-        self._level = -1
-        self._calm = 0
-
     def start(self, values: dict[str, int]) -> None:
-        """Copy ``pwm_*`` and begin with a reading."""
+        self._calm = 0
         self._gain_in = values["pwm_gain_in"]
         self._gain_out = values["pwm_gain_out"]
         self._atm = values["pwm_atm"]
@@ -58,20 +38,18 @@ class Pwm(Scheme):
         self._settle = values["pwm_settle_us"]
         self._window = values["pwm_window"]
         self._rest = values["pwm_period_ms"] * 1000 - self._window * 1000
-        # The outlet has been open until now: let it shut before reading.
+        # The outlet was open until now: wait until it has closed.
         self._wait = self._settle
-        self._sum = 0
-        self._n = 0
+        self._sum = self._n = 0
         self._level = -1
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """One sample; begins a pulse when a window is full and the error asks for one."""
+        """One sample; starts a pulse when a window is full and the error requires one."""
         if setpoint_x16 == 0:
             valves.inlet_us = 0
             valves.vent_us = VENT_HOLD_US
             self._wait = self._settle
-            self._sum = 0
-            self._n = 0
+            self._sum = self._n = 0
             self._level = -1
             return
         if valves.vent_us > self._max_out:  # left over from a set-point of 0
@@ -86,8 +64,7 @@ class Pwm(Scheme):
             self._sum = total
             self._n = n
             return
-        self._sum = 0
-        self._n = 0
+        self._sum = self._n = 0
         reading = (total << 4) // n
         level = self._level
         dead = self._dead

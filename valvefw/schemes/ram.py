@@ -1,8 +1,8 @@
 """Pneumatic ram that stops at a proximity switch (5.9, Appendix D-3 version 7).
 
-Two-position control, but while a proximity input is on the error counts as zero: both valves stay
-shut and the ram holds its position. A switch that is on when a new set-point comes is ignored
-until it has gone off once, so that the ram can leave it; the listing has no way to leave.
+Two-position control, but while a proximity input is on the error counts as zero: both valves
+stay closed and the ram keeps its position. A switch that is on at a new set-point is ignored
+until it has been off once, so that the ram can leave it; in the listing it cannot.
 """
 
 from valvefw.schemes.scheme import HOLD_US, Scheme
@@ -14,19 +14,11 @@ class Ram(Scheme):
 
     name = "ram"
 
-    def __init__(self) -> None:
-        self._dead = 0
-        self._setpoint_x16 = 0
-        self._ignored = 0
-
     def start(self, values: dict[str, int]) -> None:
-        """Copy the dead zone."""
         self._dead = values["ram_dead"]
-        self._setpoint_x16 = 0
-        self._ignored = 0
+        self._setpoint_x16 = self._ignored = 0
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """Compare and switch, unless a switch is reached."""
         if setpoint_x16 != self._setpoint_x16:
             self._setpoint_x16 = setpoint_x16
             self._ignored = valves.prox

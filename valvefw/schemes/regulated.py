@@ -1,4 +1,4 @@
-"""Regulator behind the inlet valve: inlet held open, outlet shut, pressure set by the regulator."""
+"""Regulator behind the inlet valve: inlet open, outlet closed, the regulator sets the pressure."""
 
 from valvefw.board import DRIVE_SILENCE_US
 from valvefw.schemes.scheme import Scheme
@@ -6,26 +6,19 @@ from valvefw.schemes.valves import Valves
 
 
 class Regulated(Scheme):
-    """The inlet stays open only so long as heartbeats or set-points renew it."""
+    """The inlet stays open only while heartbeats or set-points renew it."""
 
     name = "reg"
     renews = True
 
-    def __init__(self) -> None:
-        self._bound_us = 0
-        self._left_us = 0
-
     def start(self, values: dict[str, int]) -> None:
-        """Open for one bound."""
         self._bound_us = values["inlet_max_ms"] * 1000
         self._left_us = self._bound_us
 
     def renew(self) -> None:
-        """Another bound from now."""
         self._left_us = self._bound_us
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """Keep the inlet open while renewed."""
         self._left_us -= dt_us
         valves.vent_us = 0
         if self._left_us > 0:

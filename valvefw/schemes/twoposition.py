@@ -1,7 +1,7 @@
 """Two-position control with a differential gap (thesis 5.7.1, Figure 5-10, Appendix D-3 version 4).
 
-The error is taken as the thesis takes it, between 10-bit readings. Above the gap the inlet is
-open, below it the outlet, inside it neither. Of what the valve does meanwhile it knows nothing.
+As in the thesis, the error is the difference of 10-bit readings. Above the gap the inlet is
+open, below it the outlet, inside it neither.
 """
 
 from valvefw.schemes.scheme import HOLD_US, Scheme
@@ -13,15 +13,10 @@ class TwoPosition(Scheme):
 
     name = "two"
 
-    def __init__(self) -> None:
-        self._dead = 0
-
     def start(self, values: dict[str, int]) -> None:
-        """Copy the gap."""
         self._dead = values["two_dead"]
 
     def step(self, counts: int, setpoint_x16: int, dt_us: int, valves: Valves) -> None:
-        """Compare and switch."""
         error = (setpoint_x16 >> 6) - (counts >> 2)
         valves.inlet_us = HOLD_US if error > self._dead else 0
         valves.vent_us = HOLD_US if error < -self._dead else 0

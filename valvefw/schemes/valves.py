@@ -1,18 +1,16 @@
-"""How much longer each valve shall stay open: what a scheme writes and the controller drives."""
+"""Remaining opening times of the valves, written by a scheme and driven by the controller."""
 
-# Longer than any pulse: means "open until told otherwise". The board's own timer bounds it.
+# Longer than any pulse: open until changed. The board's own timer limits it.
 VENT_HOLD_US = 1000000
 
 
 class Valves:
-    """Times to go, in us from the present tick; the controller counts them down."""
+    """Remaining times, us from the current tick; the controller counts them down."""
 
     def __init__(self) -> None:
-        self.inlet_us = 0
-        self.vent_us = 0
+        self.shut()
         self.prox = 0  # proximity inputs at this tick: bit 0 is A, bit 1 is B
 
     def shut(self) -> None:
-        """Both valves shut."""
-        self.inlet_us = 0
-        self.vent_us = 0
+        """Close both valves."""
+        self.inlet_us = self.vent_us = 0

@@ -1,1 +1,1 @@
-"""The gap between two edges in a picture, to a fraction of a pixel."""
+"""Measures the gap between two edges in a picture with sub-pixel resolution."""

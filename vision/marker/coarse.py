@@ -1,9 +1,9 @@
-"""Finds the two facing mark edges anywhere in a frame, to about a pixel.
+"""Finds the two facing mark edges anywhere in a frame, to about one pixel.
 
-Rows are averaged in bands, a step filter runs along each band, and its answers are added
-up along every straight line up to 8 degrees off the vertical. Lines that many bands vote
-for are edges; a gap is a rising edge (dark to light) with a falling edge to its right and
-no other edge between them.
+The search averages rows in bands and applies a step filter along each band. It sums the filter
+output along every straight line up to 8 degrees from the vertical. Lines with many votes are
+edges. A gap is a rising edge (dark to light) with a falling edge to its right and no other edge
+between them.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-STEP_HALF = 6  # px on either side of the step filter; more than twice the widest blur
-MAX_SLOPE = 0.14  # 8 degrees; the method promises 5
-FULL_VOTE = 256  # what one band can say at most
-FLANK = 3  # px of a mark that must be seen beyond its edge
+STEP_HALF = 6  # px per side of the step filter; more than twice the widest blur
+MAX_SLOPE = 0.14  # 8 degrees; the specified limit is 5
+FULL_VOTE = 256  # maximum vote of one band
+FLANK = 3  # px of a mark that must be visible beyond its edge
 
 Box = tuple[int, int, int, int]
 Image = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
@@ -26,20 +26,20 @@ F32 = npt.NDArray[np.float32]
 
 @dataclass(frozen=True)
 class EdgeGuess:
-    """A straight edge x = x_mid + slope * (y - y_mid), its sign, and how many bands see it."""
+    """A straight edge x = x_mid + slope * (y - y_mid), with its sign and votes (bands)."""
 
     x_mid: float
     slope: float
     rising: bool
     votes: float
-    contrast: float = 0.0  # grey levels, median over the bands that see it
+    contrast: float = 0.0  # grey levels, median over the bands that show it
     room_left: float = 0.0  # px to the next edge (or the border) on this side
     room_right: float = 0.0
 
 
 @dataclass(frozen=True)
 class Guess:
-    """What the coarse search found; ``reason`` says why it is not a pair of edges."""
+    """Result of the coarse search; ``reason`` explains why there is no pair of edges."""
 
     left: EdgeGuess | None
     right: EdgeGuess | None
@@ -62,7 +62,7 @@ def _bands(img, top, left, width, count, band):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _steps(bands, half, flank):  # type: ignore[no-untyped-def]
-    """Light on the right minus light on the left of each pixel boundary 0..width."""
+    """Mean light right of each pixel boundary 0..width minus mean light left of it."""
     count, width = bands.shape
     out = np.zeros((count, width + 1), np.float32)
     total = np.zeros(width + 1, np.float64)
@@ -117,7 +117,7 @@ def find_edges(img: Image, box: Box, exclude: tuple[Box, ...] = ()) -> Guess:
     Args:
         img: grey frame, shape (height, width), uint8 or float32 grey levels.
         box: left, top, width, height of the region, inside the frame.
-        exclude: boxes (frame coordinates) whose content must not count.
+        exclude: boxes (frame coordinates) to ignore.
     """
     left, top, width, height = box
     band = max(1, min(16, height // 24))
@@ -145,11 +145,8 @@ def find_edges(img: Image, box: Box, exclude: tuple[Box, ...] = ()) -> Guess:
     pad = int(np.abs(offsets).max()) + 1
     rising, falling = _vote(steps, offsets, dead, np.float32(0.8 * cap), pad)
     least = max(2.0, 24.0 / band, 0.04 * count)
-    edges = [
-        *_peaks(rising, slopes, mid, True, least),
-        *_peaks(falling, slopes, mid, False, least),
-    ]
-    return _choose([_weigh(e, steps, rows, float(dead)) for e in edges], width)
+    edges = [*_peaks(rising, slopes, mid, True, least), *_peaks(falling, slopes, mid, False, least)]
+    return _choose([_with_contrast(e, steps, rows, float(dead)) for e in edges], width)
 
 
 def _peaks(
@@ -167,18 +164,20 @@ def _peaks(
         best = int(rest[s, x])
         if best < least * FULL_VOTE or (found and best < 0.15 * found[0].votes * FULL_VOTE):
             break
-        # the answer of the step filter is a plateau for wide blur: take its middle
+        # for a wide blur the filter output is a plateau: take its middle
         first = max(0, x - 3)
         plateau = np.flatnonzero(rest[s, first : x + 4] >= 0.98 * best)
         centre = 2.0 * (first + float(plateau.mean())) + 0.5
         found.append(EdgeGuess(centre, float(slopes[s]), rising, best / FULL_VOTE))
-        # a line that crosses this one inside the region lives on the same evidence
+        # a line that crosses this one inside the region has the same votes
         reach = (STEP_HALF + 4 + np.abs(slopes - slopes[s]) * half) // 2
         rest[np.abs(columns - x) <= reach[:, None]] = 0
     return found
 
 
-def _weigh(edge: EdgeGuess, steps: F32, rows: npt.NDArray[np.float64], dead: float) -> EdgeGuess:
+def _with_contrast(
+    edge: EdgeGuess, steps: F32, rows: npt.NDArray[np.float64], dead: float
+) -> EdgeGuess:
     x = np.rint(edge.x_mid + edge.slope * rows).astype(np.int64)
     inside = (x >= 0) & (x < steps.shape[1])
     seen = steps[np.flatnonzero(inside), x[inside]] * (1.0 if edge.rising else -1.0)
@@ -187,11 +186,11 @@ def _weigh(edge: EdgeGuess, steps: F32, rows: npt.NDArray[np.float64], dead: flo
 
 
 def _choose(edges: list[EdgeGuess], width: int) -> Guess:
-    """Pick the pair of edges that a single light gap between dark marks would make."""
+    """Select the pair of edges of a single light gap between dark marks."""
     if not edges:
         return Guess(None, None, "no straight edge found in the region")
     top = max(e.votes * e.contrast for e in edges)
-    # an edge counts when it is a fair part of the strongest: marks may differ in height
+    # marks may differ in height, so weaker edges count too
     strong = sorted((e for e in edges if e.votes * e.contrast >= 0.2 * top), key=lambda e: e.x_mid)
     runs: list[list[EdgeGuess]] = []
     for e in strong:
@@ -203,8 +202,8 @@ def _choose(edges: list[EdgeGuess], width: int) -> Guess:
     for i in range(len(runs) - 1):
         if not runs[i][0].rising:
             continue
-        a, doubt_a = _of_run(runs[i])
-        b, doubt_b = _of_run(runs[i + 1])
+        a, reason_a = _strongest(runs[i])
+        b, reason_b = _strongest(runs[i + 1])
         before = max((e.x_mid for e in strong if e.x_mid < a.x_mid), default=0.0)
         after = min((e.x_mid for e in strong if e.x_mid > b.x_mid), default=float(width))
         beside_a = min(e.x_mid for e in strong if e.x_mid > a.x_mid)
@@ -214,24 +213,24 @@ def _choose(edges: list[EdgeGuess], width: int) -> Guess:
                 min(a.votes * a.contrast, b.votes * b.contrast),
                 replace(a, room_left=a.x_mid - before, room_right=beside_a - a.x_mid),
                 replace(b, room_left=b.x_mid - beside_b, room_right=after - b.x_mid),
-                doubt_a or doubt_b,
+                reason_a or reason_b,
             )
         )
     if not pairs:
         kinds = "one mark" if len(strong) <= 2 else f"{len(strong)} edges but no light gap"
-        return Guess(None, None, f"found {kinds}: two dark marks with light between are needed")
+        return Guess(None, None, f"found {kinds}: two dark marks with a light gap are required")
     pairs.sort(key=lambda pair: pair[0], reverse=True)
     if len(pairs) > 1 and pairs[1][0] > 0.5 * pairs[0][0]:
-        return Guess(*pairs[0][1:3], f"{len(pairs)} light gaps look alike: give a region")
+        return Guess(*pairs[0][1:3], f"{len(pairs)} similar light gaps: specify a region")
     return Guess(*pairs[0][1:])
 
 
-def _of_run(run: list[EdgeGuess]) -> tuple[EdgeGuess, str]:
-    """The strongest of neighbouring edges of one sign, and a doubt if another is as strong."""
+def _strongest(run: list[EdgeGuess]) -> tuple[EdgeGuess, str]:
+    """The strongest of adjacent edges of one sign; a reason for doubt if another is similar."""
     ranked = sorted(run, key=lambda e: e.votes * e.contrast, reverse=True)
     if len(ranked) > 1:
         first, second = (e.votes * e.contrast for e in ranked[:2])
         if second > 0.35 * first:
             where = f"columns {ranked[0].x_mid:.0f} and {ranked[1].x_mid:.0f}"
-            return ranked[0], f"two edges of one sign look alike ({where})"
+            return ranked[0], f"two similar edges of the same sign ({where})"
     return ranked[0], ""

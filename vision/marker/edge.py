@@ -1,6 +1,6 @@
-"""The width of the light gap between reference mark and marker, with its uncertainty.
+"""Measures the width of the light gap between reference mark and marker, with uncertainty.
 
-See docs/use/length.md for the edge model, the bound it is held to and its measured figures.
+docs/use/length.md describes the edge model, its uncertainty limit and measured performance.
 """
 
 from __future__ import annotations
@@ -20,17 +20,15 @@ F64 = npt.NDArray[np.float64]
 
 
 def measure_gap(
-    frame: npt.NDArray[Any],
-    region: Box | None = None,
-    exclude: tuple[Box, ...] = (),
+    frame: npt.NDArray[Any], region: Box | None = None, exclude: tuple[Box, ...] = ()
 ) -> GapMeasurement:
     """Measure the light gap between two dark marks in one frame.
 
     Args:
         frame: grey (height, width) or colour (height, width, 3 or 4, RGB order), uint8 or
             uint16.
-        region: left, top, width, height to look in; the whole frame when None.
-        exclude: boxes that must not count as marks (the sync LED's patch).
+        region: search region: left, top, width, height; None for the whole frame.
+        exclude: boxes that contain no marks (the sync LED's patch).
 
     Raises:
         RegionError: the region lies outside the frame or is too small.

@@ -1,4 +1,4 @@
-"""Brings the joint fit of one edge to convergence and judges it (model: ``edgesweep``)."""
+"""Iterates the fit of one edge to convergence; fit statistics (model: ``edgesweep``)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vision.marker.edgesweep import (
 
 @njit(cache=True, nogil=True)
 def invert(matrix, inverse):  # type: ignore[no-untyped-def]
-    """Inverse of a symmetric positive matrix by a scaled Cholesky with a tiny ridge."""
+    """Inverse of a symmetric positive matrix by scaled Cholesky factorisation with a ridge."""
     n = matrix.shape[0]
     d = np.empty(n)
     for i in range(n):
@@ -61,7 +61,7 @@ def invert(matrix, inverse):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def times(matrix, vector, product):  # type: ignore[no-untyped-def]
-    """Matrix times vector without a linear algebra library and its threads."""
+    """Matrix times vector, without a linear algebra library and its threads."""
     for i in range(matrix.shape[0]):
         total = 0.0
         for j in range(matrix.shape[1]):
@@ -71,7 +71,7 @@ def times(matrix, vector, product):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def drop_misfits(misfit, used, levels):  # type: ignore[no-untyped-def]
-    """Switch off groups that fit far worse, or show far less contrast, than most; count them."""
+    """Disable groups with a much larger misfit or a much smaller contrast than most; count them."""
     count = 0
     values = np.empty(misfit.shape[0])
     contrast = np.empty(misfit.shape[0])
@@ -101,13 +101,13 @@ def drop_misfits(misfit, used, levels):  # type: ignore[no-untyped-def]
 def refine(view, line, least_scale, may_bend, resid, keep, out):  # type: ignore[no-untyped-def]
     """Iterate ``sweep`` to convergence; fills ``line``, resid, keep and out.
 
-    out: 0..2 covariance aa, ab, bb (white noise), 3 noise sd near the edge, 4 share of
-    outlier pixels near it, 5 rows used, 6 rows refused, 7 mean contrast, 8 over-exposed
-    rows, 9 share of outliers in the flat parts, 10 groups refused, 11 kappa was freed, 12
-    variance of sums over 8 image rows against that of white noise, 13 the same for sums over
-    all rows, 14 the variance (grey levels squared) that the covariance is scaled by.
-    ``may_bend`` False: p and levels come from an earlier fit, kappa stays 0.
-    Returns True when it converged on enough rows.
+    out: 0..2 covariance aa, ab, bb (white noise), 3 noise sd near the edge, 4 share of outlier
+    pixels near the edge, 5 rows used, 6 rows rejected, 7 mean contrast, 8 over-exposed rows, 9
+    share of outliers in the flat parts, 10 groups rejected, 11 1 if kappa was fitted, 12
+    variance of sums over 8 image rows relative to white noise, 13 the same for sums over all
+    rows, 14 the variance (grey levels squared) that scales the covariance. ``may_bend`` False:
+    p and levels come from an earlier fit, kappa stays 0. Returns True if the fit converged on
+    enough rows.
     """
     img, rows, group_of, y_mid, room, box_left, box_right, hot_from = view
     p, levels, used = line
@@ -136,7 +136,7 @@ def refine(view, line, least_scale, may_bend, resid, keep, out):  # type: ignore
     all_ids = np.arange(groups)
     scale = max(least_scale, 0.3 * abs(np.median(levels[:, 1] - levels[:, 0])))
     coarse = 6
-    if not may_bend:  # a second look from a fit that converged
+    if not may_bend:  # repeat of a converged fit
         scale = least_scale
         coarse = 0
     fine = 0
@@ -187,7 +187,7 @@ def refine(view, line, least_scale, may_bend, resid, keep, out):  # type: ignore
             if settled and fine >= 2 and abs(da) < tight:
                 if free:
                     break
-                # does the light change across the edge other than in proportion to it?
+                # test whether kappa is significant
                 normal[4, 4] = bend
                 invert(normal, wide)
                 times(wide, right, trial)
@@ -223,7 +223,7 @@ def refine(view, line, least_scale, may_bend, resid, keep, out):  # type: ignore
 
 @njit(cache=True, nogil=True)
 def row_correlation(resid, rows, keep):  # type: ignore[no-untyped-def]
-    """How much more sums of residuals over 8 aligned rows, and over all, vary than noise."""
+    """Variance of residual sums over 8 aligned rows, and over all rows, relative to white noise."""
     columns = resid.shape[1]
     one = 0.0
     eight = 0.0

@@ -1,4 +1,4 @@
-"""The step that a pixel sees through a Gaussian blur, tabulated."""
+"""Response of a pixel to a step with Gaussian blur, as a table."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from numba import njit
 
 TABLE = 1024  # longest profile table
-STEPS_A_SIGMA = 24.0
+STEPS_PER_SIGMA = 24.0
 
 _SQRT_HALF = math.sqrt(0.5)
 _INV_SQRT_2PI = 1.0 / math.sqrt(2.0 * math.pi)
@@ -24,11 +24,11 @@ def _phi2(t, sigma):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def fill_table(sigma, table, core):  # type: ignore[no-untyped-def]
-    """Tabulate F, dF/dd and dF/dsigma for |d| <= core at ``sigma/24`` or finer.
+    """Tabulate F, dF/dd and dF/dsigma for |d| <= core with steps of ``sigma/24`` or less.
 
-    Returns the number of entries to one side; entry k + side stands at d = k * step.
+    Returns the number of entries per side and the step; entry k + side belongs to d = k * step.
     """
-    step = max(sigma, 0.5) / STEPS_A_SIGMA
+    step = max(sigma, 0.5) / STEPS_PER_SIGMA
     side = math.ceil(core / step) + 1
     if side > TABLE // 2 - 1:
         side = TABLE // 2 - 1

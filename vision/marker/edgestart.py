@@ -1,6 +1,6 @@
-"""First line and levels of an edge, from the area under the mean profiles of groups of rows.
+"""Initial line and levels of an edge from the area under the mean profiles of groups of rows.
 
-The area between a profile and its lower level tells where a step stands whatever its blur.
+The area between a profile and its lower level gives the position of a step for any blur.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def start_line(img, box, y_mid, a, b, rising, reach_l, reach_r, group):  # type: ignore[no-untyped-def]
-    """Line and levels from groups of rows by the area under each mean profile.
+    """Line and levels from the area under the mean profile of each group of rows.
 
-    Returns (a, b, left levels, right levels, used flags), the last three one per group of
-    rows; a < 0 when too few agree.
+    Returns (a, b, left levels, right levels, used flags), the last three per group of rows; a <
+    0 if too few groups agree.
     """
     left, top, width, height = box
     count = height // group
@@ -98,11 +98,7 @@ def start_line(img, box, y_mid, a, b, rising, reach_l, reach_r, group):  # type:
         for i in range(n):
             res[i] = pos[idx[i]] - a - b * rel[idx[i]]
         scale = max(0.1, 1.4826 * np.median(np.abs(res)))
-        s0 = 0.0
-        s1 = 0.0
-        s2 = 0.0
-        r0 = 0.0
-        r1 = 0.0
+        s0 = s1 = s2 = r0 = r1 = 0.0
         for i in range(n):
             q = res[i] / (4.685 * scale)
             wt = max(0.0, 1.0 - q * q) ** 2

@@ -1,20 +1,19 @@
 """Joint robust fit of one straight blurred edge to all pixels near it.
 
 Model of the light at column x, row y, with d = x - a - b*(y - y_mid), for the group of four
-rows that y belongs to:
+rows that contains y:
 
     I = p (1 + gamma d) (1 - F(d)) + q (1 + gamma d) F(d) + kappa d (2 F(d) - 1)
 
-p and q are the levels left and right of the edge, free for every group (uneven light, glare
-and shutter bands cost nothing: the position takes its information from each row anyway);
-F is the step seen by a unit pixel through a Gaussian blur of sd sigma: the normal density
-integrated twice. (Motion blur is another symmetric kernel: it widens sigma and, by symmetry,
-leaves the position alone.) gamma is the relative change of
-light across the edge; kappa, light that does not change in proportion, stays 0 unless the
-frame shows it. Parameters are found by Gauss-Newton steps with Tukey's biweight (c = 4.685,
-95 % efficient on Gaussian noise), the levels eliminated group by group. Rows in which more
-than a third of the pixels near the edge are outliers are left out, and so are groups that
-fit much worse than the rest.
+p and q are the levels left and right of the edge, separate for every group. Uneven light, glare
+and bands of the shutter therefore do not disturb the fit, since each row has information on the
+position. F is the response of a unit pixel to a step with Gaussian blur of sd sigma: the normal
+density integrated twice. (Motion blur is another symmetric kernel. It increases sigma and does
+not change the position.) gamma is the relative change of light across the edge. kappa, a non-
+proportional change of light, stays 0 unless it is significant. Gauss-Newton steps with Tukey's
+biweight (c = 4.685, 95 % efficient for Gaussian noise) find the parameters; the levels are
+eliminated group by group. Rows in which more than a third of the pixels near the edge are
+outliers are rejected, and groups that fit much worse than the others.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ from vision.marker.edgeprofile import fill_table
 
 PARAMETERS = 5  # a, b, sigma, gamma, kappa
 TUKEY = 4.685
-GROUP = 4  # rows that share one pair of levels
-RHO_MAX = 22.0  # what one outlier adds to its group's misfit, in squared sds
+GROUP = 4  # rows with a common pair of levels
+RHO_MAX = 22.0  # contribution of one outlier to its group's misfit, squared sds
 HIST = 2048
 HIST_STEP = 1.0 / 32.0
 CORE_MAX = 64  # widest stored residual window
@@ -42,12 +41,7 @@ F64 = npt.NDArray[np.float64]
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def _flat(line, x_from, x_to, x0, level, slope, inv2):  # type: ignore[no-untyped-def]
     """Weighted sums of 1, d, d^2, r, r d over pixels of one level."""
-    s0 = np.float32(0.0)
-    s1 = np.float32(0.0)
-    s2 = np.float32(0.0)
-    r0 = np.float32(0.0)
-    r1 = np.float32(0.0)
-    rho = np.float32(0.0)
+    s0 = s1 = s2 = r0 = r1 = rho = np.float32(0.0)
     start = np.float32(x_from + 0.5 - x0)
     level32 = np.float32(level)
     slope32 = np.float32(slope)
@@ -70,9 +64,9 @@ def _flat(line, x_from, x_to, x0, level, slope, inv2):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True)
 def _eliminate(u, v, c, arm, block, normal, right):  # type: ignore[no-untyped-def]
-    """Take the levels out of one group's sums and add the rest to the normal equations.
+    """Eliminate the levels from one group's sums and add the rest to the normal equations.
 
-    ``block`` (2, PARAMETERS + 1) gets what ``shift_levels`` needs to move the levels later.
+    ``block`` (2, PARAMETERS + 1) receives what ``shift_levels`` needs.
     """
     m00 = u[2, 2]
     m11 = u[3, 3]
@@ -102,13 +96,13 @@ def _eliminate(u, v, c, arm, block, normal, right):  # type: ignore[no-untyped-d
 
 
 class Rows(NamedTuple):
-    """Pixels that an edge is fitted to.
+    """Pixels for the fit of an edge.
 
     Attributes:
         img: the grey picture, (h, w).
-        rows: row numbers, (n,), in groups that share one pair of levels.
+        rows: row numbers, (n,), in groups with a common pair of levels.
         group_of: group of each row, (n,).
-        y_mid: row at which the edge's column is stated.
+        y_mid: reference row of the edge's column.
         room: columns left and right of the edge that belong to it, (2,).
         box_left, box_right: columns of the box, the last one excluded.
         hot_from: grey level that counts as over-exposed.
@@ -125,7 +119,7 @@ class Rows(NamedTuple):
 
 
 class Line(NamedTuple):
-    """The edge so far: ``p`` (PARAMETERS,), ``levels`` (groups, 2), ``used`` (groups,)."""
+    """The current fit: ``p`` (PARAMETERS,), ``levels`` (groups, 2), ``used`` (groups,)."""
 
     p: Any
     levels: Any
@@ -133,7 +127,7 @@ class Line(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """What a pass fills; made once and used by every pass of a fit."""
+    """Output arrays of a pass, allocated once per fit."""
 
     table: Any
     hist: Any
@@ -150,18 +144,16 @@ class Sums(NamedTuple):
 def sweep(view, line, scale, near_only, sums):  # type: ignore[no-untyped-def]
     """One pass over the pixels: normal equations, residual histogram, statistics.
 
-    ``view`` is a ``Rows``, ``line`` a ``Line`` (groups with ``used`` 0 are skipped); ``near_only``
-    keeps to the neighbourhood of the edge, where light that bends is still straight. Of ``sums``
-    ``keep`` (rows) gets 1 where the row counted; ``misfit`` (groups) the mean bounded squared
-    residual; ``resid`` (rows, CORE_MAX) the weighted residuals near the edge, column CORE_MAX/2
-    holding the pixel that the edge runs through.
+    ``view`` is a ``Rows``, ``line`` a ``Line`` (groups with ``used`` 0 are skipped).
+    ``near_only`` restricts the pass to the neighbourhood of the edge, where the light is still
+    linear. In ``sums``, ``keep`` (rows) is 1 for each row used; ``misfit`` (groups) is the mean
+    bounded squared residual; ``resid`` (rows, CORE_MAX) holds the weighted residuals near the
+    edge, with the pixel on the edge in column CORE_MAX/2.
     """
     img, rows, group_of, y_mid, room, box_left, box_right, hot_from = view
     p, levels, used = line
     table, hist, normal, right, blocks, misfit, keep, resid, stats = sums
-    a = p[0]
-    b = p[1]
-    sigma = p[2]
+    a, b, sigma = p[0], p[1], p[2]
     core = max(2.3, 3.2 * sigma + 0.8)
     side, step = fill_table(sigma, table, core + 1.0)
     inv_step = 1.0 / step
@@ -182,10 +174,8 @@ def sweep(view, line, scale, near_only, sums):  # type: ignore[no-untyped-def]
     v = np.zeros(6)
     count_rows = rows.shape[0]
     at = -1  # group being summed
-    arm = 0.0
     members = 0
-    s_rho = 0.0
-    n_rho = 0.0
+    arm = s_rho = n_rho = 0.0
     for i in range(count_rows + 1):
         if i == count_rows or group_of[i] != at:
             if at >= 0:
@@ -202,10 +192,8 @@ def sweep(view, line, scale, near_only, sums):  # type: ignore[no-untyped-def]
             at = group_of[i]
             u[:] = 0.0
             v[:] = 0.0
-            arm = 0.0
             members = 0
-            s_rho = 0.0
-            n_rho = 0.0
+            arm = s_rho = n_rho = 0.0
         keep[i] = 0
         if used[at] == 0:
             continue
@@ -224,38 +212,13 @@ def sweep(view, line, scale, near_only, sums):  # type: ignore[no-untyped-def]
             continue
         shift = c_first - math.floor(x0) + CORE_MAX // 2
         bad = 0
-        s_psi2 = 0.0
-        s_dpsi = 0.0
-        s_w = 0.0
-        rho = 0.0
+        s_psi2 = s_dpsi = s_w = rho = 0.0
         hot = 0
-        u00 = 0.0
-        u01 = 0.0
-        u02 = 0.0
-        u03 = 0.0
-        u04 = 0.0
-        u05 = 0.0
-        u11 = 0.0
-        u12 = 0.0
-        u13 = 0.0
-        u14 = 0.0
-        u15 = 0.0
-        u22 = 0.0
-        u23 = 0.0
-        u24 = 0.0
-        u25 = 0.0
-        u33 = 0.0
-        u34 = 0.0
-        u35 = 0.0
-        u44 = 0.0
-        u45 = 0.0
-        u55 = 0.0
-        v0 = 0.0
-        v1 = 0.0
-        v2 = 0.0
-        v3 = 0.0
-        v4 = 0.0
-        v5 = 0.0
+        u00 = u01 = u02 = u03 = u04 = u05 = 0.0
+        u11 = u12 = u13 = u14 = u15 = 0.0
+        u22 = u23 = u24 = u25 = 0.0
+        u33 = u34 = u35 = u44 = u45 = u55 = 0.0
+        v0 = v1 = v2 = v3 = v4 = v5 = 0.0
         pixels = img[y]
         size = c_last - c_first + 1
         near = pixels[c_first : c_last + 1]
@@ -331,44 +294,23 @@ def sweep(view, line, scale, near_only, sums):  # type: ignore[no-untyped-def]
         if hot >= 2 and hot * 7 > size:
             stats[8] += 1.0
             continue
-        u[0, 0] += u00
-        u[0, 1] += u01
-        u[0, 2] += u02
-        u[0, 3] += u03
-        u[0, 4] += u04
-        u[0, 5] += u05
-        u[1, 1] += u11
-        u[1, 2] += u12
-        u[1, 3] += u13
-        u[1, 4] += u14
-        u[1, 5] += u15
-        u[2, 2] += u22
-        u[2, 3] += u23
-        u[2, 4] += u24
-        u[2, 5] += u25
-        u[3, 3] += u33
-        u[3, 4] += u34
-        u[3, 5] += u35
-        u[4, 4] += u44
-        u[4, 5] += u45
-        u[5, 5] += u55
-        v[0] += v0
-        v[1] += v1
-        v[2] += v2
-        v[3] += v3
-        v[4] += v4
-        v[5] += v5
-        # flat parts: only levels and slopes
+        upper = (u00, u01, u02, u03, u04, u05, u11, u12, u13, u14, u15,
+                 u22, u23, u24, u25, u33, u34, u35, u44, u45, u55)  # fmt: skip
+        entry = 0
+        for m in range(6):
+            for n in range(m, 6):
+                u[m, n] += upper[entry]
+                entry += 1
+        for m, total in enumerate((v0, v1, v2, v3, v4, v5)):
+            v[m] += total
+        # flat parts affect levels and slopes only
         for part in range(2):
             if part == 0:
-                x_from, x_to = first, c_first
+                x_from, x_to, level, slope, sign = first, c_first, low, sl, -1.0
             else:
-                x_from, x_to = c_last + 1, last + 1
-            level = low if part == 0 else high
-            slope = sl if part == 0 else sh
+                x_from, x_to, level, slope, sign = c_last + 1, last + 1, high, sh, 1.0
             s0, s1, s2, r0, r1, flat_rho = _flat(pixels, x_from, x_to, x0, level, slope, inv2)
             j = 2 + part
-            sign = -1.0 if part == 0 else 1.0
             u[j, j] += s0
             u[j, 4] += level * s1
             u[j, 5] += sign * s1
@@ -400,7 +342,7 @@ def sweep(view, line, scale, near_only, sums):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def shift_levels(levels, blocks, groups, step):  # type: ignore[no-untyped-def]
-    """Move each group's levels to where they fit best after the parameters moved by step."""
+    """Move each group's levels to their optimum after a parameter step."""
     for at in groups:
         for k in range(2):
             change = blocks[at, k, PARAMETERS]

@@ -1,21 +1,21 @@
-"""A measured gap between two edges, as a value."""
+"""Result types of a gap measurement."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from vision.gray import Box
 
 
 @dataclass(frozen=True)
 class EdgeLine:
-    """A fitted mark edge, x = x_mid + slope * (y - y_mid), in frame pixels.
+    """A fitted edge of a mark, x = x_mid + slope * (y - y_mid), in frame pixels.
 
-    x counts from the left border of the first pixel, y in row numbers.
-    ``u_x_mid`` is the standard uncertainty of ``x_mid``; ``blur_px`` the sd of the blur
-    along the row; ``contrast`` light minus dark, ``noise`` the sd near the edge, both in
-    grey levels; ``rows_used`` of ``rows_seen`` rows carried the fit; ``outliers`` is the
-    share of pixels near the edge that the fit refused.
+    x is measured from the left border of the first pixel, y in row numbers. ``u_x_mid`` is the
+    standard uncertainty of ``x_mid``; ``blur_px`` the sd of the blur along the row;
+    ``contrast`` light minus dark and ``noise`` the sd near the edge, in grey levels;
+    ``rows_used`` of ``rows_seen`` rows contribute to the fit; ``outliers`` is the share of
+    rejected pixels near the edge.
     """
 
     x_mid: float
@@ -38,11 +38,11 @@ class EdgeLine:
 
 @dataclass(frozen=True)
 class GapMeasurement:
-    """One frame's answer.
+    """The result for one frame.
 
-    ``pixels`` is the gap perpendicular to the edges and ``u_pixels`` its standard
-    uncertainty, both nan where no gap was found. ``trusted`` is False, and ``reason`` says
-    why, where the number must not be used.
+    ``pixels`` is the gap perpendicular to the edges and ``u_pixels`` its standard uncertainty,
+    both nan if no gap was found. If ``trusted`` is False, the value must not be used;
+    ``reason`` explains why.
     """
 
     pixels: float
@@ -52,4 +52,3 @@ class GapMeasurement:
     left: EdgeLine | None = None
     right: EdgeLine | None = None
     region: Box = (0, 0, 0, 0)
-    polygon: tuple[tuple[float, float], ...] = field(default=())

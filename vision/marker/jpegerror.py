@@ -1,11 +1,11 @@
-"""What JPEG compression adds to the uncertainty of an edge.
+"""Contribution of JPEG compression to the uncertainty of an edge.
 
-A straight upright edge puts the same block content into every block row, so the rounding of
-its DCT coefficients does not average out over rows. The coefficient of horizontal frequency
-u is off by up to half its quantiser step (variance q^2/12), by itself where it was rounded
-to nothing, and by less where sensor noise dithers it: the mean error of a quantiser under
-Gaussian noise of sd s has the variance q^2/(2 pi^2) exp(-4 pi^2 s^2/q^2). Each error moves
-the edge by the inner product of its cosine with the influence of the pixels on the fit.
+A straight vertical edge puts the same content into every block row, so the rounding of its DCT
+coefficients does not average out over rows. The error of the coefficient of horizontal
+frequency u is at most half its quantiser step (variance q^2/12), or the coefficient itself
+where it was rounded to zero. Sensor noise reduces the error: the mean error of a quantiser
+under Gaussian noise of sd s has the variance q^2/(2 pi^2) exp(-4 pi^2 s^2/q^2). Each error
+moves the edge by the inner product of its cosine with the influence of the pixels on the fit.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from vision.marker.coarse import Image
 
 F64 = npt.NDArray[np.float64]
 
-# a few large coefficients make these errors, and the robust fit bends under them
+# a few large coefficients cause these errors, and the robust fit reacts to them
 UNLIKE_GAUSS = 1.4
 
 # ITU-T T.81 Annex K.1, luminance, as scaled by the usual encoders
@@ -51,7 +51,7 @@ class JpegQuantiser:
 
     @property
     def pixel_error(self) -> float:
-        """Rms, in grey levels, of what rounding upright content does to a pixel."""
+        """Rms error of a pixel from rounding of vertical content, grey levels."""
         return float(np.sqrt(np.sum(self.steps[0, 1:] ** 2) / 12 / 64))
 
 
@@ -68,14 +68,14 @@ def _qualities() -> tuple[npt.NDArray[np.int64], F64]:
 
 
 def find_quantiser(img: Image, columns: F64, rows: npt.NDArray[np.int64]) -> JpegQuantiser | None:
-    """Recognise JPEG quantisation in the blocks that edges run through.
+    """Detect JPEG quantisation in the blocks along the edges.
 
     Args:
         img: grey frame, decoded.
-        columns, rows: points on the edges; their blocks and the two beside each are read.
+        columns, rows: points on the edges; their blocks and both neighbours are used.
 
     Returns:
-        None when the coefficients do not lie on the grid of a common encoder.
+        None if the coefficients do not fit the quantiser of a common encoder.
     """
     places = ((rows // 8) * 4096 + (columns // 8).astype(np.int64))[:, None]
     own = np.unique(places + np.array([-1, 0, 1]))
@@ -85,10 +85,10 @@ def find_quantiser(img: Image, columns: F64, rows: npt.NDArray[np.int64]) -> Jpe
     qualities, tables = _qualities()
     part = np.concatenate([edge[:, 0, 1:7], edge[:, 1, 1:4]], axis=1)
     steps = np.concatenate([tables[:, 0, 1:7], tables[:, 1, 1:4]], axis=1)[:, None, :]
-    # only what was rounded to something says which step it was, and small steps say nothing
-    spoke = (np.abs(part) > 1.5)[None] & (steps >= 3.5)
-    score = (np.cos(2 * np.pi * part[None] / steps) * spoke).sum(axis=(1, 2))
-    count = spoke.sum(axis=(1, 2))
+    # only non-zero coefficients show the step, and small steps are not distinguishable
+    informative = (np.abs(part) > 1.5)[None] & (steps >= 3.5)
+    score = (np.cos(2 * np.pi * part[None] / steps) * informative).sum(axis=(1, 2))
+    count = informative.sum(axis=(1, 2))
     good = (score > 0.65 * count) & (count >= 16)
     if not good.any():
         return None
@@ -106,7 +106,7 @@ def find_quantiser(img: Image, columns: F64, rows: npt.NDArray[np.int64]) -> Jpe
 def _coefficients(
     img: Image, block_rows: npt.NDArray[np.int64], block_columns: npt.NDArray[np.int64]
 ) -> F64:
-    """DCT of the 8 x 8 blocks at these places that lie inside the frame."""
+    """DCT of the 8 x 8 blocks at these positions that lie inside the frame."""
     height, width = img.shape
     fits = (block_columns >= 0) & (8 * block_columns + 8 <= width)
     fits &= (block_rows >= 0) & (8 * block_rows + 8 <= height)
@@ -119,7 +119,7 @@ def _coefficients(
 
 @lru_cache(maxsize=1)
 def _dither_curve() -> tuple[F64, F64]:
-    """Variance after a unit quantiser against the sd of the noise before it."""
+    """Variance after a unit quantiser as a function of the noise sd before it."""
     from scipy.special import ndtr
 
     sd = np.linspace(0.08, 4.0, 200)
@@ -141,13 +141,13 @@ def position_variance(
     sigma: float,
     levels: tuple[float, float],
 ) -> float:
-    """Variance (px^2) that rounding of coefficients adds to an edge's position.
+    """Variance (px^2) of an edge's position due to rounding of the coefficients.
 
-    Rounding in common to all block rows counts in full, the rest (dithered by noise) as one
-    independent error a block row.
+    Rounding errors common to all block rows count fully. The other errors (dithered by noise)
+    are independent for each block row.
 
     Args:
-        x0: the edge's column; slope: columns a row; rows: rows fitted.
+        x0: the edge's column; slope: columns per row; rows: number of fitted rows.
         sigma: blur; levels: light left and right of the edge.
     """
     from scipy.special import ndtr
@@ -179,14 +179,14 @@ def position_variance(
     moved = np.sqrt(8) * ((low * (1 - f1) + high * f1).reshape(-1, 8) @ _DCT.T)
     rate = np.abs(moved - content) / 0.05
     weight = influence.reshape(-1, 8) @ _DCT.T / np.sqrt(8)
-    # the noise estimate is a few percent off and the exponent is steep: lean to the safe side
+    # the exponent is sensitive to the noise estimate, so 0.85 is a conservative factor
     dither = np.exp(-4 * np.pi**2 * (0.85 * quantiser.noise) ** 2 / steps**2)
     error2 = np.minimum(steps**2 / 12, steps**2 / (2 * np.pi**2) * dither)
     error2 = np.broadcast_to(error2, content.shape)
     lost = np.abs(content) < 0.5 * steps
     error2 = np.where(lost, np.minimum(error2, content**2), error2)
     cycles = rate * abs(slope) * rows / steps
-    # as the edge leans through the grid the error swings round zero
+    # a tilted edge crosses the pixel grid, and the error oscillates about zero
     independent = np.clip((2.0 * cycles) ** 2, 1.0, max(1.0, rows / 8))
     loose = np.where(lost, error2, steps**2 / 12)
     variance = weight**2 * (error2 / independent + loose / max(1.0, rows / 8))

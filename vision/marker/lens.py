@@ -1,4 +1,4 @@
-"""Radial lens distortion of a gap, in the plane the camera looks at."""
+"""Correction of a gap for radial lens distortion."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Lens:
-    """Seen point s and true point t about the centre: t = s (1 + k1 r^2 + k2 r^4), r = |s|/radius.
+    """Radial lens distortion: t = s (1 + k1 r^2 + k2 r^4), r = |s|/radius.
 
-    centre_x, centre_y and radius are in pixels; k1 and k2 have no unit and u_k1 is the
-    standard uncertainty of k1. Brown's model without its tangential part, inverse direction.
+    s is the observed point and t the true point, relative to the centre.
+
+    centre_x, centre_y and radius are in pixels; k1 and k2 are dimensionless; u_k1 is the
+    standard uncertainty of k1. Brown's model without the tangential part, inverse direction.
     """
 
     centre_x: float
@@ -29,17 +31,17 @@ class Lens:
     u_k1: float = 0.0
 
     def true(self, x: float, y: float) -> tuple[float, float]:
-        """Where a point seen at (x, y) would be seen through a lens without distortion."""
+        """Position of a point observed at (x, y), without distortion."""
         dx, dy = x - self.centre_x, y - self.centre_y
         r2 = (dx * dx + dy * dy) / self.radius**2
         factor = 1.0 + self.k1 * r2 + self.k2 * r2 * r2
         return self.centre_x + dx * factor, self.centre_y + dy * factor
 
     def gap(self, measured: GapMeasurement) -> tuple[float, float]:
-        """Gap and its standard uncertainty, in pixels, freed of distortion.
+        """The gap without distortion and its standard uncertainty, in pixels.
 
-        Both edges are taken at the row half-way down the rows they share, along the common
-        normal of the fitted edges. nan where there is no measurement.
+        The two points lie at the middle of the rows common to both edges, along the common
+        normal of the fitted edges. nan if there is no measurement.
         """
         left, right = measured.left, measured.right
         if left is None or right is None or not math.isfinite(measured.pixels):
@@ -49,12 +51,8 @@ class Lens:
         normal = np.array([1.0, -slope]) / math.hypot(1.0, slope)
         foot = np.array([left.x_at(y), y])
         other = foot + measured.pixels * normal
-        a, b = np.array(self.true(*foot)), np.array(self.true(*other))
-        gap = float(normal @ (b - a))
-        r2a = float(((foot - [self.centre_x, self.centre_y]) ** 2).sum()) / self.radius**2
-        r2b = float(((other - [self.centre_x, self.centre_y]) ** 2).sum()) / self.radius**2
-        rate = float(
-            normal @ ((other - [self.centre_x, self.centre_y]) * r2b)
-            - normal @ ((foot - [self.centre_x, self.centre_y]) * r2a)
-        )
+        gap = float(normal @ (np.array(self.true(*other)) - np.array(self.true(*foot))))
+        a, b = (point - [self.centre_x, self.centre_y] for point in (foot, other))
+        r2a, r2b = (float((s**2).sum()) / self.radius**2 for s in (a, b))
+        rate = float(normal @ (b * r2b) - normal @ (a * r2a))
         return gap, math.hypot(measured.u_pixels * gap / measured.pixels, self.u_k1 * rate)

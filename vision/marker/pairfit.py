@@ -1,4 +1,4 @@
-"""Joins coarse search and edge fits into one trusted, or flagged, measurement."""
+"""Combines coarse search and edge fits into one measurement, trusted or rejected with a reason."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from vision.marker.jpegerror import find_quantiser, position_variance
 
 F64 = npt.NDArray[np.float64]
 
-LEAST_NOISE = 0.3  # grey levels: rounding to whole ones
-DRAWN_SCALE = 0.03  # of the contrast: what a model without noise may be off by
+LEAST_NOISE = 0.3  # grey levels: rounding to integers
+DRAWN_SCALE = 0.03  # of the contrast: allowed model error of a synthetic picture without noise
 OVEREXPOSED = 254.5
+ROWS_ALIKE = 1.25  # above this, errors of neighbouring rows are correlated: compression or lines
 COLUMNS_ALIKE = 2.5  # the same for sums over all rows
-LOPSIDED = 6.0  # even misfit in common to all rows, against noise, that noise cannot explain
+LOPSIDED = 6.0  # even misfit common to all rows, relative to noise, that noise cannot explain
 LOPSIDED_GAIN = 4.0
-ROWS_ALIKE = 1.25  # above this, neighbouring rows err alike: compressed, or lined
 STEEPEST = math.tan(math.radians(7.0))
-LARGEST_U = 0.05  # px; a frame that says less than this is not a measurement
-LARGEST_U_DEFECTS = 0.05 / 3  # where part of the evidence was thrown out
+LARGEST_U = 0.05  # px; a frame with a larger uncertainty is rejected
+LARGEST_U_DEFECTS = 0.05 / 3  # where part of the pixels was rejected
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Fit:
 
 
 def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
-    """Find, fit, judge. ``box`` must lie inside ``gray``."""
+    """Find both edges, fit them and check the result. ``box`` must lie inside ``gray``."""
     guess = find_edges(gray, box, exclude)
     if guess.left is None or guess.right is None:
         return GapMeasurement(math.nan, math.nan, False, guess.reason, region=box)
@@ -63,25 +63,23 @@ def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
             first, last = int(guess.left.x_mid) + 4, int(guess.right.x_mid) - 4
             lit = gray[box[1] : box[1] + box[3], box[0] + first : box[0] + max(first + 1, last)]
             if np.median(lit) >= OVEREXPOSED:
-                reason = f"over-exposed at the {side} edge: less light or a shorter exposure"
+                reason = f"over-exposed at the {side} edge: reduce light or exposure time"
             return GapMeasurement(math.nan, math.nan, False, reason, region=box)
         fits.append(fit)
     extra = [0.0, 0.0]
     alike = max(fit.out[12] for fit in fits) > ROWS_ALIKE
     if alike or max(fit.out[13] for fit in fits) > COLUMNS_ALIKE:
         fits, extra = _allow_for_rounding(gray, box, fits, (guess.left, guess.right))
-    return _combine(fits[0], fits[1], extra, box, guess.reason or _doubt(fits))
+    return _combine(fits[0], fits[1], extra, box, guess.reason or _rejection_reason(fits))
 
 
 def _allow_for_rounding(
     gray: Image, box: Box, fits: list[Fit], guesses: tuple[EdgeGuess, EdgeGuess]
 ) -> tuple[list[Fit], list[float]]:
-    """Fits and added variances for a frame whose neighbouring rows err alike (JPEG)."""
+    """Fits and added variances for a frame with correlated errors of neighbouring rows (JPEG)."""
     points = [(fit.a + fit.b * (fit.rows[::32] - fit.y_mid), fit.rows[::32]) for fit in fits]
     quantiser = find_quantiser(
-        gray,
-        np.concatenate([p[0] for p in points]),
-        np.concatenate([p[1] for p in points]),
+        gray, np.concatenate([p[0] for p in points]), np.concatenate([p[1] for p in points])
     )
     if quantiser is None and all(fit.drawn for fit in fits):
         return fits, [_rounding_variance(fit) for fit in fits]
@@ -105,22 +103,22 @@ def _allow_for_rounding(
 
 
 def _rounding_variance(fit: Fit) -> float:
-    """Variance to add where no noise dithers the rounding to whole grey levels.
+    """Variance to add where no noise dithers the rounding to integer grey levels.
 
-    Rows that cross the pixel grid alike are rounded alike; an edge that leans by a twentieth
-    of a pixel is rounded anew.
+    Rows that cross the pixel grid at the same phase have the same rounding error. After a
+    twentieth of a pixel of tilt the error is independent.
     """
     rows = float(fit.out[5])
-    anew = min(rows, max(1.0, 20.0 * abs(fit.b) * rows))
-    return float(fit.cov[0, 0] / max(fit.out[14], 1e-12) * rows / anew / 12)
+    independent = min(rows, max(1.0, 20.0 * abs(fit.b) * rows))
+    return float(fit.cov[0, 0] / max(fit.out[14], 1e-12) * rows / independent / 12)
 
 
 def _misfit_variance(fit: Fit) -> float:
-    """Variance to add for residuals that rows have in common without JPEG to explain them.
+    """Variance to add for residuals common to all rows that JPEG does not explain.
 
-    Another kernel than the Gaussian (motion) leaves residuals that are odd about the edge and
-    do not move it; they are taken out with two odd functions. What is left over is even, as
-    glare and reflections are, and moves the edge by an unknown multiple of its own size.
+    A non-Gaussian kernel (motion) causes residuals that are odd about the edge and do not move
+    it. Two odd functions remove them. The remaining even residuals (glare, reflections) move
+    the edge by an unknown multiple of their size.
     """
     alike = max(0.0, fit.out[12] - 1.0) if fit.out[12] > ROWS_ALIKE else 0.0
     residual = fit.resid * (fit.keep[:, None] > 0)
@@ -155,25 +153,25 @@ def _refit(gray: Image, box: Box, fit: Fit, guess: EdgeGuess, least_scale: float
     )
 
 
-def _doubt(fits: list[Fit]) -> str:
-    """Why a pair of fits must not be trusted, or nothing."""
+def _rejection_reason(fits: list[Fit]) -> str:
+    """Why a pair of fits must be rejected; "" if it is accepted."""
     for side, fit in zip(("left", "right"), fits, strict=True):
         rows, edge = fit.out[5], f"the {side} edge"
         if fit.out[8] > 0.5 * fit.seen:
             return f"over- or under-exposed at {edge}"
         if rows < 0.45 * fit.seen:
-            return f"only {rows:.0f} of {fit.seen} rows agree on {edge}"
+            return f"only {rows:.0f} of {fit.seen} rows fit {edge}"
         if fit.out[4] > 0.15:
-            return f"{100 * fit.out[4]:.0f} % of the pixels near {edge} do not fit an edge"
+            return f"{100 * fit.out[4]:.0f} % of the pixels near {edge} are outliers"
         if fit.out[9] > 0.3:
-            return f"the light beside {edge} is broken"
+            return f"the light beside {edge} is uneven"
         if fit.p[2] > 6.0:
             return f"{edge} is too blurred ({fit.p[2]:.1f} pixels)"
         if abs(fit.b) > STEEPEST:
-            return f"{edge} leans by {math.degrees(math.atan(fit.b)):.1f} degrees"
+            return f"{edge} is tilted by {math.degrees(math.atan(fit.b)):.1f} degrees"
     noises = sorted(fit.out[3] for fit in fits)
     if noises[1] > 2.0 * max(noises[0], 1.0):
-        return "one edge is much rougher than the other: light or dirt beside it"
+        return "one edge has much more noise than the other: light or dirt beside it"
     if abs(fits[0].b - fits[1].b) > 0.03:
         return "the two edges are not parallel"
     if fits[1].a - fits[0].a < 3.0 * (fits[0].p[2] + fits[1].p[2]) + 3.0:
@@ -210,14 +208,14 @@ def _fit_edge(gray: Image, box: Box, guess: EdgeGuess, exclude: tuple[Box, ...])
     own_mid = 0.5 * float(rows[0] + rows[-1])
     p = np.array([a + b * (own_mid - y_mid), b, 1.4, 0.0, 0.0])
     block = (rows - top) // group
-    # a group that stands out only by its neighbours starts from the nearest marked levels
+    # groups without own levels start from the nearest marked group
     known = np.flatnonzero(marked)
     nearest = known[np.argmin(np.abs(np.arange(len(used))[:, None] - known[None, :]), axis=1)]
     _, first, group_of = np.unique((rows - top) // GROUP, return_index=True, return_inverse=True)
     source = nearest[block[first]]
     levels = np.stack([lows[source], highs[source]], axis=1)
     on = np.ones(len(levels), dtype=np.uint8)
-    # a drawn picture may have ground of exactly 255; a camera's noise shows in the dark
+    # a synthetic picture may be exactly 255; a camera has noise in dark areas
     reach = min(8.0, 0.8 * (guess.room_left if guess.rising else guess.room_right))
     beside = (a - reach if guess.rising else a + reach) + b * (rows - y_mid)
     dark = gray[rows, np.clip(beside.astype(np.int64), left, left + width - 1)].astype(np.float64)
@@ -238,7 +236,7 @@ def _fit_edge(gray: Image, box: Box, guess: EdgeGuess, exclude: tuple[Box, ...])
 
 
 def _room(guess: EdgeGuess) -> F64:
-    """Columns left and right of an edge that are its own, not the next edge's."""
+    """Columns left and right of an edge that belong to it, not to the next edge."""
     return np.array([max(3.0, 0.55 * guess.room_left), max(3.0, 0.55 * guess.room_right)])
 
 
@@ -249,7 +247,7 @@ def _combine(left: Fit, right: Fit, extra: list[float], box: Box, doubt: str) ->
     apart = abs(left.b - right.b)
     u_apart = math.sqrt(left.cov[1, 1] + right.cov[1, 1])
     var = extra[0] + extra[1]
-    if apart < 4 * u_apart + 1e-4:  # parallel as far as can be told: one slope for both
+    if apart < 4 * u_apart + 1e-4:  # parallel within uncertainty: one slope for both
         bend_l = left.cov[0, 1] / left.cov[1, 1]
         bend_r = right.cov[0, 1] / right.cov[1, 1]
         x_l = left.a + bend_l * (slope - left.b) + slope * (y - left.y_mid)
@@ -269,7 +267,6 @@ def _combine(left: Fit, right: Fit, extra: list[float], box: Box, doubt: str) ->
     gap = (x_r - x_l) * cosine
     u = math.sqrt(var) * cosine
     u = math.hypot(u, gap * slope * cosine**2 / math.sqrt(weight_l + weight_r))
-    lines = [_line(left), _line(right)]
     reason = doubt
     defects = any(
         f.out[4] > 0.02 or f.out[5] < 0.7 * f.seen or f.out[11] > 0 for f in (left, right)
@@ -277,13 +274,7 @@ def _combine(left: Fit, right: Fit, extra: list[float], box: Box, doubt: str) ->
     limit = LARGEST_U_DEFECTS if defects else LARGEST_U
     if not reason and u > limit:
         reason = f"standard uncertainty {u:.3f} pixels is above {limit:.3f}"
-    corners: list[tuple[float, float]] = []
-    for line, order in ((lines[0], 1), (lines[1], -1)):
-        ends = [(line.x_at(row), float(row)) for row in (line.top, line.bottom)]
-        corners += ends[::order]
-    return GapMeasurement(
-        float(gap), float(u), not reason, reason, lines[0], lines[1], box, tuple(corners)
-    )
+    return GapMeasurement(float(gap), float(u), not reason, reason, _line(left), _line(right), box)
 
 
 def _line(fit: Fit) -> EdgeLine:

@@ -1,7 +1,8 @@
-"""A picture of one measurement: region, threshold mask, profile, fitted edges."""
+"""Draws one measurement: region, threshold mask, profile, fitted edges."""
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,8 @@ from vision.gray import Box, to_gray
 from vision.marker.gap import GapMeasurement
 
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"  # Okabe and Ito's palette
-SHOWN = 1200  # rows and columns of the picture that are drawn: more than the paper has
-TALLEST = 18.0  # inches of a drawn picture
+SHOWN = 1200  # maximum number of drawn rows and columns
+TALLEST = 18.0  # maximum height of the figure, inches
 
 
 def draw(
@@ -27,13 +28,13 @@ def draw(
     flip: bool = True,
     title: str = "",
 ) -> None:
-    """Write the picture to ``path`` (the suffix says the format: .png, .svg, .pdf).
+    """Write the figure to ``path`` (format by suffix: .png, .svg, .pdf).
 
     Args:
         frame: as given to the measurement.
         method: ``edge`` draws the fitted lines of ``measured``; ``macro`` the scan.
-        threshold: NIH grey value of the mask that is laid over marked pixels.
-        roi: region looked at; for the macro in the flipped frame.
+        threshold: NIH grey value; marked pixels are highlighted.
+        roi: region of the measurement; for the macro in the flipped frame.
     """
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
@@ -56,16 +57,9 @@ def draw(
     upper.add_patch(
         Rectangle((left, top), wide, high, fill=False, edgecolor=ORANGE, lw=1.6, ls="--")
     )
-    upper.text(
-        left + 4,
-        top + 4,
-        "region",
-        color=ORANGE,
-        va="top",
-        fontsize=9,
-        bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.5},
-    )
-    upper.set_title(_wrap(title), fontsize=10)
+    background = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.5}
+    upper.text(left + 4, top + 4, "region", color=ORANGE, va="top", fontsize=9, bbox=background)
+    upper.set_title("\n".join(textwrap.wrap(title, 95)), fontsize=10)
     upper.set_ylabel("row")
     columns = np.arange(left, left + wide, dtype=np.float64) + 0.5
     part = gray[top : top + high, left : left + wide]
@@ -100,12 +94,7 @@ def _draw_macro(
     if len(hit):
         end = start - hit[0] if flip else start + hit[0]
         middle = rows[0] + rows[1] / 2
-        upper.annotate(
-            "",
-            xy=(end, middle),
-            xytext=(start, middle),
-            arrowprops={"arrowstyle": "->", "color": BLUE, "lw": 2},
-        )
+        _arrow(upper, (start, middle), (end, middle), "->")
         lower.axvline(end, color=ORANGE, ls="--", label=f"first marked\ncolumn: {hit[0]}")
 
 
@@ -119,16 +108,14 @@ def _draw_edges(
 ) -> None:
     left, top, wide, high = box
     lines = [] if measured is None else [x for x in (measured.left, measured.right) if x]
+    first, last = top, top + high
     if len(lines) == 2:
-        first = max(line.top for line in lines)
-        last = max(first + 1, min(line.bottom for line in lines))
-        if first >= last - 1:
-            first, last = top, top + high
-    else:
-        first, last = top, top + high
+        common = max(line.top for line in lines), min(line.bottom for line in lines)
+        if common[0] < common[1] - 1:
+            first, last = common
     part = gray[first : last + 1, left : left + wide]
     slope = float(np.mean([line.slope for line in lines])) if lines else 0.0
-    # along the edges, so that a tilted edge stays as sharp in the profile as it is
+    # average along the edges, so that a tilt does not blur the profile
     middle = 0.5 * (first + last)
     profile = np.zeros(wide)
     for k, row in enumerate(part):
@@ -139,25 +126,13 @@ def _draw_edges(
     for line, style, name in zip(lines, ("-", "--"), ("left edge", "right edge"), strict=False):
         rows = np.array([line.top, line.bottom + 1.0])
         upper.plot([line.x_at(y) for y in rows], rows, color=ORANGE, lw=2, ls=style)
-        lower.axvline(
-            line.x_at(middle),
-            color=ORANGE,
-            ls=style,
-            lw=1.4,
-            label=f"{name}\n{line.x_at(middle):.2f} px",
-        )
+        x = line.x_at(middle)
+        lower.axvline(x, color=ORANGE, ls=style, lw=1.4, label=f"{name}\n{x:.2f} px")
     if len(lines) == 2:
         x0 = lines[0].x_at(middle)
         x1 = x0 + (lines[1].x_at(middle) - x0) / (1 + slope * slope)
-        upper.annotate(
-            "",
-            xy=(x1, middle - slope * (x1 - x0)),
-            xytext=(x0, middle),
-            arrowprops={"arrowstyle": "<->", "color": BLUE, "lw": 2},
-        )
+        _arrow(upper, (x0, middle), (x1, middle - slope * (x1 - x0)), "<->")
 
 
-def _wrap(text: str, width: int = 95) -> str:
-    import textwrap
-
-    return "\n".join(textwrap.wrap(text, width))
+def _arrow(axes: Any, start: tuple[float, float], end: tuple[float, float], style: str) -> None:
+    axes.annotate("", end, start, arrowprops={"arrowstyle": style, "color": BLUE, "lw": 2})
