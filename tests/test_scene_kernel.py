@@ -257,5 +257,5 @@ def test_what_cannot_be_is_refused_by_name(units, coordinates, words: str) -> No
 
 
 def test_a_ram_that_cannot_be_is_refused() -> None:
-    with pytest.raises(PlantError, match="off the stroke"):
+    with pytest.raises(PlantError, match="outside the stroke"):
         RamConstants(switches_m=(0.3,))

@@ -242,7 +242,7 @@ def _eq_4_58() -> Row:
         f"{_rms(as_printed):.2f} N as printed, {_rms(force - low):.2f} N with 4-53 to 4-57",
         verdict(same("-0.01", k["C-4"][0].coef) and same("0.39", k["C-5"][0].coef)
                 and same("-0.38", k["C-7"][1].coef)),
-        "too few digits", ("A60", "A63"),
+        "rounded or truncated to too few digits", ("A60", "A63"),
     )  # fmt: skip
 
 

@@ -233,10 +233,7 @@ def _residual(model: Model, points: Points) -> Array:
 
 
 def _nested(
-    models: Sequence[Model],
-    points: Points,
-    labels: npt.NDArray[np.str_],
-    groups: tuple[str, ...],
+    models: Sequence[Model], points: Points, labels: npt.NDArray[np.str_], groups: tuple[str, ...]
 ) -> tuple[float, tuple[str, ...]]:
     """Rmse and choices when each fold chooses its model by the other groups only."""
     squares = np.zeros((len(models), len(groups), len(groups)))

@@ -136,6 +136,5 @@ def _direction(shares: Array, strength: float, names: list[str]) -> Direction:
     scaled = shares / largest * 0.01
     order = np.argsort(-np.abs(scaled), kind="stable")
     return Direction(
-        float(strength),
-        tuple((names[k], float(scaled[k])) for k in order if abs(scaled[k]) > 1e-4),
+        float(strength), tuple((names[k], float(scaled[k])) for k in order if abs(scaled[k]) > 1e-4)
     )

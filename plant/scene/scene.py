@@ -263,10 +263,7 @@ class Scene:
         return self.coordinates[self.index(name)]
 
     def advance(
-        self,
-        dt_s: float,
-        inlet_on_s: Array | Sequence[float],
-        vent_on_s: Array | Sequence[float],
+        self, dt_s: float, inlet_on_s: Array | Sequence[float], vent_on_s: Array | Sequence[float]
     ) -> None:
         """One control tick: unit k fills for the first `inlet_on_s[k]`, vents for `vent_on_s[k]`.
 
