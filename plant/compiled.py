@@ -1,4 +1,4 @@
-"""How the plant compiles: one decorator, and what tells the compiler's cache that it is stale."""
+"""Decorators for compiled code, and a fingerprint that invalidates the compiler's cache."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from numba import njit
 
 F = TypeVar("F", bound=Callable[..., Any])
 Slots = MutableSequence[float]
-"""A state or parameter array as compiled code sees it: float64, contiguous, one number a slot."""
+"""A state or parameter array in compiled code: float64, contiguous."""
 
-# No function below an entry point allocates, so none needs to count references to the arrays it
-# was lent: with rows taken out of arrays that counting took more than half of a scene's time.
+# Functions below an entry point do not allocate, so they need no reference counting of arrays.
+# With counting, views of rows took more than half of the time of a scene.
 _LEAN: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
 _ALWAYS = ("compiled.py", "constants.py", "effects", "physics")
@@ -52,7 +52,7 @@ def _with_callees(function: F) -> F:
 def entry_point(signature: str) -> Callable[[F], F]:
     """Compile for one signature, once per installation: the machine code is cached on disk.
 
-    The function must close over `fingerprint()`, see there.
+    The function must close over the result of `fingerprint`, see there.
     """
 
     def decorate(function: F) -> F:
@@ -62,11 +62,11 @@ def entry_point(signature: str) -> Callable[[F], F]:
 
 
 def fingerprint(*more: str) -> int:
-    """CRC of the sources that are compiled in.
+    """CRC of the source files of the compiled code.
 
-    numba renews its cache when the file of the compiled function changes, not when a function that
-    it calls from another file does. Closure variables are part of its key, so an entry point that
-    closes over this number is compiled anew after a change to any of the files.
+    numba updates its cache when the file of the compiled function changes, but not when a called
+    function in another file changes. Closure variables are part of the cache key, so an entry point
+    that closes over this number is compiled again after a change of any of the files.
 
     Args:
         more: folders or files of `plant` beside physics and effects, such as "links/kernel.py".

@@ -1,4 +1,4 @@
-"""The constants of one bench: read from TOML in the bench's own units, held in SI."""
+"""Constants of a bench: TOML files in practical units, values in SI."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True)
 class Key:
-    """One key of a plant file: where it lands, how it converts to SI, what it may be."""
+    """One key of a plant file: field, factor to SI, and bounds in the unit of the key."""
 
     name: str
     field: str
@@ -75,21 +75,21 @@ KEYS: dict[str, Key] = {
         ("outlet_drop_out_v", "outlet_drop_out_v", 1.0, 0.0, 60.0),
     ]
 }
-"""Every numeric key of a plant file; bounds are in the key's own unit, both ends allowed."""
+"""All numeric keys of a plant file; bounds are in the unit of the key and included."""
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "delay_mode": ("inertial", "transport"),
     "outlet_normally": ("closed", "open"),
 }
-"""The keys that take a word, and the words."""
+"""Keys with a text value, and their possible values."""
 
 
 @dataclass(frozen=True)
 class PlantConstants:
     """All constants of one bench in SI (Pa gauge, m, s, N, K), named as in docs/reference/plant.md.
 
-    `tolerances` holds, per plant-file key, one standard deviation as a number in that key's
-    unit or as a share of the value ("5 %"); read it with `tolerance_si`.
+    `tolerances` holds one standard deviation per plant-file key, as a number in the unit of the key
+    or relative to the value ("5 %"); read it with `tolerance_si`.
     """
 
     supply_pa: float
@@ -131,7 +131,7 @@ class PlantConstants:
         """Return a copy with plant-file keys replaced, e.g. `{"supply_kpa": 700}`.
 
         `origin` names the file or table in error messages. Raises `PlantError` for an unknown
-        key, a wrong type, a value out of range, or constants that contradict each other.
+        key, a wrong type, a value out of range, or inconsistent constants.
         """
         changes: dict[str, Any] = {}
         for name, value in overrides.items():
@@ -142,16 +142,17 @@ class PlantConstants:
                 changes[name] = _read_choice(name, value, origin)
             else:
                 key = _key(name, origin)
-                changes[key.field] = _read_number(key, value, origin) * key.to_si
+                number = tomlfile.number_in_range(value, name, key.low, key.high, origin)
+                changes[key.field] = number * key.to_si
         return _consistent(dataclasses.replace(self, **changes), origin)
 
     def value(self, name: str) -> float:
-        """Value of a numeric plant-file key in that key's own unit. Raises `PlantError`."""
+        """Value of a numeric plant-file key in the unit of the key. Raises `PlantError`."""
         key = _key(name, "plant constants")
         return float(getattr(self, key.field)) / key.to_si
 
     def tolerance_si(self, name: str) -> float:
-        """One standard deviation of a plant-file key in SI; 0 where none is stated."""
+        """One standard deviation of a plant-file key in SI; 0 if not stated."""
         key = _key(name, "plant constants")
         stated = dict(self.tolerances).get(name, 0.0)
         if isinstance(stated, str):
@@ -160,34 +161,30 @@ class PlantConstants:
 
 
 def load_constants(source: str | Path | Mapping[str, Any]) -> PlantConstants:
-    """Read a complete set of constants from a TOML file or an already parsed table.
+    """Read a complete set of constants from a TOML file or a parsed table.
 
-    Raises `PlantError` naming file, key and remedy when the file cannot be read, is not TOML,
-    lacks a key, or holds one that is unknown, of the wrong type or out of range.
+    Raises `PlantError` with file, key and remedy if the file cannot be read, is not TOML, lacks a
+    key, or has a key that is unknown, of the wrong type or out of range.
     """
     if isinstance(source, Mapping):
         return _from_table(source, "plant table")
     path = Path(source)
+    origin = f"plant file {path}"
     try:
-        text = tomlfile.read_text(path)
-    except (OSError, UnicodeDecodeError) as exc:
-        raise PlantError(f"plant file {path}: cannot be read ({exc})") from exc
-    return _from_table(_parse(text, f"plant file {path}"), f"plant file {path}")
+        return _from_table(tomlfile.loads(tomlfile.read_text(path)), origin)
+    except (OSError, UnicodeDecodeError) as error:
+        raise PlantError(f"{origin}: cannot be read ({error})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise PlantError(f"{origin}: not valid TOML ({error})") from error
 
 
 def shipped(name: str) -> PlantConstants:
     """Constants shipped with the package, by name ("thesis"). Raises `PlantError` if unknown."""
-    folder = resources.files("configs").joinpath("plant")
-    known = sorted(
-        entry.name.removesuffix(".toml")
-        for entry in folder.iterdir()
-        if entry.name.endswith(".toml")
-    )
+    known = tomlfile.shipped_names("")
     if name not in known:
         raise PlantError(f"plant {name!r}: not shipped; choose one of {', '.join(known)}")
-    text = folder.joinpath(f"{name}.toml").read_text(encoding="utf-8")
-    origin = f"shipped plant {name}.toml"
-    return _from_table(_parse(text, origin), origin)
+    text = resources.files("configs").joinpath("plant", f"{name}.toml").read_text(encoding="utf-8")
+    return _from_table(tomlfile.loads(text), f"shipped plant {name}.toml")
 
 
 def nominal() -> PlantConstants:
@@ -195,44 +192,20 @@ def nominal() -> PlantConstants:
     return shipped("thesis")
 
 
-def _parse(text: str, origin: str) -> dict[str, Any]:
-    try:
-        return tomlfile.loads(text)
-    except tomllib.TOMLDecodeError as exc:
-        raise PlantError(f"{origin}: not valid TOML ({exc})") from exc
-
-
 def _from_table(table: Mapping[str, Any], origin: str) -> PlantConstants:
     missing = [name for name in [*KEYS, *CHOICES] if name not in table]
     if missing:
-        raise PlantError(f"{origin}: missing {', '.join(missing)}; a plant file states every key")
-    # Placeholders are all replaced: every field was just checked to be in the table.
+        raise PlantError(f"{origin}: missing {', '.join(missing)}; a plant file needs every key")
+    # All placeholders are replaced, because the table has every key.
     blank: dict[str, Any] = {key.field: math.nan for key in KEYS.values()}
     return PlantConstants(**blank, delay_mode="", outlet_normally="").with_overrides(table, origin)
 
 
 def _key(name: str, origin: str) -> Key:
-    if name in KEYS:
-        return KEYS[name]
-    from difflib import get_close_matches
-
-    near = get_close_matches(name, [*KEYS, *CHOICES, "tolerance"], n=1)
-    hint = f"did you mean {near[0]}?" if near else f"known keys: {', '.join([*KEYS, *CHOICES])}"
-    raise PlantError(f"{origin}: unknown key {name!r}; {hint}")
-
-
-def _read_number(key: Key, value: object, origin: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise PlantError(
-            f"{origin}: {key.name} = {value!r} is a {type(value).__name__}; "
-            f"expected a number from {key.low:g} to {key.high:g}"
-        )
-    # NaN fails this comparison too.
-    if not key.low <= value <= key.high:
-        raise PlantError(
-            f"{origin}: {key.name} = {value!r} is out of range; allowed {key.low:g} to {key.high:g}"
-        )
-    return float(value)
+    if name not in KEYS:
+        tomlfile.check_keys([name], [*KEYS, *CHOICES, "tolerance"], origin)
+        raise PlantError(f"{origin}: {name} is not a number")
+    return KEYS[name]
 
 
 def _read_choice(name: str, value: object, origin: str) -> str:
@@ -256,7 +229,7 @@ def _read_tolerances(table: object, origin: str) -> dict[str, float | str]:
         elif isinstance(value, bool) or not isinstance(value, (int, float)) or not value >= 0:
             raise PlantError(
                 f"{where}: {name} = {value!r}; expected a number >= 0 in the key's unit, "
-                'or a share such as "5 %"'
+                'or a percentage such as "5 %"'
             )
         else:
             read[name] = float(value)
@@ -269,14 +242,16 @@ def _percent(name: str, text: str, where: str) -> float:
     except ValueError:
         share = math.nan
     if not 0 <= share <= 100:
-        raise PlantError(f'{where}: {name} = {text!r}; expected a share such as "5 %", 0 to 100 %')
+        raise PlantError(
+            f'{where}: {name} = {text!r}; expected a percentage from 0 to 100 % such as "5 %"'
+        )
     return share
 
 
 def _consistent(c: PlantConstants, origin: str) -> PlantConstants:
     if not c.length_min_m < c.length_max_m < c.braid_length_m:
         raise PlantError(
-            f"{origin}: lengths must rise in the order length_min_mm ({c.length_min_m * 1e3:g}), "
+            f"{origin}: lengths must increase: length_min_mm ({c.length_min_m * 1e3:g}), "
             f"length_max_mm ({c.length_max_m * 1e3:g}), "
             f"braid_length_mm ({c.braid_length_m * 1e3:g})"
         )

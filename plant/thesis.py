@@ -3,8 +3,8 @@
     rows = load("c01")            # [{"pressure_kpa": 0, "length_mm": 51, ...}, ...]
     columns = array("c01")        # {"pressure_kpa": array([...]), ...}
 
-Nothing is corrected: `data/ANOMALIES.md` lists what is doubtful in them. The first length of C-1
-is printed 51 but was 51.45 mm (A01 there).
+The tables are not corrected: `data/ANOMALIES.md` lists doubtful entries. The first length of C-1 is
+printed as 51 but was 51.45 mm (A01 there).
 """
 
 from __future__ import annotations
@@ -30,17 +30,16 @@ def tables() -> tuple[str, ...]:
 
 
 def load(name: str) -> list[dict[str, Cell]]:
-    """Rows of a table: numbers parsed, words kept, blank cells None.
+    """Rows of a table: numbers parsed, text unchanged, blank cells None.
 
-    `name` is a full name from `tables()` or the beginning of one ("c01"); where a table has a
-    companion ("..._mean") the beginning means the table. Raises `PlantError` when none or several
-    fit.
+    `name` is a name from `tables()` or its beginning ("c01"). If a table has a companion
+    ("..._mean"), the beginning selects the table. Raises `PlantError` if no table or several match.
     """
     return [dict(row) for row in _rows(_resolve(name))]
 
 
 def array(name: str) -> dict[str, npt.NDArray[Any]]:
-    """Columns of a table: float64 where every cell is a number or blank (NaN), else str."""
+    """Columns of a table: float64 if every cell is a number or blank (nan), else str."""
     rows = _rows(_resolve(name))
     columns: dict[str, npt.NDArray[Any]] = {}
     for column in rows[0]:
@@ -53,7 +52,7 @@ def array(name: str) -> dict[str, npt.NDArray[Any]]:
 
 
 def anomalies() -> str:
-    """What is doubtful in the tables, as Markdown."""
+    """List of doubtful entries in the tables, as Markdown."""
     return resources.files("plant.data").joinpath("ANOMALIES.md").read_text(encoding="utf-8")
 
 
@@ -62,11 +61,11 @@ def _resolve(name: str) -> str:
     if name in known:
         return name
     fitting = [table for table in known if table.startswith(name)] if name else []
-    # A table and its companions ("..._mean") share a beginning; the plain one is meant.
+    # A table and its companions ("..._mean") have the same beginning: take the table.
     if fitting and all(table.startswith(fitting[0]) for table in fitting):
         return fitting[0]
     if fitting:
-        raise PlantError(f"thesis table {name!r} could be {' or '.join(fitting)}; say which")
+        raise PlantError(f"thesis table {name!r} is ambiguous: {' or '.join(fitting)}")
     raise PlantError(f"thesis table {name!r} is not shipped; known: {', '.join(known)}")
 
 

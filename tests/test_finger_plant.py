@@ -273,7 +273,7 @@ class TestRefused:
     @pytest.mark.parametrize(
         ("change", "said"),
         [
-            ({"pulley_radius_mm": "8"}, "pulley_radius_mm = '8'; expected a number"),
+            ({"pulley_radius_mm": "8"}, "pulley_radius_mm = '8' is a str; expected a number"),
             ({"pulley_radius_mm": 0.0}, "out of range"),
             ({"pulley_mm": 8.0}, "unknown key 'pulley_mm'; did you mean pulley_radius_mm"),
         ],

@@ -22,8 +22,8 @@ from plant.links.inertia import (
     tensor,
 )
 from plant.links.kinematics import tip_jacobian, tip_position
-from plant.links.reader import shipped_arms
 from plant.links.symbolic.appendix import SYMBOLS, derived_equations, differences, printed_equations
+from plant.tomlfile import shipped_names
 
 clouds = st.lists(
     st.tuples(*[st.floats(-0.1, 0.1)] * 3, st.floats(1e-3, 1.0)), min_size=1, max_size=8
@@ -109,8 +109,8 @@ def test_jacobian_is_the_tip_s_derivative() -> None:
 
 
 def test_all_shipped_arms_load() -> None:
-    assert shipped_arms() == ["finger", "planar2", "planar3"]
-    for name in shipped_arms():
+    assert shipped_names("links") == ["finger", "planar2", "planar3"]
+    for name in shipped_names("links"):
         assert load_arm(name).name == name
 
 
@@ -180,7 +180,7 @@ FULL = {"rod_diameter_mm": None, "com_mm": [-50, 0, 0]}
     ("changes", "message"),
     [
         ({"mass_g": -5.0}, r"link 1 \(knee\): negative mass, mass_g = -5.0"),
-        ({"mass_g": "5"}, r"mass_g = '5'; expected a number"),
+        ({"mass_g": "5"}, r"mass_g = '5' is a str; expected a number"),
         ({"mass_g": math.nan}, "mass_g = nan is out of range"),
         ({"mass_g": None}, "mass_g is missing"),
         ({"a_mm": 1e9}, r"a_mm = 1000000000.0 is out of range; allowed -10000 to 10000"),
@@ -197,7 +197,7 @@ FULL = {"rod_diameter_mm": None, "com_mm": [-50, 0, 0]}
             "not a valid inertia: .* one of them negative",
         ),
         (FULL | {"inertia_g_mm2": [5, 5, 5]}, "expected a list of 6 numbers"),
-        ({"range_deg": [70, -20]}, "its range must rise"),
+        ({"range_deg": [70, -20]}, "its range must increase"),
         ({"joint": 3}, "joint = 3; expected letters, digits and _"),
         ({"damping_n_m_s": -1}, "damping_n_m_s = -1 is out of range"),
     ],

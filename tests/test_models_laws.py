@@ -296,7 +296,7 @@ def test_a_model_file_reads_back_to_an_equal_model(name: str, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("version = 1", "version = 7", "fit the model anew"),
+        ("version = 1", "version = 7", "fit the model again"),
         ('unit = "mm"', 'unit = "furlong"', "cannot read 'furlong'"),
         ("[parameters.turns]", "[parameters.turn]", "missing turns; unknown turn"),
         ("low = 60.0", "low = 99.0", "outside low = 99"),

@@ -247,7 +247,7 @@ def test_a_recording_and_the_same_ticks_agree() -> None:
             [Coordinate("x", mass=1.0, low=-0.01, high=0.04)],
             "100 mm long, outside the braid",
         ),
-        ([Unit("a", C, rest_m=0.06)], [Coordinate("x", mass=1.0, low=1.0, high=0.0)], "must rise"),
+        ([Unit("a", C, rest_m=0.06)], [Coordinate("x", mass=1.0, low=1.0, high=0.0)], "must incr"),
         ([Unit("a", C, rest_m=0.06), Unit("a", C, rest_m=0.06)], [], "more than one part"),
     ],
 )
@@ -257,5 +257,5 @@ def test_what_cannot_be_is_refused_by_name(units, coordinates, words: str) -> No
 
 
 def test_a_ram_that_cannot_be_is_refused() -> None:
-    with pytest.raises(PlantError, match="off the stroke"):
+    with pytest.raises(PlantError, match="outside the stroke"):
         RamConstants(switches_m=(0.3,))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,14 +11,15 @@ import typer
 
 from cli.options import RUNS, JsonOption, RunArgument, RunsOption
 from cli.output import print_json
-from daq.errors import ConfigError, PamrigError
+from daq.errors import ConfigError
 
 if TYPE_CHECKING:
+    from daq.store.annotations import Annotation
     from daq.store.info import RunInfo
+    from daq.store.run import Run
 
 PointsOption = Annotated[
-    str,
-    typer.Option("--points", help="Numbers of points (order): 3,7-9. Default: the run itself."),
+    str, typer.Option("--points", help="Numbers of points (order): 3,7-9. Default: the run itself.")
 ]
 ReasonOption = Annotated[str, typer.Option("--reason", help="Reason; it stays in the record.")]
 WhoOption = Annotated[str, typer.Option("--who", help="Name of the author.")]
@@ -28,8 +30,10 @@ MAX_RANGE = 100_000
 def add_runs(app: typer.Typer) -> None:
     """Add the commands of `pamrig runs`."""
     app.command("list")(list_all)
-    for command in (show, verify, rebuild, index, find, export, annotate, exclude, include):
+    for command in (show, verify, rebuild, index, find, export):
         app.command()(command)
+    for name, (action, done, summary) in ANNOTATIONS.items():
+        app.command(name, help=summary)(_annotation(action, done))
 
 
 def list_all(runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
@@ -215,84 +219,62 @@ def export(
         typer.echo(path)
 
 
-def annotate(
-    run: RunArgument = "last",
-    points: PointsOption = "",
-    reason: ReasonOption = "",
-    who: WhoOption = "",
-    runs: RunsOption = RUNS,
-    as_json: JsonOption = False,
-) -> None:
-    """Add a note about a run or some of its points; it stays in the record."""
-    _annotate("note", "noted about", run, points, reason, who, runs, as_json)
+ANNOTATIONS = {
+    "annotate": ("note", "noted about", "Add a note about a run or some of its points."),
+    "exclude": ("exclude", "excluded:", "Exclude points from table, fits and figures."),
+    "include": ("include", "included again:", "Cancel an exclusion; both stay in the record."),
+}
+"""For each command: kind of annotation, text for the confirmation, help."""
 
 
-def exclude(
-    run: RunArgument = "last",
-    points: PointsOption = "",
-    reason: ReasonOption = "",
-    who: WhoOption = "",
-    runs: RunsOption = RUNS,
-    as_json: JsonOption = False,
-) -> None:
-    """Exclude points from table, fits and figures, with a reason that stays in the record."""
-    _annotate("exclude", "excluded:", run, points, reason, who, runs, as_json)
+def _annotation(action: str, done: str) -> Callable[..., None]:
+    """The command for one kind of annotation."""
+
+    def command(
+        run: RunArgument = "last",
+        points: PointsOption = "",
+        reason: ReasonOption = "",
+        who: WhoOption = "",
+        runs: RunsOption = RUNS,
+        as_json: JsonOption = False,
+    ) -> None:
+        from daq.store.store import find_run
+
+        found = find_run(runs, run)
+        made, not_derived = _annotate(found, action, points, reason, who)
+        if as_json:
+            print_json({**vars(made), "points": list(made.points), "run_id": found.run_id})
+            return
+        what = f"points {', '.join(map(str, made.points))}" if made.points else "the run"
+        typer.echo(f"{done} {what}")
+        if not_derived:
+            typer.echo(f"  table and report could not be made: {not_derived}")
+
+    return command
 
 
-def include(
-    run: RunArgument = "last",
-    points: PointsOption = "",
-    reason: ReasonOption = "",
-    who: WhoOption = "",
-    runs: RunsOption = RUNS,
-    as_json: JsonOption = False,
-) -> None:
-    """Cancel an exclusion; both stay in the record."""
-    _annotate("include", "included again:", run, points, reason, who, runs, as_json)
+def _annotate(run: Run, action: str, points: str, reason: str, who: str) -> tuple[Annotation, str]:
+    """Add an annotation to the record and derive table and report again.
 
-
-def _annotate(
-    action: str,
-    done: str,
-    run: str,
-    points: str,
-    reason: str,
-    who: str,
-    runs: Path,
-    as_json: bool,
-) -> None:
-    """Add an annotation to the record, then make table and report again."""
-    from analysis.reporting.derived import derive_all
+    Returns the annotation, and why table and report could not be made, or "".
+    """
+    from analysis.reporting.derived import try_derive
     from analysis.run_table import reduce_run
     from daq.store.annotations import annotate
-    from daq.store.store import find_run
 
-    found = find_run(runs, run)
     numbers = point_numbers(points)
     if numbers:
-        reduction = reduce_run(found)
+        reduction = reduce_run(run)
         known = {int(order) for order in reduction.table["order"]}
         known |= {int(point["order"]) for point in reduction.excluded}
         missing = [n for n in numbers if n not in known]
         if missing:
             raise ConfigError(
                 "--points",
-                f"{found.run_id} has no point {missing[0]}",
+                f"{run.run_id} has no point {missing[0]}",
                 f"it has {min(known)} to {max(known)}" if known else "it has none",
             )
-    made = annotate(found.folder, action, numbers, reason, who)
-    not_derived = ""
-    try:
-        derive_all(found.folder)
-    except PamrigError as error:  # the annotation itself is already in the record
-        not_derived = str(error)
-    if as_json:
-        print_json({**vars(made), "points": list(made.points), "run_id": found.run_id})
-        return
-    what = f"points {', '.join(map(str, made.points))}" if made.points else "the run"
-    typer.echo(f"{done} {what}")
-    if not_derived:
-        typer.echo(f"  table and report could not be made: {not_derived}")
+    return annotate(run.folder, action, numbers, reason, who), try_derive(run.folder)
 
 
 def point_numbers(text: str) -> list[int]:

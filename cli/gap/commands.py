@@ -33,8 +33,7 @@ def add_gap(app: typer.Typer) -> None:
 
 def check(
     stream: Annotated[
-        str,
-        typer.Option(help="practice (open), reserved (each use is in the ledger) or smoke."),
+        str, typer.Option(help="practice (open), reserved (each use is in the ledger) or smoke.")
     ] = "smoke",
     sets: Annotated[str, typer.Option(help="Set numbers: 0-59, or 3,5,8.")] = "0-59",
     out: Annotated[Path, typer.Option(help="Folder for results, hashes and totals.")] = Path(

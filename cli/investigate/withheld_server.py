@@ -15,12 +15,7 @@ from rigs.virtual.server import open_server
 
 
 def serve_withheld(
-    rig: str,
-    folder: Path,
-    *,
-    seed: int | None = None,
-    seconds: float = 0.0,
-    tcp: bool = False,
+    rig: str, folder: Path, *, seed: int | None = None, seconds: float = 0.0, tcp: bool = False
 ) -> None:
     """Serve a bench that hides an effect until Ctrl-C; print only the hash of its answer.
 

@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.options import (
-    RUNS,
-    FigureOption,
-    JsonOption,
-    RegionOption,
-    RunsOption,
-    WarmOption,
-)
+from cli.options import RUNS, FigureOption, JsonOption, RegionOption, RunsOption, WarmOption
 from cli.output import writing
 from daq.errors import PamrigError
 

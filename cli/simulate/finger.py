@@ -83,9 +83,7 @@ def pressure(seeds: SeedsOption = 5, page: PageOption = False, as_json: JsonOpti
 
 
 def tuning(
-    finger: FingerOption = "finger",
-    valve: ValveOption = "cured",
-    as_json: JsonOption = False,
+    finger: FingerOption = "finger", valve: ValveOption = "cured", as_json: JsonOption = False
 ) -> None:
     """Where the gains come from, and how loops behave when tuned one at a time; takes a minute."""
     from studies.first_use import tell_of_compiling

@@ -1,1 +1,1 @@
-"""The printed figures of the thesis recomputed."""
+"""Audit of the thesis: published figures recomputed from its tables."""

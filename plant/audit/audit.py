@@ -11,39 +11,39 @@ from plant.audit.printed import Row, verdict
 from plant.fitting.table43 import MODELS, STATISTICS, Cell, recover_braid, table
 
 WITHIN_N = 0.002
-"""Four half units of the last printed digit: the statistics come from unrounded b, n or K."""
+"""Two units of the last printed digit: the statistics come from unrounded b, n or K."""
 
 REASONS = {
     "deterministic": ("b and n are not printed; b = {b:g} mm and n = {n:g} give all 24 statistics",
                       ("A76", "A79")),
-    "Caldwell": ("geometry not printed (Eff fitted here, h = b, f = D_0): close to what the "
-                 "SEMEANs say, not to the printed deviations, which contradict their own SEMEAN "
+    "Caldwell": ("geometry not printed (Eff fitted here, h = b, f = D_0): close to the deviations "
+                 "from the SEMEANs, not to the printed ones, which contradict their own SEMEAN "
                  "in {bad} of 6 rows", ("A71", "A72", "A79")),
     "quasi-static": ("the SEMEANs are those of C-1, its training data; the printed deviations "
                      "contradict them in {bad} of 6 rows; C-41 and C-43 repeat other rows' numbers",
                      ("A69", "A70", "A74", "A75")),
     "black box 21": ("150-600 kPa is Table C-38's equation, exactly; no printed equation gives the "
-                     "0-125 kPa row, and 0-600 pools the two", ("A73", "A77")),
-    "black box T": ("0-125 kPa is Equations 4-53 to 4-57 with 4-55 mended, exactly; 150-600 kPa "
-                    "only to some percent, and 0-600 pools the two", ("A59", "A60", "A61")),
+                     "0-125 kPa row, and 0-600 combines the two", ("A73", "A77")),
+    "black box T": ("0-125 kPa is Equations 4-53 to 4-57 with 4-55 corrected, exactly; 150-600 kPa "
+                    "only to some percent, and 0-600 combines the two", ("A59", "A60", "A61")),
 }  # fmt: skip
 
 
 def audit() -> list[Row]:
-    """The whole table, in the thesis's order; takes a few seconds."""
+    """All rows of the audit, in the order of the thesis; takes a few seconds."""
     return [
         *audit_lengths.audit(), *audit_temperature.audit(), *audit_rest.audit(), *_table_4_3()
     ]  # fmt: skip
 
 
 def worst(cell: Cell) -> float:
-    """Largest difference of mean, median, trimmed mean and deviation, recomputed and published."""
+    """Largest difference between recomputed and published statistics."""
     pairs = ((getattr(cell.recomputed, s), getattr(cell.published, s)) for s in STATISTICS)
     return max(abs(float(a) - float(b)) for a, b in pairs)
 
 
 def contradicts(cell: Cell) -> bool:
-    """Whether the printed deviation and the same row's SEMEAN tell different deviations."""
+    """Whether the printed deviation contradicts the SEMEAN of the same row."""
     return abs(cell.by_semean / cell.published.stdev - 1.0) > 0.01
 
 

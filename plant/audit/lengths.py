@@ -81,7 +81,7 @@ def _one_temperature(
     off = [max(abs(float(printed[x][k]) - from_c2[x][k]) for x in printed) for k in (0, 1)]
     reason = f"from C-1 to rounding (at most {worst[0]:.2g} N/kPa and {worst[1]:.2g} N off)"
     if slips:
-        reason = f"from C-1 but for print slips: {listing(slips)}"
+        reason = f"from C-1 except misprints: {listing(slips)}"
     reason += f"; from C-2 off by up to {off[0]:.2g} N/kPa and {off[1]:.2g} N"
     total = 2 * len(printed)
     return Row(
@@ -115,9 +115,9 @@ def _warm(
     copied = _copied_rows(file, tables)
     gradients, intercepts = (", ".join(f"{f[k]:.3f}" for f in factors) for k in (0, 1))
     reason = (
-        f"they belong to another data set than C-1 and C-2: beside {base}, gradients are larger "
-        f"by {gradients} and intercepts by {intercepts} (medians over the lengths), where C-1's "
-        "warm columns change each cell by another factor"
+        f"not from C-1 or C-2 but from another data set: relative to {base}, gradients are larger "
+        f"by {gradients} and intercepts by {intercepts} (medians over the lengths), but the warm "
+        "columns of C-1 change each cell by a different factor"
     )
     if copied:
         reason += f"; rows repeated from another table: {listing(copied)}"
@@ -145,7 +145,7 @@ def _copied_rows(file: str, tables: list[str]) -> list[str]:
 
 
 def _line_of(pairs: dict[float, tuple[str, str]], k: int) -> tuple[float, float]:
-    """Slope and constant in length of the printed gradients (k = 0) or intercepts (k = 1)."""
+    """Slope and constant of the printed gradients (k = 0) or intercepts (k = 1) over length."""
     x = np.array(list(pairs))
     y = np.array([float(pair[k]) for pair in pairs.values()])
     fit = full_regression("K", y, {"L": x})
@@ -175,15 +175,15 @@ def _high_equations() -> list[Row]:
             "Equation 4-35", "-0.043 - 0.159 L", f"{constant_c:.3f} {slope_c:+.4f} L",
             verdict(same("-0.043", constant_c), same("-0.159", slope_c)
                     and same(table_c, constant_c)),
-            f"slope as printed; the constant is {table_c} (as Table 4-1 has it), a zero too many",
+            f"slope as printed; the constant is {table_c} (as in Table 4-1), with a zero too many",
             ("A44", "A56"),
         ),
         Row(
             "Equation 4-36", "printed in two orders",
             f"{slope:.5f} P L {constant:+.3f} P {slope_c:+.3f} L {constant_c:+.2f}",
             verdict(False, abs(mended) < 0.5),
-            f"mean error (real less model) {first:.1f} N as in section 4.9.2, {second:.2f} N as in "
-            f"4.10.3, {mended:.2f} N with -0.43: the second order and -0.43 are meant",
+            f"mean error (real - model) {first:.1f} N as in section 4.9.2, {second:.2f} N as in "
+            f"4.10.3, {mended:.2f} N with -0.43: the second order with -0.43 is correct",
             ("A44", "A56", "A57"),
         ),
     ]  # fmt: skip
@@ -217,20 +217,20 @@ def _low_equations(c1: Points) -> list[Row]:
             "Equation 4-39", "-20.4 + 0.400 L",
             f"{constant_m:.2f} {slope_m:+.3f} L from C-1; {constant:.1f} {slope:+.3f} L from C-26",
             verdict(same("-20.4", constant_m), same("-20.4", constant) and same("0.400", slope)),
-            "only with the two slips of C-26 left in (0.261 for 0.0261, 5.82 for 6.82)",
+            "only with the two misprints of C-26 (0.261 for 0.0261, 5.82 for 6.82)",
             ("A36", "A37"),
         ),
         Row(
             "Equation 4-40", "0.625 - 0.0165 L + 0.000002 L^3",
             f"{k:.4f} {by_l:+.5f} L {by_cube:+.4g} L^3", verdict(gradient),
-            "from C-26 with 0.00457 at 65 mm; one digit for the cube makes it useless: rmse on "
+            "from C-26 with 0.00457 at 65 mm; with one digit for the cube it is unusable: rmse on "
             f"C-1 {rmse(0.625, -0.0165, 2e-6):.1f} N for {full:.2f} N with Table 4-2's digits",
             ("A38", "A58"),
         ),
         Row(
             "Equation 4-41", "(0.62 - 0.0165 L + 0.000002 L^3) P + 0.400 L - 20.4",
             f"{k:.3f} where 0.62 is printed", verdict(same("0.62", k) and as_printed < 1.0),
-            f"a digit lost (0.62 for 0.625) and the cube rounded away: rmse {as_printed:.1f} N",
+            f"a missing digit (0.62 for 0.625) and a rounded cube: rmse {as_printed:.1f} N",
             ("A58",),
         ),
     ]  # fmt: skip
@@ -265,21 +265,21 @@ def _isobaric(c1: Points, c2: Points) -> list[Row]:
             "Table C-37", f"{2 * len(rows)} values",
             f"{2 * len(rows) - len(slips)} within {off[0]:.1g} N/mm and {off[1]:.1g} N",
             verdict(not slips, len(slips) == 1),
-            f"called isobaric, but regressed from the isometric C-1 (C-2 misses the intercepts by "
-            f"up to {off_c2:.1f} N), with a digit lost: {listing(slips)}", ("A46", "A47"),
+            f"named isobaric, but a regression of the isometric C-1 (C-2 gives intercepts up to "
+            f"{off_c2:.1f} N off), with a missing digit: {listing(slips)}", ("A46", "A47"),
         ),
         Row(
             "Equation 4-44, Table C-38",
             f"{e['P']:.5f} P {e['1']:+.3f}; {c38['length_coef']} in C-38",
-            f"{with_slip[1].coef:.5f}, {with_slip[0].coef:.4f} with C-37's slip; "
+            f"{with_slip[1].coef:.5f}, {with_slip[0].coef:.4f} with the misprint of C-37; "
             f"{without[1].coef:.5f}, {without[0].coef:.4f} without",
             verdict(same("-0.231", with_slip[0].coef), good),
-            "the slip of C-37 is carried in, and -0.231 is a second slip for -0.2391",
+            "includes the misprint of C-37, and -0.231 is a second misprint for -0.2391",
             ("A47", "A49"),
         ),
         Row(
             "Equation 4-45", "-0.38 - 0.425 P", f"{c4[0].coef:.3f} {c4[1].coef:+.5f} P",
             verdict(same("-0.38", c4[0].coef) and same("-0.425", c4[1].coef)),
-            "regression of Table C-37's printed intercepts on pressure, so from C-1", ("A46",),
+            "regression of the printed intercepts of Table C-37 on pressure, so from C-1", ("A46",),
         ),
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the thesis prints, as text: a figure reproduces if it rounds to the printed digits."""
+"""Printed numbers of the thesis; a value reproduces if it rounds to the printed digits."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class Row:
     """One line of the audit.
 
     Attributes:
-        item: what of the thesis.
-        published: what it prints.
-        recomputed: what follows from the shipped tables.
-        verdict: as it is; "if mended" means with the slips named in `reason` put right.
-        reason: why, or what it took.
-        anomalies: entries of the shipped ANOMALIES.md that bear on it.
+        item: table or equation of the thesis.
+        published: printed value.
+        recomputed: value from the shipped tables.
+        verdict: "if mended" means after correction of the misprints named in `reason`.
+        reason: explanation.
+        anomalies: related entries of the shipped ANOMALIES.md.
     """
 
     item: str
@@ -39,30 +39,30 @@ def printed_rows(table: str) -> list[dict[str, str]]:
 
 
 def unit_in_last_place(printed: str) -> float:
-    """0.01 for "-1.25", 1 for "421", 1e-18 for "1.79200E-13"."""
+    """The unit of the last digit: 0.01 for "-1.25", 1 for "421", 1e-18 for "1.79200E-13"."""
     mantissa, _, exponent = printed.strip().lower().partition("e")
     decimals = len(mantissa.partition(".")[2])
     return float(10.0 ** (-decimals + int(exponent or 0)))
 
 
 def same(printed: str, value: float) -> bool:
-    """Whether the value rounds to what is printed (a tie may go either way)."""
+    """Whether the value rounds to the printed number (a tie may round up or down)."""
     return abs(value - float(printed)) <= unit_in_last_place(printed) * 0.5000001
 
 
 def truncated(printed: str, value: float) -> bool:
-    """Whether the value cut off, not rounded, is what is printed."""
+    """Whether the printed number is the truncated value."""
     gap = abs(value) - abs(float(printed))
     return 0 <= gap < unit_in_last_place(printed) and value * float(printed) >= 0
 
 
 def verdict(good: bool, mended: bool = False) -> Verdict:
-    """A verdict from what matched: as printed, or once slips are put right."""
+    """The verdict: `good` as printed, `mended` after correction of misprints."""
     return "reproduces" if good else "reproduces if mended" if mended else "does not reproduce"
 
 
 def listing(items: Iterable[str], most: int = 6) -> str:
-    """Joined by commas: a, b, c and 4 more."""
+    """A text such as "a, b, c and 4 more"."""
     every = list(items)
     shown = ", ".join(every[:most])
     return shown + (f" and {len(every) - most} more" if len(every) > most else "")

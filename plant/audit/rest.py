@@ -15,7 +15,7 @@ from plant.models.law import Array
 from plant.thesis import array
 
 MEAN_FROM_KPA = 200.0
-"""The means of C-5 leave out lower pressures and the turning point (A23)."""
+"""Lowest pressure in the means of C-5; they also omit the turning point (A23)."""
 
 
 def full_regression_c8() -> FullRegression:
@@ -35,13 +35,13 @@ def full_regression_c9() -> FullRegression:
 
 
 def full_regression_d1() -> FullRegression:
-    """Valve: pressure on the square of the air's speed, Table D-5."""
+    """Valve: pressure on the square of the air velocity, Table D-5."""
     columns = array("d05_air_velocity")
     return full_regression("P", columns["pressure_kpa"], {"V^2": columns["air_velocity_m_s"] ** 2})
 
 
 def audit() -> list[Row]:
-    """Everything that is not a black box."""
+    """Audit of everything except the black boxes."""
     return [
         _regression("C-8", full_regression_c8(), "C-1 at 21 degC, 0 to 125 kPa, with 51.45 mm",
                     ("A01", "A65")),
@@ -103,7 +103,7 @@ def _isometric_hysteresis() -> Row:
     return Row(
         "Means of Table C-5, Table 4-4", f"{len(printed)} means",
         f"{len(printed) - len(bad)} of {len(printed)} the same in both", verdict(not bad),
-        f"they are means over {MEAN_FROM_KPA:g} kPa to one step below the turn; the whole columns "
+        f"means from {MEAN_FROM_KPA:g} kPa to one step below the turning point; the whole columns "
         f"would give {whole} of them" + (f"; {listing(bad)}" if bad else ""), ("A22", "A23"),
     )  # fmt: skip
 
@@ -202,7 +202,7 @@ def _ranks_high() -> Row:
         "Ranks of Table C-8", f"{len(printed)} rows", f"{good} of {len(printed)} the same",
         verdict(not bad, len(bad) == 1),
         f"ranks by R-sq of one predictor each, from C-1; different: {listing(bad)} (there P^2 and "
-        "P^3 beat P: the shortest lengths curve)", (),
+        "P^3 fit better than P: curvature at the shortest lengths)", (),
     )  # fmt: skip
 
 
@@ -217,8 +217,8 @@ def _ranks_low() -> Row:
     return Row(
         "Ranks of Tables C-19 to C-25", f"{total} rows", f"{good} of {total} the same",
         verdict(good == total),
-        f"{copies} rows repeat those of C-8 rank for rank, which is another pressure region; "
-        "others are no permutation of 1 to 5", ("A50", "A51"),
+        f"{copies} rows have the same ranks as those of C-8, which is another pressure region; "
+        "others are not a permutation of 1 to 5", ("A50", "A51"),
     )  # fmt: skip
 
 
@@ -240,10 +240,11 @@ def _best_fit_c10() -> Row:
     explained = {r["s"] for r, n in zip(printed, good, strict=True) if n}
     return Row(
         "Best-fit C-10", f"s {printed[0]['s']} for P, R-sq {printed[0]['r2_percent']} %",
-        f"s {found['P'].s:.5f} with C-37's slip, {without.s:.5f} without",
+        f"s {found['P'].s:.5f} with the misprint of C-37, {without.s:.5f} without",
         verdict(bool(good[0]) and len(explained) >= 2),
-        f"needs the slip of C-37; {len(explained)} of its {len(sizes)} different lines follow from "
-        f"{', '.join(sorted({n for n in good if n}))}; one line is printed twice", ("A47", "A53"),
+        f"needs the misprint of C-37; {len(explained)} of its {len(sizes)} different lines follow "
+        f"from {', '.join(sorted({n for n in good if n}))}; one line is printed twice",
+        ("A47", "A53"),
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ SECOND_STAGE = {
     "C-6": (T_LOW, "K4_length"),
     "C-7": (T_LOW, "c_intercept"),
 }
-"""Full regressions of coefficients on temperature, and the column each used."""
+"""Full regressions of coefficients on temperature: table and column of each."""
 
 
 def second_stage(name: str) -> FullRegression:
@@ -30,7 +30,7 @@ def second_stage(name: str) -> FullRegression:
 
 
 def audit() -> list[Row]:
-    """Tables 4-1 and 4-2 and what was made of them."""
+    """Audit of Tables 4-1 and 4-2 and of the equations from them."""
     return [_table_4_1(), *_high_equations(), _eq_4_51(), _table_4_2(), _regressions(), _eq_4_58()]
 
 
@@ -96,11 +96,11 @@ def _matches(table: str, exact: dict[str, Array]) -> tuple[int, int, list[str], 
 def _table_4_1() -> Row:
     good, total, cut, bad = _matches(T_HIGH, first_stage_high())
     return Row(
-        "Table 4-1", f"{total} values", f"{good} of {total} the same, {len(cut)} cut off",
+        "Table 4-1", f"{total} values", f"{good} of {total} the same, {len(cut)} truncated",
         verdict(not bad),
-        f"from Tables C-9 to C-15; cut off instead of rounded: {listing(cut) or 'none'}"
+        f"from Tables C-9 to C-15; truncated instead of rounded: {listing(cut) or 'none'}"
         + (f"; other: {listing(bad)}" if bad else "")
-        + "; its headings number K1 to K3 otherwise than Equation 4-46", ("A42", "A43"),
+        + "; its headings number K1 to K3 differently from Equation 4-46", ("A42", "A43"),
     )  # fmt: skip
 
 
@@ -120,12 +120,12 @@ def _high_equations() -> list[Row]:
             f"{unrounded[1].coef:.7f} T + {unrounded[0].coef:.5f} from unrounded K1; "
             f"{rounded[1].coef:.6f}, {rounded[0].coef:.4f} from Table 4-1",
             verdict(same("0.00012", unrounded[1].coef) and same("0.0062", unrounded[0].coef)),
-            "from K1 before it was cut off for Table 4-1", ("A43",),
+            "from K1 before truncation for Table 4-1", ("A43",),
         ),
         Row(
             "Equations 4-48, 4-50", "-0.18429, -0.16286", f"{k2:.5f}, {c:.5f}",
             verdict(same("-0.18429", k2) and same("-0.16286", c)),
-            f"means of Table 4-1's columns; 4-50 needs -0.43 at 21 degC (-0.043 would give "
+            f"means of the columns of Table 4-1; 4-50 needs -0.43 at 21 degC (-0.043 would give "
             f"{with_043:.5f})", ("A44",),
         ),
         Row(
@@ -133,8 +133,8 @@ def _high_equations() -> list[Row]:
             f"{k3[1].coef:.7f} T {k3[0].coef:+.5f}",
             verdict(same("-0.0058", k3[1].coef) and same("-0.3", k3[0].coef),
                     truncated("-0.0058", k3[1].coef) and same("-0.3", k3[0].coef)),
-            f"cut off or mistyped for -0.0059 and -0.304, worth {_eq_4_49_effect():.1f} N at 300 "
-            "kPa and 21 degC", ("A59",),
+            "truncated or mistyped for -0.0059 and -0.304, an effect of "
+            f"{_eq_4_49_effect():.1f} N at 300 kPa and 21 degC", ("A59",),
         ),
     ]  # fmt: skip
 
@@ -162,7 +162,7 @@ def _eq_4_51() -> Row:
     return Row(
         "Equation 4-51", "combination of 4-47 to 4-50",
         f"rmse on C-2 {rmse(e['P*T'], e['P']):.2f} N as printed, {rmse(-0.0059, -0.304):.2f} N "
-        "with -0.0059 and -0.304", verdict(e == parts), "each coefficient equals its part's",
+        "with -0.0059 and -0.304", verdict(e == parts), "each coefficient equals that of its part",
         ("A59",),
     )  # fmt: skip
 
@@ -174,15 +174,15 @@ def _table_4_2() -> Row:
         "Table 4-2 = Table C-35", f"{total} values", f"{good + len(cut)} of {total} the same",
         verdict(equal and not bad),
         f"both tables are {'identical' if equal else 'different'}; from C-26 to C-32, the 21 degC "
-        "row with C-26's slips 0.261 and 5.82 but with 0.00457"
+        "row with the misprints 0.261 and 5.82 of C-26 but with 0.00457"
         + (f"; other: {listing(bad)}" if bad else "")
-        + (f"; cut off: {listing(cut)}" if cut else ""),
+        + (f"; truncated: {listing(cut)}" if cut else ""),
         ("A36", "A37", "A38", "A45"),
     )  # fmt: skip
 
 
 def compare_regression(name: str, found: FullRegression) -> tuple[int, list[str]]:
-    """How many printed numbers of a full regression come out, and those that do not."""
+    """Number of reproduced numbers of a printed full regression, and a list of the others."""
     good, bad = 0, []
     lines = [r for r in printed_rows("full_regressions") if r["equation"] == name]
     for line, x in zip(lines, found.predictors, strict=True):
@@ -219,7 +219,7 @@ def _regressions() -> Row:
         f"{good} of {good + len(bad)} the same", verdict(not bad and not swapped, len(bad) <= 1),
         "regressions of Tables 4-1 and 4-2 on temperature; Equation 4-55 has its two coefficients "
         "swapped, 4-56 is labelled K2 for K4, 4-54 prints -0.01041 for -0.010395"
-        + (f"; cut off instead of rounded: {listing(bad)}" if bad else ""), ("A60", "A61", "A62"),
+        + (f"; truncated instead of rounded: {listing(bad)}" if bad else ""), ("A60", "A61", "A62"),
     )  # fmt: skip
 
 
@@ -242,7 +242,7 @@ def _eq_4_58() -> Row:
         f"{_rms(as_printed):.2f} N as printed, {_rms(force - low):.2f} N with 4-53 to 4-57",
         verdict(same("-0.01", k["C-4"][0].coef) and same("0.39", k["C-5"][0].coef)
                 and same("-0.38", k["C-7"][1].coef)),
-        "rounded or cut off too far", ("A60", "A63"),
+        "rounded or truncated to too few digits", ("A60", "A63"),
     )  # fmt: skip
 
 

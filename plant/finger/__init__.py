@@ -1,6 +1,6 @@
-"""The finger: links moved by antagonistic pairs of muscles, each with its own valve block.
+"""The finger: links driven by antagonistic pairs of muscles, each with its own valve block.
 
-`reader.load_finger` reads one, `sim.FingerSim` advances it in compiled code (`kernel`).
+`reader.load_finger` reads a finger, `sim.FingerSim` simulates it in compiled code (`kernel`).
 """
 
 from plant.finger.body import Finger, Pair

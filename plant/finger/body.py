@@ -1,4 +1,4 @@
-"""What a finger is: an arm, and for each joint a pair of muscles on a pulley."""
+"""Definition of a finger: an arm, and for each joint a pair of muscles on a pulley."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Pair:
-    """Two muscles on one pulley: the agonist (+) turns the joint forwards, the other (-) back.
+    """Two muscles on one pulley: the agonist (+) and the antagonist (-) of a joint.
 
-    `length_m` is that of both muscles with the joint at angle 0. Raises `PlantError`.
+    `length_m` is the length of both muscles at joint angle 0. Raises `PlantError`.
     """
 
     joint: str
@@ -35,10 +35,11 @@ class Pair:
 
 @dataclass(frozen=True)
 class Finger:
-    """An arm with a pair of muscles a joint. Muscle 2 j is joint j's agonist, 2 j + 1 the other.
+    """An arm with a pair of muscles per joint: muscle 2 j is the agonist of joint j, 2 j + 1 the
+    other.
 
-    Stops act at the tendon: `stop_stiffness_n_m`, `stop_damping_n_s_m`. Raises `PlantError` where
-    a pair names no joint of the arm, a joint has no pair or two, or has no range.
+    `stop_stiffness_n_m` and `stop_damping_n_s_m` act at the tendon. Raises `PlantError` if a pair
+    names an unknown joint, or if a joint has no range or not exactly one pair.
     """
 
     name: str
@@ -77,7 +78,7 @@ class Finger:
 
     @property
     def tendons(self) -> Array:
-        """(2 n, 3) as the kernel takes it: joint, length at angle 0 (m), dL/dq (m/rad)."""
+        """(2 n, 3) for the kernel: joint, length at angle 0 (m), dL/dq (m/rad)."""
         rows = []
         for index, joint in enumerate(self.joints):
             pair = self.pair(joint)
@@ -86,7 +87,7 @@ class Finger:
 
     @property
     def stops(self) -> Array:
-        """(n, 4) as the kernel takes it: range (rad), stiffness (N m/rad), damping (N m s/rad)."""
+        """(n, 4) for the kernel: range (2, rad), stiffness (N m/rad), damping (N m s/rad)."""
         rows = []
         for link in self.arm.links:
             square = self.pair(link.joint).pulley_radius_m ** 2
@@ -95,7 +96,7 @@ class Finger:
         return np.array(rows, dtype=np.float64)
 
     def check_lengths(self, constants: PlantConstants) -> None:
-        """Refuse a finger whose range takes a muscle outside its braid, by joint. `PlantError`."""
+        """Raise `PlantError` if the range of a joint takes a muscle outside its length limits."""
         for link in self.arm.links:
             pair = self.pair(link.joint)
             for angle in (link.low_rad, link.high_rad):
@@ -104,8 +105,8 @@ class Finger:
                     if not constants.length_min_m <= length <= constants.length_max_m:
                         raise PlantError(
                             f"finger {self.name!r}: at {math.degrees(angle):g} degrees joint "
-                            f"{link.joint!r} would make a muscle {length * 1e3:.1f} mm long; it "
-                            f"has {constants.length_min_m * 1e3:g} to "
+                            f"{link.joint!r} would make a muscle {length * 1e3:.1f} mm long; "
+                            f"allowed {constants.length_min_m * 1e3:g} to "
                             f"{constants.length_max_m * 1e3:g} mm: change the pulley, the length "
                             "or the range"
                         )

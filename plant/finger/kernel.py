@@ -1,10 +1,10 @@
-"""Valve edges and control ticks of a finger in compiled code; between edges see `stepping`.
+"""Compiled valve edges and control ticks of a finger; see `stepping` for the time between edges.
 
-Each muscle is a row of its own in the layout of the one-muscle bench (`plant.physics.layout`), so
-that valves, flow and muscle laws are those of `plant.simulator.kernel` and `plant.simulator.rates`.
-Pending valve edges of all muscles act exactly when due.
+Each muscle is a row in the layout of the one-muscle bench (`plant.physics.layout`), so valves, flow
+and muscle laws are those of `plant.simulator.kernel` and `plant.simulator.rates`. Pending valve
+edges of all muscles act exactly at their time.
 
-Importing this module loads numba and, the first time after an installation, compiles.
+Importing this module loads numba; the first import after an installation compiles.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _run_until(
     end: float,
     step_max: float,
 ) -> bool:
-    """Advance to time `end` with no new command; pending valve edges act exactly when due."""
+    """Advance to time `end` without new commands; pending valve edges act exactly at their time."""
     m = muscles.shape[0]
     fine = True
     while True:
@@ -49,7 +49,7 @@ def _run_until(
                     due = this
                     which = 2 * i + valve
         stretch = min(due, end) - muscles[0, at.TIME]
-        # An edge due at `end` itself waits: a command given there may still withdraw it.
+        # An edge due exactly at `end` waits, because a command at `end` can still cancel it.
         last = due >= end - SAME_INSTANT_S
         if last:
             stretch = end - muscles[0, at.TIME]
@@ -73,7 +73,9 @@ def _tick(
     step_max: float,
     on_s: Array,
 ) -> bool:
-    """One control tick: fill for the first on_s[i, 0] of it, vent for the first on_s[i, 1]."""
+    """One control tick: muscle i fills for its first on_s[i, 0] s and vents for its first on_s[i,
+    1] s.
+    """
     m = muscles.shape[0]
     begin = muscles[0, at.TIME]
     fine = True
@@ -102,7 +104,7 @@ def _tick(
 
 @called
 def _open(muscles: Array, params: Array, joints: Array, box: Any) -> None:
-    """Z of the muscles' rows and the joints."""
+    """Set z from the muscles' rows and the joints."""
     n = box[0].shape[0]
     z = box[11]
     for i in range(2 * n):
@@ -115,7 +117,7 @@ def _open(muscles: Array, params: Array, joints: Array, box: Any) -> None:
 
 @called
 def _close(muscles: Array, params: Array, joints: Array, box: Any) -> None:
-    """Joints and pulls back to the caller."""
+    """Write joint states and muscle forces back to the caller's arrays."""
     n = box[0].shape[0]
     z = box[11]
     for i in range(2 * n):
@@ -131,7 +133,7 @@ _TABLE = "float64[:,::1]"
 
 
 def _build(content: int) -> Callable[..., bool]:
-    # `content` is used so that it becomes a closure variable; it is never negative.
+    # Using `content` makes it a closure variable; it is never negative.
     @entry_point(
         f"boolean({_TABLE},{_TABLE},float64[::1],{_TABLE},{_TABLE},{_TABLE},float64[::1],"
         f"float64,float64,float64[:,:,::1],{_TABLE})"
@@ -152,7 +154,7 @@ def _build(content: int) -> Callable[..., bool]:
         n = table.shape[0]
         m = muscles.shape[0] if content >= 0 else 0
         size = 2 * n + m
-        # Work space of the whole call: nothing below allocates.
+        # Work space for the whole call, because the functions below must not allocate.
         box = (
             table,
             gravity,
@@ -188,4 +190,4 @@ def _build(content: int) -> Callable[..., bool]:
 
 
 advance = _build(_CONTENT)
-"""Control ticks one after the other; see `plant.finger.sim`. False where it lost the state."""
+"""Runs control ticks; see `plant.finger.sim`. False if the inertia matrix became singular."""

@@ -1,12 +1,8 @@
-"""Read a finger from TOML, and the valve blocks that come with the package."""
+"""Read fingers and valve blocks from TOML files or by shipped name."""
 
 from __future__ import annotations
 
-import difflib
-import os
-import tomllib
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +11,7 @@ from plant.constants import PlantConstants, nominal
 from plant.errors import PlantError
 from plant.finger.body import Finger, Pair
 from plant.links import load_arm
+from plant.tomlfile import check_keys, number_in_range
 
 _KEYS = ("name", "arm", "stops", "pair")
 _STOPS = {"stiffness_n_mm": (1e3, 1e-3, 1e4), "damping_n_s_mm": (1e3, 0.0, 10.0)}
@@ -25,12 +22,11 @@ def load_finger(source: str | Path | Mapping[str, Any] = "finger") -> Finger:
     """Read a finger from a TOML file, from a parsed table, or by the name of a shipped one.
 
     Raises:
-        PlantError: names file, table and key, says what was expected and what came.
+        PlantError: names file, table and key, the expected and the given value.
     """
     if isinstance(source, Mapping):
         return _finger(source, "finger table")
-    table, origin = _table(str(source), "fingers", "finger")
-    return _finger(table, origin)
+    return _finger(*tomlfile.load_table(source, "fingers", "finger"))
 
 
 def load_valve(source: str | Path = "thesis") -> PlantConstants:
@@ -38,46 +34,17 @@ def load_valve(source: str | Path = "thesis") -> PlantConstants:
 
     Raises `PlantError` as `PlantConstants.with_overrides` does, naming the file.
     """
-    table, origin = _table(str(source), "valves", "valve block")
+    table, origin = tomlfile.load_table(source, "valves", "valve block")
     return nominal().with_overrides(table, origin)
 
 
 def valve_changes(source: str | Path) -> dict[str, Any]:
-    """What a valve block changes of the reference bench, by plant-file key. Raises `PlantError`."""
-    return _table(str(source), "valves", "valve block")[0]
-
-
-def _names(folder: str) -> list[str]:
-    entries = resources.files("configs").joinpath("plant", folder).iterdir()
-    return sorted(e.name.removesuffix(".toml") for e in entries if e.name.endswith(".toml"))
-
-
-def _table(source: str, folder: str, what: str) -> tuple[dict[str, Any], str]:
-    path = Path(source)
-    if path.suffix != ".toml" and not os.path.exists(path):
-        known = _names(folder)
-        if source not in known:
-            near = difflib.get_close_matches(source, known, n=1)
-            hint = f"did you mean {near[0]}?" if near else "give a .toml file or one of these"
-            raise PlantError(
-                f"{what} {source!r}: neither a file nor shipped; {hint} ({', '.join(known)})"
-            )
-        entry = resources.files("configs").joinpath("plant", folder, f"{source}.toml")
-        text, origin = entry.read_text(encoding="utf-8"), f"shipped {what} {source}.toml"
-    else:
-        origin = f"{what} file {path}"
-        try:
-            text = tomlfile.read_text(path)
-        except (OSError, UnicodeDecodeError) as error:
-            raise PlantError(f"{origin}: cannot be read ({error}); check the path") from error
-    try:
-        return tomlfile.loads(text), origin
-    except tomllib.TOMLDecodeError as error:
-        raise PlantError(f"{origin}: not valid TOML ({error}); correct that line") from error
+    """Constants of a valve block, by plant-file key. Raises `PlantError`."""
+    return tomlfile.load_table(source, "valves", "valve block")[0]
 
 
 def _finger(table: Mapping[str, Any], origin: str) -> Finger:
-    _known(table, _KEYS, origin)
+    check_keys(table, _KEYS, origin)
     for key in ("name", "arm", "pair"):
         if key not in table:
             raise PlantError(f"{origin}: {key} is missing; known keys: {', '.join(_KEYS)}")
@@ -117,21 +84,9 @@ def _pair(row: Mapping[str, Any], origin: str) -> Pair:
 def _numbers(
     table: Mapping[str, Any], allowed: Mapping[str, tuple[float, float, float]], origin: str
 ) -> dict[str, float]:
-    _known(table, tuple(allowed), origin)
+    check_keys(table, allowed, origin)
     read = {}
     for key, value in table.items():
         to_si, low, high = allowed[key]
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise PlantError(f"{origin}: {key} = {value!r}; expected a number {low:g} to {high:g}")
-        if not low <= value <= high:
-            raise PlantError(f"{origin}: {key} = {value!r} is out of range {low:g} to {high:g}")
-        read[key] = value * to_si
+        read[key] = number_in_range(value, key, low, high, origin) * to_si
     return read
-
-
-def _known(table: Mapping[str, Any], known: tuple[str, ...], origin: str) -> None:
-    for key in table:
-        if key not in known:
-            near = difflib.get_close_matches(key, known, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}"
-            raise PlantError(f"{origin}: unknown key {key!r}; {hint}")

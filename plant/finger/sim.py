@@ -1,4 +1,4 @@
-"""A finger that is advanced tick by tick under valve commands, or replays a recording of them."""
+"""Simulation of a finger, tick by tick or from a recording of valve commands."""
 
 from __future__ import annotations
 
@@ -40,20 +40,21 @@ SUPPORTED_EFFECTS = (
     "viscosity",
     "wear",
 )
-"""Effects of the catalogue that the finger's equations hold: all on muscle, valve and gas but those
-with a memory of their own (creep) and those on sensors."""
+"""Effects of the catalogue that the finger's equations include: those on muscle, valve and gas,
+except creep (which has a memory of its own)."""
 
 
 class FingerSim:
-    """Four joints and eight muscles, or however many the finger has: n joints, 2 n muscles.
+    """Simulated finger with n joints and 2 n muscles.
 
-    Starts at rest at angles `q_rad` with all muscles at `pressure_kpa` (one, or (2 n,)), valves
-    shut. `muscles` (2 n, STATE_SIZE) and `params` (2 n, PARAMS_SIZE) are rows in the layout of the
-    one-muscle bench; `joints` (2 n,) holds angles and rates. Muscle 2 j is joint j's agonist.
+    Starts at rest at angles `q_rad` with the muscles at `pressure_kpa` (a scalar or (2 n,)) and
+    closed valves. `muscles` (2 n, STATE_SIZE) and `params` (2 n, PARAMS_SIZE) are rows in the
+    layout of the one-muscle bench; `joints` (2 n,) holds angles and rates. Muscle 2 j is the
+    agonist of joint j.
 
     Raises:
-        PlantError: a payload that is negative, a range that takes a muscle outside its braid,
-            angles outside their range, an effect the finger's equations do not hold.
+        PlantError: a negative payload, a range that takes a muscle outside its length limits,
+            angles outside their range, an effect that is not in `SUPPORTED_EFFECTS`.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class FingerSim:
         if not step_max_s > 0.0:
             raise PlantError(f"step_max_s = {step_max_s!r}; expected more than 0")
         finger.check_lengths(constants)
-        self.finger = finger.with_payload(payload_kg) if payload_kg else finger.with_payload(0.0)
+        self.finger = finger.with_payload(payload_kg)
         self.constants = constants
         self.step_max_s = step_max_s
         n = finger.arm.degrees
@@ -100,7 +101,7 @@ class FingerSim:
         self._no_traces = np.empty((0, 4 * n))
 
     def advance(self, dt_s: float, on_s: Array) -> None:
-        """One control tick: `on_s` (2 n, 2) how long from its start each inlet and outlet is on.
+        """One control tick: `on_s` (2 n, 2) is the on-time of each inlet and outlet from its start.
 
         A value of at least `dt_s` keeps the command on at the end, as in
         `plant.simulator.bench.advance`.
@@ -108,7 +109,7 @@ class FingerSim:
         self._run(dt_s, on_s.reshape(1, *on_s.shape), self._no_traces)
 
     def replay(self, dt_s: float, on_s: Array) -> Array:
-        """Many ticks, `on_s` (ticks, 2 n, 2), in one compiled call.
+        """Simulate many ticks, `on_s` (ticks, 2 n, 2), in one compiled call.
 
         Returns (ticks, 4 n): angles (rad), rates (rad/s) and gauge pressures (Pa) after each.
         """
@@ -136,7 +137,7 @@ class FingerSim:
         if not fine:
             raise PlantError(
                 f"finger {self.finger.name!r}: its inertia matrix is singular at "
-                f"{self.time_s:g} s; give the links beyond each joint mass or inertia"
+                f"{self.time_s:g} s; give the links after each joint mass or inertia"
             )
 
     @property
@@ -161,10 +162,10 @@ class FingerSim:
 
     @property
     def energy_j(self) -> float:
-        """Energy of links and gas, which shut valves and frictionless joints leave alone.
+        """Energy of links and gas in J; constant with closed valves and frictionless joints.
 
-        For isothermal gas: kinetic and gravity's potential, and for each chamber the work
-        -P V ln(V / 6 ml) + P_atm V that its gas at constant temperature and the atmosphere can do.
+        For isothermal gas: kinetic and potential energy of the links, plus for each chamber
+        -P V ln(V / 6 ml) + P_atm V, the energy of its gas and of the atmosphere.
         """
         c = self.constants
         total = float(total_energy(self.finger.arm, self.q_rad, self.qd_rad_s))

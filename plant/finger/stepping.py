@@ -1,12 +1,12 @@
-"""Links, muscles and gas of a finger between two valve edges, in compiled code.
+"""Compiled integration of links, muscles and gas of a finger between two valve edges.
 
-The state z = (q, q', P V^k of each muscle) is smooth there, but stiff: the tip's damping over its
-inertia is 4000 1/s, and a chamber near equal pressure is faster still. It is integrated by
-ROS34PW2, a linearly implicit method of order 3 which is L-stable and keeps its order with an
-approximate Jacobian (Rang and Angermann 2005, BIT 45:761). The Jacobian taken here is joint damping
-and stiffness over the inertia matrix, and each chamber's own rate.
+Between valve edges the state z = (q, q', P V^k of each muscle) is smooth, but stiff: the ratio of
+damping to inertia at the tip is 4000 1/s, and a chamber near equal pressure is even faster. The
+method is ROS34PW2, linearly implicit, of order 3, L-stable; it keeps its order with an approximate
+Jacobian (Rang and Angermann 2005, BIT 45:761). The Jacobian used here contains joint damping and
+stiffness divided by the inertia matrix, and the rate of each chamber.
 
-Tendons pull and never push: a muscle that would push leaves its tendon slack.
+Tendons can only pull: a muscle that would push leaves its tendon slack.
 """
 
 from __future__ import annotations
@@ -18,10 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from plant.compiled import Slots, called, inlined
-from plant.constants import (
-    GAS_CONSTANT_J_KG_K,
-    REFERENCE_DENSITY_KG_M3,
-)
+from plant.constants import GAS_CONSTANT_J_KG_K, REFERENCE_DENSITY_KG_M3
 from plant.links.kernel import DAMPING, mass_matrix, recurse, solve, turn
 from plant.physics import flow
 from plant.physics import layout as at
@@ -39,9 +36,9 @@ from plant.simulator.rates import (
 Array = npt.NDArray[np.float64]
 
 JOINT, REST, ARM = 0, 1, 2
-"""Columns of the tendons' table (muscles, 3): joint, length at angle 0 (m), dL/dq (m/rad)."""
+"""Columns of the table of tendons (muscles, 3): joint, length at angle 0 (m), dL/dq (m/rad)."""
 LOW, HIGH, STOP_STIFFNESS, STOP_DAMPING = 0, 1, 2, 3
-"""Columns of the stops' table (joints, 4): rad, rad, N m/rad, N m s/rad."""
+"""Columns of the table of stops (joints, 4): rad, rad, N m/rad, N m s/rad."""
 
 _factor = inlined(flow.subsonic_factor)
 _factor_slope = inlined(flow.subsonic_slope)
@@ -80,7 +77,7 @@ def _flows(state: Slots, params: Slots, absolute: float) -> tuple[float, float]:
 
 @inlined
 def _stop_torque(stops: Array, j: int, touched: float, q: float, qd: float) -> float:
-    """Torque of a joint's stop; it pushes back into the range and never pulls."""
+    """Torque of a joint's stop; it acts only towards the range."""
     if touched == 0.0:
         return 0.0
     if touched < 0.0:
@@ -94,7 +91,7 @@ def _stop_torque(stops: Array, j: int, touched: float, q: float, qd: float) -> f
 def _slopes(
     muscles: Array, params: Array, tendons: Array, stops: Array, box: Any, q: Array
 ) -> None:
-    """Diagonals of the Jacobian: stiffness and damping of each joint, rate of each chamber."""
+    """Diagonal of the Jacobian: stiffness and damping of each joint, rate of each chamber."""
     table, _, _, _, _, stiffness, damping, gas, touched = box[:9]
     n = table.shape[0]
     for j in range(n):
@@ -113,7 +110,7 @@ def _slopes(
         rate = state[at.LENGTH_RATE]
         pull = pull_of(state, par, state[at.PRESSURE], length, rate)
         if pull > 0.0:
-            # dF/dL at constant gas: finite difference of the law, whatever the law.
+            # dF/dL at constant gas mass, as a finite difference (works for any law).
             step = 1e-6
             more = chamber(par, length + step)
             p = absolute * power(volume / more, par[at.EXPONENT]) - par[at.ATMOSPHERE]
@@ -146,7 +143,7 @@ def _slopes(
 def _derivative(
     muscles: Array, params: Array, tendons: Array, stops: Array, box: Any, z: Array, out: Array
 ) -> bool:
-    """Z' at z. False where the arm's inertia matrix is singular."""
+    """Derivative of z. False if the arm's inertia matrix is singular."""
     table, gravity, work, d, zero, _, _, _, touched = box[:9]
     n = table.shape[0]
     q = z[:n]
@@ -184,7 +181,7 @@ def _derivative(
 def _trial(
     muscles: Array, params: Array, tendons: Array, stops: Array, box: Any, step: float
 ) -> bool:
-    """One step of ROS34PW2 from box's z to its z_new."""
+    """One step of ROS34PW2 from z to z_new in `box`."""
     table, _, work, _, _, stiffness, damping, gas, _, inertia, factor, z, stage, rate, k, new = box
     n = table.shape[0]
     m = tendons.shape[0]
@@ -237,7 +234,7 @@ def _trial(
 
 @inlined
 def _touch(stops: Array, q: Array, qd: Array, touched: Array) -> None:
-    """Which stop each joint rests on for the whole of the next step: -1 low, 1 high, 0 none."""
+    """Set the stop in contact with each joint for the next step: -1 low, 1 high, 0 none."""
     for j in range(stops.shape[0]):
         touched[j] = 0.0
         if q[j] < stops[j, 0] or (q[j] == stops[j, 0] and qd[j] < 0.0):
@@ -248,9 +245,9 @@ def _touch(stops: Array, q: Array, qd: Array, touched: Array) -> None:
 
 @inlined
 def _crossing(stops: Array, before: Array, after: Array) -> float:
-    """Share of the step after which the first stop was crossed; 1 if none was.
+    """Fraction of the step at which the first stop is crossed; 1 if none is.
 
-    A stop that is left from exactly does not count.
+    A stop at which the step starts exactly does not count.
     """
     first = 1.0
     for j in range(stops.shape[0]):
@@ -263,7 +260,7 @@ def _crossing(stops: Array, before: Array, after: Array) -> float:
 
 @called
 def _accept(muscles: Array, params: Array, tendons: Array, box: Any) -> None:
-    """Take the new z into the muscles' rows, sliding the fibres on the way."""
+    """Copy the new z to the muscles' rows and update the slip of the fibres."""
     n = box[0].shape[0]
     z = box[11]
     new = box[15]
@@ -292,12 +289,12 @@ def integrate(
     duration: float,
     step_max: float,
 ) -> bool:
-    """Advance by `duration` with the valves as they stand."""
+    """Advance by `duration` with constant valve positions."""
     n = box[0].shape[0]
     touched, z, new = box[8], box[11], box[15]
     left = duration
     while left > 0.0:
-        # Equal steps to the end of the stretch, rather than a sliver at the end.
+        # Equal steps up to the end, to avoid a very short last step.
         step = left / max(1.0, math.ceil(left / step_max - 1e-9))
         _touch(stops, z[:n], z[n : 2 * n], touched)
         _slopes(muscles, params, tendons, stops, box[:9], z[:n])
@@ -309,7 +306,7 @@ def integrate(
                 break
             step *= share
         for j in range(n):
-            # On a stop to rounding is on the stop.
+            # Remove rounding errors at a stop.
             for side in range(2):
                 if abs(new[j] - stops[j, side]) < 1e-12:
                     new[j] = stops[j, side]

@@ -1,1 +1,1 @@
-"""Muscle models fitted to data and compared."""
+"""Fitting muscle models to data, and comparing them."""

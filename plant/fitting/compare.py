@@ -1,8 +1,8 @@
-"""Which model is better, on data that none of them has seen, and which differences are real.
+"""Comparison of models by cross-validation, with tests of significance.
 
-Whole groups are held out (lengths, temperatures or mountings), never single rows: neighbouring rows
-share their length's error, so a random row is no unseen data. A group, not a row, is therefore also
-what intervals and tests resample.
+Whole groups are held out (lengths, temperatures or mountings), never single rows: rows of the same
+length share its error, so a single row is not independent data. For the same reason, intervals and
+tests resample groups, not rows.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from plant.models.model import Model
 
 HOLDOUTS = ("length", "temperature", "mounting", "load")
 LEAST_GROUP = 2.0
-"""Points a group has on average at least; below, holding out groups is holding out rows."""
+"""Minimum mean number of points per group; with fewer, groups are almost single rows."""
 REGIONS = {"0-125 kPa": (0.0, 125.5e3), "150-600 kPa": (149.5e3, np.inf)}
 RESAMPLES = 4000
 EXACT_GROUPS = 14
-"""Up to so many groups all sign changes are tried; beyond, a fixed random sample of them."""
+"""Largest number of groups for which all sign changes are tried; above, a random sample."""
 SIGNIFICANCE = 0.05
 
 
 @dataclass(frozen=True)
 class Score:
-    """One model on the held-out points, in N; residuals are measured less modelled.
+    """Result of one model on the held-out points, in N; residual = measured - modelled.
 
     Attributes:
-        model: name; `parameters` counts those that were fitted.
+        model: name; `parameters` is the number of fitted parameters.
         rmse_n, bias_n, worst_n: over all points; `worst_n` keeps its sign.
-        rmse_low_n, rmse_high_n: 95 % interval of the rmse, groups resampled.
+        rmse_low_n, rmse_high_n: 95 % interval of the rmse (bootstrap over groups).
         regions: rmse by pressure region, NaN where there are no points.
-        train_rmse_n: of the fit to all points, for comparison.
+        train_rmse_n: rmse of the fit to all points, for comparison.
         excess_n: rmse above the best model's, with its 95 % interval (`excess_low_n`, ...).
-        p: that a difference this large comes by chance (sign changes over groups, Holm).
-        real: p below 5 %; False for the best model itself.
+        p: p-value of the difference to the best model (sign changes over groups, Holm).
+        real: p below 5 %; False for the best model.
         residual_n: held-out residuals, shape (n,).
-        trouble: what went wrong in a fold; such a model is ranked last.
+        trouble: error in a fold; such a model is ranked last.
     """
 
     model: str
@@ -67,11 +67,11 @@ class Score:
 
 @dataclass(frozen=True)
 class Floors:
-    """What no model can beat, in N.
+    """Lower limits of the error of any model, in N.
 
-    `repeat_n`: standard deviation of repeated cells (NaN without any), `repeats` how many.
-    `between_lengths_n`: rms error of each length interpolated from its neighbours at the same
-    pressure and temperature: the scatter from length to length that no smooth model follows.
+    `repeat_n`: standard deviation of repeated cells (nan without repeats), with `repeats` degrees
+    of freedom. `between_lengths_n`: rms error of interpolation of each length from its neighbours
+    at the same pressure and temperature, the scatter that a smooth model cannot describe.
     """
 
     repeat_n: float
@@ -83,8 +83,8 @@ class Floors:
 class Comparison:
     """Models ranked by held-out rmse, best first.
 
-    `nested_rmse_n` is the rmse of choosing the best model anew within each fold's training data:
-    what the choice itself costs is in it. NaN if it was not asked for.
+    `nested_rmse_n` is the rmse when the best model is chosen in each fold from its training data
+    only, so it includes the cost of the choice. nan if not requested.
     """
 
     scores: tuple[Score, ...]
@@ -104,25 +104,25 @@ def compare(
     nested: bool = False,
     train: Points | None = None,
 ) -> Comparison:
-    """Fit each model to all groups but one, score it on that one, and so on round.
+    """Leave-one-group-out cross-validation of each model.
 
     Args:
-        models: their free parameters are fitted anew in every fold.
+        models: their free parameters are fitted in every fold.
         points: at least three groups.
         holdout: "length", "temperature", "mounting" or "load".
-        nested: also measure what choosing the best of the models costs.
-        train: fit to these instead, once, and score on all of `points`: another day, another
-            test. The groups then only say what is resampled.
+        nested: also compute the cost of choosing the best model.
+        train: fit once to these points instead, and score on all of `points` (for example from
+            another day). The groups are then only used for resampling.
 
     Raises:
-        PlantError: too few groups, an unknown way to hold out, or no models.
+        PlantError: too few groups, an unknown holdout, or no models.
     """
     labels = points.labels(holdout)
     groups = _ordered(labels, points, holdout)
     if len(groups) < 3:
         raise PlantError(
             f"{points.source}: {len(groups)} {holdout} group(s); whole groups are held out, so at "
-            "least three are needed: measure more, or hold out something else"
+            "least three are needed: measure more, or use another holdout"
         )
     if len(points) / len(groups) < LEAST_GROUP:
         raise PlantError(
@@ -174,7 +174,7 @@ def compare(
 
 
 def floors(points: Points) -> Floors:
-    """Repeatability and length scatter of the data themselves."""
+    """Repeatability and scatter between lengths of the data."""
     repeat, count = np.nan, 0
     if points.cell is not None:
         square, dof = 0.0, 0
@@ -205,7 +205,7 @@ def _held_out(
     groups: tuple[str, ...],
     train: Points | None,
 ) -> tuple[Array, float, str]:
-    """Held-out residuals, rmse of the fit to everything, and what went wrong."""
+    """Held-out residuals, rmse of the fit to all points, and an error text or ""."""
     residual = np.full(len(points), np.inf)
     trouble = ""
     try:
@@ -219,7 +219,7 @@ def _held_out(
     except PlantError as error:
         return np.full(len(points), np.inf), np.nan, str(error)
     if not np.all(np.isfinite(residual)):
-        trouble = "no value for some held-out points: the fitted geometry does not reach them"
+        trouble = "no value for some held-out points: outside the range of the fitted geometry"
         residual = np.where(np.isfinite(residual), residual, np.inf)
     return residual, whole.rmse_n, trouble
 
@@ -233,12 +233,9 @@ def _residual(model: Model, points: Points) -> Array:
 
 
 def _nested(
-    models: Sequence[Model],
-    points: Points,
-    labels: npt.NDArray[np.str_],
-    groups: tuple[str, ...],
+    models: Sequence[Model], points: Points, labels: npt.NDArray[np.str_], groups: tuple[str, ...]
 ) -> tuple[float, tuple[str, ...]]:
-    """In each fold, choose the model by the other groups alone."""
+    """Rmse and choices when each fold chooses its model by the other groups only."""
     squares = np.zeros((len(models), len(groups), len(groups)))
     for m, model in enumerate(models):
         for a, b in product(range(len(groups)), repeat=2):
@@ -263,7 +260,7 @@ def _nested(
 
 
 def _tests(squares: Array) -> list[float]:
-    """Holm-corrected p of each model against the first: signs of group differences changed."""
+    """Holm-corrected p-value of each model against the first (sign-flip test over groups)."""
     count = squares.shape[1]
     if count <= EXACT_GROUPS:
         signs = np.array(list(product((1.0, -1.0), repeat=count)))

@@ -1,4 +1,4 @@
-"""Settled points as a fit wants them: SI arrays, what is known of their errors, their groups."""
+"""Settled points for a fit: SI arrays, their uncertainties, their groups."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class SensorErrors:
     """Zero and gain uncertainty (1 sd) of one sensor, common to all points of a run.
 
     A reading is value + zero + gain (value - origin); `zero` and `origin` in SI (Pa, m, N).
-    `zero_per_trial`: the zero is drawn anew at the start of each trial, as by a tare.
+    `zero_per_trial`: the zero error is independent for each trial, as after a tare.
     """
 
     zero: float
@@ -37,11 +37,11 @@ class Points:
     Attributes:
         pressure_pa, length_m, temperature_c, force_n: the readings.
         sd_pressure_pa, sd_length_m, sd_force_n: noise of each reading, 1 sd; None if unknown.
-        sensors: what all readings of one sensor have in common; empty if unknown.
-        length_label, temperature_label, mounting_label: what a fold may hold out.
-        cell: same text, same set-points: repeated points.
+        sensors: common errors of all readings of a sensor; empty if unknown.
+        length_label, temperature_label, mounting_label: groups that a fold can hold out.
+        cell: name of the set-points; repeated points have the same name.
         path: order of the points, for laws with memory.
-        source: where they came from.
+        source: origin of the data.
     """
 
     pressure_pa: Array
@@ -65,15 +65,15 @@ class Points:
             if array.shape != (self.force_n.size,):
                 raise PlantError(f"points {self.source}: {name} has shape {array.shape}")
             if not np.all(np.isfinite(array)):
-                raise PlantError(f"points {self.source}: {name} holds a value that is no number")
+                raise PlantError(f"points {self.source}: {name} has a value that is not finite")
 
     def __len__(self) -> int:
         return int(self.force_n.size)
 
     def take(self, which: npt.NDArray[np.bool_]) -> Points:
-        """The points where `which` is true; a trial that loses its first point starts at the next.
+        """The points where `which` is true; a trial without its first point starts at the next.
 
-        The parts of a trial are taken to follow one another without a gap.
+        The remaining points of a trial are treated as consecutive.
         """
         changes: dict[str, object] = {}
         for item in dataclasses.fields(self):
@@ -100,13 +100,13 @@ class Points:
         raise PlantError(f"cannot hold out {kind!r}; choose length, temperature, mounting or load")
 
     def trials(self) -> npt.NDArray[np.int64]:
-        """Number of the trial of each point; all 0 where nothing says where trials begin."""
+        """Number of the trial of each point; all 0 if the trials are unknown."""
         if self.path is None or self.path.start is None:
             return np.zeros(len(self), dtype=np.int64)
         return np.cumsum(self.path.start)
 
     def sha256(self) -> str:
-        """Hash of the readings, the same on every machine."""
+        """Hash of the readings, independent of the machine."""
         digest = hashlib.sha256()
         for array in (self.pressure_pa, self.length_m, self.temperature_c, self.force_n):
             digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
@@ -114,9 +114,9 @@ class Points:
 
 
 def joined(parts: list[Points], source: str = "") -> Points:
-    """Several sets of points as one; noise and labels survive where all parts have them.
+    """Several sets of points as one; noise and labels are kept if all parts have them.
 
-    Sensor errors survive only if there is one part: those of different runs are not common.
+    Sensor errors are kept only for a single part, because different runs do not share them.
     """
     if len(parts) == 1:
         return parts[0]

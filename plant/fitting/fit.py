@@ -1,9 +1,9 @@
-"""Fit a model to settled points: values, intervals, and what the data cannot tell.
+"""Fit a model to settled points: values, intervals, and identifiability.
 
-Errors of the sensors enter where they belong: the noise of pressure and length is carried through
-the model's slopes, and the zero and gain of each sensor, common to all points of a run, correlate
-the residuals. With V the covariance of the residuals that follows, the fit minimises r' V^-1 r
-(generalised least squares). Without any of that it is ordinary least squares.
+The fit propagates sensor errors: noise of pressure and length through the slopes of the model, and
+zero and gain errors of each sensor as common errors of all points of a run, which correlate the
+residuals. With the resulting covariance V of the residuals r, the fit minimises r' V^-1 r
+(generalised least squares). Without stated errors it is ordinary least squares.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from plant.models.model import Domain, Model
 
 MAX_ROUNDS = 8
 HUBER = 1.345
-"""Residuals beyond this many robust standard deviations count less, in a robust fit."""
+"""Number of robust standard deviations beyond which a robust fit reduces the weight."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter as fitted, in its own unit.
+    """One fitted parameter, in its own unit.
 
-    `low` and `high` bound the interval; both are infinite for a parameter that the data leave
-    undetermined, and equal to `value` for a fixed one. `state` is "free", "fixed", "dead",
+    `low` and `high` are the limits of the interval: infinite for a parameter that the data do not
+    determine, and equal to `value` for a fixed one. `state` is "free", "fixed", "dead",
     "flat" or "at bound".
     """
 
@@ -45,20 +45,20 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit found.
+    """Result of a fit.
 
     Attributes:
-        model: with the fitted values, its domain that of the data, its data hash set.
-        estimates: every parameter, in order.
+        model: the model with fitted values, domain and hash of the data.
+        estimates: all parameters, in order.
         covariance: of the free parameters in their own units, shape (k, k).
-        free: names of those.
-        residual_n: measured less modelled force, shape (n,).
-        rmse_n: root mean square of it.
-        sd_n: standard deviation of it with the free parameters counted.
-        noise_scale: how many times the stated noise the scatter is; NaN if none was stated.
-        robust: whether outliers counted less.
+        free: names of the free parameters.
+        residual_n: measured - modelled force, shape (n,).
+        rmse_n: root mean square of the residuals.
+        sd_n: standard deviation of the residuals, with n - k degrees of freedom.
+        noise_scale: ratio of the scatter to the stated noise; nan if no noise is stated.
+        robust: whether the weight of outliers was reduced.
         identifiability: dead parameters, flat directions, parameters at a bound.
-        confidence: of the intervals.
+        confidence: level of the intervals.
     """
 
     model: Model
@@ -74,7 +74,7 @@ class Fit:
     confidence: float
 
     def estimate(self, name: str) -> Estimate:
-        """One parameter. Raises `PlantError` if there is none of that name."""
+        """A parameter by name. Raises `PlantError` if unknown."""
         self.model.parameter(name)
         return next(e for e in self.estimates if e.name == name)
 
@@ -90,14 +90,14 @@ def fit(
     """Fit the free parameters of a model to settled points.
 
     Args:
-        model: its values are where a search starts; its bounds hold.
-        points: at least one more than there are free parameters.
-        free: names of the parameters to fit; those not marked fixed if not given.
-        robust: Huber weights instead of least squares.
-        confidence: of the intervals.
+        model: its values are the start values; its bounds apply.
+        points: more points than free parameters.
+        free: names of the parameters to fit; default: all that are not fixed.
+        robust: use Huber weights.
+        confidence: level of the intervals.
 
     Raises:
-        PlantError: too few points, an unknown parameter, or a search that found nothing.
+        PlantError: too few points, an unknown parameter, or no value at the start values.
     """
     names = _free_names(model, free)
     if len(points) <= len(names):
@@ -107,8 +107,8 @@ def fit(
         )
     if model.law.memory and points.path is None:
         raise PlantError(
-            f"model {model.name} remembers how a point was reached, and {points.source} does not "
-            "say in which order its points were taken; use a run or Table C-4"
+            f"model {model.name} has memory, and {points.source} has no order of points; "
+            "use a run or Table C-4"
         )
     problem = _Problem(model, points, [model.law.parameters.index(n) for n in names])
     theta = problem.start()
@@ -172,7 +172,7 @@ class _Problem:
         return np.asarray(rows[self.free].T, dtype=np.float64)
 
     def shares(self, theta: Array) -> tuple[Array, Array]:
-        """Variance of each residual by noise, shape (n,); one column per sensor error, (n, m)."""
+        """Noise variance of the residuals, shape (n,); effects of common sensor errors, (n, m)."""
         x = self.points
         n = len(x)
         by_p, by_l, _ = self.model.law.slopes(
@@ -203,7 +203,7 @@ class _Problem:
         return np.diag(np.maximum(variance, floor * 1e-12)) + common @ common.T
 
     def whitener(self, theta: Array, scale: float, weights: Array) -> Any:
-        """A function that makes residuals independent with unit variance."""
+        """A function that whitens residuals (independent, unit variance)."""
         root = np.sqrt(weights)
         if self.plain:
             return lambda a: (a.T * root).T
@@ -213,9 +213,9 @@ class _Problem:
         return lambda a: (solve_triangular(lower, a, lower=True).T * root).T
 
     def noise_scale(self, theta: Array, residual: Array) -> float:
-        """Factor on the noise that makes r' V^-1 r as large as its degrees of freedom.
+        """Factor on the noise for which r' V^-1 r equals its degrees of freedom.
 
-        Never below 1 where noise was stated: a lucky run is not made better than its sensors.
+        At least 1 if noise is stated: a run is never better than its sensors.
         """
         dof = max(len(residual) - len(theta), 1)
         if self.plain:
@@ -250,7 +250,7 @@ class _Problem:
             raise PlantError(
                 f"model {self.model.name} has no value for some points with its starting values "
                 f"({', '.join(f'{k} = {v:g}' for k, v in self.model.values.items())}); "
-                "start from values whose geometry holds all lengths"
+                "use start values whose geometry includes all lengths"
             )
         bounds = (self.low / self.size, self.high / self.size)
         solution = least_squares(
@@ -274,11 +274,11 @@ class _Problem:
         columns = np.sqrt(np.mean(design**2, axis=0))
         columns = np.where(columns > 0, columns, 1.0)
         with warnings.catch_warnings():
-            # Flat directions are looked for, and named, once the fit is done.
+            # Flat directions are found and reported after the fit.
             warnings.simplefilter("ignore")
             solved = sm.OLS(whiten(target), whiten(design / columns)).fit()
         found = np.asarray(solved.params, dtype=np.float64) / columns
-        # A dead column says nothing: leave that parameter where it was.
+        # Keep the value of a parameter without effect.
         dead = np.all(design == 0, axis=0)
         return np.where(dead, theta, found)
 
@@ -342,11 +342,11 @@ def _result(
 
 
 def _labelled(model: Model, points: Points, estimates: list[Estimate]) -> Model:
-    """The model with the domain, source and hash of the data, and the standard deviations."""
+    """The model with domain, source and hash of the data, and standard deviations."""
     from dataclasses import replace
 
     def span(values: Array, factor: float) -> tuple[float, float]:
-        # Rounded: a domain is a claim about a bench, not about the last bit of a reading.
+        # Rounded, because the last bits of a reading are not significant.
         low, high = float(values.min()) / factor, float(values.max()) / factor
         return round(low, 6), round(high, 6)
 
@@ -372,19 +372,19 @@ def _free_names(model: Model, free: tuple[str, ...] | None) -> tuple[str, ...]:
 
 
 def _finite(values: Array) -> Array:
-    """A geometry that does not exist must look bad to the search, not undefined."""
+    """Replace undefined residuals (impossible geometry) by a large value for the search."""
     return np.where(np.isfinite(values), values, 1e6)
 
 
 def _huber(whitened: Array) -> Array:
-    """Weights: 1 within HUBER robust standard deviations, falling beyond."""
+    """Weights: 1 within HUBER robust standard deviations, decreasing beyond."""
     spread = float(np.median(np.abs(whitened))) / 0.6745 or 1.0
     z = np.abs(whitened) / spread
     return np.asarray(np.where(z <= HUBER, 1.0, HUBER / np.maximum(z, HUBER)))
 
 
 def _robust_variance(whitened: Array, weights: Array, dof: int) -> float:
-    """Variance of a weighted residual; Huber's correction where weights differ from 1."""
+    """Variance of weighted residuals, with Huber's correction if weights differ from 1."""
     inside = float(np.mean(weights >= 1.0))
     return (
         float(whitened @ (whitened * weights) / dof / max(inside, 1e-9) ** 2)

@@ -1,4 +1,4 @@
-"""What the data cannot tell: dead parameters, flat directions, parameters at a bound."""
+"""Identifiability: dead parameters, flat directions, parameters at a bound."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from plant.models.law import Array
 
 FLAT = 1e-7
-"""A direction is flat if it moves the residuals this little beside the strongest direction."""
+"""Relative strength below which a direction is flat."""
 WEAK = 1e-3
-"""Below this it is weak: determined, but by little more than the noise allows."""
+"""Relative strength below which a direction is weak: barely determined."""
 
 
 @dataclass(frozen=True)
 class Direction:
-    """A combination of parameters: relative changes (for a zero value, absolute ones).
+    """A combination of parameters: relative changes (absolute ones for a zero value).
 
-    `strength` is how much it moves the residuals beside the strongest direction, all parameters
-    being scaled to the same effect.
+    `strength` is its effect on the residuals, relative to the strongest direction, with all
+    parameters scaled to the same effect.
     """
 
     strength: float
@@ -28,22 +28,26 @@ class Direction:
     def words(self) -> str:
         """For example "gain +1 % with diameter -0.5 % leaves the force unchanged"."""
         parts = [f"{name} {100 * share:+.3g} %" for name, share in self.changes]
-        effect = "leaves the force unchanged" if self.strength < FLAT else "hardly moves the force"
+        effect = (
+            "leaves the force unchanged"
+            if self.strength < FLAT
+            else "has little effect on the force"
+        )
         return f"{' with '.join(parts)} {effect}"
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What can and what cannot be told.
+    """Which parameters the data determine.
 
     Attributes:
         states: per free parameter "free", "dead", "flat" or "at bound".
-        dead: parameters that no point responds to.
-        flat: combinations that no point responds to.
-        weak: combinations that the points barely respond to.
-        at_bound: parameters that ended at a bound.
-        covariance: of the free parameters, unit residual variance; only of what is determined.
-        condition: strongest over weakest direction; infinite if one is flat.
+        dead: parameters without effect on any point.
+        flat: combinations without effect on any point.
+        weak: combinations with very little effect.
+        at_bound: parameters at a bound.
+        covariance: of the free parameters for unit residual variance, determined part only.
+        condition: ratio of the strongest to the weakest direction; infinite if one is flat.
     """
 
     states: tuple[str, ...]
@@ -55,21 +59,20 @@ class Identifiability:
     condition: float
 
     def lines(self) -> list[str]:
-        """What a user should read; empty if all is well."""
-        said = [f"{name}: dead, no point responds to it" for name in self.dead]
-        said += [f"flat direction: {d.words()}" for d in self.flat]
-        said += [f"weak direction: {d.words()}" for d in self.weak]
-        said += [
-            f"{name}: at its bound, so its interval means nothing beyond it"
-            for name in self.at_bound
+        """Warnings for the user; empty if all parameters are determined."""
+        lines = [f"{name}: dead, no point responds to it" for name in self.dead]
+        lines += [f"flat direction: {d.words()}" for d in self.flat]
+        lines += [f"weak direction: {d.words()}" for d in self.weak]
+        lines += [
+            f"{name}: at its bound; its interval is not valid beyond it" for name in self.at_bound
         ]
-        return said
+        return lines
 
 
 def examine(
     design: Array, value: Array, names: tuple[str, ...], low: Array, high: Array
 ) -> Identifiability:
-    """Take the whitened sensitivities apart.
+    """Analyse the whitened sensitivities.
 
     Args:
         design: shape (n, k), residual standard deviations per unit of each parameter.
@@ -114,7 +117,7 @@ def examine(
 
 
 def _sparse(rows: Array) -> Array:
-    """The same flat directions, combined so that each holds as few parameters as can be."""
+    """The same flat directions, combined so that each has as few parameters as possible."""
     reduced = rows.copy()
     for k in range(len(reduced)):
         rest = np.abs(reduced[k:])
@@ -128,11 +131,10 @@ def _sparse(rows: Array) -> Array:
 
 
 def _direction(shares: Array, strength: float, names: list[str]) -> Direction:
-    """Scaled so that the largest change is 1 %; changes below a hundredth of that are left out."""
+    """Scale the largest change to 1 %; omit changes below a hundredth of that."""
     largest = shares[np.argmax(np.abs(shares))]
     scaled = shares / largest * 0.01
     order = np.argsort(-np.abs(scaled), kind="stable")
     return Direction(
-        float(strength),
-        tuple((names[k], float(scaled[k])) for k in order if abs(scaled[k]) > 1e-4),
+        float(strength), tuple((names[k], float(scaled[k])) for k in order if abs(scaled[k]) > 1e-4)
     )

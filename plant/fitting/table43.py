@@ -1,8 +1,8 @@
-"""The thesis's own comparison, Table 4-3 and C-39 to C-44, recomputed model by model.
+"""The comparison of the thesis, Table 4-3 and C-39 to C-44, recomputed for each model.
 
 Six sets of points (0-125, 150-600 and 0-600 kPa, at 21 and at 21 to 39 degC) and five models. The
 captions say isobaric data (C-2); the statistics are those of the isometric table C-1 (A76), which
-is also what most of the models were fitted to. Residuals are real less model, in N.
+is also what most of the models were fitted to. Residuals are real - model, in N.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ PARTS = (
 """Appendix table, pressure region in kPa, temperatures in degC."""
 MODELS = ("deterministic", "Caldwell", "quasi-static", "black box 21", "black box T")
 STATISTICS = ("mean", "median", "trmean", "stdev")
-"""`semean` is stdev over the root of n and printed beside them."""
+"""The tables also print `semean`, which is stdev / sqrt(n)."""
 START_GEOMETRY = (80.0, 2.5)
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """What Minitab's DESCRIBE prints of residuals, in N."""
+    """Statistics of residuals as in Minitab's DESCRIBE, in N."""
 
     n: int
     mean: float
@@ -50,14 +50,14 @@ class Statistics:
 
 @dataclass(frozen=True)
 class Cell:
-    """One model on one set of points: three sources of one number, and all statistics.
+    """One model on one set of points: the standard deviation from three sources, and statistics.
 
     Attributes:
-        in_table: standard deviation as Table 4-3 prints it (NaN if not there).
-        published: the appendix table's line.
-        by_semean: standard deviation that the line's SEMEAN implies, SEMEAN sqrt(n).
-        recomputed: on C-1.
-        on_c2: the same model on C-2, as the captions say.
+        in_table: standard deviation in Table 4-3 (nan if missing).
+        published: row of the appendix table.
+        by_semean: standard deviation from the SEMEAN of that row, SEMEAN sqrt(n).
+        recomputed: statistics on C-1.
+        on_c2: statistics of the same model on C-2, which the captions state.
     """
 
     model: str
@@ -72,7 +72,7 @@ class Cell:
 
 
 def describe(residual: Array) -> Statistics:
-    """Minitab's statistics; TRMEAN leaves out 5 % at each end, rounded to whole points."""
+    """Minitab's statistics; TRMEAN omits 5 % at each end, rounded to whole points."""
     n = int(residual.size)
     cut = math.floor(0.05 * n + 0.5)
     ordered = np.sort(residual)
@@ -88,14 +88,14 @@ def describe(residual: Array) -> Statistics:
 
 
 def part(points: Points, region: str, temperatures: str) -> npt.NDArray[np.bool_]:
-    """Which points lie in a region; "150-600" means above the gap from 125 to 150 kPa."""
+    """Mask of the points in a region such as "150-600" (kPa)."""
     low, high = (float(x) * 1e3 for x in region.split("-"))
     use = (points.pressure_pa >= low - 1.0) & (points.pressure_pa <= high + 1.0)
     return np.asarray(use & ((points.temperature_c == 21.0) | (temperatures != "21")))
 
 
 def printed(table: str, model: str) -> Statistics:
-    """The appendix's line of one of MODELS."""
+    """The row of one of MODELS in an appendix table."""
     word = {"deterministic": "determin", "Caldwell": "caldwell", "quasi-static": "quasi"}
     for row in load("c39_c44_residual_stats"):
         name = str(row["model"]).lower()
@@ -112,7 +112,7 @@ def printed(table: str, model: str) -> Statistics:
 
 
 def printed_in_4_3(model: str, region: str, temperatures: str) -> float:
-    """The standard deviation that Table 4-3 prints; it heads the upper region 125-600."""
+    """The standard deviation in Table 4-3, where the upper region has the heading 125-600."""
     rows = {
         "deterministic": (1,), "Caldwell": (2,), "quasi-static": (3, 4, 5),
         "black box 21": (6, 7, 8), "black box T": (9, 10, 11),
@@ -179,12 +179,12 @@ def recover_braid() -> tuple[float, float]:
         return _statistics(model.with_values(values), points, STATISTICS) - wanted
 
     x = least_squares(misfit, START_GEOMETRY, x_scale=(1.0, 0.1), xtol=1e-12).x
-    # Published statistics have three decimals: no more of b and n can be meant than this.
+    # The published statistics have three decimals; b and n are not determined better than this.
     return round(float(x[0]), 1), round(float(x[1]), 2)
 
 
 def recover_efficiency(b: float, n: float) -> float:
-    """Caldwell's Eff with h = b and f = D_0, from the six SEMEANs."""
+    """Caldwell's Eff for h = b and f = D_0, from the six SEMEANs."""
     from scipy.optimize import minimize_scalar
 
     points = thesis_points("c01", warm=True)
@@ -222,14 +222,14 @@ def black_box_21() -> Model:
         "high_c": high["intercept_coef"],
     }
     given = {k: float(str(v)) for k, v in values.items()}
-    # C-38 as it was used has three significant digits.
+    # The thesis used C-38 with three significant digits.
     rounded = {k: float(f"{v:.3g}") if k.startswith("high") else v for k, v in given.items()}
     return catalogue.get("black-box").with_values(rounded)
 
 
 def black_box_t() -> Model:
-    """Rows 9 and 10: Equations 4-53 to 4-57 with 4-55 the right way round, 4-47 to 4-50 with
-    4-49 as Table 4-1 gives it.
+    """Rows 9 and 10: Equations 4-53 to 4-57 with 4-55 corrected, 4-47 to 4-50 with 4-49 from
+    Table 4-1.
     """
     e = coefficients
     k3 = e("4-55", "K3")
@@ -237,7 +237,7 @@ def black_box_t() -> Model:
     values = {
         "low_k1_cube": e("4-53", "K1")["1"], "low_k1_cube_t": e("4-53", "K1")["T"],
         "low_k2_product": round(e("4-54", "K2")["1"], 4), "low_k2_product_t": e("4-54", "K2")["T"],
-        "low_k3_pressure": k3["T"], "low_k3_pressure_t": k3["1"],  # swapped as printed (A61)
+        "low_k3_pressure": k3["T"], "low_k3_pressure_t": k3["1"],  # swapped in the print (A61)
         "low_k4_length": e("4-56", "K2 (text says K4)")["1"],
         "low_k4_length_t": e("4-56", "K2 (text says K4)")["T"],
         "low_c": e("4-57", "c")["1"], "low_c_t": e("4-57", "c")["T"],

@@ -1,6 +1,6 @@
-"""Regression tables in the form the thesis prints them: best subsets and full regressions.
+"""Regression tables in the format of the thesis: best subsets and full regressions.
 
-statsmodels does the least squares; this module only chooses predictors and lays out numbers.
+The least squares are from statsmodels; this module selects predictors and formats numbers.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Predictor:
 
 @dataclass(frozen=True)
 class Source:
-    """One line of an analysis of variance; `f` and `p` only of the regression."""
+    """One line of an analysis of variance; `f` and `p` only for the regression."""
 
     source: str
     df: int
@@ -56,7 +56,7 @@ class FullRegression:
     anova: tuple[Source, Source, Source]
 
     def text(self) -> str:
-        """The table as the thesis's Appendix C-2 lays it out."""
+        """The table in the format of Appendix C-2 of the thesis."""
         lines = [f"The regression equation is: {self.response} = {self._equation()}", ""]
         lines.append(f"{'Predictor':<14}{'Coef':>14}{'Stdev':>14}{'t-ratio':>10}{'p':>8}")
         for x in self.predictors:
@@ -97,9 +97,9 @@ def full_regression(response: str, y: Array, predictors: Mapping[str, Array]) ->
     names = list(predictors)
     n, k = len(y), len(names)
     if n <= k + 1:
-        raise PlantError(f"{response}: {n} points cannot fix {k + 1} coefficients")
+        raise PlantError(f"{response}: {n} points cannot determine {k + 1} coefficients")
     raw = np.column_stack([np.ones(n), *predictors.values()])
-    # Columns of like size: P L^3 stands beside 1 otherwise.
+    # Scale the columns, because P L^3 and 1 differ by orders of magnitude.
     size = np.sqrt(np.mean(raw**2, axis=0))
     if np.any(size == 0) or np.linalg.matrix_rank(raw / size) <= k:
         raise PlantError(f"{response}: predictors {', '.join(names)} are not independent")
@@ -127,9 +127,9 @@ def full_regression(response: str, y: Array, predictors: Mapping[str, Array]) ->
 
 
 def best_subsets(y: Array, candidates: Mapping[str, Array], per_size: int = 2) -> list[Subset]:
-    """The best subsets of candidate predictors, `per_size` of each size, as Minitab prints them.
+    """The best subsets of candidate predictors, `per_size` of each size, as in Minitab.
 
-    C-p is Mallows's, against the regression on all candidates that are independent.
+    C-p is Mallows' Cp, relative to the regression on all candidates.
     """
     names = list(candidates)
     n = len(y)
@@ -150,7 +150,7 @@ def best_subsets(y: Array, candidates: Mapping[str, Array], per_size: int = 2) -
 
 
 def subsets_text(rows: list[Subset], candidates: list[str]) -> str:
-    """The table as the thesis's appendix lays it out: a column of marks for each candidate."""
+    """The table in the format of the thesis: a column of marks for each candidate."""
     widths = [max(len(c), 1) + 2 for c in candidates]
     head = f"{'Vars':>4}{'R-sq':>8}{'adj':>8}{'C-p':>10}{'s':>12}"
     lines = [head + "".join(f"{c:>{w}}" for c, w in zip(candidates, widths, strict=True))]
@@ -164,14 +164,14 @@ def subsets_text(rows: list[Subset], candidates: list[str]) -> str:
 
 
 def regression_of(model: Model, points: Points) -> tuple[FullRegression, dict[str, Array]]:
-    """The full regression behind a model that is a sum of terms, in its parameters' units.
+    """The full regression of a model that is a sum of terms, in the units of its parameters.
 
-    Returns the regression and the columns it was made of (for best subsets). Raises `PlantError`
-    for a model that is no such sum, or has no constant.
+    Returns the regression and its columns (for best subsets). Raises `PlantError` for a model that
+    is not such a sum, or has no constant.
     """
     if not isinstance(model.law, TermLaw):
         raise PlantError(
-            f"model {model.name} is no sum of terms: regression tables are for the single black "
+            f"model {model.name} is not a sum of terms: regression tables are for the single black "
             "boxes and quasi-static models (such as black-box-high)"
         )
     rows = model.law.jacobian(model.q, points.pressure_pa, points.length_m, points.temperature_c)

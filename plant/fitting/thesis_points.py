@@ -1,4 +1,4 @@
-"""The thesis's tables as settled points."""
+"""Tables of the thesis as settled points."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from plant.models.law import Array, History
 from plant.thesis import array
 
 SHORTEST_MM = 51.45
-"""What C-1 heads 51 (A01): only this reproduces the thesis's own coefficients."""
+"""The length with heading 51 in C-1 (A01); this value reproduces the thesis's coefficients."""
 G_M_S2 = 9.80665
 TABLES = ("c01", "c02", "c03", "c04", "c06")
-"""Tables that hold pressure, length and force."""
+"""Tables with pressure, length and force."""
 
 
 def thesis_points(name: str, warm: bool = False) -> Points:
     """Settled points of C-1, C-2, C-3, C-4 or C-6.
 
-    `warm` also takes the columns above 21 degC of C-1 and C-2, which are a formula (A02) or that
+    `warm` includes the columns above 21 degC of C-1 and C-2, which are a formula (A02) or that
     formula plus noise (A06). Raises `PlantError` for another table.
     """
     if name not in TABLES:
-        raise PlantError(f"thesis table {name!r} holds no settled points; {', '.join(TABLES)} do")
+        raise PlantError(
+            f"thesis table {name!r} has no settled points; these have: {', '.join(TABLES)}"
+        )
     columns = array(name)
     pressure, start = columns["pressure_kpa"], None
     if "mass_kg" in columns:
@@ -49,7 +51,7 @@ def thesis_points(name: str, warm: bool = False) -> Points:
         length_m=picked[1] * 1e-3,
         temperature_c=picked[2],
         force_n=picked[3],
-        # At a set load the force is no reading: nothing repeats there.
+        # With a given load the force is not measured, so there are no repeated readings.
         cell=np.array(cells) if name in ("c01", "c02", "c04") else None,
         path=None if start is None else History(None, start),
         source=source,
@@ -57,7 +59,7 @@ def thesis_points(name: str, warm: bool = False) -> Points:
 
 
 def _cycles(columns: dict[str, Any], use: Any) -> tuple[Any, Any]:
-    """Rows in the order in which they were taken: each cycle up, then down."""
+    """Rows in the order of measurement: each cycle up, then down."""
     held = "length_mm" if "mass_kg" not in columns else "mass_kg"
     pressure: Array = columns["pressure_kpa"]
     down = columns["direction"] == "down"

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import math
-import os
-import tomllib
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +11,7 @@ from plant import tomlfile
 from plant.links.arm import Arm, Link, check_name
 from plant.links.errors import LinkError
 from plant.links.inertia import Six, Three, rod_inertia
+from plant.tomlfile import check_keys, number_in_range
 
 MAX_LINKS = 100
 
@@ -46,41 +43,11 @@ def load_arm(source: str | Path | Mapping[str, Any]) -> Arm:
     """
     if isinstance(source, Mapping):
         return _arm(source, "arm table")
-    path = Path(source)
-    if path.suffix != ".toml" and not os.path.exists(path):
-        return _shipped(str(source))
-    try:
-        text = tomlfile.read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise LinkError(f"arm file {path}: cannot be read ({error}); check the path") from error
-    return _parsed(text, f"arm file {path}")
-
-
-def shipped_arms() -> list[str]:
-    """Names of the shipped arms."""
-    folder = resources.files("configs").joinpath("plant", "links")
-    return sorted(e.name.removesuffix(".toml") for e in folder.iterdir() if e.name[-5:] == ".toml")
-
-
-def _shipped(name: str) -> Arm:
-    known = shipped_arms()
-    if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]}?" if near else "give a .toml file or one of these"
-        raise LinkError(f"arm {name!r}: neither a file nor shipped; {hint} ({', '.join(known)})")
-    entry = resources.files("configs").joinpath("plant", "links", f"{name}.toml")
-    return _parsed(entry.read_text(encoding="utf-8"), f"shipped arm {name}.toml")
-
-
-def _parsed(text: str, origin: str) -> Arm:
-    try:
-        return _arm(tomlfile.loads(text), origin)
-    except tomllib.TOMLDecodeError as error:
-        raise LinkError(f"{origin}: not valid TOML ({error}); correct that line") from error
+    return _arm(*tomlfile.load_table(source, "links", "arm", LinkError))
 
 
 def _arm(table: Mapping[str, Any], origin: str) -> Arm:
-    _known(table, _ARM_KEYS, origin)
+    check_keys(table, _ARM_KEYS, origin, LinkError)
     name = table.get("name")
     _word("name", name, "finger", origin)
     rows = table.get("link")
@@ -103,7 +70,7 @@ def _link(row: object, origin: str) -> Link:
     joint = row.get("joint")
     _word("joint", joint, "flexion", origin)
     origin = f"{origin} ({joint})"
-    _known(row, _LINK_KEYS, origin)
+    check_keys(row, _LINK_KEYS, origin, LinkError)
     for key in ("a_mm", "mass_g"):
         if key not in row:
             raise LinkError(f"{origin}: {key} is missing; every link states its length and mass")
@@ -163,19 +130,11 @@ def _body(
     return (com[0] * 1e-3, com[1] * 1e-3, com[2] * 1e-3), tuple(v * 1e-9 for v in six)  # type: ignore[return-value]
 
 
-def _known(table: Mapping[str, Any], known: tuple[str, ...], origin: str) -> None:
-    for key in table:
-        if key not in known:
-            near = difflib.get_close_matches(key, known, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}"
-            raise LinkError(f"{origin}: unknown key {key!r}; {hint}")
-
-
 def _number(value: object, key: str, origin: str) -> float:
     to_si, low, high = _NUMBERS[key]
     if key == "mass_g" and isinstance(value, (int, float)) and value < 0:
         raise LinkError(f"{origin}: negative mass, mass_g = {value!r}; a link has mass 0 or more")
-    return _bounded(value, key, low, high, origin) * to_si
+    return number_in_range(value, key, low, high, origin, LinkError) * to_si
 
 
 def _list(
@@ -183,13 +142,6 @@ def _list(
 ) -> tuple[float, ...]:
     if not isinstance(value, (list, tuple)) or len(value) != count:
         raise LinkError(f"{origin}: {key} = {value!r}; expected a list of {count} numbers")
-    return tuple(_bounded(v, f"{key}[{i}]", low, high, origin) for i, v in enumerate(value))
-
-
-def _bounded(value: object, key: str, low: float, high: float, origin: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise LinkError(f"{origin}: {key} = {value!r}; expected a number from {low:g} to {high:g}")
-    # NaN fails this comparison too.
-    if not low <= value <= high:
-        raise LinkError(f"{origin}: {key} = {value!r} is out of range; allowed {low:g} to {high:g}")
-    return float(value)
+    return tuple(
+        number_in_range(v, f"{key}[{i}]", low, high, origin, LinkError) for i, v in enumerate(value)
+    )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plant.models.law import Array, History, Law, SeparableLaw, Slopes
+from plant.models.law import Array, Law, Past, SeparableLaw, Slopes
 
 BAR_PA = 1e5
 
@@ -36,9 +36,7 @@ class ChouHannaford(SeparableLaw):
         b, n = q
         return np.asarray((b * b - length * length) * length / (4.0 * np.pi * n * n))
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """With respect to b and n."""
         b, n = q
         by_b = p * (-2.0 * b / (4.0 * np.pi * n * n))
@@ -70,9 +68,7 @@ class Hasselroth(SeparableLaw):
             -d * d * a * (length * length * length / (3.0 * rest * rest) - b * length)
         )
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """With respect to D, a, b and L_0."""
         d, a, _, rest = q
         force = p * self.arm(q, length)
@@ -110,9 +106,7 @@ class TonduLopez(SeparableLaw):
         u = (1.0 - k) + length * (k / rest)
         return np.asarray(-np.pi * r * r * (a * rest / (3.0 * k) * u * u * u - c * length))
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """With respect to r0, theta0, L_0 and k."""
         return _tondu_sensitivity(q[0], q[1], q[2], np.full_like(length, q[3]), p, length)
 
@@ -128,9 +122,7 @@ class TonduLopezPressure(Law):
         decay = np.exp(p * (-1.0 / BAR_PA))
         return decay, q[3] * decay + q[4]
 
-    def force(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def force(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """Pi r0^2 p (a (1 - k(P) eps)^2 - c)."""
         r, angle, rest = q[:3]
         a, c = 3.0 / np.tan(angle) ** 2, 1.0 / np.sin(angle) ** 2
@@ -138,9 +130,7 @@ class TonduLopezPressure(Law):
         u = 1.0 - k * (1.0 - length / rest)
         return np.asarray(np.pi * r * r * p * (a * u * u - c))
 
-    def slopes(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Slopes:
+    def slopes(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Slopes:
         """With respect to p (also through k) and L."""
         r, angle, rest = q[:3]
         a, c = 3.0 / np.tan(angle) ** 2, 1.0 / np.sin(angle) ** 2
@@ -152,9 +142,7 @@ class TonduLopezPressure(Law):
         by_p = area * (a * u * u - c) + by_k * q[3] * decay * (-1.0 / BAR_PA)
         return by_p, area * p * 2.0 * a * u * k / rest, np.zeros_like(length)
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """With respect to r0, theta0, L_0, a_k and b_k."""
         decay, k = self._k(q, p)
         rows = _tondu_sensitivity(q[0], q[1], q[2], k, p, length)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from plant.models.law import Array, History, SeparableLaw
+from plant.models.law import Array, Past, SeparableLaw
 
 _V = 2.0 / (3.0 * math.sqrt(3.0))
 """sin^2 cos at 54.7 degrees: the largest volume, divided by K (4-15)."""
@@ -49,9 +49,7 @@ class Caldwell(SeparableLaw):
         integral = _V * np.pi * f * (h * np.arcsin(x) + 0.5 * f * np.log(x)) - rest * x
         return np.asarray(-eff * h * integral)
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """With respect to h, f and Eff."""
         h, f, eff = q
         x = length / h

@@ -29,6 +29,10 @@ class History:
     start: Bools | None = None
 
 
+Past = History | None
+"""History of the points, or None for laws without memory."""
+
+
 class Law(ABC):
     """A formula F(p, L, T) with parameters q in SI units, temperature in degC.
 
@@ -47,21 +51,15 @@ class Law(ABC):
     uses_temperature: ClassVar[bool] = False
 
     @abstractmethod
-    def force(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def force(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """Force in N, shape (n,)."""
 
     @abstractmethod
-    def slopes(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Slopes:
+    def slopes(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Slopes:
         """dF/dp in N/Pa, dF/dL in N/m and dF/dT in N/K, each shape (n,)."""
 
     @abstractmethod
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """dF/dq, shape (k, n)."""
 
     def arm(self, q: Array, length: Array) -> Array:
@@ -123,15 +121,11 @@ class SeparableLaw(Law):
         """dg/dL in N/m."""
         return np.zeros_like(length)
 
-    def force(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def force(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """F = p f(L) + g(L)."""
         return np.asarray(p * self.arm(q, length) + self.passive(q, length))
 
-    def slopes(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Slopes:
+    def slopes(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Slopes:
         """f, p f' + g', 0."""
         slope = p * self.arm_slope(q, length) + self.passive_slope(q, length)
         return self.arm(q, length), slope, np.zeros_like(length)

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from plant.errors import PlantError
-from plant.models.law import Array, Bools, History, Law, Slopes, static_force
+from plant.models.law import Array, Bools, History, Law, Past, Slopes, static_force
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -151,18 +151,14 @@ class _Hysteresis(Law):
     def _add(self, out: Array, weights: Array, p: Array, length: Array, starts: Bools) -> None:
         """Add the weighted operators to `out`, in one pass."""
 
-    def force(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def force(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """Static force and all operators."""
         k = len(self.base.parameters)
         out = static_force(self.base, q[:k], p, length, t)
         self._add(out, q[k:], p, length, _starts(p.size, path))
         return out
 
-    def slopes(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Slopes:
+    def slopes(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Slopes:
         """Slopes when moving on in the direction in which the point was reached."""
         k = len(self.base.parameters)
         slopes = list(self.base.slopes(q[:k], p, length, t))
@@ -170,9 +166,7 @@ class _Hysteresis(Law):
             slopes[self._axis] = slopes[self._axis] + weight * slope
         return slopes[0], slopes[1], slopes[2]
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """Of the static law, then of the operators."""
         k = len(self.base.parameters)
         values = [value for value, _ in self._operators(p, length, path)]
@@ -252,25 +246,19 @@ class Creep(Law):
         starts = _starts(signal.size, path)
         return np.asarray(_late(signal, self._time(path), starts, np.array(CREEP_S), share))
 
-    def force(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def force(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """Static force with its delayed part."""
         k = len(self.base.parameters)
         return self._late(q[k:], static_force(self.base, q[:k], p, length, t), path)
 
-    def slopes(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Slopes:
+    def slopes(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Slopes:
         """Slopes for an immediate change, without the delayed part."""
         k = len(self.base.parameters)
         share = 1.0 - float(np.sum(q[k:]))
         by_p, by_l, by_t = self.base.slopes(q[:k], p, length, t)
         return share * by_p, share * by_l, share * by_t
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """The lag is linear, so it is applied to the static sensitivities."""
         k = len(self.base.parameters)
         rows = [self._late(q[k:], row, path) for row in self.base.jacobian(q[:k], p, length, t)]

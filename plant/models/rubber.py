@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from plant.models.braid import ChouHannaford
-from plant.models.law import Array, History, Law, SeparableLaw, Slopes
+from plant.models.law import Array, Law, Past, SeparableLaw, Slopes
 
 _BRAID = ChouHannaford()
 
@@ -46,16 +46,12 @@ class Sarosi(SeparableLaw):
         """With respect to L."""
         return np.asarray(self._exp(q, length)[1] * (-q[1] * q[2] / q[6]))
 
-    def force(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def force(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """Both parts, with one exponential."""
         k, e = self._exp(q, length)
         return np.asarray((p * q[0] + q[1]) * e + p * (q[3] * k + q[4]) + q[5])
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """With respect to p1 to p6 and L_0."""
         k, e = self._exp(q, length)
         lead = (p * q[0] + q[1]) * e
@@ -93,9 +89,7 @@ class BraidBladder(SeparableLaw):
         """Spring rate k."""
         return np.full_like(length, q[2])
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """With respect to b, n, k and L_r."""
         braid = _BRAID.jacobian(q[:2], p, length, t)
         return np.concatenate([braid, [length - q[3], np.full_like(length, -q[2])]])
@@ -138,25 +132,19 @@ class LinerBraid(Law):
         sigma, rho = np.exp(u - logs), np.exp(u0 - logs)
         return q[6] * logs, sigma, rho - sigma, u * sigma - u0 * rho, active
 
-    def force(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def force(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """Braid at p_eff, and spring."""
         logs = self._exponents(q, p, length)[2]
         return np.asarray(q[6] * logs * _BRAID.arm(q[:2], length) + q[2] * (length - q[3]))
 
-    def slopes(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Slopes:
+    def slopes(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Slopes:
         """With respect to p and L, also through the threshold."""
         effective, by_p, by_t, _, active = self._liner(q, p, length)
         arm = _BRAID.arm(q[:2], length)
         by_l = effective * _BRAID.arm_slope(q[:2], length) + q[2] + arm * by_t * q[5] * active
         return by_p * arm, by_l, np.zeros_like(length)
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """With respect to all eight parameters."""
         effective, _, by_t, mixed, active = self._liner(q, p, length)
         arm = _BRAID.arm(q[:2], length)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plant.models.law import Array, History, Law, Slopes
+from plant.models.law import Array, Law, Past, Slopes
 
 LOW_TOP_PA = 125e3
 HIGH_BOTTOM_PA = 150e3
@@ -59,18 +59,14 @@ class TermLaw(Law):
             t.pressure <= 1 for t in self.terms
         )
 
-    def force(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def force(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """The sum."""
         out = np.zeros_like(p)
         for c, term in zip(q, self.terms, strict=True):
             out += c * term.value(p, length, t)
         return out
 
-    def slopes(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Slopes:
+    def slopes(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Slopes:
         """The sum's derivatives."""
         found = []
         for by in ("pressure", "length", "temperature"):
@@ -82,9 +78,7 @@ class TermLaw(Law):
             found.append(out)
         return found[0], found[1], found[2]
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """The terms."""
         return np.stack([np.broadcast_to(term.value(p, length, t), p.shape) for term in self.terms])
 
@@ -136,17 +130,13 @@ class Blend(Law):
         weight = (p - LOW_TOP_PA) * (1.0 / (HIGH_BOTTOM_PA - LOW_TOP_PA))
         return np.asarray(np.clip(weight, 0.0, 1.0, out=weight))
 
-    def force(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def force(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """(1 - w) low + w high."""
         a, b = self._parts(q)
         low = self.low.force(a, p, length, t)
         return np.asarray(low + self._weight(p) * (self.high.force(b, p, length, t) - low))
 
-    def slopes(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Slopes:
+    def slopes(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Slopes:
         """Slopes of both laws, blended, plus the slope of the weight."""
         a, b = self._parts(q)
         w = self._weight(p)
@@ -156,9 +146,7 @@ class Blend(Law):
         by_p, by_l, by_t = (x + w * (y - x) for x, y in zip(low, high, strict=True))
         return by_p + jump / (HIGH_BOTTOM_PA - LOW_TOP_PA), by_l, by_t
 
-    def jacobian(
-        self, q: Array, p: Array, length: Array, t: Array, path: History | None = None
-    ) -> Array:
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """Both laws' terms, weighted."""
         a, b = self._parts(q)
         w = self._weight(p)

@@ -1,1 +1,1 @@
-"""Several muscles on a mechanism, simulated as one scene."""
+"""Simulation of several muscles or cylinders on a mechanism (a scene)."""

@@ -1,4 +1,4 @@
-"""What ends a substep of a scene early, and what is written down when it happened; compiled."""
+"""Compiled detection and logging of the events that end a substep of a scene early."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from plant.compiled import inlined
 from plant.scene import layout as sc
 from plant.scene.layout import World
 
-# A force this close to the limit of friction lets go, N.
+# Tolerance of the static friction limit, N.
 GRIP = 1e-6
 _NEAR = 1e-12
 _STILL = 1e-12
@@ -14,7 +14,7 @@ _STILL = 1e-12
 
 @inlined
 def log(w: World, time: float, kind: float, which: float, value: float) -> None:
-    """Write an event down; when the log is full only their number grows."""
+    """Log an event; when the log is full, only the count increases."""
     row = int(w.clock[sc.LOGGED])
     if row < w.log.shape[0]:
         w.log[row, sc.LOG_TIME] = time
@@ -25,10 +25,10 @@ def log(w: World, time: float, kind: float, which: float, value: float) -> None:
 
 
 @inlined
-def let_go(w: World, now: float) -> None:
-    """Set free every coordinate whose net force (row TORQUE) is more than its friction holds.
+def release(w: World, now: float) -> None:
+    """Release every stuck coordinate whose net force (row TORQUE) exceeds its static friction.
 
-    Its acceleration (row DQD) is then what is left of that force.
+    Its acceleration (row DQD) then comes from the remaining force.
     """
     for j in range(w.coords.shape[0]):
         coulomb = w.coords[j, sc.COULOMB]
@@ -42,10 +42,10 @@ def let_go(w: World, now: float) -> None:
 
 
 @inlined
-def cut(w: World) -> float:
-    """Share of the substep just tried at which the first event falls; 1 if none does in it.
+def first_event(w: World) -> float:
+    """Fraction of the last trial substep at which the first event occurs; 1 if there is none.
 
-    Ends that lie on an event already are put exactly on it.
+    End values within rounding of an event are set exactly to it.
     """
     share = 1.0
     for j in range(w.coords.shape[0]):
@@ -76,7 +76,7 @@ def cut(w: World) -> float:
 
 @inlined
 def _between(w: World, j: int, step: float, share: float) -> float:
-    """Place of coordinate `j` at a share of the substep: Hermite's cubic through both ends."""
+    """Position of coordinate `j` at a fraction of the substep, by cubic Hermite interpolation."""
     q0, q1 = w.motion[sc.PLACE, j], w.work[sc.Q, j]
     v0, v1 = w.motion[sc.RATE, j] * step, w.work[sc.QD, j] * step
     s = share
@@ -85,13 +85,13 @@ def _between(w: World, j: int, step: float, share: float) -> float:
 
 
 @inlined
-def pass_switches(w: World, begin: float, step: float) -> None:
-    """Write down, at its own time, each proximity switch that went on or off in the substep."""
+def log_switches(w: World, begin: float, step: float) -> None:
+    """Log each proximity switch that went on or off in the substep, at its exact time."""
     for i in range(w.switches.shape[0]):
         j = int(w.switches[i, sc.SWITCH_COORD])
         at = w.switches[i, sc.SWITCH_AT]
         reach = w.switches[i, sc.SWITCH_REACH]
-        # Both edges of its window may be passed in one substep, one after the other.
+        # The coordinate may pass both edges of the window in one substep.
         low = 0.0
         for _ in range(2):
             on = w.switches[i, sc.SWITCH_ON] != 0.0
@@ -121,7 +121,7 @@ def pass_switches(w: World, begin: float, step: float) -> None:
 
 @inlined
 def settle(w: World, now: float) -> None:
-    """After an accepted substep: what touched a stop, and what friction brought to rest."""
+    """After an accepted substep, log contacts with stops and coordinates stopped by friction."""
     for j in range(w.coords.shape[0]):
         q, rate = w.motion[sc.PLACE, j], w.motion[sc.RATE, j]
         if q == w.coords[j, sc.LOW] and rate < 0.0:

@@ -1,7 +1,7 @@
-"""A scene in compiled code: valve commands of many units, their delays, and the mechanism.
+"""Compiled simulation of a scene: valve commands of all units, their delays, and the mechanism.
 
-The valves are those of the single bench (`plant.simulator.kernel`): the same queue, the same
-delays, row by row. Importing this module loads numba and, the first time after an installation,
+The valves are those of the single bench (`plant.simulator.kernel`), one per row, with the same
+queue and delays. Importing this module loads numba; the first import after an installation
 compiles.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from plant.compiled import called, entry_point, fingerprint, inlined
 from plant.physics import layout as at
 from plant.scene import layout as sc
-from plant.scene.events import cut, log, pass_switches, settle
+from plant.scene.events import first_event, log, log_switches, settle
 from plant.scene.layout import Array, Ints, World
 from plant.scene.rates import gas_volume, remember, unit_force
 from plant.scene.stepping import length_at, substep, touches, trial
@@ -35,8 +35,8 @@ _WORLD = (
 
 @inlined
 def _take(w: World, begin: float, step: float) -> None:
-    """Accept the substep that was tried last."""
-    pass_switches(w, begin, step)
+    """Accept the last trial substep."""
+    log_switches(w, begin, step)
     n = w.coords.shape[0]
     for k in range(w.units.shape[0]):
         state, params = w.units[k], w.params[k]
@@ -70,11 +70,11 @@ def _take(w: World, begin: float, step: float) -> None:
 
 @called
 def _integrate(w: World, begin: float, duration: float) -> None:
-    """Advance gas and mechanism by `duration` seconds with the valves as they stand."""
+    """Advance gas and mechanism by `duration` seconds with constant valve positions."""
     done = 0.0
     while done < duration:
         now = begin + done
-        # Even parts of what is left, so that none is a sliver.
+        # Equal parts of the remaining time, to avoid a very short last step.
         left = duration - done
         step = left / max(1, math.ceil(left / substep(w, now, touches(w)) - 1e-9))
         if w.coords.shape[0] == 0:
@@ -90,7 +90,7 @@ def _integrate(w: World, begin: float, duration: float) -> None:
         for _ in range(_TRIES):
             trial(w, now, step)
             w.clock[sc.SUBSTEPS] += 1.0
-            share = cut(w)
+            share = first_event(w)
             if share >= 1.0 or step < _SHORTEST:
                 break
             step = max(step * share, 0.5 * _SHORTEST)
@@ -100,7 +100,7 @@ def _integrate(w: World, begin: float, duration: float) -> None:
 
 @called
 def _run_until(w: World, end: float) -> None:
-    """Advance to `end` with no new command; pending valve edges act exactly when due."""
+    """Advance to `end` without new commands; pending valve edges act exactly at their time."""
     while True:
         due = math.inf
         unit = solenoid = 0
@@ -109,7 +109,7 @@ def _run_until(w: World, end: float) -> None:
                 own = _due(w.units[k], which)
                 if own < due:
                     due, unit, solenoid = own, k, which
-        # An edge due at `end` itself waits: a command given there may still withdraw it.
+        # An edge due exactly at `end` waits, because a command at `end` can still cancel it.
         acts = due < end - SAME_INSTANT_S
         until = due if acts else end
         now = w.units[0, at.TIME]
@@ -126,7 +126,7 @@ def _run_until(w: World, end: float) -> None:
 
 @inlined
 def _measure(w: World) -> None:
-    """Bring each unit's force and speed up to date."""
+    """Update force and speed of each unit."""
     for k in range(w.units.shape[0]):
         state = w.units[k]
         speed = 0.0
@@ -168,9 +168,9 @@ def _tick(w: World, dt_s: float, inlet_on_s: Array, vent_on_s: Array) -> None:
 def _replay(
     w: World, event_s: Array, unit: Ints, channel: Ints, value: Array, sample_s: Array, out: Array
 ) -> None:
-    """Apply timed inputs and fill a row of `out` per sample time.
+    """Apply timed inputs and fill one row of `out` per sample time.
 
-    Columns: each unit's pressure, length, force, inlet and outlet, then places and rates of the
+    Columns: pressure, length, force, inlet and outlet of each unit, then positions and rates of the
     coordinates.
     """
     event = 0
@@ -202,7 +202,7 @@ def _replay(
 
 
 def _build(sources: int) -> Callable[..., None]:
-    # One entry point for both uses: a second would compile the whole scene once more.
+    # One entry point for both uses, because a second one would compile the whole scene again.
     @entry_point(
         f"void({_WORLD},float64,float64[::1],float64[::1],"
         f"float64[::1],int64[::1],int64[::1],float64[::1],float64[::1],{_A2})"
@@ -230,7 +230,7 @@ _NO_ROWS = (np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), *np.zeros
 
 
 def advance(world: World, dt_s: float, inlet_on_s: Array, vent_on_s: Array) -> None:
-    """One control tick, in place: unit k fills for the first `inlet_on_s[k]`; arrays (M,)."""
+    """One control tick, in place; see `plant.scene.scene.Scene.advance`. Arrays have shape (M,)."""
     _drive(*world, dt_s, inlet_on_s, vent_on_s, *_NO_ROWS)
 
 
@@ -243,5 +243,5 @@ def replay(
     sample_s: Array,
     out: Array,
 ) -> None:
-    """A whole recording of timed inputs, in place; see `_replay` for the columns of `out`."""
+    """Simulate a recording of timed inputs, in place; see `_replay` for the columns of `out`."""
     _drive(*world, -1.0, _NONE, _NONE, event_s, unit, channel, value, sample_s, out)

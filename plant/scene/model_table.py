@@ -1,9 +1,9 @@
-"""A model of `plant.models` as a table that compiled code can read.
+"""A model of `plant.models` as a table for compiled code.
 
-Pressure and length are cut into cells; in each the force is the polynomial of third degree in both
-that agrees with the model's own formula in sixteen points. Laws that are cubic or less in both
-(Chou and Hannaford, Tondu and Lopez, the thesis's polynomials) come out exact but for rounding,
-and cells end at 125 and 150 kPa, where the thesis's two-region models have a kink.
+Pressure and length are divided into cells. In each cell the force is a bicubic polynomial that
+equals the model in sixteen points. Laws of degree 3 or less in both variables (Chou and Hannaford,
+Tondu and Lopez, the polynomials of the thesis) are exact up to rounding. Cell boundaries lie at 125
+and 150 kPa, where the two-region models of the thesis have a kink.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ CELL_M = 1e-3
 LOWEST_PA = -25e3
 HIGHEST_PA = 800e3
 MARGIN_M = 3e-3
-"""How far beyond the stops the table reaches."""
+"""Range of the table beyond the stops."""
 _INSIDE = np.array([0.0, 1.0, 2.0, 3.0]) / 3.0
-# Values in four points of a cell to the coefficients of the cubic through them.
+# Matrix from the values in four points of a cell to the coefficients of the cubic.
 _TO_COEFFICIENTS = np.linalg.inv(np.vander(_INSIDE, 4, increasing=True))
 
 
@@ -37,8 +37,8 @@ _TO_COEFFICIENTS = np.linalg.inv(np.vander(_INSIDE, 4, increasing=True))
 class ModelTable:
     """`force` (cells in pressure, cells in length, 16), `volume` (cells in length, 4), `axes` (6).
 
-    `error_n` is the largest difference from the model's own formula in points off the grid;
-    `memory` holds what goes into a unit's shape for a model with memory.
+    `error_n` is the largest difference to the model in points off the grid; `memory` holds the
+    columns of a unit's shape for a model with memory.
     """
 
     name: str
@@ -52,8 +52,8 @@ class ModelTable:
 def model_table(model: Model, c: PlantConstants, temperature_c: float = 21.0) -> ModelTable:
     """Tabulate a model over the pressures and lengths of a bench.
 
-    The gas volume is the model's own where it has one (of the form p f(L) + g(L)), with the braid's
-    volume in the middle of the range; else that of the bench's braid.
+    A model of the form p f(L) + g(L) has its own gas volume, set equal to the braid's volume in the
+    middle of the range. Otherwise the gas volume is that of the bench's braid.
 
     Raises:
         PlantError: the model has no value somewhere in the range.
@@ -72,8 +72,8 @@ def model_table(model: Model, c: PlantConstants, temperature_c: float = 21.0) ->
             at = int(np.flatnonzero(~np.isfinite(out.ravel()))[0])
             raise PlantError(
                 f"model {model.name} has no value at {p.ravel()[at] / 1e3:g} kPa and "
-                f"{length.ravel()[at] * 1e3:g} mm, within what this bench can reach; narrow "
-                "length_min_mm and length_max_mm, or take another model"
+                f"{length.ravel()[at] * 1e3:g} mm, within the range of this bench; reduce "
+                "the range length_min_mm to length_max_mm, or use another model"
             )
         return np.asarray(out)
 
@@ -93,7 +93,7 @@ def model_table(model: Model, c: PlantConstants, temperature_c: float = 21.0) ->
 
 
 def table_force(table: Array, axes: Array, p: Array, length: Array) -> Array:
-    """The table's answer in plain numpy, as the kernel works it out."""
+    """Force from the table in plain numpy, the same calculation as in the kernel."""
     i = np.clip(((p - axes[0]) / axes[1]).astype(int), 0, table.shape[0] - 1)
     j = np.clip(((length - axes[2]) / axes[3]).astype(int), 0, table.shape[1] - 1)
     u, v = (p - axes[0]) / axes[1] - i, (length - axes[2]) / axes[3] - j
@@ -103,12 +103,12 @@ def table_force(table: Array, axes: Array, p: Array, length: Array) -> Array:
 
 
 def _without_memory(model: Model):  # type: ignore[no-untyped-def]
-    """The static force law of a model, and its operators as they stand in a unit's shape."""
+    """The static force law of a model, and its memory operators as columns of a unit's shape."""
     law, q = model.law, model.q
     shape = np.zeros(sc.SHAPE_SIZE)
     if not isinstance(law, (PrandtlIshlinskii, MaxwellSlip, Creep)):
         if law.memory:
-            raise PlantError(f"model {model.name}: its kind of memory cannot be simulated")
+            raise PlantError(f"model {model.name}: its type of memory cannot be simulated")
         return (lambda p, length, t: law.force(q, p, length, t)), shape
     count = len(law.base.parameters)
     if isinstance(law, PrandtlIshlinskii):

@@ -1,12 +1,12 @@
-"""The large pneumatic ram of section 5.9: a single-acting cylinder that lifts a hung mass.
+"""The large pneumatic ram of section 5.9: a single-acting cylinder that lifts a mass.
 
     ram = Ram(nominal())
     ram.advance(1e-3, 1e-3, 0.0)
     ram.height_mm, ram.pressure_kpa, ram.prox_bits
 
-Air lifts, weight lowers. Coulomb friction of the seals holds the piston where the forces leave it;
-two proximity switches stand along the stroke. The thesis prints no numbers: bore, stroke, mass and
-friction are those of a common cylinder; how far a switch reaches and how hard the ends are too.
+Air lifts the mass, its weight lowers it. Coulomb friction of the seals can hold the piston. Two
+proximity switches are mounted along the stroke. The thesis gives no numbers: bore, stroke, mass,
+friction, switch range and end stiffness are those of a common cylinder.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RamConstants:
-    """The cylinder, in SI. Raises `PlantError` for values no cylinder can have.
+    """The cylinder, in SI. Raises `PlantError` for impossible values.
 
     Attributes:
         bore_m: diameter of the piston.
-        stroke_m: from end to end.
-        mass_kg: everything that moves.
+        stroke_m: full stroke.
+        mass_kg: moving mass.
         friction_n: Coulomb friction of seals and guide.
-        dead_volume_m3: gas left with the piston at its lower end.
+        dead_volume_m3: gas volume with the piston at its lower end.
         switches_m: heights of proximity switches A and B.
-        switch_reach_m: a switch is on within so much of its height.
-        switch_gap_m: it goes off so much later.
+        switch_reach_m: a switch is on within this distance of its height.
+        switch_gap_m: hysteresis; it goes off at this additional distance.
         end_stiffness_n_m, end_damping_n_s_m: of the buffers at both ends.
     """
 
@@ -67,17 +67,17 @@ class RamConstants:
         for at in self.switches_m:
             if not 0.0 <= at <= self.stroke_m:
                 raise PlantError(
-                    f"ram: switch at {at * 1e3:g} mm is off the stroke, 0 to "
+                    f"ram: switch at {at * 1e3:g} mm is outside the stroke, 0 to "
                     f"{self.stroke_m * 1e3:g} mm"
                 )
 
     @property
     def area_m2(self) -> float:
-        """Of the piston."""
+        """Area of the piston."""
         return math.pi / 4.0 * self.bore_m**2
 
     def balance_kpa(self) -> float:
-        """Gauge pressure that carries the weight without friction."""
+        """Gauge pressure that balances the weight without friction."""
         return self.mass_kg * STANDARD_GRAVITY_M_S2 / self.area_m2 * 1e-3
 
 
@@ -115,11 +115,11 @@ def ram_scene(
 
 
 class Ram:
-    """A ram that is advanced tick by tick; stands where a `plant.simulator.bench.BenchSim` stands.
+    """A ram simulated tick by tick; can replace a `plant.simulator.bench.BenchSim`.
 
     Attributes:
-        state, params: of its one unit, slots of `plant.physics.layout`: what a simulated board
-        reads. scene: everything.
+        state, params: rows of its one unit (`plant.physics.layout`), read by a simulated board.
+        scene: the whole scene.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class Ram:
     def step(
         self, state: Array, params: Array, dt_s: float, inlet_on_s: float, vent_on_s: float
     ) -> None:
-        """`advance` as a simulated board calls it; the arrays are this ram's own."""
+        """`advance` with the signature that a simulated board calls; the arrays are not used."""
         del state, params
         self.advance(dt_s, inlet_on_s, vent_on_s)
 
@@ -161,24 +161,24 @@ class Ram:
 
     @property
     def height_mm(self) -> float:
-        """Of the piston above its lower end."""
+        """Height of the piston above its lower end."""
         return float(self.scene.places[0]) * 1e3
 
     @property
     def rate_mm_s(self) -> float:
-        """Positive upwards."""
+        """Velocity of the piston, positive upwards."""
         return float(self.scene.rates[0]) * 1e3
 
     @property
     def prox_bits(self) -> int:
-        """Proximity switches as the firmware reads them: bit 0 is A, bit 1 is B."""
+        """Proximity switches in the firmware's format: bit 0 is A, bit 1 is B."""
         switches = self.scene.world.switches
         bits = 0
-        for i in range(len(switches)):  # asked at every tick
+        for i in range(len(switches)):  # called at every tick
             if switches.item(i, SWITCH_ON):
                 bits |= 1 << i
         return bits
 
     def take_events(self) -> list[Event]:
-        """What happened since the last call, at its own time."""
+        """Events since the last call, with their times."""
         return self.scene.take_events()

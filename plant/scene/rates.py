@@ -1,7 +1,7 @@
-"""Force, volume and flow of one unit of a scene, in compiled code.
+"""Compiled force, volume and stiffness of one unit of a scene.
 
-A braid goes through the very functions of the single bench (`plant.simulator.rates`); a model of
-`plant.models` through its table; a cylinder is a piston's area.
+A braid uses the functions of the single bench (`plant.simulator.rates`), a model of `plant.models`
+uses its table, and a cylinder the area of its piston.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _braid_volume_slope = inlined(muscle.braid_volume_slope)
 
 @inlined
 def _cell(value: float, low: float, width: float, count: int) -> tuple[int, float]:
-    """Which cell of an axis, and how far into it (beyond 0 to 1 outside the axis)."""
+    """Index of a cell of an axis, and position in it (0 to 1; beyond that outside the axis)."""
     place = (value - low) / width
     cell = min(max(int(place), 0), count - 1)
     return cell, place - cell
@@ -60,7 +60,7 @@ def _table_volume(volumes: Array, axes: Array, row: int, length: float) -> tuple
 
 @inlined
 def gas_volume(w: sc.World, k: int, length: float) -> float:
-    """Gas volume of unit `k`, its line and fittings, m3."""
+    """Gas volume of unit `k` with its line and fittings, m3."""
     if w.kinds[k] == sc.BRAID:
         return chamber(w.params[k], length)
     if w.kinds[k] == sc.TABLE:
@@ -82,7 +82,7 @@ def volume_slope(w: sc.World, k: int, length: float) -> float:
 
 @inlined
 def _memory(w: sc.World, k: int, p: float, length: float, base: float) -> float:
-    """What a model with memory adds, from its operators' states and a further change."""
+    """Force of the memory operators after a change from their present states, N."""
     kind = w.shape[k, sc.MEMORY_KIND]
     total = 0.0
     for i in range(sc.MEMORY_SIZE):
@@ -102,9 +102,9 @@ def _memory(w: sc.World, k: int, p: float, length: float, base: float) -> float:
 
 @inlined
 def unit_force(w: sc.World, k: int, p: float, length: float, rate: float) -> float:
-    """Pull of unit `k` in N at gauge pressure `p`, from its accepted state onward.
+    """Tensile force of unit `k` in N at gauge pressure `p`, starting from its accepted state.
 
-    A cylinder pushes: its force is negative. A tendon never pushes: it is slack.
+    A cylinder pushes: its force is negative. A tendon cannot push: its force is at least 0.
     """
     state, params = w.units[k], w.params[k]
     if w.kinds[k] == sc.BRAID:
@@ -128,7 +128,7 @@ def link_drag(w: sc.World, k: int, length: float) -> float:
 
 @inlined
 def unit_damping(w: sc.World, k: int) -> float:
-    """How steeply the force of unit `k` may change with its speed, N s/m."""
+    """Largest change of the force of unit `k` with its speed, N s/m."""
     params = w.params[k]
     if w.kinds[k] != sc.BRAID or params[at.FORCE_EFFECTS] == 0.0:
         return 0.0
@@ -137,7 +137,7 @@ def unit_damping(w: sc.World, k: int) -> float:
 
 @inlined
 def unit_stiffness(w: sc.World, k: int, absolute: float, volume: float) -> float:
-    """How stiff unit `k` is along its length with its gas shut in, N/m, never negative."""
+    """Stiffness of unit `k` along its length with closed valves, N/m, at least 0."""
     state, params = w.units[k], w.params[k]
     length = state[at.LENGTH]
     area = volume_slope(w, k, length)
@@ -159,7 +159,7 @@ def unit_stiffness(w: sc.World, k: int, absolute: float, volume: float) -> float
 
 @inlined
 def remember(w: sc.World, k: int, p: float, length: float, lasted: float) -> None:
-    """Carry the operators of a model with memory over an accepted step; before the step counts."""
+    """Update the memory operators for an accepted step; call before the state is updated."""
     kind = w.shape[k, sc.MEMORY_KIND]
     base = 0.0
     if kind == sc.LATE:

@@ -1,13 +1,13 @@
-"""The whole bench in simulation: muscles or cylinders with their valves, and what they move.
+"""Simulation of a whole bench: muscles or cylinders with their valves, and the moved mechanism.
 
     hung = Scene([Unit("muscle", nominal(), reach={"load": 1.0})],
                  [Coordinate("load", mass_kg=3.0, pull=3.0 * 9.80665, low=0.051, high=0.0725,
                              stop_stiffness=20e3, start=0.066)])
     hung.advance(1e-3, [1e-3], [0.0])
 
-Lengths of units follow from the coordinates: L = rest + sum of reach * q. Where an arm of
-`plant.links` is given, its joints are the coordinates; else each coordinate is a mass (or an
-inertia) of its own. Without coordinates every length is held.
+The lengths of the units depend on the coordinates: L = rest + sum of reach * q. With an arm of
+`plant.links`, its joints are the coordinates. Otherwise each coordinate is a separate mass (or
+inertia). Without coordinates all lengths are constant.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from plant.simulator.bench import STEP_MAX_S, STEP_SAFETY, Source, build_params,
 Array = npt.NDArray[np.float64]
 
 LOAD_SAFETY = 0.15
-"""Substep times the mechanism's highest angular frequency."""
+"""Substep times the highest angular frequency of the mechanism."""
 DAMPING_SAFETY = 1.5
-"""Substep times its fastest rate of damping."""
+"""Substep times the fastest damping rate of the mechanism."""
 JOINT_STOP_N_M_RAD = 5.0
 JOINT_STOP_N_M_S_RAD = 1e-3
 LOG_ROWS = 4096
@@ -45,7 +45,7 @@ LOG_ROWS = 4096
 
 @dataclass(frozen=True)
 class Piston:
-    """A cylinder instead of a muscle: the area that its air pushes on."""
+    """The piston of a cylinder, which replaces a muscle."""
 
     area_m2: float
 
@@ -58,11 +58,11 @@ class Unit:
         name: for messages and records.
         constants: valve, gas and braid.
         model: None for the braid of `constants` with `effects`; a force law; or a piston.
-        reach: by coordinate, how its length changes, m per m or m per rad: -r for a muscle that
-            shortens as a joint turns a pulley of radius r.
-        rest_m: its length with all coordinates at zero.
-        tendon: it pulls through a tendon and cannot push.
-        pressure_pa: gauge pressure at the start.
+        reach: dL/dq for each coordinate, m per m or m per rad: -r for a muscle that shortens when a
+            joint rotates a pulley of radius r.
+        rest_m: length with all coordinates at zero.
+        tendon: the unit pulls through a tendon and cannot push.
+        pressure_pa: initial gauge pressure.
     """
 
     name: str
@@ -79,10 +79,10 @@ class Unit:
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One way in which the mechanism can move; SI, metres or radians.
+    """One coordinate of the mechanism; SI, metres or radians.
 
-    On an arm `mass` is not used (the links say it), and the joint's range and damping are added
-    from the arm where `low`, `high` are not given.
+    With an arm, `mass` is not used (the links have masses), and the joint's range is taken from the
+    arm if `low` and `high` are not given.
     """
 
     name: str
@@ -102,7 +102,7 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Switch:
-    """A proximity switch at a place of a coordinate: on within `reach`, off `gap` later."""
+    """A proximity switch: on within `reach` of position `at`, off beyond `reach` + `gap`."""
 
     coordinate: str
     at: float
@@ -112,7 +112,7 @@ class Switch:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at its own time: `kind` is one of `LOG_WORDS`."""
+    """An event with its exact time; `kind` is one of `LOG_WORDS`."""
 
     time_s: float
     kind: str
@@ -121,14 +121,14 @@ class Event:
 
 
 class Scene:
-    """A scene that is advanced tick by tick, or through a whole recording of commands.
+    """A scene, simulated tick by tick or from a recording of commands.
 
     Attributes:
-        world: its arrays, as the kernel takes them; `units[k]` is the state of unit k with the
-            slots of `plant.physics.layout`, `motion` places and rates of the coordinates.
+        world: the arrays of the kernel; `units[k]` is the state of unit k in the layout of
+            `plant.physics.layout`, `motion` has positions and rates of the coordinates.
 
     Raises:
-        PlantError: names the unit or coordinate, says what was expected and what came.
+        PlantError: names the unit or coordinate, the expected and the given value.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class Scene:
         names = [u.name for u in self.units] + [c.name for c in self.coordinates]
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
-            raise PlantError(f"scene: more than one part is called {twice[0]!r}")
+            raise PlantError(f"scene: more than one part has the name {twice[0]!r}")
         for c in self.coordinates:
             _check_coordinate(c, arm is not None)
         self.tables: dict[str, ModelTable] = {}
@@ -217,7 +217,7 @@ class Scene:
         return [*(unit.reach.get(c.name, 0.0) for c in self.coordinates), unit.rest_m]
 
     def _place(self) -> None:
-        """Lengths of the units where the coordinates stand, and whether they can be."""
+        """Set the initial lengths of the units, and check them."""
         w = self.world
         for k, unit in enumerate(self.units):
             if not unit.pressure_pa > -unit.constants.atmosphere_pa:
@@ -232,7 +232,7 @@ class Scene:
         self.refresh()
 
     def _check_lengths(self, k: int, unit: Unit, start: float) -> None:
-        """Refuse a mechanism that could take a muscle out of its braid."""
+        """Raise if the mechanism could move a muscle outside the range of its braid."""
         ends = [start]
         reach = self.world.reach[k]
         finite = [
@@ -252,7 +252,7 @@ class Scene:
     # ---- use ------------------------------------------------------------------------
 
     def index(self, coordinate: str) -> int:
-        """Index of a coordinate. Raises `PlantError` for a name there is not."""
+        """Index of a coordinate. Raises `PlantError` for an unknown name."""
         for j, c in enumerate(self.coordinates):
             if c.name == coordinate:
                 return j
@@ -263,10 +263,7 @@ class Scene:
         return self.coordinates[self.index(name)]
 
     def advance(
-        self,
-        dt_s: float,
-        inlet_on_s: Array | Sequence[float],
-        vent_on_s: Array | Sequence[float],
+        self, dt_s: float, inlet_on_s: Array | Sequence[float], vent_on_s: Array | Sequence[float]
     ) -> None:
         """One control tick: unit k fills for the first `inlet_on_s[k]`, vents for `vent_on_s[k]`.
 
@@ -277,10 +274,10 @@ class Scene:
         vent = np.asarray(vent_on_s, dtype=np.float64)
         scene_kernel.advance(self.world, dt_s, fill, vent)
         if self.world.clock[sc.TROUBLE]:
-            raise PlantError("scene: a joint moves no inertia at all; give the links mass")
+            raise PlantError("scene: a joint moves no inertia; give the links mass")
 
     def refresh(self) -> None:
-        """Bring lengths and forces up to date after a change by hand; no time passes."""
+        """Update lengths and forces after a change of the arrays; no time passes."""
         commands = self.world.units[:, at.INLET_COMMAND : at.OUTLET_COMMAND + 1]
         self.advance(0.0, commands[:, 0].copy(), commands[:, 1].copy())
 
@@ -291,7 +288,7 @@ class Scene:
 
     @property
     def places(self) -> Array:
-        """Where each coordinate is, shape (n,), m or rad."""
+        """Position of each coordinate, shape (n,), m or rad."""
         return np.array(self.world.motion[sc.PLACE])
 
     @property
@@ -311,13 +308,13 @@ class Scene:
 
     @property
     def forces_n(self) -> Array:
-        """Pull of each unit, shape (M,)."""
+        """Tensile force of each unit, shape (M,)."""
         return np.asarray(self.world.units[:, at.FORCE].copy())
 
     def take_events(self) -> list[Event]:
-        """What happened since the last call: valve edges, stops, switches, friction.
+        """Events since the last call: valve edges, stops, switches, friction.
 
-        The log keeps `LOG_ROWS`; the oldest are kept when it overflows.
+        The log has `LOG_ROWS` rows; when it is full, later events are lost.
         """
         count = min(int(self.world.clock[sc.LOGGED]), LOG_ROWS)
         found = []
@@ -335,7 +332,7 @@ class Scene:
 
 
 def _joined(coordinates: Sequence[Coordinate], arm: Arm | None) -> tuple[Coordinate, ...]:
-    """The coordinates; those of an arm are its joints, in its order, with its ranges."""
+    """The coordinates; with an arm they are its joints, in its order, with its ranges."""
     if arm is None:
         return tuple(coordinates)
     given = {c.name: c for c in coordinates}
@@ -359,13 +356,15 @@ def _check_coordinate(c: Coordinate, on_arm: bool) -> None:
     if not on_arm and not (math.isfinite(c.mass) and c.mass > 0.0):
         raise PlantError(f"{where}: mass {c.mass!r}; expected more than 0")
     if on_arm and c.coulomb != 0.0:
-        raise PlantError(f"{where}: Coulomb friction is for masses that slide, not for an arm")
+        raise PlantError(
+            f"{where}: Coulomb friction is possible for sliding masses, not for an arm"
+        )
     for name in ("damping", "spring", "stop_stiffness", "stop_damping", "coulomb"):
         value = getattr(c, name)
         if not (math.isfinite(value) and value >= 0.0):
             raise PlantError(f"{where}: {name} = {value!r}; expected 0 or more")
     if not c.low < c.high:
-        raise PlantError(f"{where}: its range must rise, got {c.low} to {c.high}")
+        raise PlantError(f"{where}: its range must increase, got {c.low} to {c.high}")
     if not c.low <= c.start <= c.high:
         raise PlantError(f"{where}: starts at {c.start:g}, outside its range {c.low:g}..{c.high:g}")
     if not (math.isfinite(c.pull) and math.isfinite(c.start_rate)):
@@ -373,7 +372,7 @@ def _check_coordinate(c: Coordinate, on_arm: bool) -> None:
 
 
 def _stacked(tables: Sequence[ModelTable]) -> tuple[Array, Array, Array]:
-    """All tables in arrays of one shape; shorter ones repeat nothing: they end earlier."""
+    """All tables in arrays of one shape; smaller tables are padded with zeros."""
     if not tables:
         return np.zeros((1, 1, 1, 16)), np.zeros((1, 1, 4)), np.ones((1, 6))
     rows, columns = (max(t.force.shape[i] for t in tables) for i in range(2))

@@ -1,9 +1,9 @@
-"""Gas and mechanism of a scene between two valve events, in compiled code.
+"""Compiled integration of gas and mechanism of a scene between two valve events.
 
-As `plant.simulator.stepping` does for one muscle: classical Runge-Kutta over y = P V^k of every
-chamber and place and rate of every coordinate, with a substep bounded by the fastest of them.
-Nothing begins in the middle of a substep: where a stop is touched, or Coulomb friction holds or
-lets go, the substep is shortened until it ends there.
+As in `plant.simulator.stepping` for one muscle: classical Runge-Kutta for y = P V^k of every
+chamber and for position and rate of every coordinate, with a substep limited by the fastest of
+them. Events only happen at the end of a substep: at contact with a stop, or when Coulomb friction
+sticks or slips, the substep is shortened to end there.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from plant.links import kernel as links
 from plant.physics import flow
 from plant.physics import layout as at
 from plant.scene import layout as sc
-from plant.scene.events import let_go
+from plant.scene.events import release
 from plant.scene.layout import World
 from plant.scene.rates import (
     gas_volume,
@@ -41,7 +41,7 @@ from plant.simulator.rates import (
 
 _STAGE = np.array([0.0, 0.5, 0.5, 1.0])
 _WEIGHT = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
-# An arm's longest step is worked out anew after so long, s.
+# Time after which the longest step of an arm is computed again, s.
 _KEEP = 1e-3
 
 
@@ -57,7 +57,7 @@ def length_at(w: World, k: int, places: int) -> float:
 
 @inlined
 def _moving(w: World, k: int) -> float:
-    """dL/dt of unit `k` at the present time."""
+    """Present dL/dt of unit `k`."""
     speed = 0.0
     for j in range(w.coords.shape[0]):
         speed += w.reach[k, j] * w.motion[sc.RATE, j]
@@ -66,7 +66,7 @@ def _moving(w: World, k: int) -> float:
 
 @inlined
 def _stop(w: World, j: int, q: float, rate: float) -> float:
-    """Force of the stop in play on coordinate `j`; a stop pushes and never pulls."""
+    """Force of the active stop on coordinate `j`; a stop can only push."""
     touched = w.work[sc.TOUCH, j]
     if touched == 0.0:
         return 0.0
@@ -80,8 +80,8 @@ def _stop(w: World, j: int, q: float, rate: float) -> float:
 def slopes(w: World, after: float) -> None:
     """Derivatives at the trial state in `work`, `after` seconds into the substep.
 
-    Reads rows Y, Q and QD; writes DY, FLOW_IN, FLOW_OUT and DQD. TORQUE gets the net force on each
-    coordinate without Coulomb friction.
+    Reads rows Y, Q and QD; writes DY, FLOW_IN, FLOW_OUT and DQD. Row TORQUE gets the net force on
+    each coordinate without Coulomb friction.
     """
     n = w.coords.shape[0]
     for j in range(n):
@@ -145,9 +145,9 @@ def slopes(w: World, after: float) -> None:
 
 @inlined
 def trial(w: World, now: float, step: float) -> None:
-    """One Runge-Kutta step from the present: rows Y, Q, QD, IN and OUT get its end.
+    """One Runge-Kutta step from the present state; rows Y, Q, QD, IN and OUT get its end.
 
-    What friction holds at the present is looked at with the first derivatives.
+    Static friction is checked with the first derivatives.
     """
     n, m = w.coords.shape[0], w.units.shape[0]
     work = w.work
@@ -173,7 +173,7 @@ def trial(w: World, now: float, step: float) -> None:
         if stage == 0 and n > 0:
             for j in range(n):
                 w.motion[sc.PUSH, j] = work[sc.TORQUE, j]
-            let_go(w, now)
+            release(w, now)
         weight = _WEIGHT[stage]
         for k in range(m):
             work[sc.DY_SUM, k] += weight * work[sc.DY, k]
@@ -192,12 +192,12 @@ def trial(w: World, now: float, step: float) -> None:
 
 
 @inlined
-def _way_of_gas(w: World, k: int, absolute: float, length: float) -> float:
-    """SEALED, FLOWING, REGULATED or LEVEL over the coming substep.
+def _gas_state(w: World, k: int, absolute: float, length: float) -> float:
+    """SEALED, FLOWING, REGULATED or LEVEL for the next substep.
 
-    LEVEL: one way is open, pressures are equal within `flow.LINEAR_BELOW` and the muscle breathes
-    too slowly to draw them apart by more. The ellipse of ISO 6358 is steep there, and following
-    it would cost steps of microseconds for less than 7 Pa.
+    LEVEL: one path is open, the pressures are equal within `flow.LINEAR_BELOW`, and the volume
+    changes too slowly to increase the difference. The ISO 6358 ellipse is steep there: integrating
+    it would need steps of microseconds for less than 7 Pa.
     """
     state, params = w.units[k], w.params[k]
     if regulated(state, params):
@@ -206,7 +206,7 @@ def _way_of_gas(w: World, k: int, absolute: float, length: float) -> float:
         return sc.SEALED
     out = outward(state, params)
     inlet = state[at.INLET_OPEN] > 0.0
-    # A leak alone is too small a way to be steep.
+    # A leak alone has too little conductance to be steep.
     if (inlet and out > 0.0) or not (inlet or state[at.OUTLET_OPEN] > 0.0):
         return sc.FLOWING
     if inlet:
@@ -225,7 +225,7 @@ def _way_of_gas(w: World, k: int, absolute: float, length: float) -> float:
 
 @inlined
 def touches(w: World) -> float:
-    """Note in TOUCH which stop of each coordinate is in play; returns a number for the set."""
+    """Set row TOUCH to the active stop of each coordinate; returns a code for the combination."""
     code = 0.0
     for j in range(w.coords.shape[0]):
         q, rate = w.motion[sc.PLACE, j], w.motion[sc.RATE, j]
@@ -242,11 +242,11 @@ def touches(w: World) -> float:
 
 @inlined
 def _longest(w: World) -> float:
-    """Longest step that follows the mechanism at present, s.
+    """Longest step for the present state of the mechanism, s.
 
-    A swing must be followed in its phase, a damped motion only be kept stable: it dies out within
-    a step or two. So both are bounded apart: the angular frequency by LOAD_SAFETY, the rate of
-    damping by DAMPING_SAFETY.
+    An oscillation needs an accurate phase; a damped motion only needs stability, because it decays
+    within a step or two. So they have separate limits: LOAD_SAFETY for the angular frequency,
+    DAMPING_SAFETY for the damping rate.
     """
     n = w.coords.shape[0]
     for j in range(n):
@@ -288,13 +288,13 @@ def _longest(w: World) -> float:
 
 @inlined
 def substep(w: World, now: float, touching: float) -> float:
-    """Longest step that follows the fastest part of the scene; sets OPEN and Y0 of each unit."""
+    """Longest step for the fastest part of the scene; sets OPEN and Y0 of each unit."""
     step = w.clock[sc.STEP_MAX]
     for k in range(w.units.shape[0]):
         state, params = w.units[k], w.params[k]
         absolute = state[at.PRESSURE] + params[at.ATMOSPHERE]
         volume = gas_volume(w, k, state[at.LENGTH])
-        how = _way_of_gas(w, k, absolute, state[at.LENGTH])
+        how = _gas_state(w, k, absolute, state[at.LENGTH])
         w.work[sc.OPEN, k] = how
         w.work[sc.Y0, k] = absolute * power(volume, params[at.EXPONENT])
         if how == sc.FLOWING:

@@ -63,9 +63,7 @@ def derived_equations() -> tuple[Any, Any]:
     }
     torque = [
         sympy.Add(
-            *(d * a for d, a in zip(e.inertia[i], e.qdd, strict=True)),
-            e.coriolis[i],
-            e.gravity[i],
+            *(d * a for d, a in zip(e.inertia[i], e.qdd, strict=True)), e.coriolis[i], e.gravity[i]
         ).subs(change, simultaneous=True)
         for i in range(2)
     ]

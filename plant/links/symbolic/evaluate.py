@@ -30,9 +30,7 @@ Shape = int | tuple["Shape", ...]
 
 
 class Equation:
-    """One function of the source; its arguments are tuples, `p` is by default the arm's
-    parameters.
-    """
+    """One function of the source; its arguments are tuples, `p` is the arm's by default."""
 
     def __init__(self, node: ast.FunctionDef, p: tuple[float, ...]) -> None:
         self.name = node.name

@@ -234,11 +234,7 @@ def _trace(left: Matrix, right: Matrix) -> TrigPoly:
 
 
 def _as_expressions(
-    arm: Arm,
-    p: _Parameters,
-    d: Matrix,
-    christoffel: list[list[list[TrigPoly]]],
-    c: list[TrigPoly],
+    arm: Arm, p: _Parameters, d: Matrix, christoffel: list[list[list[TrigPoly]]], c: list[TrigPoly]
 ) -> Equations:
     n = arm.degrees
     numbers = range(1, n + 1)

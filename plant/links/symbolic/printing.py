@@ -17,9 +17,7 @@ FORMS = ("text", "latex", "python")
 
 
 def printed(equations: Equations, form: str = "text") -> str:
-    """The equations in one of `FORMS`, with a final newline. Raises `LinkError` for another
-    form.
-    """
+    """The equations in one of `FORMS`, with a final newline. `LinkError` for another form."""
     makers: dict[str, Callable[[Equations], str]] = {
         "text": as_text,
         "latex": as_latex,

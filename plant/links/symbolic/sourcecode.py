@@ -24,41 +24,18 @@ def as_python(equations: Equations) -> str:
         inertial = [entry(i + 1, k + 1) * qdd[k] for k in range(n) if equations.inertia[i][k] != 0]
         h, c = sympy.Symbol(f"h{i + 1}"), sympy.Symbol(f"c{i + 1}")
         torque.append(sympy.Add(*inertial, h, c, equations.damping[i]))
-    functions = [
-        _function(equations, "inertia", "D, rows in a tuple.", {"q": q}, [], equations.inertia),
-        _function(
-            equations,
-            "coriolis",
-            "h: Coriolis and centrifugal torques.",
-            {"q": q, "qd": qd},
-            [],
-            [equations.coriolis],
-        ),
-        _function(
-            equations,
-            "gravity",
-            "c: torques that hold the arm still.",
-            {"q": q},
-            [],
-            [equations.gravity],
-        ),
-        _function(
-            equations,
-            "inverse_dynamics",
-            "Torques for given accelerations.",
-            {"q": q, "qd": qd, "qdd": qdd},
-            steps[:-n],  # the last n compute the residual torques r
-            [torque],
-        ),
-        _function(
-            equations,
-            "forward_dynamics",
-            "Accelerations under given torques.",
-            {"q": q, "qd": qd, "tau": tau},
-            steps + solution_steps(equations),
-            [qdd],
-        ),
-    ]
+    table: list[tuple[str, str, dict[str, tuple[Any, ...]], list[Step], Any]] = [
+        ("inertia", "D, rows in a tuple.", {"q": q}, [], equations.inertia),
+        ("coriolis", "h: Coriolis and centrifugal torques.", {"q": q, "qd": qd}, [],
+         [equations.coriolis]),
+        ("gravity", "c: torques that hold the arm still.", {"q": q}, [], [equations.gravity]),
+        # The last n steps compute the residual torques r, which inverse dynamics does not need.
+        ("inverse_dynamics", "Torques for given accelerations.", {"q": q, "qd": qd, "qdd": qdd},
+         steps[:-n], [torque]),
+        ("forward_dynamics", "Accelerations under given torques.", {"q": q, "qd": qd, "tau": tau},
+         steps + solution_steps(equations), [qdd]),
+    ]  # fmt: skip
+    functions = [_function(equations, *row) for row in table]
     values = equations.parameters
     joints = ", ".join(equations.joints)
     head = [

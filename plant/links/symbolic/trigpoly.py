@@ -78,9 +78,7 @@ def total(parts: Iterable[TrigPoly]) -> TrigPoly:
 
 
 def _join(out: dict[Waves, tuple[Any, Any]], v: Waves, a: Any, b: Any) -> None:
-    """Add a cos + b sin of v, with the sign of v such that its first nonzero element is
-    positive.
-    """
+    """Add a cos + b sin of v, with v normalized to a positive first nonzero element."""
     lead = next((x for x in v if x), 0)
     if lead < 0:
         v, b = tuple(-x for x in v), -b
