@@ -14,7 +14,7 @@ import typer
 from daq.errors import ConfigError
 from daq.interrupt import StopFlag, Stopped, stop_on_signals
 from plant.errors import PlantError
-from studies.first_use import tell_of_compiling
+from studies.first_use import compilation_message
 
 if TYPE_CHECKING:
     from studies.comparison.spread import Outcome
@@ -42,7 +42,7 @@ def finger_command(
     Raises:
         ConfigError: a finger, valve or controller that cannot be.
     """
-    with tell_of_compiling(quiet=as_json):
+    with compilation_message(quiet=as_json):
         from studies.comparison.report import as_markdown, as_text
         from studies.comparison.study import table
 
@@ -67,7 +67,7 @@ def controllers_command(
     Raises:
         ConfigError: a finger or controller that cannot be, a folder that cannot be written.
     """
-    with tell_of_compiling(quiet=as_json):
+    with compilation_message(quiet=as_json):
         from studies.comparison.report import as_markdown, as_text, plants_markdown
         from studies.comparison.study import PERTURBED, table
         from studies.controllers.laws import HOST_LAWS, LAWS
@@ -125,7 +125,7 @@ def pressure_command(seeds: int, page: bool, as_json: bool) -> int:
     Raises:
         ConfigError: a critical gain that cannot be found.
     """
-    with tell_of_compiling(quiet=as_json):
+    with compilation_message(quiet=as_json):
         from studies.comparison.pressure import pressure_table
         from studies.comparison.report import pressure_markdown, pressure_text
 
@@ -146,7 +146,7 @@ def tuning_command(source: str, valve: str, as_json: bool) -> None:
     Raises:
         ConfigError: a finger or valve that cannot be, a critical gain that cannot be found.
     """
-    with tell_of_compiling(quiet=as_json):
+    with compilation_message(quiet=as_json):
         from plant.finger.reader import load_valve
         from studies.comparison.provenance import provenance
 
