@@ -103,7 +103,7 @@ def reduce_points(
         return Reduction(points_frame([], extra), (why,), {})
     if points[0].get("row") is not None:
         return without_excluded(run, _imported(run, extra))
-    reduction = _Reducer(run, measure, extra).reduce(points)
+    reduction = PointReducer(run, measure, extra).reduce(points)
     if len(points) < takes:
         note = f"{takes - len(points)} points were repeated; the last take of each is used"
         reduction = replace(reduction, own_notes=(*reduction.own_notes, note))
@@ -148,10 +148,19 @@ def exclude(reduction: Reduction, reasons: Mapping[int, str]) -> Reduction:
     )
 
 
-class _Reducer:
-    """The raw streams of one recorded run, and the notes made while they are reduced."""
+class PointReducer:
+    """Reduction of the settled points of one recorded run, with notes on defects.
 
-    def __init__(self, run: Run, measure: MeasureGap | None, extra: Mapping[str, str]) -> None:
+    The table of a run, its report, its export and the trials of the diagnosis all use it.
+
+    Args:
+        run: an opened run with recorded streams.
+        measure, extra: as for :func:`reduce_points`.
+    """
+
+    def __init__(
+        self, run: Run, measure: MeasureGap | None = None, extra: Mapping[str, str] = {}
+    ) -> None:
         self.run = run
         self.measure = measure
         self.extra = extra
@@ -170,7 +179,8 @@ class _Reducer:
         }
 
     def reduce(self, points: list[dict[str, Any]]) -> Reduction:
-        rows = [self._row(point) for point in points]
+        """The table of these point events."""
+        rows = [self.row(point) for point in points]
         zeros = tuple(self._zeros())
         for what, places in self._places.items():
             more = f" and {len(places) - 1} more" if len(places) > 1 else ""
@@ -203,7 +213,8 @@ class _Reducer:
         """Store a defect and its place. One note is made of all places of a defect."""
         self._places.setdefault(what, []).append(place)
 
-    def _row(self, point: dict[str, Any]) -> dict[str, Any]:
+    def row(self, point: dict[str, Any]) -> dict[str, Any]:
+        """One row of the table: means, uncertainties and labels of a point event."""
         name = f"point {point['order']}"
         pressure = self._pressure(point["valve_seq"], name)
         row: dict[str, Any] = {
