@@ -1,3 +1,3 @@
-"""Runs become tables, uncertainties, findings, figures, reports and exports; free of hardware."""
+"""Analysis of runs: tables, uncertainties, findings, figures, reports, exports. No hardware."""
 
-import vision as _vision  # noqa: F401 - bounds the pictures that OpenCV takes, before it is loaded
+import vision as _vision  # noqa: F401 - limits picture sizes before OpenCV is loaded

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.reduction.points import STRANGERS, Reduction
+from analysis.reduction.points import Reduction, exclude
 from analysis.registry import analysis_of
 from daq.errors import RecordError
 from daq.store.annotations import excluded_points
@@ -14,16 +14,16 @@ from daq.store.annotations import excluded_points
 if TYPE_CHECKING:
     from daq.store.run import Run
 
-NONSENSE = (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError)
-"""What a record that another program wrote makes a reduction run into."""
+INVALID_RECORD = (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError)
+"""Errors of a reduction if another program wrote the record."""
 
 
 def reduce_run(run: Run) -> Reduction:
     """The table of a run by its protocol, joined with the trials of the runs that it continues.
 
     Raises:
-        RecordError: an earlier run is missing or damaged, or the record, though whole, does not
-            hold what a test of its protocol writes.
+        RecordError: an earlier run is missing or damaged, or the record does not have the
+            contents of a test of its protocol.
     """
     chain = [run]
     while chain[-1].manifest.get("continues"):
@@ -33,8 +33,7 @@ def reduce_run(run: Run) -> Reduction:
         chain.append(earlier)
     reduction = _reduced(chain.pop())
     while chain:
-        later = chain.pop()
-        reduction = _continued(later, reduction)
+        reduction = _continued(chain.pop(), reduction)
     return reduction
 
 
@@ -42,41 +41,32 @@ def _reduced(run: Run) -> Reduction:
     """The table of a run alone."""
     try:
         return analysis_of(run.manifest.get("protocol")).reduce(run)
-    except NONSENSE as error:
+    except INVALID_RECORD as error:
         raise RecordError(
             str(run.folder),
-            f"holds nothing that a test of its protocol writes ({type(error).__name__}: {error})",
-            "it is whole, but this version of pamrig did not write it",
+            "does not have the contents of a test of its protocol"
+            f" ({type(error).__name__}: {error})",
+            "the record is complete, but this version of pamrig did not write it",
         ) from error
 
 
 def _continued(run: Run, first: Reduction) -> Reduction:
-    """A run's table behind that of the run it goes on with."""
+    """The table of the earlier runs, followed by that of the run that continues them."""
     before = run.manifest["continues"]
     own = _reduced(run)
     try:
         trials = [int(t) for t in before["trials"]]
-        return _joined(_also_excluded(run, first), own, trials, str(before["run_id"]))
-    except NONSENSE as error:
+        earlier = exclude(first, excluded_points(run.folder))
+        return _joined(earlier, own, trials, str(before["run_id"]))
+    except INVALID_RECORD as error:
         raise RecordError(
-            str(run.folder), f"does not say what it continues ({type(error).__name__}: {error})"
+            str(run.folder),
+            f"does not state correctly what it continues ({type(error).__name__}: {error})",
         ) from error
 
 
-def _also_excluded(run: Run, first: Reduction) -> Reduction:
-    """The earlier table without what was excluded in the run that goes on with it."""
-    reasons = excluded_points(run.folder)
-    out = first.table["order"].isin(list(reasons))
-    rows = first.table[out].to_dict("records")
-    listed = [
-        {"reason": reasons[int(r["order"])], **{str(k): v for k, v in r.items()}} for r in rows
-    ]
-    table = first.table[~out].reset_index(drop=True)
-    return replace(first, table=table, excluded=(*first.excluded, *listed))
-
-
 def earlier_run(run: Run) -> Run:
-    """The run that a run continues, beside it.
+    """The run that a run continues, in the same folder of runs.
 
     Raises:
         RecordError: it is not there.
@@ -88,7 +78,7 @@ def earlier_run(run: Run) -> Run:
     if name in ("", ".", "..") or Path(name).name != name or not (folder / "run.json").is_file():
         raise RecordError(
             str(run.folder),
-            f"continues run {name}, which is not beside it",
+            f"continues run {name}, which is not in the same folder",
             "put both runs into one folder",
         )
     return open_run(folder)
@@ -104,13 +94,14 @@ def _joined(first: Reduction, second: Reduction, trials: list[int], name: str) -
         "order", kind="stable", ignore_index=True
     )
     note = (
-        f"{len(trials)} whole trials ({len(kept)} points) are those of run {name}, which this one"
-        " continues"
+        f"{len(trials)} complete trials ({len(kept)} points) are those of run {name}, which this"
+        " run continues"
     )
     return replace(
         second,
         table=table,
-        notes=(note, *(n for n in second.notes if not n.startswith(STRANGERS))),
+        own_notes=(note, *second.own_notes),
         zeros=(*(z for z in first.zeros if z.get("trial") in trials), *second.zeros),
         excluded=(*first.excluded, *second.excluded),
+        unknown_exclusions=(),
     )

@@ -1,4 +1,4 @@
-"""The wait for the compiler, told of to who sits before it."""
+"""A message on the terminal while the simulation is compiled for the first time."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ import sys
 import threading
 from collections.abc import Iterator
 
-PATIENCE_S = 2.0
-WORDS = (
+DELAY_S = 2.0
+MESSAGE = (
     "loading the simulation; the first time after an installation it is compiled, "
     "which takes up to a minute"
 )
 
 
 @contextlib.contextmanager
-def tell_of_compiling(quiet: bool = False) -> Iterator[None]:
-    """Say on a terminal's stderr why nothing happens, if what is inside takes its time.
+def compilation_message(quiet: bool = False) -> Iterator[None]:
+    """Print a message on stderr if the code inside takes longer than ``DELAY_S``.
 
     Args:
-        quiet: say nothing; so it is anyway where stderr is no terminal.
+        quiet: print nothing. Nothing is printed either if stderr is not a terminal.
     """
     if quiet or not sys.stderr.isatty():
         yield
         return
-    timer = threading.Timer(PATIENCE_S, lambda: print(WORDS, file=sys.stderr, flush=True))
+    timer = threading.Timer(DELAY_S, lambda: print(MESSAGE, file=sys.stderr, flush=True))
     timer.daemon = True
     timer.start()
     try:

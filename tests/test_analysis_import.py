@@ -122,7 +122,7 @@ H = "pressure_kpa,length_mm,force_n"
         (f"{H}\n200,60\n", ["row 2", "2 cells", "3"]),
         (f"{H}\n200,60,5,5\n", ["row 2", "4 cells", "decimal"]),
         ("pressure_kpa;length_mm;force_n\n200;60;5\n", ["row 1", "commas"]),
-        (f"{H},force_n\n200,60,5,5\n", ["column force_n", "twice"]),
+        (f"{H},force_n\n200,60,5,5\n", ["column force_n", "occurs twice"]),
         (f"time_s,{H}\n0.1,200,60,5\n", ["column time_s", "time series", "settled"]),
         (f"{H},direction\n200,60,5,left\n", ["row 2 column direction", "'left'", "up, down"]),
         (f"{H},order\n200,60,5,first\n", ["row 2 column order", "whole number"]),
@@ -161,7 +161,7 @@ def test_values_somewhat_outside_the_sensor_are_noted_not_refused(tmp_path: Path
     ("trials", "samples", "said"),
     [
         ("trial\na\n", f"trial,{H}\nb,200,60,5\n", ["samples.csv row 2 column trial", "'b'"]),
-        ("trial\na\na\n", f"trial,{H}\na,200,60,5\n", ["trials.csv row 3", "twice"]),
+        ("trial\na\na\n", f"trial,{H}\na,200,60,5\n", ["trials.csv row 3", "occurs twice"]),
         ("trial,held_length_cm\na,6\n", f"trial,{H}\na,200,60,5\n", ["column held_length_cm"]),
         (None, f"trial,{H}\na,200,60,5\n", ["no trials.csv"]),
         ("trial\na\n", None, ["no samples.csv"]),

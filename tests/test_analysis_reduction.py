@@ -140,7 +140,7 @@ def test_the_live_length_and_the_remeasured_one_are_compared(tmp_path: Path) -> 
     run.events.append(
         {"kind": "length", "frame": 0, "pixels": 181.0, "u_pixels": 0.01, "trusted": True}
     )
-    assert any("differs from the one taken live" in note for note in reduce_isometric(run).notes)
+    assert any("differs from the live value" in note for note in reduce_isometric(run).notes)
 
 
 def test_a_wrong_zero_is_reported_and_not_corrected_away(tmp_path: Path) -> None:

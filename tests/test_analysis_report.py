@@ -19,6 +19,7 @@ from analysis.figures.timeline import min_max
 from analysis.figures.wording import with_u
 from analysis.findings.hysteresis import hysteresis_findings
 from analysis.findings.isobaric import isobaric_findings
+from analysis.findings.isometric import isometric_findings
 from analysis.findings.isotonic import isotonic_findings
 from analysis.formats.importer import import_points, import_thesis
 from analysis.reduction.columns import points_frame
@@ -160,14 +161,14 @@ def test_a_run_with_fewer_than_three_lengths_has_lines_but_no_law(tmp_path: Path
     data = report_json(open_run(truth.folder))
     assert len(data["lengths"]) == 1
     assert data["laws"] == []
-    assert "Held at 60.0" in data["headline"]
+    assert "N/kPa at a length of 60.0" in data["headline"]
 
 
 def test_no_more_is_claimed_than_the_pressures_that_were_measured(tmp_path: Path) -> None:
     """The region goes to 600 kPa, the test did not."""
     truth = write_run(tmp_path, np.random.default_rng(1), (60.0,), (100.0, 200.0, 300.0), ("up",))
     page, _ = page_of(truth.folder)
-    assert "harder for each kPa between 200 and 300 kPa" in page.text
+    assert "Between 200 and 300 kPa the force rises by" in page.text
     assert "Straight lines at each length, 200 to 300 kPa" in page.text
 
 
@@ -182,10 +183,11 @@ def test_one_held_pressure_is_told_as_one(tmp_path: Path) -> None:
         tmp_path, np.random.default_rng(1), pressures_kpa=(200.0,), protocol="isobaric"
     )
     headline = report_json(open_run(truth.folder))["headline"]
-    assert re.fullmatch(r"Held at 200 kPa the muscle pulls \d\.\d+ N harder .*", headline)
+    text = r"At a constant pressure of 200 kPa the force rises by \d\.\d+ N per mm .*"
+    assert re.fullmatch(text, headline)
     several = write_run(tmp_path, np.random.default_rng(1), protocol="isobaric").folder
     headline = report_json(open_run(several))["headline"]
-    assert headline.startswith("Held between 200 and 600 kPa the muscle pulls")
+    assert headline.startswith("At constant pressures between 200 and 600 kPa the force rises by")
     assert headline.endswith(" N/mm, P in kPa.")
 
 
@@ -234,7 +236,7 @@ def test_a_contraction_holds_what_the_camera_leaves_open(recorded: Path) -> None
     ("lengths_mm", "headline", "blind"),
     [
         ({1.0: (60.0, 50.0), 2.0: (math.nan, math.nan)}, "Under 1 kg the muscle", "2 kg"),
-        ({1.0: (math.nan, math.nan)}, "No length was seen", "1 kg"),
+        ({1.0: (math.nan, math.nan)}, "No length was measured", "1 kg"),
     ],
 )
 def test_a_load_under_which_the_camera_saw_nothing_is_named(
@@ -242,7 +244,7 @@ def test_a_load_under_which_the_camera_saw_nothing_is_named(
 ) -> None:
     found = isotonic_findings(open_run(recorded), hung(lengths_mm))
     assert found.headline.startswith(headline)
-    assert f"No length was seen under {blind}." in found.sections[1].words
+    assert f"No length was measured under {blind}." in found.sections[1].words
     for section in found.sections:
         section_parts(section)
 
@@ -277,7 +279,7 @@ def test_a_loop_within_its_uncertainty_is_told_as_none(recorded: Path) -> None:
     up = (0.0, 200.0, 400.0, 600.0)
     found = hysteresis_findings(open_run(recorded), loop(up, up[::-1]))
     assert found.headline == (
-        "On the way up and on the way down the force is the same within its uncertainty: the means"
+        "At rising and at falling pressure the force is the same within its uncertainty: the means"
         " of each cycle differ by less than 0.01 N."
     )
     cells = [c["text"] for row in section_parts(found.sections[1])["rows"] for c in row["cells"]]
@@ -339,7 +341,9 @@ def test_json_holds_no_nan_and_the_same_points(recorded: Path, thesis: Path) -> 
 
 
 def test_a_chosen_region_is_used_and_named(thesis: Path) -> None:
-    data = report_json(open_run(thesis), region_kpa=(0.0, 125.0))
+    run = open_run(thesis)
+    found = isometric_findings(run, reduce_isometric(run), region_kpa=(0.0, 125.0))
+    data = report_json(run, findings=found)
     assert {line["n"] for line in data["lengths"]} == {5}
     assert data["thesis"] is None
     assert "0 and 125 kPa" in data["headline"]

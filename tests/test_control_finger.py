@@ -164,7 +164,7 @@ class TestThroughTheFirmware:
     def test_what_the_valves_are_told_is_the_firmwares(self) -> None:
         """Whole 5 us, never both sides of a pair of valves without the scheme, at most a tick."""
         bench = self.bench()
-        bench.ask(np.full(8, 200.0))
+        bench.set_pressures(np.full(8, 200.0))
         seen = []
         advance = bench.sim.advance
         bench.sim.advance = lambda dt, on: (seen.append(on.copy()), advance(dt, on))[1]  # type: ignore[method-assign, assignment, func-returns-value]
@@ -178,7 +178,7 @@ class TestThroughTheFirmware:
 
     def test_a_silent_host_means_vented(self) -> None:
         bench = self.bench()
-        bench.ask(np.full(8, 200.0))
+        bench.set_pressures(np.full(8, 200.0))
         bench.run(500)
         bench._send = lambda i, text: None  # type: ignore[method-assign]
         bench.run(1500)
@@ -190,7 +190,7 @@ class TestThroughTheFirmware:
         slow = self.bench(sensing=Sensing(line_delay_ms=30, angle_delay_ms=20))
         quick = self.bench()
         for bench in (slow, quick):
-            bench.ask(np.tile([300.0, 200.0], 4))
+            bench.set_pressures(np.tile([300.0, 200.0], 4))
             bench.run(25)
         assert quick.sim.pressure_kpa.max() > 5.0
         assert slow.sim.pressure_kpa.max() < 3.0  # what falling makes
@@ -224,7 +224,7 @@ BEYOND_ADAPTIVE = (
 def halving(law: str, valve: str, case: Case) -> float:
     """Largest relative change of any figure of step and circle when the finger's step is halved."""
     rows = [run_case(FINGER, law, valve, case, step_max_s=s) for s in (5e-5, 2.5e-5)]
-    figures = [{**row.step.as_dict(), **row.path.as_dict()} for row in rows]
+    figures = [{**dataclasses.asdict(row.step), **dataclasses.asdict(row.path)} for row in rows]
     changes = []
     for key, value in figures[0].items():
         other = figures[1][key]
@@ -311,7 +311,7 @@ class TestAcceptance:
         trial = run_trial(FINGER, "adaptive", "cured", case, circle(FINGER))
         assert path_figures(trial).rms_mm < 1.0
         # Abduction does not move on the circle, so nothing is known of its friction.
-        learnt = np.asarray(trial.notes["note"])[-1, 1:]
+        learnt = trial.estimates[-1, 1:]
         np.testing.assert_allclose(learnt, [0.0, 2.0, 2.0, 2.0], atol=0.2)
 
     def test_the_thesis_schemes_swing_on_the_thesis_valve_only(self) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.reduction.step import judge
+from analysis.reduction.step import figures_of_merit
 from analysis.reporting.report import report_json
 from daq.errors import ConfigError
 from daq.store.run import Run, open_run
@@ -40,7 +40,7 @@ def test_a_response_is_judged_as_by_hand() -> None:
     kpa = np.where(t < 100, 240.0, 198.0 + 5.0 * np.where((t // 50) % 2, 1.0, -1.0))
     driven = np.zeros((1000, 2), dtype=bool)
     driven[:, 0] = (t // 50) % 2 == 1
-    found = judge(kpa, driven, goal=200.0, before=0.0, last=500, band=10.0)
+    found = figures_of_merit(kpa, driven, goal=200.0, before=0.0, last=500, band=10.0)
     assert found["error_kpa"] == pytest.approx(2.0)
     assert found["overshoot_kpa"] == pytest.approx(40.0)
     assert found["ripple_kpa"] == pytest.approx(10.0)
@@ -54,7 +54,9 @@ def test_a_mean_of_five_samples_counts_at_its_middle(sign: float) -> None:
     """It counted at its first sample: 2 ms early."""
     kpa = 300.0 + sign * np.minimum(np.arange(1000) * 0.5, 200.0)
     goal = 300.0 + sign * 200.0
-    found = judge(kpa, np.zeros((1000, 2), bool), goal=goal, before=300.0, last=500, band=10.25)
+    found = figures_of_merit(
+        kpa, np.zeros((1000, 2), bool), goal=goal, before=300.0, last=500, band=10.25
+    )
     assert found["rise_s"] == pytest.approx(0.360)
     assert found["settle_s"] == pytest.approx(0.380)
 
@@ -62,14 +64,18 @@ def test_a_mean_of_five_samples_counts_at_its_middle(sign: float) -> None:
 def test_a_response_that_swings_to_the_end_has_not_settled() -> None:
     t = np.arange(1000)
     kpa = 200.0 + 30.0 * np.sin(t / 30.0)
-    found = judge(kpa, np.zeros((1000, 2), bool), goal=200.0, before=0.0, last=500, band=10.0)
+    found = figures_of_merit(
+        kpa, np.zeros((1000, 2), bool), goal=200.0, before=0.0, last=500, band=10.0
+    )
     assert math.isnan(found["settle_s"])
     assert found["ripple_kpa"] == pytest.approx(60.0, abs=0.5)
 
 
 def test_a_falling_step_overshoots_downwards() -> None:
     kpa = np.concatenate([np.linspace(300, 80, 200), np.full(800, 100.0)])
-    found = judge(kpa, np.zeros((1000, 2), bool), goal=100.0, before=300.0, last=500, band=5.0)
+    found = figures_of_merit(
+        kpa, np.zeros((1000, 2), bool), goal=100.0, before=300.0, last=500, band=5.0
+    )
     assert found["overshoot_kpa"] == pytest.approx(20.0, abs=3.0)
 
 
@@ -91,7 +97,7 @@ def test_schemes_are_told_apart_and_errors_hold_the_truth(tmp_path: Path) -> Non
         error = abs(float(truth.mean()) - event["set_pressure_kpa"])
         assert abs(row["error_kpa"] - error) < 2 * row["u_error_kpa"]
     data = report_json(run)
-    assert "bursts that know the valve" in data["headline"]
+    assert "bursts with valve model" in data["headline"]
     assert [row["name"] for row in data["results"]["schemes"]] == ["two", "burst"]
 
 

@@ -12,7 +12,7 @@ from typing import TextIO
 import pytest
 
 from studies import first_use as firstuse
-from studies.first_use import WORDS, tell_of_compiling
+from studies.first_use import MESSAGE, compilation_message
 
 pytestmark = pytest.mark.realtime
 pty = pytest.importorskip("pty", reason="no terminals of this kind on this system")
@@ -22,7 +22,7 @@ pty = pytest.importorskip("pty", reason="no terminals of this kind on this syste
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, TextIO]]:
     """A real terminal for stderr to go to, and the descriptor from which it can be read."""
     ours, theirs = pty.openpty()
-    monkeypatch.setattr(firstuse, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(firstuse, "DELAY_S", 0.05)
     with os.fdopen(theirs, "w") as stream:
         os.set_blocking(ours, False)
         yield ours, stream
@@ -32,7 +32,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, TextIO]]:
 def shown(terminal: int, wait_s: float) -> str:
     end = time.monotonic() + wait_s
     text = b""
-    while time.monotonic() < end and WORDS.encode() not in text:
+    while time.monotonic() < end and MESSAGE.encode() not in text:
         try:
             text += os.read(terminal, 4096)
         except BlockingIOError:
@@ -45,13 +45,13 @@ def test_a_long_wait_is_told_of(
     terminal: tuple[int, TextIO], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "stderr", terminal[1])
-    with tell_of_compiling():
-        assert WORDS in shown(terminal[0], 120.0)
+    with compilation_message():
+        assert MESSAGE in shown(terminal[0], 120.0)
 
 
 def test_a_short_one_is_not(terminal: tuple[int, TextIO], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", terminal[1])
-    with tell_of_compiling():
+    with compilation_message():
         pass
     assert shown(terminal[0], 0.3) == ""
 
@@ -60,5 +60,5 @@ def test_neither_is_anybody_who_asked_for_quiet(
     terminal: tuple[int, TextIO], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "stderr", terminal[1])
-    with tell_of_compiling(quiet=True):
+    with compilation_message(quiet=True):
         assert shown(terminal[0], 0.3) == ""

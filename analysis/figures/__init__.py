@@ -1,1 +1,1 @@
-"""Style and wording of figures and tables, and the figures that several reports share."""
+"""Style and wording of figures and tables, and figures that several reports use."""

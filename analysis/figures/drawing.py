@@ -1,23 +1,31 @@
-"""How figures are drawn: style, colours, names at the curves' ends, output."""
+"""Drawing of figures: style, colours, curves with error bars, labels at their ends, output."""
 
 from __future__ import annotations
 
 import io
+import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MARKERS = "osD^vPX"
+DASHES = ("-", "--", ":", "-.")
 INK = "#222222"
 QUIET = "#8a8a8a"
 MEASURED = "#0072B2"
 SET = "#E69F00"
 COVERAGE = 2.0
-"""Error bars are expanded uncertainties, k = 2."""
+"""Coverage factor: error bars are expanded uncertainties, k = 2."""
+
+CurveEnds = list[tuple[float, float, str, Any]]
+"""Right ends of curves: x, y, label, colour."""
 
 STYLE: dict[str, Any] = {
     "font.size": 9.0,
@@ -40,7 +48,7 @@ STYLE: dict[str, Any] = {
 
 
 def as_svg(figure: Figure) -> bytes:
-    """The figure as SVG with glyphs as paths and no date: the same bytes for the same data."""
+    """The figure as SVG, glyphs as paths, without a date. Equal data give equal bytes."""
     from matplotlib import rc_context
 
     buffer = io.BytesIO()
@@ -57,7 +65,7 @@ def as_png(figure: Figure, dpi: int = 150) -> bytes:
 
 
 def style() -> Any:
-    """The house style for as long as the context lasts."""
+    """Context manager that sets the style of all figures."""
     import matplotlib as mpl
 
     return mpl.rc_context(STYLE)
@@ -66,7 +74,7 @@ def style() -> Any:
 def new_figure(
     width: float, height: float, rows: int = 1, columns: int = 1, sharex: bool = False
 ) -> tuple[Figure, Any]:
-    """A figure that belongs to no window and no global state."""
+    """A figure without a window and without global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -76,26 +84,111 @@ def new_figure(
 
 
 def sequence(count: int) -> list[Any]:
-    """Colours in order of length that keep their order without colour vision (most of viridis)."""
+    """Ordered colours that are also distinguishable without colour vision (from viridis)."""
     import matplotlib as mpl
 
     return list(mpl.colormaps["viridis"](np.linspace(0.02, 0.86, max(count, 1))))
 
 
-def directions_legend(axes: Axes, what: str, place: str) -> None:
-    """Say which marker stands for ``what`` rising and which for falling."""
+def marker(index: int) -> str:
+    """The marker of a curve."""
+    return MARKERS[index % len(MARKERS)]
+
+
+def bars(rows: pd.DataFrame, column: str) -> npt.NDArray[np.float64] | None:
+    """Error bars (k = 2) of a column; None if no uncertainty is known."""
+    values = rows[f"u_{column}"].to_numpy(dtype=np.float64)
+    return None if np.isnan(values).all() else COVERAGE * np.nan_to_num(values)
+
+
+def curve(  # noqa: PLR0913 - what a curve may look like, by name
+    axes: Axes,
+    rows: pd.DataFrame,
+    columns: tuple[str, str],
+    setting: pd.Series,
+    colour: Any,
+    index: int,
+    *,
+    down: bool = False,
+    linestyle: str = "-",
+    label: str | None = None,
+) -> tuple[float, float]:
+    """Draw points with error bars, and a line through the means of each setting.
+
+    Args:
+        axes: where to draw.
+        rows: the points.
+        columns: names of x and y.
+        setting: nominal value of each row; rows of one value are averaged for the line.
+        colour: of points and line.
+        index: of the curve, selects the marker.
+        down: the pressure was falling: open markers and a dashed line.
+        linestyle: of the line if not ``down``.
+        label: for the legend.
+
+    Returns:
+        The right end of the line, NaN without points.
+    """
+    points = rows.dropna(subset=list(columns))
+    if not len(points):
+        return math.nan, math.nan
+    x, y = columns
+    axes.errorbar(
+        points[x], points[y], xerr=bars(points, x), yerr=bars(points, y), fmt=marker(index),
+        color=colour, ecolor=colour, elinewidth=0.7, markeredgewidth=0.9, label=label,
+        markersize=5.4 if down else 3.6,  # an open marker is visible around a filled one
+        markerfacecolor="white" if down else colour, zorder=3 if down else 4,
+    )  # fmt: skip
+    mean = points[[x, y]].astype(float).groupby(setting[points.index]).mean().sort_index()
+    style = "--" if down else linestyle
+    axes.plot(mean[x], mean[y], color=colour, linewidth=1.1, linestyle=style, zorder=2)
+    return float(mean[x].iloc[-1]), float(mean[y].iloc[-1])
+
+
+def curves_figure(
+    count: int,
+    x_label: str,
+    y_label: str,
+    heading: str,
+    draw: Callable[[Axes, list[Any], CurveEnds], None],
+    zero_line: bool = True,
+) -> Figure:
+    """A figure of curves that are labelled at their right ends.
+
+    Args:
+        count: number of colours.
+        x_label, y_label: axis labels.
+        heading: of the labels at the curves.
+        draw: draws into the axes with these colours and appends the ends of the curves.
+        zero_line: draw the line y = 0.
+    """
+    with style():
+        figure, axes = new_figure(7.2, 4.9)
+        ends: CurveEnds = []
+        draw(axes, sequence(count), ends)
+        if zero_line:
+            axes.axhline(0.0, color=QUIET, linewidth=0.8)
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        axes.margins(y=0.06)
+        labels_at_right(axes, ends, heading)
+    return figure
+
+
+def directions_legend(axes: Axes, place: str) -> None:
+    """Legend of the markers for rising and falling pressure."""
     from matplotlib.lines import Line2D
 
     looks: tuple[dict[str, Any], ...] = (
-        {"label": f"{what} rising"},
-        {"label": f"{what} falling", "mfc": "white", "ls": "--"},
+        {"label": "pressure rising"},
+        {"label": "pressure falling", "mfc": "white", "ls": "--"},
     )
     handles = [Line2D([], [], color=INK, marker="o", markersize=4, **look) for look in looks]
     axes.legend(handles=handles, loc=place)
 
 
-def labels_at_right(axes: Axes, ends: list[tuple[float, float, str, Any]], heading: str) -> None:
-    """Name each curve where it ends, moved apart so that no two names overlap."""
+def labels_at_right(axes: Axes, ends: CurveEnds, heading: str) -> None:
+    """Label each curve at its right end; the labels do not overlap."""
     ends = sorted((end for end in ends if np.isfinite(end[:2]).all()), key=lambda end: end[1])
     if not ends:
         return
@@ -103,37 +196,21 @@ def labels_at_right(axes: Axes, ends: list[tuple[float, float, str, Any]], headi
     height_points = axes.figure.bbox.height / axes.figure.dpi * 72.0 * 0.8
     gap = (high - low) * 9.5 / height_points
     places = spread([end[1] for end in ends], gap)
+    text: dict[str, Any] = {
+        "color": INK, "fontsize": 8, "va": "center", "annotation_clip": False,
+    }  # fmt: skip
     for (x, y, label, colour), place in zip(ends, places, strict=True):
+        arrow = {"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
         axes.annotate(
-            label,
-            xy=(x, y),
-            xytext=(1.035, place),
-            textcoords=("axes fraction", "data"),
-            color=INK,
-            fontsize=8,
-            va="center",
-            annotation_clip=False,
-            arrowprops={
-                "arrowstyle": "-",
-                "color": colour,
-                "linewidth": 0.5,
-                "shrinkA": 1,
-                "shrinkB": 3,
-            },
-        )
-    axes.annotate(
-        heading,
-        xy=(1.035, places[-1] + gap * 1.2),
-        xycoords=("axes fraction", "data"),
-        fontsize=8,
-        color=INK,
-        va="center",
-        annotation_clip=False,
-    )
+            label, xy=(x, y), xytext=(1.035, place), textcoords=("axes fraction", "data"),
+            arrowprops=arrow, **text,
+        )  # fmt: skip
+    top = (1.035, places[-1] + gap * 1.2)
+    axes.annotate(heading, xy=top, xycoords=("axes fraction", "data"), **text)
 
 
 def spread(wanted: list[float], gap: float) -> list[float]:
-    """Places at least ``gap`` apart and in order, as near the wanted ones as that allows."""
+    """Positions in the same order, at least ``gap`` apart, with the least squared displacement."""
     blocks: list[list[float]] = []  # each: [sum of (wanted - offset), number]
     for value in wanted:
         blocks.append([value, 1.0])

@@ -1,4 +1,4 @@
-"""The raw time line of a run: pressure, force, and when its points were taken."""
+"""The time line of a run: pressure, force, and the times of its points."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Floats = npt.NDArray[np.float64]
 
 
 def timeline_figure(run: Run) -> Figure | None:
-    """Set-point and measured pressure, force, and when the points were taken; None if no samples.
+    """Set-point and measured pressure, force, and the times of the points; None without samples.
 
-    Decimated to the lowest and highest value of each bin, so that nothing short is lost. Force is
-    drawn from its first tare on: what else a balance reads is none.
+    The curves are decimated to their min/max envelope, so that short events stay visible. The
+    force is drawn from the first tare on, because earlier balance readings are not forces.
     """
     try:
         valve, balance = run.samples("valve"), run.samples("balance")
@@ -61,20 +61,15 @@ def timeline_figure(run: Run) -> Figure | None:
         bottom.set_xlabel("time since the first sample (s)")
         middles = _point_times(run, valve["seq"], time_s)
         top.plot(
-            middles,
-            np.full(len(middles), 0.03),
-            "|",
-            color=INK,
-            markersize=7,
-            transform=top.get_xaxis_transform(),
-            label="settled point",
-        )
+            middles, np.full(len(middles), 0.03), "|", color=INK, markersize=7,
+            transform=top.get_xaxis_transform(), label="settled point",
+        )  # fmt: skip
         top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8)
     return figure
 
 
 def min_max(x: Floats, y: Floats, bins: int = 1200) -> tuple[Floats, Floats]:
-    """First the lowest, then the highest value of each of ``bins`` equal runs of samples."""
+    """The min/max envelope: minimum, then maximum of each of ``bins`` equal ranges of samples."""
     if len(x) <= 2 * bins:
         return x, y
     edges = np.linspace(0, len(x), bins + 1).astype(int)[:-1]
@@ -83,7 +78,7 @@ def min_max(x: Floats, y: Floats, bins: int = 1200) -> tuple[Floats, Floats]:
 
 
 def _point_times(run: Run, seq: npt.NDArray[Any], time_s: Floats) -> Floats:
-    """Middle of each settled window, s on the figure's axis."""
+    """Middle of each settled window in s, on the axis of the figure."""
     middles = []
     for event in run.events:
         if event.get("kind") == "point" and "valve_seq" in event:

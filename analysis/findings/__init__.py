@@ -1,1 +1,1 @@
-"""What a test shows: one module per protocol, from its table to figures and numbers."""
+"""Results of each test for its report: numbers, sentences, sections; comparison with the thesis."""

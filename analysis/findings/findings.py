@@ -1,8 +1,8 @@
-"""What the analysis of a test is made of: its reduction, its findings, its panels."""
+"""The analysis of a protocol: its reduction, its findings and its live layout."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -14,58 +14,103 @@ if TYPE_CHECKING:
     from daq.live.layout import LiveLayout
     from daq.store.run import Run
 
+EXPANDED = "± expanded uncertainty, k = 2"
+BARS = "Bars: expanded uncertainty, k = 2, if larger than the marker."
+NO_SETTLED_POINT = "No settled point was reached, so there is no result."
+NO_POINT = "No point was measured, so there is no result."
+
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a report: a heading, words, a table, a figure; what is empty is left out.
+    """A section of a report. Empty parts are left out.
 
     Attributes:
         title: heading.
         words: paragraphs of plain text.
-        table: rows to print; columns are printed as ``columns`` heads them, and a column X
-            with a column u_X beside it is printed as X ± 2 u_X.
-        columns: (column, heading) pairs; a heading's unit stands after a comma.
-        figure: drawn only when a page is written.
-        caption: what the figure shows, and what its bars are.
+        table: rows to print. A column X with a column u_X is printed as X ± 2 u_X.
+        columns: (column, heading) pairs of the printed columns; the unit in a heading follows a
+            comma.
+        figure: function that draws the figure; it is called only when a page is written.
+        caption: describes the figure or the table, and the error bars.
     """
 
     title: str
     words: tuple[str, ...] = ()
     table: pd.DataFrame | None = None
     columns: tuple[tuple[str, str], ...] = ()
-    figure: Callable[[], Figure] | None = None
+    figure: Callable[[], Figure | None] | None = None
     caption: str = ""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What a test found, for its report and for --json.
+    """Results of a test, for its report and for --json.
 
     Attributes:
         headline: the result in one sentence.
         sections: tables and figures in reading order.
         data: plain values for --json (tables as lists of rows).
+        report_entries: if given, these are entries of the JSON report in place of ``data`` and
+            the sections.
     """
 
     headline: str
     sections: tuple[Section, ...] = ()
     data: dict[str, Any] = field(default_factory=dict)
+    report_entries: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """How the runs of one protocol are analysed; needs the record alone, no hardware.
+    """The analysis of the runs of one protocol. It needs the record only, no hardware.
 
     Attributes:
-        name: the protocol, as records name it.
-        title: name for a person ("Isobaric test").
-        reduce: a run to its table of points.
+        name: the protocol, as in records.
+        title: its title ("Isobaric test").
+        reduce: reduces a run to its table of points.
         layout: panels of the live view and the view file, from ``parameters`` of run.json.
-        findings: results from the table; None where the report is the isometric one's.
+        findings: results from the table.
     """
 
     name: str
     title: str
     reduce: Callable[[Run], Reduction]
     layout: Callable[[Mapping[str, Any]], LiveLayout]
-    findings: Callable[[Run, Reduction], Findings] | None = None
+    findings: Callable[[Run, Reduction], Findings]
+
+
+def source_table(run: Run) -> str | None:
+    """The thesis table that a run was imported from ("C-1"), None for other runs."""
+    table: str | None = (run.manifest.get("source") or {}).get("table")
+    return table
+
+
+def max_pressure_kpa(parameters: Mapping[str, Any], key: str = "pressures_kpa") -> float:
+    """The highest pressure of a test, for the axes of its live view."""
+    return float(max(parameters.get(key) or [600.0]))
+
+
+def claims_section(
+    title: str, words: str, claims: Iterable[tuple[str, str, bool]], measured: str = "measured"
+) -> Section:
+    """A section that compares statements of the thesis with the results.
+
+    Args:
+        title: heading.
+        words: one paragraph.
+        claims: statement, result, and whether they agree.
+        measured: heading of the results.
+    """
+    import pandas as pd
+
+    return Section(
+        title,
+        (words,),
+        pd.DataFrame(claims, columns=["claim", "found", "same"]),
+        (("claim", "statement"), ("found", measured), ("same", "agrees")),
+    )
+
+
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows of a table as dicts."""
+    return [{str(k): v for k, v in row.items()} for row in table.to_dict("records")]

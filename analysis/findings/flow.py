@@ -1,24 +1,37 @@
-"""What a table of air velocity against pressure says (Table D-5, Figure 5-22, Equation 5-9).
+"""Findings of a flow test: air velocity against pressure (Table D-5, Figure 5-22, Equation 5-9).
 
-Two forms are fitted: the thesis's Fanning form, pressure = a + b velocity squared, and the flow
-of ISO 6358 through the valve, with its conductance C and critical pressure ratio.
+Two models are fitted: the Fanning form of the thesis, pressure = a + b velocity squared, and the
+flow through the valve by ISO 6358, with conductance C and critical pressure ratio.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from analysis.findings.findings import Analysis, Findings, Section
+from analysis.findings.findings import (
+    EXPANDED,
+    NO_POINT,
+    Analysis,
+    Findings,
+    Section,
+    source_table,
+)
+from analysis.findings.thesis_check import printed_rows, to_printed
 from analysis.layouts.valve import valve_layout
 from analysis.reduction.valve import reduce_flow
 from analysis.regression.least_squares import Line, straight_line
-from daq.live.layout import LiveLayout
+from plant.constants import (
+    GAS_CONSTANT_J_KG_K,
+    REFERENCE_DENSITY_KG_M3,
+    REFERENCE_TEMPERATURE_K,
+)
+from plant.physics.flow import subsonic_factors
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,52 +41,50 @@ if TYPE_CHECKING:
     from daq.store.run import Run
 
 Floats = npt.NDArray[np.float64]
-GAS_J_KG_K = 287.05
-DENSITY_0 = 1.185
-TEMPERATURE_0 = 293.15
-"""Gas constant of air, and the reference density and temperature of ISO 6358."""
 ATMOSPHERE_KPA = 101.325
 U_ATMOSPHERE_KPA = 1.0
 U_TEMPERATURE_K = 3.0
-"""Where the record knows no better: weather and room."""
+"""Standard uncertainty of atmosphere and room temperature, which are not in the record."""
+DIGITS = {"coef": 6, "stdev": 6, "t": 2, "p": 3}
+"""Decimals of the regression table."""
 
 
 @dataclass(frozen=True)
 class Meter:
-    """What turns a velocity into a flow of mass.
+    """The air-velocity meter and the conditions that relate velocity to mass flow.
 
     Attributes:
-        bore_mm, u_bore_mm: diameter of the pipe that the meter sits in.
+        bore_mm, u_bore_mm: diameter of the pipe of the meter.
         atmosphere_kpa, temperature_k: of the room.
     """
 
     bore_mm: float
     u_bore_mm: float = 0.0
     atmosphere_kpa: float = ATMOSPHERE_KPA
-    temperature_k: float = TEMPERATURE_0
+    temperature_k: float = REFERENCE_TEMPERATURE_K
 
     @property
     def velocity_per_conductance(self) -> float:
-        """m/s for each m3/(s Pa) of conductance and Pa of upstream pressure, choked."""
+        """Velocity in m/s per conductance in m3/(s Pa) and upstream pressure in Pa, choked flow."""
         area = math.pi / 4 * (self.bore_mm * 1e-3) ** 2
-        density = self.atmosphere_kpa * 1e3 / (GAS_J_KG_K * self.temperature_k)
-        return DENSITY_0 * math.sqrt(TEMPERATURE_0 / self.temperature_k) / (density * area)
+        density = self.atmosphere_kpa * 1e3 / (GAS_CONSTANT_J_KG_K * self.temperature_k)
+        cooling = math.sqrt(REFERENCE_TEMPERATURE_K / self.temperature_k)
+        return REFERENCE_DENSITY_KG_M3 * cooling / (density * area)
 
 
 def flow_share(pressure_kpa: Floats, critical: float, atmosphere_kpa: float) -> Floats:
-    """Upstream absolute pressure in Pa times ISO 6358's share of the choked flow."""
+    """Upstream absolute pressure in Pa times the subsonic factor of ISO 6358."""
     upstream = pressure_kpa + atmosphere_kpa
-    ratio = np.clip(atmosphere_kpa / np.maximum(upstream, atmosphere_kpa), critical, 1.0)
-    share = 1.0 - ((ratio - critical) / (1.0 - critical)) ** 2
-    return np.asarray(upstream * 1e3 * np.sqrt(np.maximum(share, 0.0)))
+    ratio = atmosphere_kpa / np.maximum(upstream, atmosphere_kpa)
+    return np.asarray(upstream * 1e3 * subsonic_factors(ratio, critical))
 
 
 @dataclass(frozen=True)
 class IsoFit:
-    """ISO 6358 through a table: conductance in m3/(s Pa), critical ratio, scatter in m/s.
+    """Fit of ISO 6358: conductance in m3/(s Pa), critical ratio, scatter in m/s.
 
-    ``u_*`` hold the scatter of the readings and, common to all of them, pressure zero and gain,
-    the meter's gain, its bore, and the room.
+    ``u_*`` include the scatter of the readings and the common errors: zero and gain of pressure
+    and velocity, bore of the meter, atmosphere and temperature. ``parts`` has each of these.
     """
 
     conductance: float
@@ -94,12 +105,12 @@ def fit_iso(
 
     Args:
         table: with pressure_kpa, velocity_m_s and their ``u_..._noise``.
-        meter: what the velocity was read in.
-        pressure_u: standard uncertainty of the pressure's zero (kPa) and gain (relative).
-        velocity_u: of the velocity's zero (m/s) and gain (relative).
+        meter: the meter of the velocities.
+        pressure_u: standard uncertainty of the pressure zero (kPa) and gain (relative).
+        velocity_u: the same of the velocity zero (m/s) and gain (relative).
 
     Returns:
-        None with fewer than four points that flow.
+        None with fewer than four points with flow.
     """
     rows = table.dropna(subset=["pressure_kpa", "velocity_m_s"])
     rows = rows[rows["velocity_m_s"] > 0]
@@ -132,7 +143,7 @@ def fit_iso(
 def _solve(
     p: Floats, v: Floats, u_p: Floats, u_v: Floats, meter: Meter
 ) -> tuple[Floats, Floats, float]:
-    """(C, critical ratio), their covariance from the scatter, and that scatter in m/s."""
+    """(C, critical ratio), their covariance from the scatter, and the scatter in m/s."""
     from scipy.optimize import least_squares
 
     k = meter.velocity_per_conductance
@@ -156,10 +167,9 @@ def _solve(
 
 
 def flow_findings(run: Run, reduction: Reduction) -> Findings:
-    """Velocity against pressure and both forms."""
+    """Velocity against pressure and both models."""
     table = reduction.table
-    velocity = table["velocity_m_s"].to_numpy(dtype=np.float64)
-    pressure = table["pressure_kpa"].to_numpy(dtype=np.float64)
+    pressure, velocity = _columns(table)
     fanning = straight_line(velocity**2, pressure)
     meter = _meter(run)
     iso = None
@@ -172,12 +182,19 @@ def flow_findings(run: Run, reduction: Reduction) -> Findings:
         Section(
             "Air velocity against pressure",
             figure=lambda: _figure(table, fanning, iso, meter),
-            caption="The form of the thesis's Figure 5-22. Bars: expanded uncertainty, k = 2.",
+            caption="As in Figure 5-22 of the thesis. Bars: expanded uncertainty, k = 2.",
         )
     ]
     data: dict[str, Any] = {}
     if fanning is not None:
-        data |= _fanning_data(fanning)
+        data |= {
+            "fanning_constant_kpa": fanning.intercept,
+            "u_fanning_constant_kpa": fanning.u_intercept,
+            "fanning_coefficient": fanning.slope,
+            "u_fanning_coefficient": fanning.u_slope,
+            "fanning_s_kpa": fanning.s,
+            "fanning_r2": fanning.r2,
+        }
         sections.append(_fanning_section(run, fanning))
     if iso is not None and meter is not None:
         data |= {
@@ -196,9 +213,28 @@ def flow_findings(run: Run, reduction: Reduction) -> Findings:
     )  # fmt: skip
     sections.append(
         Section("All points: the form of Table D-5", table=table, columns=columns,
-                caption="± expanded uncertainty, k = 2. The same with more digits: table.csv.")
+                caption=f"{EXPANDED}. table.csv has more digits.")
     )  # fmt: skip
     return Findings(_headline(fanning, iso, len(table)), tuple(sections), data)
+
+
+def _columns(table: pd.DataFrame) -> tuple[Floats, Floats]:
+    """Pressure in kPa and velocity in m/s."""
+    pressure, velocity = (
+        table[name].to_numpy(dtype=np.float64) for name in ("pressure_kpa", "velocity_m_s")
+    )
+    return pressure, velocity
+
+
+def _fanning_velocity(line: Line, pressure: Floats) -> Floats:
+    """Velocity of the Fanning form."""
+    return np.asarray(np.sqrt(np.maximum((pressure - line.intercept) / line.slope, 0.0)))
+
+
+def _fanning_rms(line: Line, table: pd.DataFrame, mean: Callable[[Floats], Any]) -> float:
+    """Rms residual of the velocities of the Fanning form, in m/s."""
+    pressure, velocity = _columns(table)
+    return float(np.sqrt(mean((_fanning_velocity(line, pressure) - velocity) ** 2)))
 
 
 def _meter(run: Run) -> Meter | None:
@@ -206,7 +242,7 @@ def _meter(run: Run) -> Meter | None:
     if not flow.get("bore_mm"):
         return None
     conditions = run.manifest.get("conditions") or {}
-    kelvin = float(conditions.get("temperature_c", TEMPERATURE_0 - 273.15)) + 273.15
+    kelvin = float(conditions.get("temperature_c", REFERENCE_TEMPERATURE_K - 273.15)) + 273.15
     return Meter(float(flow["bore_mm"]), float(flow.get("u_bore_mm", 0.0)), temperature_k=kelvin)
 
 
@@ -214,28 +250,17 @@ def _zero_gain(calibration: Any) -> tuple[float, float]:
     return (0.0, 0.0) if calibration is None else (calibration.u_offset, calibration.u_gain)
 
 
-def _fanning_data(line: Line) -> dict[str, Any]:
-    return {
-        "fanning_constant_kpa": line.intercept,
-        "u_fanning_constant_kpa": line.u_intercept,
-        "fanning_coefficient": line.slope,
-        "u_fanning_coefficient": line.u_slope,
-        "fanning_s_kpa": line.s,
-        "fanning_r2": line.r2,
-    }
-
-
 def _headline(fanning: Line | None, iso: IsoFit | None, points: int) -> str:
     if not points:
-        return "No point was measured, so there is no result."
+        return NO_POINT
     if iso is not None:
         return (
-            f"The valve passes air as ISO 6358 with C = {iso.conductance * 1e9:.3f} ±"
-            f" {2e9 * iso.u_conductance:.3f} · 10⁻⁹ m³/(s Pa) and a critical pressure ratio of"
+            f"Flow of the valve by ISO 6358: C = {iso.conductance * 1e9:.3f} ±"
+            f" {2e9 * iso.u_conductance:.3f} · 10⁻⁹ m³/(s Pa), critical pressure ratio"
             f" {iso.critical:.3f} ± {2 * iso.u_critical:.3f} (k = 2)."
         )
     if fanning is None:
-        return f"{points} points were measured, too few for a law."
+        return f"{points} points were measured, too few for a fit."
     return (
         f"Pressure = {fanning.intercept:.2f} + {fanning.slope:.4f} V² (kPa, m/s) through"
         f" {fanning.n} points, R² {100 * fanning.r2:.1f} %."
@@ -243,15 +268,16 @@ def _headline(fanning: Line | None, iso: IsoFit | None, points: int) -> str:
 
 
 def _fanning_section(run: Run, line: Line) -> Section:
-    """Coefficients as Full-regression D-1 prints them, and beside it for an import of D-5."""
+    """Coefficients as Full-regression D-1 prints them, compared with it for an import of D-5."""
     import pandas as pd
 
-    got = [
-        ("constant, kPa", line.intercept, line.u_intercept, line.t_intercept, line.p_intercept),
-        ("V², kPa/(m/s)²", line.slope, line.u_slope, line.t_slope, line.p_slope),
-    ]
-    digits = {"coef": 6, "stdev": 6, "t": 2, "p": 3}
-    rows = [dict(zip(("predictor", "coef", "stdev", "t", "p"), r, strict=True)) for r in got]
+    frame = pd.DataFrame(
+        [
+            ("constant, kPa", line.intercept, line.u_intercept, line.t_intercept, line.p_intercept),
+            ("V², kPa/(m/s)²", line.slope, line.u_slope, line.t_slope, line.p_slope),
+        ],
+        columns=["predictor", *DIGITS],
+    )
     words = [
         "Pressure = a + b V² by least squares, the optimised Fanning form of Equation 5-9:"
         f" s = {line.s:.2f} kPa, R² = {100 * line.r2:.1f} %, adjusted"
@@ -259,64 +285,48 @@ def _fanning_section(run: Run, line: Line) -> Section:
     ]
     columns = [
         ("predictor", "predictor"), ("coef", "coefficient"), ("stdev", "standard error"),
-        ("t", "t"), ("p", "p of no effect"),
+        ("t", "t"), ("p", "p of zero"),
     ]  # fmt: skip
-    if (run.manifest.get("source") or {}).get("table") == "D-5":
-        rows, words = _against_printed(line, rows, words, digits)
+    if source_table(run) == "D-5":
+        words += _compare_d1(line, frame)
         columns += [
             ("coef_printed", "printed coefficient"), ("stdev_printed", "printed error"),
             ("t_printed", "printed t"), ("p_printed", "printed p"), ("same", "same"),
         ]  # fmt: skip
-    frame = pd.DataFrame(rows)
-    for key, places in digits.items():
-        frame[key] = frame[key].round(places)
-    return Section("The thesis's form (Equation 5-9)", tuple(words), frame, tuple(columns))
+    return Section("The form of the thesis (Equation 5-9)", tuple(words), frame.round(DIGITS),
+                   tuple(columns))  # fmt: skip
 
 
-def _against_printed(
-    line: Line, rows: list[dict[str, Any]], words: list[str], digits: dict[str, int]
-) -> tuple[list[dict[str, Any]], list[str]]:
-    """Full-regression D-1 digit by digit."""
-    import csv
-    from importlib import resources
-
-    folder = resources.files("plant.data")
+def _compare_d1(line: Line, frame: pd.DataFrame) -> list[str]:
+    """Add the digits of Full-regression D-1 to the frame; returns the comparison in words."""
 
     def printed(name: str) -> list[dict[str, str]]:
-        text = folder.joinpath(f"{name}.csv").read_text(encoding="utf-8")
-        every = csv.DictReader(text.splitlines())
-        return [row for row in every if "D-1" in row.values()]
+        return [row for row in printed_rows(name) if "D-1" in row.values()]
 
-    del digits
     coefficients = printed("full_regressions")
-    for row, said in zip(rows, coefficients, strict=True):
-        same = True
-        for key in ("coef", "stdev", "t", "p"):
-            row[f"{key}_printed"] = said[key]
-            decimals = len(said[key].partition(".")[2])
-            same &= f"{row[key]:.{decimals}f}" == said[key]
-        row["same"] = same
+    for key in DIGITS:
+        frame[f"{key}_printed"] = [row[key] for row in coefficients]
+    frame["same"] = [
+        all(to_printed(own[key], row[key]) == row[key] for key in DIGITS)
+        for own, row in zip(frame.to_dict("records"), coefficients, strict=True)
+    ]
     anova = {row["source"]: row for row in printed("full_regressions_anova")}
-    said_s, said_r2 = coefficients[0]["s"], coefficients[0]["r2"]
-    again = (
-        f"{line.s:.2f}" == said_s and f"{100 * line.r2:.1f}" == said_r2,
+    s, r2 = coefficients[0]["s"], coefficients[0]["r2"]
+    same = (
+        f"{line.s:.2f}" == s and f"{100 * line.r2:.1f}" == r2,
         f"{line.ss_regression:.0f}" == anova["Regression"]["ss"],
         f"{line.ss_error:.0f}" == anova["Error"]["ss"],
         f"{line.f:.2f}" == anova["Regression"]["f"],
     )
-    words.append(
-        f"Beside Full-regression D-1: s and R² ({said_s}, {said_r2} %)"
-        f" {'agree' if again[0] else 'do not agree'}; sum of squares of the regression"
+    return [
+        f"Comparison with Full-regression D-1: s and R² ({s}, {r2} %)"
+        f" {'agree' if same[0] else 'do not agree'}; sum of squares of the regression"
         f" {line.ss_regression:.0f} (printed {anova['Regression']['ss']}), of the error"
         f" {line.ss_error:.0f} ({anova['Error']['ss']}), F {line.f:.2f}"
-        f" ({anova['Regression']['f']})."
-        + ("" if all(again) else " What differs is shaded or said here.")
-    )
-    words.append(
-        f"The constant is no effect to speak of (p = {line.p_intercept:.3f}); with it Equation"
-        " 5-9 gives a pressure below zero for still air."
-    )
-    return rows, words
+        f" ({anova['Regression']['f']})." + ("" if all(same) else " Rows that differ are shaded."),
+        f"The constant is not significant (p = {line.p_intercept:.3f}); with it Equation 5-9 gives"
+        " a pressure below zero for still air.",
+    ]
 
 
 def _iso_section(iso: IsoFit, fanning: Line | None, table: pd.DataFrame) -> Section:
@@ -327,23 +337,20 @@ def _iso_section(iso: IsoFit, fanning: Line | None, table: pd.DataFrame) -> Sect
         for name, (c, r) in iso.parts.items()
     ]
     rows.append(
-        {"source": "together", "c": 100 * iso.u_conductance / iso.conductance, "r": iso.u_critical}
+        {"source": "combined", "c": 100 * iso.u_conductance / iso.conductance, "r": iso.u_critical}
     )
     frame = pd.DataFrame(rows)
     frame["c"], frame["r"] = frame["c"].round(3), frame["r"].round(4)
     words = [
         f"C = {iso.conductance * 1e9:.4f} · 10⁻⁹ m³/(s Pa), critical pressure ratio"
-        f" {iso.critical:.4f}, scatter {iso.scatter:.2f} m/s. Below, what each source leaves"
-        " unknown (standard uncertainty)."
+        f" {iso.critical:.4f}, scatter {iso.scatter:.2f} m/s. The table has the standard"
+        " uncertainty from each source."
     ]
     if fanning is not None:
-        v = table["velocity_m_s"].to_numpy(dtype=np.float64)
-        p = table["pressure_kpa"].to_numpy(dtype=np.float64)
-        guess = np.sqrt(np.maximum((p - fanning.intercept) / fanning.slope, 0.0))
-        rms = float(np.sqrt(np.nanmean((guess - v) ** 2)))
         words.append(
-            f"The Fanning form misses the velocities by {rms:.2f} m/s rms: where flow is choked it"
-            " grows in proportion to absolute pressure, not with the root of the gauge pressure."
+            "The rms residual of the Fanning form is"
+            f" {_fanning_rms(fanning, table, np.nanmean):.2f} m/s: choked flow is proportional to"
+            " the absolute pressure, not to the square root of the gauge pressure."
         )
     return Section(
         "ISO 6358", tuple(words), frame,
@@ -352,23 +359,20 @@ def _iso_section(iso: IsoFit, fanning: Line | None, table: pd.DataFrame) -> Sect
 
 
 def _shape_section(table: pd.DataFrame, fanning: Line | None) -> Section:
-    """Without a bore only the shape of ISO 6358 can be held against the data."""
+    """Without a bore only the shape of the ISO 6358 curve can be compared with the data."""
     meter = Meter(bore_mm=4.0)
     iso = fit_iso(table, meter)
     if iso is None or fanning is None:
         return Section("ISO 6358", ("Too few points.",))
-    v = table["velocity_m_s"].to_numpy(dtype=np.float64)
-    p = table["pressure_kpa"].to_numpy(dtype=np.float64)
-    guess = np.sqrt(np.maximum((p - fanning.intercept) / fanning.slope, 0.0))
-    rms = float(np.sqrt(np.mean((guess - v) ** 2)))
     return Section(
         "ISO 6358",
         (
-            "The bore in which the velocity was read is not known, so that no conductance can be"
-            f" had. Its shape, scaled at will, leaves {iso.scatter:.1f} m/s with a critical ratio"
-            f" of {iso.critical:.2f}; the Fanning form leaves {rms:.1f} m/s. Choked flow grows in"
-            " proportion to absolute pressure, these velocities with its root: what was measured"
-            " was more than one small orifice (the line, the meter).",
+            "The bore of the meter is not known, so the conductance cannot be determined. The curve"
+            f" with a free scale has a residual of {iso.scatter:.1f} m/s at a critical ratio of"
+            f" {iso.critical:.2f}; the Fanning form has"
+            f" {_fanning_rms(fanning, table, np.mean):.1f} m/s. Choked flow is proportional to the"
+            " absolute pressure, these velocities to its square root: the measurement includes"
+            " more than one small orifice (the line, the meter).",
         ),
     )
 
@@ -390,7 +394,7 @@ def _figure(
         if len(rows):
             p = np.linspace(0.0, float(rows["pressure_kpa"].max()), 200)
             if fanning is not None:
-                v = np.sqrt(np.maximum((p - fanning.intercept) / fanning.slope, 0.0))
+                v = _fanning_velocity(fanning, p)
                 axes.plot(p, v, color=SET, linestyle="--", label="P = a + b V² (Equation 5-9)")
             if iso is not None and meter is not None:
                 k = meter.velocity_per_conductance * iso.conductance
@@ -404,10 +408,11 @@ def _figure(
     return figure
 
 
-def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    return valve_layout("Flow test", parameters, flow=True)
-
-
-FLOW = Analysis("flow", "Flow test", reduce_flow, _layout, flow_findings)
+FLOW = Analysis(
+    "flow",
+    "Flow test",
+    reduce_flow,
+    lambda parameters: valve_layout("Flow test", parameters, flow=True),
+    flow_findings,
+)
 ANALYSES = (FLOW,)

@@ -1,54 +1,126 @@
-"""What a table of up and down cycles says (C-4 to C-7, Tables 4-4 and 4-5, Figures 4-39, 4-40).
+"""Findings of a hysteresis test (C-4 to C-7, Tables 4-4 and 4-5, Figures 4-39 and 4-40).
 
-At each set pressure of a cycle the value on the way up less that on the way down; their mean by
-the thesis's own rules; and the area of the loop, the work that a cycle loses for each unit of
-what was held.
+At each set pressure of a cycle: the value at rising pressure minus that at falling pressure. For
+each cycle: the mean difference by the rules of the thesis, and the area of the loop, which is
+proportional to the energy lost per cycle.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from analysis.findings.findings import Analysis, Findings, Section
-from analysis.reduction.points import reduce_points
+from analysis.findings.findings import (
+    BARS,
+    EXPANDED,
+    Analysis,
+    Findings,
+    Section,
+    max_pressure_kpa,
+    source_table,
+)
+from analysis.layouts.static import hysteresis_layout
+from analysis.reduction.points import Reduction, reduce_points
 from analysis.reduction.setpoint import at_set_pressure
-from daq.live.layout import LiveLayout
+from analysis.regression.force_lines import nominal_kpa
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from analysis.reduction.points import Reduction
     from daq.store.run import Run
 
 Floats = npt.NDArray[np.float64]
+CycleKey = tuple[float, float]
+"""Held length (mm) or hung mass (kg), and turning pressure (kPa)."""
 LOWEST_MEAN_KPA = 200.0
-"""The isometric means of the thesis (Table 4-4) run from here to one step below the turn."""
+"""The isometric means of the thesis (Table 4-4) start here and end one step below the turn."""
 
 EXTRA = {"mass_kg": "float64", "cycle_max_kpa": "float64"}
 
 
 @dataclass(frozen=True)
-class Cycle:
-    """One cycle up and down.
+class Kind:
+    """Isometric or isotonic cycles: columns, units, and the tables of the thesis.
 
     Attributes:
-        held: what was held, in words ("61.9 mm", "1.154 kg").
-        top_kpa: pressure at which it turned.
-        repeat: which replicate.
-        pressure_kpa: set pressures with a reading both ways, rising.
-        difference: up less down, in N (isometric) or mm (isotonic).
-        u_difference: standard uncertainty from noise; what both ways share cancels.
-        mean_up: mean value on the way up, for scale.
+        value, value_unit: the measured quantity.
+        held, held_unit: the quantity that is constant.
+        label: axis label.
+        under: words of the title.
+        figure, table, chapter: figure and tables of the thesis.
+        rule: the rule of the thesis's means, for the table and for its comparison.
+        files: data of the table and of its means; key of the means of the chapter.
+        remark: about the comparison.
     """
 
+    value: str
+    value_unit: str
     held: str
+    held_unit: str
+    label: str
+    under: str
+    figure: str
+    table: str
+    chapter: str
+    rule: tuple[str, str]
+    files: tuple[str, str, str, str]
+    remark: str
+
+    def held_values(self, table: pd.DataFrame) -> pd.Series:
+        """The constant quantity of each row, to 4 decimals."""
+        held = table[self.held]
+        if self.held == "set_length_mm":
+            held = held.fillna(table["length_mm"])
+        return held.astype(float).round(4)
+
+
+ISOMETRIC = Kind(
+    "force_n", "N", "set_length_mm", "mm", "force (N)", "at held lengths", "4-39", "C-5", "4-4",
+    (
+        "The mean is taken from 200 kPa to one step below the turn, as in Tables C-5 and 4-4",
+        "means from 200 kPa to one step below the turn, not of whole columns",
+    ),
+    ("c05_isometric_hysteresis_difference", "force_difference_n", "t4_4",
+     "mean_force_difference_n"),
+    "Section 4.22 states about 1 % of the total force; the largest differences are 2.3 to 5.6 % of"
+    " the range of the cycles to 600 kPa.",
+)  # fmt: skip
+ISOTONIC = Kind(
+    "length_mm", "mm", "mass_kg", "kg", "length (mm)", "under hung loads", "4-40", "C-7", "4-5",
+    (
+        "The mean is taken over every pressure of the cycle, as in Table C-7",
+        "plain means of its columns",
+    ),
+    ("c07_isotonic_hysteresis_difference", "length_difference_mm", "t4_5",
+     "mean_length_difference_mm_as_printed"),
+    "Table 4-5 does not reproduce: it repeats the eight numbers of Table 4-4, which are forces in"
+    " newton, in place of the means of Table C-7 in mm. Every difference of Table C-7 is a"
+    " multiple of 0.11 mm, one pixel of the camera; the means are about one pixel or less.",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One cycle of rising and falling pressure.
+
+    Attributes:
+        kind: isometric or isotonic.
+        held: held length in mm or hung mass in kg.
+        top_kpa: pressure at which it turned.
+        repeat: number of the replicate.
+        pressure_kpa: set pressures with a reading in both directions, increasing.
+        difference: value at rising minus value at falling pressure, in N or mm.
+        u_difference: standard uncertainty from noise; common errors cancel.
+        up: value at rising pressure.
+    """
+
+    kind: Kind
+    held: float
     top_kpa: float
     repeat: int
     pressure_kpa: Floats
@@ -57,13 +129,23 @@ class Cycle:
     up: Floats
 
     @property
+    def name(self) -> str:
+        """The constant quantity as text ("61.9 mm", "1.154 kg")."""
+        return f"{self.held:g} {self.kind.held_unit}"
+
+    @property
+    def key(self) -> CycleKey:
+        """Identifies the cycle in the tables of the thesis."""
+        return self.held, self.top_kpa
+
+    @property
     def area(self) -> float:
-        """Area of the loop, trapezoids over pressure: N kPa or mm kPa."""
+        """Area of the loop by the trapezoidal rule, in N kPa or mm kPa."""
         return float(np.trapezoid(self.difference, self.pressure_kpa))
 
     @property
     def u_area(self) -> float:
-        """Its standard uncertainty, each difference with its own noise."""
+        """Standard uncertainty of the area; the noise of the differences is independent."""
         x = self.pressure_kpa
         if len(x) < 2:
             return math.nan
@@ -72,13 +154,10 @@ class Cycle:
         weight[1:] += np.diff(x) / 2
         return float(np.sqrt(np.nansum((weight * self.u_difference) ** 2)))
 
-    def mean(self, isotonic: bool) -> tuple[float, float]:
-        """The thesis's mean difference and its uncertainty: its two tables follow two rules.
-
-        Isometric: 200 kPa to one step below the turn. Isotonic: every pressure of the cycle.
-        """
+    def mean(self) -> tuple[float, float]:
+        """Mean difference by the rule of the thesis (see ``Kind.rule``), and its uncertainty."""
         use = np.ones(len(self.difference), dtype=bool)
-        if not isotonic:
+        if self.kind is ISOMETRIC:
             use = (self.pressure_kpa >= LOWEST_MEAN_KPA) & (self.pressure_kpa < self.top_kpa)
         if not use.any():
             return math.nan, math.nan
@@ -86,99 +165,91 @@ class Cycle:
         return float(self.difference[use].mean()), u
 
 
-def is_isotonic(table: pd.DataFrame) -> bool:
-    """Whether loads were hung (lengths differ) rather than lengths held (forces differ)."""
-    return "mass_kg" in table and bool(table["mass_kg"].notna().any())
+def kind_of(table: pd.DataFrame) -> Kind:
+    """Isotonic if loads were hung (lengths differ), isometric if lengths were held."""
+    hung = "mass_kg" in table and bool(table["mass_kg"].notna().any())
+    return ISOTONIC if hung else ISOMETRIC
 
 
 def cycles_of(table: pd.DataFrame) -> list[Cycle]:
-    """Every cycle of a table with both directions.
+    """All cycles of a table with readings in both directions.
 
-    At the turning pressure a cycle that was read once counts as without difference, as the
-    thesis's Tables C-5 and C-7 have it.
+    If the turning pressure was read once only, its difference is 0, as in Tables C-5 and C-7.
     """
-    isotonic = is_isotonic(table)
-    value = "length_mm" if isotonic else "force_n"
-    held = table["mass_kg"] if isotonic else table["set_length_mm"].fillna(table["length_mm"])
+    kind = kind_of(table)
     top = table["cycle_max_kpa"] if "cycle_max_kpa" in table else table["pressure_kpa"] * 0.0
-    nominal = table["set_pressure_kpa"].fillna(table["pressure_kpa"].round(0))
     keys = [
-        held.astype(float).round(4).rename("held"),
+        kind.held_values(table).rename("held"),
         top.astype(float).fillna(0.0).rename("top"),
         table["repeat"].rename("repeat"),
     ]
     found = []
-    for key, rows in table.assign(nominal=nominal).groupby(keys, sort=True):
-        mass_or_mm, turn, repeat = cast("tuple[float, float, Any]", key)
-        ways: dict[str, dict[float, tuple[float, float]]] = {"up": {}, "down": {}}
+    for key, rows in table.assign(nominal=nominal_kpa(table)).groupby(keys, sort=True):
+        held, turn, repeat = cast("tuple[float, float, Any]", key)
+        up: dict[float, tuple[float, float]] = {}
+        down: dict[float, tuple[float, float]] = {}
         for row in rows.to_dict("records"):
-            if row["direction"] in ways and math.isfinite(row[value]):
-                reading = (float(row[value]), float(row[f"u_{value}_noise"]))
-                ways[str(row["direction"])][float(row["nominal"])] = reading
-        if not (ways["up"] and ways["down"]):
+            way = {"up": up, "down": down}.get(row["direction"])
+            if way is not None and math.isfinite(row[kind.value]):
+                reading = float(row[kind.value]), float(row[f"u_{kind.value}_noise"])
+                way[float(row["nominal"])] = reading
+        if not (up and down):
             continue
-        highest = max(ways["up"])
-        ways["down"].setdefault(highest, ways["up"][highest])
-        both = sorted(set(ways["up"]) & set(ways["down"]))
-        turning = [p == highest and ways["down"][p] == ways["up"][p] for p in both]
+        highest = max(up)
+        down.setdefault(highest, up[highest])
+        both = sorted(set(up) & set(down))
         u = [
-            0.0 if once else math.hypot(ways["up"][p][1], ways["down"][p][1])
-            for p, once in zip(both, turning, strict=True)
+            0.0 if p == highest and down[p] == up[p] else math.hypot(up[p][1], down[p][1])
+            for p in both
         ]
         found.append(
             Cycle(
-                f"{mass_or_mm:g} {'kg' if isotonic else 'mm'}",
+                kind,
+                float(held),
                 float(turn) or highest,
                 int(repeat) if str(repeat).isdecimal() else 1,
                 np.array(both),
-                np.array([ways["up"][p][0] - ways["down"][p][0] for p in both]),
+                np.array([up[p][0] - down[p][0] for p in both]),
                 np.array(u),
-                np.array([ways["up"][p][0] for p in both]),
+                np.array([up[p][0] for p in both]),
             )
         )
     return found
 
 
 def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
-    """Loops, differences, means and areas; the thesis's own beside them."""
+    """Loops, differences, means and areas, compared with those of the thesis."""
     import pandas as pd
 
     table = reduction.table
-    isotonic = is_isotonic(table)
-    unit = "mm" if isotonic else "N"
+    kind = kind_of(table)
+    unit = kind.value_unit
     cycles = cycles_of(table)
     rows = []
     for cycle in cycles:
-        mean, u_mean = cycle.mean(isotonic)
+        mean, u_mean = cycle.mean()
         largest, span = float(np.abs(cycle.difference).max()), float(np.ptp(cycle.up))
         rows.append(
             {
-                "held": cycle.held, "top": cycle.top_kpa, "repeat": cycle.repeat,
+                "held": cycle.name, "top": cycle.top_kpa, "repeat": cycle.repeat,
                 "mean": mean, "u_mean": u_mean, "largest": round(largest, 3),
                 "share": round(100 * mean / span, 2) + 0.0 if span else None,  # no "−0"
                 "area": cycle.area, "u_area": cycle.u_area,
             }
         )  # fmt: skip
-    rule = (
-        "The mean runs over every pressure of the cycle, as in Table C-7"
-        if isotonic
-        else "The mean runs from 200 kPa to one step below the turn, as in Tables C-5 and 4-4"
-    )
-    source = (run.manifest.get("source") or {}).get("table")
+    dotted = ", dotted for the smaller cycles" if len({c.top_kpa for c in cycles}) > 1 else ""
     sections = [
         Section(
-            f"Cycles up and down {'under hung loads' if isotonic else 'at held lengths'}",
-            figure=(lambda: _figure(table, cycles, isotonic)) if len(table) else None,
-            caption=f"The form of the thesis's Figure {'4-40' if isotonic else '4-39'}. Above:"
-            " rising filled, falling open; below: rising less falling"
-            + (", dotted for the smaller cycles" if len({c.top_kpa for c in cycles}) > 1 else "")
-            + ". Bars: expanded uncertainty, k = 2, where larger than the marker.",
+            f"Cycles of rising and falling pressure {kind.under}",
+            figure=(lambda: _figure(table, cycles, kind)) if len(table) else None,
+            caption=f"As in Figure {kind.figure} of the thesis. Above: rising filled, falling open;"
+            f" below: rising minus falling{dotted}. {BARS}",
         ),
         Section(
-            "What each cycle loses",
+            "Hysteresis of each cycle",
             (
-                f"{rule}; largest is the largest difference at one pressure; share is the mean in"
-                " % of the range covered on the way up; area is that of the loop.",
+                f"{kind.rule[0]}; largest is the largest difference at one pressure; share is the"
+                " mean in % of the range at rising pressure; area is that of the loop.",
             ),
             pd.DataFrame(rows),
             (
@@ -186,40 +257,40 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
                 ("mean", f"mean up − down, {unit}"), ("largest", f"largest, {unit}"),
                 ("share", "share, %"), ("area", f"loop area, {unit} kPa"),
             ),
-            caption="± expanded uncertainty, k = 2, from the noise of the readings; what both ways"
-            " share cancels.",
+            caption=f"{EXPANDED}, from the noise of the readings; errors common to both directions"
+            " cancel.",
         ),
-        _differences(cycles, isotonic),
+        _differences(cycles, kind),
     ]  # fmt: skip
-    if source in ("C-4", "C-6"):
-        sections += _thesis(cycles, isotonic)
-    data = {"isotonic": isotonic, "cycles": rows}
-    return Findings(_headline(rows, unit), tuple(sections), data)
+    if source_table(run) in ("C-4", "C-6"):
+        sections.append(_thesis(cycles, kind))
+    data = {"isotonic": kind is ISOTONIC, "cycles": rows}
+    return Findings(_headline(rows, kind), tuple(sections), data)
 
 
-def _headline(rows: list[dict[str, Any]], unit: str) -> str:
+def _headline(rows: list[dict[str, Any]], kind: Kind) -> str:
     if not rows:
-        return "No cycle was measured both ways, so there is no result."
+        return "No cycle was measured in both directions, so there is no result."
     known = [row for row in rows if math.isfinite(row["mean"])]
     if not known:
         cycles = "One cycle was" if len(rows) == 1 else f"{len(rows)} cycles were"
-        return f"{cycles} measured, none over the pressures of the thesis's mean."
-    what = "length" if unit == "mm" else "force"
+        return f"{cycles} measured, none over the pressures of the mean of the thesis."
+    unit, what = kind.value_unit, "length" if kind is ISOTONIC else "force"
     if all(abs(row["mean"]) <= 2 * row["u_mean"] for row in known):
         most = max(abs(row["mean"]) + 2 * row["u_mean"] for row in known)
         return (
-            f"On the way up and on the way down the {what} is the same within its uncertainty: the"
+            f"At rising and at falling pressure the {what} is the same within its uncertainty: the"
             f" means of each cycle differ by less than {most:.2g} {unit}."
         )
     low, high = (pick(row["mean"] for row in known) for pick in (min, max))
     return (
-        f"On the way up the {what} is {low:.2f} to {high:.2f} {unit} above that on the way down,"
-        " cycle by cycle (means)."
+        f"At rising pressure the {what} is {low:.2f} to {high:.2f} {unit} above that at falling"
+        " pressure (means of the cycles)."
     ).replace(" -", " −")
 
 
-def _differences(cycles: list[Cycle], isotonic: bool) -> Section:
-    """The form of C-5 and C-7: a row a pressure, a column a cycle."""
+def _differences(cycles: list[Cycle], kind: Kind) -> Section:
+    """The form of C-5 and C-7: one row per pressure, one column per cycle."""
     import pandas as pd
 
     cells: dict[float, dict[str, Any]] = {}
@@ -227,157 +298,109 @@ def _differences(cycles: list[Cycle], isotonic: bool) -> Section:
         for p, d, u in zip(cycle.pressure_kpa, cycle.difference, cycle.u_difference, strict=True):
             row = cells.setdefault(float(p), {"pressure_kpa": float(p)})
             row[f"c{k}"], row[f"u_c{k}"] = float(d), float(u)
-    unit = "mm" if isotonic else "N"
-    heads = [(f"c{k}", f"{c.held} to {c.top_kpa:g}, {unit}") for k, c in enumerate(cycles)]
+    heads = [
+        (f"c{k}", f"{c.name} to {c.top_kpa:g}, {kind.value_unit}") for k, c in enumerate(cycles)
+    ]
     return Section(
-        f"Rising less falling: the form of Table C-{7 if isotonic else 5}",
+        f"Rising minus falling: the form of Table {kind.table}",
         (),
         pd.DataFrame([cells[p] for p in sorted(cells)]),
         (("pressure_kpa", "pressure, kPa"), *heads),
     )
 
 
-def _thesis(cycles: list[Cycle], isotonic: bool) -> list[Section]:
-    """Tables C-5 or C-7 and 4-4 or 4-5 beside what the readings give."""
+def _thesis(cycles: list[Cycle], kind: Kind) -> Section:
+    """Tables C-5 and 4-4, or C-7 and 4-5, compared with the readings."""
     import pandas as pd
 
     from plant.thesis import load
 
-    name, held = ("c07", "mass_kg") if isotonic else ("c05", "length_mm")
-    column = "length_difference_mm" if isotonic else "force_difference_n"
-    own = {(c.held.split()[0], c.top_kpa): c for c in cycles}
-    printed = load(f"{name}_isotonic_hysteresis_difference" if isotonic else
-                   f"{name}_isometric_hysteresis_difference")  # fmt: skip
+    file, column, chapter_file, chapter_key = kind.files
+    held = "mass_kg" if kind is ISOTONIC else "length_mm"
+
+    def number(row: dict[str, Any], name: str) -> float:
+        return float(str(row[name]))
+
+    def key(row: dict[str, Any]) -> CycleKey:
+        return number(row, held), number(row, "cycle_max_kpa")
+
+    own = {c.key: c for c in cycles}
+    printed = load(file)
     off = []
+    groups: dict[CycleKey, list[float]] = {}
     for row in printed:
-        cycle = own[f"{float(str(row[held])):g}", float(str(row["cycle_max_kpa"]))]
-        at = np.flatnonzero(cycle.pressure_kpa == float(str(row["pressure_kpa"])))
+        cycle, pressure = own[key(row)], number(row, "pressure_kpa")
+        at = np.flatnonzero(cycle.pressure_kpa == pressure)
         again = round(float(cycle.difference[at[0]]), 2) if len(at) else math.nan
-        if not abs(again - float(str(row[column]))) < 0.005:
-            off.append(abs(again - float(str(row[column]))))
-    folder = "t4_5" if isotonic else "t4_4"
-    key = "mean_length_difference_mm_as_printed" if isotonic else "mean_force_difference_n"
-    kind = "isotonic" if isotonic else "isometric"
-
-    def by_cycle(table: str, value: str) -> dict[tuple[str, float], float]:
-        return {
-            (f"{float(str(r[held])):g}", float(str(r["cycle_max_kpa"]))): float(str(r[value]))
-            for r in load(table)
-        }
-
-    said = by_cycle(folder, key)
-    means = by_cycle(f"{name}_{kind}_hysteresis_difference_mean", "mean_as_printed")
+        distance = abs(again - number(row, column))
+        if not distance < 0.005:
+            off.append(distance)
+        if kind is ISOTONIC or LOWEST_MEAN_KPA <= pressure < cycle.top_kpa:
+            groups.setdefault(cycle.key, []).append(number(row, column))
+    chapter = {key(row): number(row, chapter_key) for row in load(chapter_file)}
+    appendix = {key(row): number(row, "mean_as_printed") for row in load(f"{file}_mean")}
     rows = []
-    by_printed = _printed_means(printed, held, column, isotonic)
     for who, cycle in own.items():
-        again = by_printed[who]
+        again = float(np.mean(groups[who]))
         rows.append(
             {
-                "cycle": f"{cycle.held} to {cycle.top_kpa:g} kPa",
+                "cycle": f"{cycle.name} to {cycle.top_kpa:g} kPa",
                 "again": round(again, 4),
-                "readings": round(cycle.mean(isotonic)[0], 4),
-                "appendix": means[who],
-                "chapter": said[who],
-                "same": abs(again - means[who]) <= 0.00501,
+                "readings": round(cycle.mean()[0], 4),
+                "appendix": appendix[who],
+                "chapter": chapter[who],
+                "same": abs(again - appendix[who]) <= 0.00501,
             }
         )
-    unit = "mm" if isotonic else "N"
-    agree = sum(bool(row["same"]) for row in rows)
-    table_a, table_b = (f"C-{7 if isotonic else 5}", f"4-{5 if isotonic else 4}")
-    rule = (
-        "plain means of its columns"
-        if isotonic
-        else "means over 200 kPa to one step below the turn, not of whole columns"
+    unit, agree = kind.value_unit, sum(bool(row["same"]) for row in rows)
+    words = (
+        f"{agree} of {len(rows)} means under Table {kind.table} follow from its own differences, as"
+        f" {kind.rule[1]}. {len(printed) - len(off)} of {len(printed)} differences follow from the"
+        f" printed readings; the other {len(off)} differ by at most {max(off, default=0.0):.2f}"
+        f" {unit} (digits that were not printed; at the turn there is no reading at falling"
+        " pressure)."
     )
-    words = [
-        f"{agree} of {len(rows)} means under Table {table_a} come out of its own differences, as"
-        f" {rule}. {len(printed) - len(off)} of {len(printed)} differences are those of the printed"
-        f" readings; the other {len(off)} are"
-        f" {max(off, default=0.0):.2f} {unit} off at most (digits that were not printed, and at the"
-        " turn no reading on the way down)."
-    ]
-    if isotonic:
-        words.append(
-            "Table 4-5 does not reproduce: it repeats the eight numbers of Table 4-4, which are"
-            " forces in newton, where the means of Table C-7 in mm belong. Every difference of"
-            " Table C-7 is a whole multiple of 0.11 mm, one pixel of the camera, and the means"
-            " are about a pixel or less."
-        )
-    else:
-        words.append(
-            "Section 4.22 calls this about 1 % of the total force; the largest gaps are 2.3 to 5.6"
-            " % of the range of the cycles to 600 kPa."
-        )
-    return [
-        Section(
-            f"Beside what the thesis printed: Tables {table_a} and {table_b}",
-            tuple(words),
-            pd.DataFrame(rows),
-            (
-                ("cycle", "cycle"), ("readings", f"from the readings, {unit}"),
-                ("again", f"from {table_a}, {unit}"),
-                ("appendix", f"printed under {table_a}, {unit}"),
-                ("chapter", f"printed in {table_b}"), ("same", "same"),
-            ),
-        )
-    ]  # fmt: skip
+    return Section(
+        f"Comparison with the thesis: Tables {kind.table} and {kind.chapter}",
+        (words, kind.remark),
+        pd.DataFrame(rows),
+        (
+            ("cycle", "cycle"), ("readings", f"from the readings, {unit}"),
+            ("again", f"from {kind.table}, {unit}"),
+            ("appendix", f"printed under {kind.table}, {unit}"),
+            ("chapter", f"printed in {kind.chapter}"), ("same", "same"),
+        ),
+    )  # fmt: skip
 
 
-def _printed_means(
-    printed: list[dict[str, Any]], held: str, column: str, isotonic: bool
-) -> dict[tuple[str, float], float]:
-    """Means of the printed differences by the thesis's rules."""
-    groups: dict[tuple[str, float], list[float]] = {}
-    for row in printed:
-        who = (f"{float(str(row[held])):g}", float(str(row["cycle_max_kpa"])))
-        pressure = float(str(row["pressure_kpa"]))
-        if isotonic or LOWEST_MEAN_KPA <= pressure < who[1]:
-            groups.setdefault(who, []).append(float(str(row[column])))
-    return {who: float(np.mean(values)) for who, values in groups.items()}
+def _figure(table: pd.DataFrame, cycles: list[Cycle], kind: Kind) -> Figure:
+    from analysis.figures.drawing import COVERAGE, QUIET, curve, marker, new_figure, sequence, style
 
-
-def _figure(table: pd.DataFrame, cycles: list[Cycle], isotonic: bool) -> Figure:
-    from analysis.figures.drawing import COVERAGE, MARKERS, QUIET, new_figure, sequence, style
-
-    value, label = ("length_mm", "length (mm)") if isotonic else ("force_n", "force (N)")
-    held = table["mass_kg"] if isotonic else table["set_length_mm"].fillna(table["length_mm"])
-    keys = held.astype(float).round(4)
-    names = [f"{k:g} {'kg' if isotonic else 'mm'}" for k in sorted(keys.dropna().unique())]
-    colours = dict(zip(names, sequence(len(names)), strict=True))
+    held = kind.held_values(table)
+    values = sorted(held.dropna().unique())
+    colours = dict(zip(values, sequence(len(values)), strict=True))
     with style():
         figure, (top, bottom) = new_figure(7.2, 6.4, rows=2, sharex=True)
-        for k, name in enumerate(names):
-            rows = table[(keys - float(name.split()[0])).abs() < 5e-5]
-            named = "up" if (rows["direction"] == "up").any() else "down"
-            for direction, part in rows.groupby("direction"):
-                down = direction == "down"
-                top.errorbar(
-                    part["pressure_kpa"], part[value],
-                    yerr=COVERAGE * np.nan_to_num(part[f"u_{value}"].astype(float)),
-                    fmt=MARKERS[k % len(MARKERS)], color=colours[name], elinewidth=0.7,
-                    markersize=5 if down else 3.4, zorder=3 if down else 4,
-                    markerfacecolor="white" if down else colours[name],
-                    label=name if direction == named else None,
+        for k, value in enumerate(values):
+            rows = table[held == value]
+            label: str | None = f"{value:g} {kind.held_unit}"
+            turns = rows.get("cycle_max_kpa", rows["pressure_kpa"] * 0.0).astype(float).fillna(0.0)
+            for (direction, _), part in [*rows.groupby(["direction", turns])][::-1]:
+                curve(
+                    top, part, ("pressure_kpa", kind.value), nominal_kpa(part), colours[value], k,
+                    down=direction == "down", label=label,
                 )  # fmt: skip
-                turns = part.get("cycle_max_kpa", part["pressure_kpa"] * 0.0)
-                for _, one in part.groupby(turns.astype(float).fillna(0.0)):
-                    nominal = one["set_pressure_kpa"].fillna(one["pressure_kpa"].round(0))
-                    mean = one[["pressure_kpa", value]].astype(float).groupby(nominal).mean()
-                    top.plot(
-                        mean["pressure_kpa"], mean[value], color=colours[name], linewidth=0.8,
-                        linestyle="--" if down else "-",
-                    )  # fmt: skip
+                label = None
         for cycle in cycles:
-            k = names.index(cycle.held)
             bottom.errorbar(
                 cycle.pressure_kpa, cycle.difference, yerr=COVERAGE * cycle.u_difference,
-                fmt=MARKERS[k % len(MARKERS)], markersize=3.4, color=colours[cycle.held],
+                fmt=marker(values.index(cycle.held)), markersize=3.4, color=colours[cycle.held],
                 linestyle="-" if cycle.top_kpa >= max(c.top_kpa for c in cycles) else ":",
                 linewidth=1.0, elinewidth=0.7,
             )  # fmt: skip
         bottom.axhline(0.0, color=QUIET, linewidth=0.8)
-        top.set_ylabel(label)
-        bottom.set_ylabel(f"rising − falling ({'mm' if isotonic else 'N'})")
+        top.set_ylabel(kind.label)
+        bottom.set_ylabel(f"rising − falling ({kind.value_unit})")
         bottom.set_xlabel("pressure (kPa gauge)")
         top.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
         figure.align_ylabels([top, bottom])
@@ -385,12 +408,11 @@ def _figure(table: pd.DataFrame, cycles: list[Cycle], isotonic: bool) -> Figure:
 
 
 def _reduce(run: Run) -> Reduction:
-    """Settled points with the mass that hung and the turn of the cycle."""
     return reduce_points(run, extra=EXTRA)
 
 
 def _findings(run: Run, reduction: Reduction) -> Findings:
-    """Of both kinds of cycle, each by itself, at the set pressures."""
+    """Findings of both kinds of cycle, each corrected to the set pressures."""
     hung = reduction.table["mass_kg"].notna()
     parts = []
     for use, value in ((~hung, "force_n"), (hung, "length_mm")):
@@ -406,16 +428,15 @@ def _findings(run: Run, reduction: Reduction) -> Findings:
     )
 
 
-def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    from analysis.layouts.static import hysteresis_layout
-
-    return hysteresis_layout(
+HYSTERESIS = Analysis(
+    "hysteresis",
+    "Hysteresis test",
+    _reduce,
+    lambda parameters: hysteresis_layout(
         parameters.get("lengths_mm") or (),
         parameters.get("masses_kg") or (),
-        max(parameters.get("cycles_kpa") or [600.0]),
-    )
-
-
-HYSTERESIS = Analysis("hysteresis", "Hysteresis test", _reduce, _layout, _findings)
+        max_pressure_kpa(parameters, "cycles_kpa"),
+    ),
+    _findings,
+)
 ANALYSES = (HYSTERESIS,)

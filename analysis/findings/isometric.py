@@ -1,14 +1,26 @@
-"""What the report of an isometric test says: straight lines, their laws in length, the thesis."""
+"""Findings of an isometric test: lines in pressure, laws in length, comparison with the thesis."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from analysis.figures.wording import headline
-from analysis.findings.findings import Analysis
+import numpy as np
+
+from analysis.figures.wording import signed
+from analysis.findings.findings import (
+    BARS,
+    EXPANDED,
+    NO_SETTLED_POINT,
+    Analysis,
+    Findings,
+    Section,
+    max_pressure_kpa,
+    source_table,
+)
+from analysis.findings.thesis_check import compare_c9, printed_law
+from analysis.layouts.layouts import isometric_layout
 from analysis.reduction.points import Reduction, reduce_isometric
 from analysis.regression.force_lines import (
     THESIS_DIGITS,
@@ -16,116 +28,261 @@ from analysis.regression.force_lines import (
     LengthLaw,
     LengthLine,
     against_length,
+    coldest,
     covered_kpa,
     per_length,
 )
-from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
-
     from daq.store.run import Run
 
+Region = tuple[float, float]
+Law = tuple[float, LengthLaw]
+"""Temperature in degC and the law at it."""
 
-def isometric_json(
-    run: Run, reduction: Reduction, region_kpa: tuple[float, float]
-) -> dict[str, Any]:
-    """Headline, lines and laws; Table C-9 beside them for an import of Table C-1."""
-    lines = per_length(reduction.table, region_kpa, reduction.calibrations)
-    laws = [(group, against_length(group)) for group in by_temperature(lines)]
-    covered = covered_kpa(reduction.table, region_kpa)
-    return {
-        "headline": headline(lines, laws[0][1] if laws else None, len(reduction.table), covered),
+
+def isometric_findings(
+    run: Run, reduction: Reduction, region_kpa: Region = THESIS_REGION_KPA
+) -> Findings:
+    """Lines at each length and their laws; Table C-9 is compared for an import of Table C-1.
+
+    Args:
+        run: an opened run.
+        reduction: its reduction.
+        region_kpa: pressure region of the straight lines.
+    """
+    table = reduction.table
+    lines = per_length(table, region_kpa, reduction.calibrations)
+    groups = by_temperature(lines)
+    first = against_length(groups[0]) if groups else None
+    laws = [
+        (group[0].temperature_c, law)
+        for group in groups
+        if (law := against_length(group)) is not None
+    ]
+    covered = covered_kpa(table, region_kpa)
+    thesis = None
+    if source_table(run) == "C-1" and region_kpa == THESIS_REGION_KPA:
+        cold = [line for line in lines if abs(line.temperature_c - 21.0) < 0.5]
+        at_21 = table[table["temperature_c"].sub(21.0).abs() < 0.5]
+        thesis = compare_c9(cold, at_21) if cold else None
+    sections = [
+        *_figures(reduction, region_kpa, of_thesis=thesis is not None),
+        *_line_sections(lines, laws, covered, bool(reduction.calibrations)),
+        *(_thesis_sections(thesis) if thesis else ()),
+    ]
+    # These entries of the report are older than its sections; other programs read them.
+    entries = {
         "region_kpa": list(region_kpa),
         "covered_kpa": list(covered),
         "lengths": [asdict(line) for line in lines],
-        "laws": [_law(group, law) for group, law in laws if law is not None],
-        "thesis": _thesis(run.manifest, reduction, lines, region_kpa),
+        "laws": [{"temperature_c": temperature, **asdict(law)} for temperature, law in laws],
+        "thesis": thesis,
     }
-
-
-def isometric_figures(
-    reduction: Reduction, data: dict[str, Any], region_kpa: tuple[float, float]
-) -> dict[str, Figure | None]:
-    """Force against pressure, the coefficients against length, what the lines leave over."""
-    from analysis.figures import isometric as figures
-    from analysis.findings.thesis_check import printed_law
-
-    made: dict[str, Figure | None] = dict.fromkeys(("force", "regression", "residual"))
-    table = _coldest(reduction.table)
-    lines = per_length(table, region_kpa, reduction.calibrations)
-    if len(table):
-        made["force"] = figures.force_figure(table)
-    groups = by_temperature(lines)
-    if groups and len(groups[0]) >= 3:
-        cold = groups[0]
-        digits = THESIS_DIGITS if data["thesis"] else None
-        printed = (printed_law("4-34"), printed_law("4-35")) if data["thesis"] else None
-        made["regression"] = figures.regression_figure(cold, against_length(cold, digits), printed)
-        made["residual"] = figures.residual_figure(table, lines, region_kpa)
-    return made
-
-
-def timeline(run: Run) -> Figure | None:
-    """The run as it went; None for an import, or where no samples survived."""
-    if run.manifest.get("imported"):
-        return None
-    from analysis.figures.timeline import timeline_figure
-
-    return timeline_figure(run)
+    headline = _headline(lines, first, len(table), covered)
+    return Findings(headline, tuple(sections), report_entries=entries)
 
 
 def by_temperature(lines: list[LengthLine]) -> list[list[LengthLine]]:
-    """The lines of one temperature (to 2 degC) together, coldest first."""
+    """The lines grouped by temperature (to 2 degC), coldest first."""
     groups: list[list[LengthLine]] = []
-    for line in sorted(lines, key=lambda line: (_or(line.temperature_c, 0.0), line.length_mm)):
+    for line in sorted(lines, key=lambda line: (_or_zero(line.temperature_c), line.length_mm)):
         last = groups[-1][0].temperature_c if groups else math.nan
-        if groups and not abs(_or(line.temperature_c, 0.0) - _or(last, 0.0)) > 2.0:
+        if groups and not abs(_or_zero(line.temperature_c) - _or_zero(last)) > 2.0:
             groups[-1].append(line)
         else:
             groups.append([line])
     return groups
 
 
-def _law(lines: list[LengthLine], law: LengthLaw) -> dict[str, Any]:
-    return {"temperature_c": lines[0].temperature_c, **asdict(law)}
+def _or_zero(value: float) -> float:
+    return value if math.isfinite(value) else 0.0
 
 
-def _thesis(
-    manifest: dict[str, Any],
-    reduction: Reduction,
-    lines: list[LengthLine],
-    region_kpa: tuple[float, float],
-) -> dict[str, Any] | None:
-    """Table C-9 beside what was recomputed, for an import of Table C-1."""
-    if (manifest.get("source") or {}).get("table") != "C-1" or region_kpa != THESIS_REGION_KPA:
-        return None
-    from analysis.findings.thesis_check import compare_c9
-
-    cold = [line for line in lines if abs(line.temperature_c - 21.0) < 0.5]
-    table = reduction.table[reduction.table["temperature_c"].sub(21.0).abs() < 0.5]
-    return compare_c9(cold, table) if cold else None
-
-
-def _coldest(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows of the lowest temperature where a table spans several: one curve a length."""
-    temperature = table["temperature_c"].astype(float)
-    if not temperature.max() - temperature.min() > 2.0:
-        return table
-    return table[temperature < temperature.min() + 2.0]
-
-
-def _or(value: float, default: float) -> float:
-    return value if math.isfinite(value) else default
+def _headline(lines: list[LengthLine], law: LengthLaw | None, points: int, covered: Region) -> str:
+    if not points:
+        return NO_SETTLED_POINT
+    low, high = covered
+    if not lines:
+        return (
+            f"{points} settled points were measured, too few between {low:g} and {high:g} kPa"
+            " for a straight line at any length."
+        )
+    gradients = sorted(line.gradient_n_per_kpa for line in lines)
+    lengths = sorted(line.length_mm for line in lines)
+    text = f"Between {low:g} and {high:g} kPa the force rises by "
+    if len(lines) == 1:
+        return f"{text}{gradients[0]:.3g} N/kPa at a length of {lengths[0]:.2f} mm."
+    text += (
+        f"{gradients[0]:.3f} to {gradients[-1]:.3f} N/kPa, for lengths from {lengths[0]:.2f} to"
+        f" {lengths[-1]:.2f} mm"
+    )
+    if law is not None:
+        gradient = f"{law.gradient.slope:.4f} L {signed(law.gradient.intercept, 3)}"
+        text += f"; this gradient is {gradient} N/kPa, L in mm"
+    return text + "."
 
 
-def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    from analysis.layouts.layouts import isometric_layout
+def _figures(reduction: Reduction, region_kpa: Region, of_thesis: bool) -> list[Section]:
+    """Force against pressure, coefficients against length, and residuals; lowest temperature."""
+    from analysis.figures import isometric as figures
 
-    return isometric_layout(pressure_max_kpa=max(parameters.get("pressures_kpa") or [600.0]))
+    table = coldest(reduction.table)
+    if not len(table):
+        return []
+    only = " Only the lowest temperature is shown." if len(table) < len(reduction.table) else ""
+    both = bool((table["direction"] == "down").any())
+    rising = " Filled and solid: pressure rising; open and dashed: falling." if both else ""
+    sections = [
+        Section(
+            "Force against pressure",
+            figure=lambda: figures.force_figure(table),
+            caption="Settled points, one curve per length (as in Figure 4-9 of the thesis)."
+            f" {BARS}{only}{rising}",
+        )
+    ]
+    lines = per_length(table, region_kpa, reduction.calibrations)
+    groups = by_temperature(lines)
+    if not groups or len(groups[0]) < 3:
+        return sections
+    cold = groups[0]
+    printed = (printed_law("4-34"), printed_law("4-35")) if of_thesis else None
+    law = against_length(cold, THESIS_DIGITS if of_thesis else None)
+    coefficients = "Gradient and intercept of each length, and the straight lines through them."
+    if of_thesis:
+        coefficients = (
+            "Lines fitted to the coefficients rounded to three digits as in Table C-9, and the"
+            " equations as printed in the thesis (4-35 with −0.43)."
+        )
+    return [
+        *sections,
+        Section(
+            "Coefficients against length",
+            figure=lambda: figures.regression_figure(cold, law, printed),
+            caption=coefficients,
+        ),
+        Section(
+            "Residuals of the straight lines",
+            figure=lambda: figures.residual_figure(table, lines, region_kpa),
+            caption="Measured force minus the straight line of its length. A systematic dependence"
+            " on pressure shows that the model is incomplete; noise has none.",
+        ),
+    ]
 
 
-ISOMETRIC = Analysis("isometric", "Isometric test", reduce_isometric, _layout)
+def _line_sections(
+    lines: list[LengthLine], laws: list[Law], covered: Region, calibrated: bool
+) -> list[Section]:
+    """Tables of the lines at each length, and the laws in words."""
+    import pandas as pd
+
+    if not lines:
+        return []
+    several = len(laws) > 1
+    frame = pd.DataFrame([asdict(line) for line in lines])
+    for name in ("gradient", "intercept"):
+        u_fit, u_cal = (frame[f"u_{name}_{part}"].fillna(0.0) for part in ("fit", "cal"))
+        frame[name] = frame["gradient_n_per_kpa" if name == "gradient" else "intercept_n"]
+        frame[f"u_{name}"] = np.hypot(u_fit, u_cal)
+    frame = frame.round({"length_mm": 2, "temperature_c": 0, "r2": 4, "sd_n": 3,
+                         "down_minus_up_n": 3})  # fmt: skip
+    columns = [
+        ("length_mm", "length, mm"),
+        *([("temperature_c", "temperature, °C")] if several else []),
+        ("n", "points"), ("gradient", "gradient, N/kPa"), ("intercept", "intercept, N"),
+        ("r2", "R²"), ("sd_n", "scatter, N"),
+        *([("down_minus_up_n", "falling − rising, N")]
+          if frame["down_minus_up_n"].notna().any() else []),
+    ]  # fmt: skip
+    calibrations = " and from zero and gain of the calibrations" if calibrated else ""
+    words = (
+        "Force = gradient · pressure + intercept by least squares (Equation 4-32)."
+        f" {EXPANDED}, from the scatter about the line{calibrations}."
+    )
+    title = f"Straight lines at each length, {covered[0]:g} to {covered[1]:g} kPa"
+    sections = [Section(title, (words,), frame, tuple(columns))]
+    if laws:
+        sentences = tuple(
+            (f"At {temperature:.0f} °C: " if several else "") + _law_words(law)
+            for temperature, law in laws
+        )
+        sections.append(Section("Gradient and intercept against length", sentences))
+    return sections
+
+
+def _law_words(law: LengthLaw) -> str:
+    g, i = law.gradient, law.intercept
+    return (
+        f"gradient = {g.slope:.5f} L {signed(g.intercept, 4)} N/kPa (standard errors"
+        f" {g.u_slope:.5f} and {g.u_intercept:.3f}, R² {g.r2:.3f}); intercept ="
+        f" {i.slope:.4f} L {signed(i.intercept, 3)} N ({i.u_slope:.3f} and {i.u_intercept:.1f}, R²"
+        f" {i.r2:.3f}); L in mm. The forms are those of Equations 4-34 and 4-35."
+    ).replace("= -", "= −")
+
+
+def _thesis_sections(thesis: dict[str, Any]) -> tuple[Section, ...]:
+    """Table C-9 compared, and the question of the shortest length."""
+    import pandas as pd
+
+    readings = thesis["readings"]
+    rows = []
+    for k, equation in enumerate(readings[0]["equations"]):
+        again = [reading["equations"][k] for reading in readings]
+        rows.append(
+            (
+                f"Equation {equation['equation']}, slope and constant",
+                ", ".join(equation["printed"]),
+                *(", ".join(e["from_printed_digits"]) for e in again),
+            )
+        )
+        exact = [f"{e['from_unrounded'][0]:.5f}, {e['from_unrounded'][1]:.4f}" for e in again]
+        rows.append(("the same from unrounded coefficients", "", *exact))
+    for name, key, form in (("C-8", "sse_c8", ".2f"), ("C-9", "sse_c9", ".0f")):
+        sums = [f"{reading[key]:{form}}" for reading in readings]
+        words = f"Full-regression {name}, error sum of squares"
+        rows.append((words, thesis[f"{key}_printed"], *sums))
+    heads = ("quantity", "printed", *(f"with {r['shortest_mm']:g} mm" for r in readings))
+    c9 = pd.DataFrame(thesis["rows"])
+    c9["gradient_unrounded"] = c9["gradient_unrounded"].map("{:.6f}".format)
+    c9["intercept_unrounded"] = c9["intercept_unrounded"].map("{:.4f}".format)
+    return (
+        Section(
+            "Comparison with the thesis",
+            (
+                f"{thesis['matching']} of {thesis['pairs']} gradient and intercept pairs of Table"
+                " C-9 are reproduced to their printed digits.",
+            ),
+            c9,
+            (
+                ("length_mm", "length, mm"), ("gradient_printed", "gradient, printed"),
+                ("gradient_recomputed", "gradient, recomputed"),
+                ("gradient_unrounded", "unrounded"), ("intercept_printed", "intercept, printed"),
+                ("intercept_recomputed", "intercept, recomputed"),
+                ("intercept_unrounded", "unrounded"), ("same", "same"),
+            ),
+        ),
+        Section(
+            "Is the shortest length 51 or 51.45 mm?",
+            (
+                "The heading of Table C-1 gives its shortest length as 51 mm; all other tables give"
+                " 51.45 mm. Gradient and intercept at one length do not depend on its value, so"
+                " the pairs above cannot decide. Results across lengths can.",
+                "Only 51.45 mm gives the printed values, so 51 is a shortened heading. Equation"
+                " 4-34's −0.426 follows from the coefficients as printed in Table C-9 (three"
+                " digits), not from the unrounded ones (−0.425). Equation 4-35 prints −0.043; Table"
+                " C-9 gives −0.43, as does Table 4-1.",
+            ),
+            pd.DataFrame(rows, columns=list(heads)),
+            tuple((head, head) for head in heads),
+        ),
+    )  # fmt: skip
+
+
+ISOMETRIC = Analysis(
+    "isometric",
+    "Isometric test",
+    reduce_isometric,
+    lambda parameters: isometric_layout(pressure_max_kpa=max_pressure_kpa(parameters)),
+    isometric_findings,
+)
 ANALYSES = (ISOMETRIC,)

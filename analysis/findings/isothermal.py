@@ -1,4 +1,4 @@
-"""What forces at several temperatures say (thesis 4.8.4, Figure 4-15, Equations 4-47 to 4-50)."""
+"""Findings of an isothermal test (thesis 4.8.4, Figure 4-15, Equations 4-47 to 4-50)."""
 
 from __future__ import annotations
 
@@ -7,92 +7,92 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.findings.findings import Analysis, Findings, Section
-from analysis.reduction.points import reduce_points
+from analysis.findings.findings import (
+    BARS,
+    EXPANDED,
+    NO_SETTLED_POINT,
+    Analysis,
+    Findings,
+    Section,
+    max_pressure_kpa,
+)
+from analysis.layouts.static import isothermal_layout
+from analysis.reduction.points import Reduction, reduce_points
 from analysis.regression.force_lines import line_uncertainty
 from analysis.regression.least_squares import straight_line
 from daq.calibration import Calibration
-from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from analysis.reduction.points import Reduction
     from daq.store.run import Run
 
 REGION_KPA = (150.0, 600.0)
-"""Section 4.8.1: over these pressures the force is a straight line in pressure."""
+"""Section 4.8.1: in this region the force is linear in pressure."""
 
 EXTRA = {"set_temperature_c": "float64"}
+LINE_COLUMNS = (
+    "length_mm", "set_temperature_c", "temperature_c", "n", "gradient", "u_gradient",
+    "u_gradient_fit", "intercept", "u_intercept",
+)  # fmt: skip
 
 
 def isothermal_findings(run: Run, reduction: Reduction) -> Findings:
-    """Gradient of force against pressure at each temperature, and how it grows with it."""
+    """Gradient of force against pressure at each temperature, and its change with temperature."""
     del run
-    held = reduction.table[reduction.table["slot"].str.startswith("L")]
-    barred = reduction.table[reduction.table["slot"].str.startswith("P")]
-    lines = temperature_lines(held, reduction.calibrations)
+    at_length = reduction.table[reduction.table["slot"].str.startswith("L")]
+    at_pressure = reduction.table[reduction.table["slot"].str.startswith("P")]
+    lines = temperature_lines(at_length, reduction.calibrations)
     growth = temperature_growth(lines)
-    sections = []
-    if len(held):
-        sections.append(
-            Section(
-                "Force against pressure at each temperature",
-                figure=lambda: _figure(held),
-                caption="Settled points, one curve a length, one colour and line style a"
-                " temperature (the form of the thesis's Figure 4-15). Bars: expanded uncertainty,"
-                " k = 2, where larger than the marker.",
-            )
-        )
-    if len(lines):
-        sections.append(
-            Section(
-                "Straight lines at each length and temperature",
-                (
-                    "Force = gradient · pressure + intercept by least squares,"
-                    f" {REGION_KPA[0]:g} to {REGION_KPA[1]:g} kPa (Equation 4-32).",
-                ),
-                lines,
-                (
-                    ("length_mm", "length, mm"), ("temperature_c", "temperature, °C"),
-                    ("n", "points"), ("gradient", "gradient, N/kPa"),
-                    ("intercept", "intercept, N"),
-                ),
-                caption="± expanded uncertainty, k = 2, from the scatter about the line together"
-                " with zero and gain of the calibrations.",
-            )
-        )  # fmt: skip
-    if len(growth):
-        sections.append(
-            Section(
-                "How the gradient changes with temperature",
-                (
-                    "Gradient against temperature by a straight line (the form of Equation 4-47),"
-                    " as a share of the gradient in the middle of the range.",
-                ),
-                growth,
-                (("length_mm", "length, mm"), ("n", "temperatures"), ("growth", "growth, %/K")),
-                caption="± expanded uncertainty, k = 2: from the lines' own uncertainties, or the"
-                " scatter about the line where that is larger.",
-            )
-        )
-    if len(barred):
-        sections.append(
-            Section(
-                "Force at held pressures",
-                (),
-                barred_table(barred),
-                (
-                    ("pressure_kpa", "pressure, kPa"), ("temperature_c", "temperature, °C"),
-                    ("length_mm", "length, mm"), ("n", "points"), ("force_n", "force, N"),
-                ),
-                caption="Mean of the points of one setting; ± expanded uncertainty, k = 2.",
-            )
-        )  # fmt: skip
+    sections = [
+        Section(
+            "Force against pressure at each temperature",
+            figure=(lambda: _figure(at_length)) if len(at_length) else None,
+            caption="Settled points, one curve per length, one colour and line style per"
+            f" temperature (as in Figure 4-15 of the thesis). {BARS}",
+        ),
+        Section(
+            "Straight lines at each length and temperature",
+            (
+                "Force = gradient · pressure + intercept by least squares,"
+                f" {REGION_KPA[0]:g} to {REGION_KPA[1]:g} kPa (Equation 4-32).",
+            ),
+            lines,
+            (
+                ("length_mm", "length, mm"), ("temperature_c", "temperature, °C"),
+                ("n", "points"), ("gradient", "gradient, N/kPa"),
+                ("intercept", "intercept, N"),
+            ),
+            caption=f"{EXPANDED}, from the scatter about the line and from zero and gain of the"
+            " calibrations.",
+        ),
+        Section(
+            "Change of the gradient with temperature",
+            (
+                "Slope of a straight line through gradient against temperature (as in Equation"
+                " 4-47), relative to the gradient in the middle of the range.",
+            ),
+            growth,
+            (("length_mm", "length, mm"), ("n", "temperatures"), ("growth", "growth, %/K")),
+            caption=f"{EXPANDED}: from the uncertainties of the gradients, or the scatter about"
+            " the line if that is larger.",
+        ),
+        Section(
+            "Force at held pressures",
+            (),
+            force_at_pressure(at_pressure),
+            (
+                ("pressure_kpa", "pressure, kPa"), ("temperature_c", "temperature, °C"),
+                ("length_mm", "length, mm"), ("n", "points"), ("force_n", "force, N"),
+            ),
+            caption=f"Mean of the points of one setting; {EXPANDED}.",
+        ),
+    ]  # fmt: skip
+    filled = [s for s in sections if s.figure or (s.table is not None and len(s.table))]
     return Findings(
         _headline(reduction.table, growth),
-        tuple(sections),
+        tuple(filled),
         {"lines": lines.to_dict("records"), "growth": growth.to_dict("records")},
     )
 
@@ -100,12 +100,12 @@ def isothermal_findings(run: Run, reduction: Reduction) -> Findings:
 def temperature_lines(
     table: pd.DataFrame, calibrations: Mapping[str, Calibration] = {}
 ) -> pd.DataFrame:
-    """One row a set length and temperature: the line of force against pressure.
+    """The line of force against pressure, one row per set length and temperature.
 
     Args:
-        table: settled points of held lengths, with ``set_temperature_c``.
-        calibrations: by quantity; their zero and gain are in ``u_gradient`` and ``u_intercept``,
-            not in ``u_gradient_fit``, as all temperatures share them.
+        table: settled points at held lengths, with ``set_temperature_c``.
+        calibrations: by quantity. ``u_gradient`` and ``u_intercept`` include their zero and
+            gain; ``u_gradient_fit`` does not, because they are common to all temperatures.
     """
     import pandas as pd
 
@@ -127,16 +127,14 @@ def temperature_lines(
                 "intercept": line.intercept, "u_intercept": u_intercept,
             }
         )  # fmt: skip
-    columns = ["length_mm", "set_temperature_c", "temperature_c", "n", "gradient", "u_gradient",
-               "u_gradient_fit", "intercept", "u_intercept"]  # fmt: skip
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(rows, columns=list(LINE_COLUMNS))
 
 
 def temperature_growth(lines: pd.DataFrame) -> pd.DataFrame:
-    """One row a length: relative slope of the gradient against temperature, in %/K.
+    """Relative slope of the gradient against temperature in %/K, one row per length.
 
-    Its uncertainty is what the gradients' own uncertainties leave, or the scatter about the
-    line where three or more temperatures show more.
+    The uncertainty is that from the gradients, or from the scatter about the line if that is
+    larger (with three or more temperatures).
     """
     import pandas as pd
 
@@ -161,8 +159,8 @@ def temperature_growth(lines: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["length_mm", "n", "growth", "u_growth"])
 
 
-def barred_table(table: pd.DataFrame) -> pd.DataFrame:
-    """One row a set pressure, temperature and length: mean force."""
+def force_at_pressure(table: pd.DataFrame) -> pd.DataFrame:
+    """Mean force, one row per set pressure, temperature and length."""
     import pandas as pd
 
     rows: list[dict[str, Any]] = []
@@ -183,13 +181,13 @@ def barred_table(table: pd.DataFrame) -> pd.DataFrame:
 
 def _headline(table: pd.DataFrame, growth: pd.DataFrame) -> str:
     if not len(table):
-        return "No settled point was reached, so there is no result."
+        return NO_SETTLED_POINT
     low, high = float(table["temperature_c"].min()), float(table["temperature_c"].max())
     span = f"{low:.1f} to {high:.1f} °C"
     if not len(growth):
         return f"{len(table)} settled points from {span}; too few for lines against temperature."
-    beyond = growth[growth["growth"].abs() > 2 * growth["u_growth"]]
-    if not len(beyond):
+    significant = growth[growth["growth"].abs() > 2 * growth["u_growth"]]
+    if not len(significant):
         most = float((growth["growth"].abs() + 2 * growth["u_growth"]).max())
         return (
             f"From {span} the gradient of force against pressure does not change by more than its"
@@ -198,68 +196,46 @@ def _headline(table: pd.DataFrame, growth: pd.DataFrame) -> str:
     first, last = float(growth["growth"].min()), float(growth["growth"].max())
     return (
         f"From {span} the gradient of force against pressure changes by {first:.2g} to"
-        f" {last:.2g} %/K, beyond its uncertainty at {len(beyond)} of {len(growth)} lengths."
+        f" {last:.2g} %/K, more than its uncertainty at {len(significant)} of {len(growth)}"
+        " lengths."
     )
 
 
 def _figure(table: pd.DataFrame) -> Figure:
     from matplotlib.lines import Line2D
 
-    from analysis.figures.drawing import (
-        COVERAGE,
-        MARKERS,
-        QUIET,
-        labels_at_right,
-        new_figure,
-        sequence,
-        style,
-    )
+    from analysis.figures.drawing import DASHES, CurveEnds, curve, curves_figure, marker
 
     warm = sorted(table["set_temperature_c"].unique())
-    colours = sequence(len(warm))
-    dashes = ("-", "--", ":", "-.")
-    with style():
-        figure, axes = new_figure(7.2, 4.9)
-        ends: list[tuple[float, float, str, Any]] = []
+
+    def draw(axes: Any, colours: list[Any], ends: CurveEnds) -> None:
         for (set_c, length), rows in table.groupby(["set_temperature_c", "set_length_mm"]):
             k = warm.index(set_c)
-            axes.errorbar(
-                rows["pressure_kpa"], rows["force_n"],
-                yerr=COVERAGE * np.nan_to_num(rows["u_force_n"].astype(float)),
-                fmt=MARKERS[k % len(MARKERS)], markersize=3.4, color=colours[k], elinewidth=0.7,
-            )  # fmt: skip
-            mean = rows.groupby("set_pressure_kpa")[["pressure_kpa", "force_n"]].mean()
-            axes.plot(
-                mean["pressure_kpa"], mean["force_n"], color=colours[k], linewidth=1.0,
-                linestyle=dashes[k % len(dashes)],
+            end = curve(
+                axes, rows, ("pressure_kpa", "force_n"), rows["set_pressure_kpa"], colours[k], k,
+                linestyle=DASHES[k % len(DASHES)],
             )  # fmt: skip
             if k == len(warm) - 1:
-                end = (float(mean["pressure_kpa"].iloc[-1]), float(mean["force_n"].iloc[-1]))
                 ends.append((*end, f"{float(str(length)):g}", colours[k]))
-        axes.axhline(0.0, color=QUIET, linewidth=0.8)
-        axes.set_xlabel("pressure (kPa gauge)")
-        axes.set_ylabel("force (N)")
         handles = [
-            Line2D([], [], color=colours[k], marker=MARKERS[k % len(MARKERS)], markersize=4,
-                   ls=dashes[k % len(dashes)], label=f"{t:g} °C")
+            Line2D([], [], color=colours[k], marker=marker(k), markersize=4,
+                   ls=DASHES[k % len(DASHES)], label=f"{t:g} °C")
             for k, t in enumerate(warm)
         ]  # fmt: skip
         axes.legend(handles=handles, ncols=len(warm), loc="lower left", bbox_to_anchor=(0.0, 1.0))
-        labels_at_right(axes, ends, "length (mm)")
-    return figure
+
+    return curves_figure(len(warm), "pressure (kPa gauge)", "force (N)", "length (mm)", draw)
 
 
 def _reduce(run: Run) -> Reduction:
-    """Settled points with the temperature that was asked for at each."""
     return reduce_points(run, extra=EXTRA)
 
 
-def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    from analysis.layouts.static import isothermal_layout
-
-    return isothermal_layout(max(parameters.get("pressures_kpa") or [600.0]))
-
-
-ISOTHERMAL = Analysis("isothermal", "Isothermal test", _reduce, _layout, isothermal_findings)
+ISOTHERMAL = Analysis(
+    "isothermal",
+    "Isothermal test",
+    _reduce,
+    lambda parameters: isothermal_layout(max_pressure_kpa(parameters)),
+    isothermal_findings,
+)
 ANALYSES = (ISOTHERMAL,)

@@ -1,52 +1,74 @@
-"""What a table of lengths under hung loads says (Table C-3, Figure 4-13)."""
+"""Findings of an isotonic test: lengths under hung loads (Table C-3, Figure 4-13)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.findings.findings import Analysis, Findings, Section
-from analysis.reduction.points import reduce_points
-from daq.live.layout import LiveLayout
+from analysis.findings.findings import (
+    BARS,
+    EXPANDED,
+    NO_SETTLED_POINT,
+    Analysis,
+    Findings,
+    Section,
+    claims_section,
+    max_pressure_kpa,
+    source_table,
+)
+from analysis.layouts.static import isotonic_layout
+from analysis.reduction.points import Reduction, reduce_points
+from analysis.regression.force_lines import nominal_kpa
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from analysis.reduction.points import Reduction
     from daq.calibration import Calibration
     from daq.store.run import Run
 
 EXTRA = {"mass_kg": "float64"}
 
 
+@dataclass(frozen=True)
+class LoadCurve:
+    """The points of one load, in order of pressure: mean force in N, name, rows."""
+
+    load_n: float
+    name: str
+    rows: pd.DataFrame
+
+    @property
+    def has_length(self) -> bool:
+        """True if the camera measured a length at any point."""
+        return bool(self.rows["length_mm"].notna().any())
+
+
 def isotonic_findings(run: Run, reduction: Reduction) -> Findings:
-    """Length against pressure, one curve a load, and how far each load is lifted."""
+    """Length against pressure, one curve per load, and the contraction under each load."""
     import pandas as pd
 
-    table = reduction.table
-    every = curves_of(table)
-    curves = [(name, rows) for name, rows in every if rows["length_mm"].notna().any()]
-    blind = [name for name, rows in every if rows["length_mm"].isna().all()]
+    every = curves_of(reduction.table)
+    curves = [curve for curve in every if curve.has_length]
+    without = [curve.name for curve in every if not curve.has_length]
     camera = reduction.calibrations.get("length_mm")
-    rows = [_curve_row(load, rows, camera) for load, rows in curves]
+    rows = [_curve_row(curve, camera) for curve in curves]
     sections = [
         Section(
             "Length against pressure",
             figure=lambda: _figure(curves),
-            caption="One curve a load (the form of the thesis's Figure 4-13). Bars: expanded"
-            " uncertainty, k = 2, where larger than the marker.",
+            caption=f"One curve per load (as in Figure 4-13 of the thesis). {BARS}",
         ),
         Section(
-            "What each load does",
+            "Contraction under each load",
             (
-                "Longest and shortest settled length and the contraction between them, a share of"
-                " the longest. Zero and gain of the camera, which all lengths share, are in every"
-                " ±.",
-                *([f"No length was seen under {', '.join(blind)}."] if blind else []),
+                "Longest and shortest settled length, and the contraction between them as a"
+                " fraction of the longest. All uncertainties include zero and gain of the camera,"
+                " which are common to all lengths.",
+                *([f"No length was measured under {', '.join(without)}."] if without else []),
             ),
             pd.DataFrame(rows),
             (
@@ -54,40 +76,32 @@ def isotonic_findings(run: Run, reduction: Reduction) -> Findings:
                 ("at_longest", "at, kPa"), ("shortest", "shortest, mm"),
                 ("at_shortest", "at, kPa"), ("contraction", "contraction"),
             ),
-            caption="± expanded uncertainty, k = 2.",
+            caption=f"{EXPANDED}.",
         ),
         _wide(curves),
     ]  # fmt: skip
-    if (run.manifest.get("source") or {}).get("table") == "C-3":
+    if source_table(run) == "C-3":
         sections.append(_thesis(curves, rows))
-    data = {"loads": rows}
-    return Findings(_headline(rows, bool(blind)), tuple(sections), data)
+    return Findings(_headline(rows, bool(without)), tuple(sections), {"loads": rows})
 
 
-def load_names(table: pd.DataFrame) -> pd.Series:
-    """A name for the load of each row: hung mass where known, else force."""
-    if "mass_kg" in table and table["mass_kg"].notna().any():
-        return table["mass_kg"].astype(float).round(4)
-    return table["force_n"].astype(float).round(1)
-
-
-def curves_of(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
-    """Rows of one load together, lightest first, each with a name."""
+def curves_of(table: pd.DataFrame) -> list[LoadCurve]:
+    """The points of each load, lightest first. A load is a hung mass if known, else a force."""
     by_mass = "mass_kg" in table and table["mass_kg"].notna().any()
+    name, digits = ("mass_kg", 4) if by_mass else ("force_n", 1)
     out = []
-    for load, rows in table.groupby(load_names(table), sort=True):
-        value = float(str(load))
+    for load, rows in table.groupby(table[name].astype(float).round(digits), sort=True):
         newton = float(rows["force_n"].mean())
-        round_n = abs(newton - round(newton)) < 0.005
-        name = f"{value:g} kg" if by_mass and not round_n else f"{newton:.4g} N"
-        out.append((name, rows.sort_values("pressure_kpa", kind="stable")))
+        whole = abs(newton - round(newton)) < 0.005
+        label = f"{float(str(load)):g} kg" if by_mass and not whole else f"{newton:.4g} N"
+        out.append(LoadCurve(newton, label, rows.sort_values("pressure_kpa", kind="stable")))
     return out
 
 
-def _curve_row(load: str, rows: pd.DataFrame, camera: Calibration | None) -> dict[str, Any]:
-    good = rows.dropna(subset=["length_mm"])
-    by_length = good.sort_values("length_mm", kind="stable").to_dict("records")
-    short, long = by_length[0], by_length[-1]
+def _curve_row(curve: LoadCurve, camera: Calibration | None) -> dict[str, Any]:
+    good = curve.rows.dropna(subset=["length_mm"])
+    good = good.assign(nominal=nominal_kpa(good)).sort_values("length_mm", kind="stable")
+    short, long = good.iloc[0], good.iloc[-1]
     ratio = 1.0 - float(short["length_mm"]) / float(long["length_mm"])
     noise = [float(r["u_length_mm_noise"]) / float(r["length_mm"]) for r in (long, short)]
     u = (1.0 - ratio) * math.hypot(*noise)
@@ -96,160 +110,122 @@ def _curve_row(load: str, rows: pd.DataFrame, camera: Calibration | None) -> dic
         for moved in (ends + camera.u_offset, ends + camera.u_gain * (ends - camera.offset)):
             u = math.hypot(u, 1.0 - moved[0] / moved[1] - ratio)
     return {
-        "load": load,
+        "load": curve.name,
         "n": len(good),
         "longest": float(long["length_mm"]),
         "u_longest": float(long["u_length_mm"]),
-        "at_longest": _nominal(long),
+        "at_longest": float(long["nominal"]),
         "shortest": float(short["length_mm"]),
         "u_shortest": float(short["u_length_mm"]),
-        "at_shortest": _nominal(short),
+        "at_shortest": float(short["nominal"]),
         "contraction": ratio,
         "u_contraction": u,
     }
 
 
-def _nominal(row: Any) -> float:
-    set_kpa = float(row["set_pressure_kpa"])
-    return set_kpa if math.isfinite(set_kpa) else round(float(row["pressure_kpa"]))
-
-
-def _wide(curves: list[tuple[str, pd.DataFrame]]) -> Section:
-    """The form of Table C-3: a row a pressure, a column a load."""
+def _wide(curves: list[LoadCurve]) -> Section:
+    """The form of Table C-3: one row per pressure, one column per load."""
     import pandas as pd
 
     cells: dict[float, dict[str, Any]] = {}
-    for k, (_, rows) in enumerate(curves):
-        nominal = rows["set_pressure_kpa"].fillna(rows["pressure_kpa"].round(0))
-        for pressure, part in rows.groupby(nominal):
-            row = cells.setdefault(float(str(pressure)), {"pressure_kpa": float(str(pressure))})
+    for k, curve in enumerate(curves):
+        for nominal, part in curve.rows.groupby(nominal_kpa(curve.rows)):
+            pressure = float(str(nominal))
+            row = cells.setdefault(pressure, {"pressure_kpa": pressure})
             n = max(int(part["length_mm"].notna().sum()), 1)
             noise = float(np.sqrt((part["u_length_mm_noise"].astype(float) ** 2).sum())) / n
             cal = float(part["u_length_mm_cal"].astype(float).mean())
             row[f"l{k}"] = float(part["length_mm"].mean())
             row[f"u_l{k}"] = math.hypot(noise, 0.0 if math.isnan(cal) else cal)
-    heads = [(f"l{k}", f"{name}, mm") for k, (name, _) in enumerate(curves)]
+    heads = [(f"l{k}", f"{curve.name}, mm") for k, curve in enumerate(curves)]
     return Section(
         "The form of Table C-3",
         (),
         pd.DataFrame([cells[p] for p in sorted(cells)]),
         (("pressure_kpa", "pressure, kPa"), *heads),
-        caption="Length under each load, mean where a point was repeated; ± expanded uncertainty.",
+        caption=f"Length under each load, mean of repeated points; {EXPANDED}.",
     )
 
 
-def _headline(rows: list[dict[str, Any]], blind: bool) -> str:
-    if not rows and blind:
-        return "No length was seen, so there is no result."
+def _headline(rows: list[dict[str, Any]], lengths_missing: bool) -> str:
     if not rows:
-        return "No settled point was reached, so there is no result."
-    shares = [100 * row["contraction"] for row in rows]
+        missing = "No length was measured, so there is no result."
+        return missing if lengths_missing else NO_SETTLED_POINT
+    percent = [100 * row["contraction"] for row in rows]
     loads = f"{rows[0]['load']} to {rows[-1]['load']}" if len(rows) > 1 else rows[0]["load"]
-    spread = f"{min(shares):.0f} to {max(shares):.0f}" if len(rows) > 1 else f"{shares[0]:.1f}"
-    return f"Under {loads} the muscle contracts by {spread} % of its longest length."
+    span = f"{min(percent):.0f} to {max(percent):.0f}" if len(rows) > 1 else f"{percent[0]:.1f}"
+    return f"Under {loads} the muscle contracts by {span} % of its longest length."
 
 
-def _thesis(curves: list[tuple[str, pd.DataFrame]], rows: list[dict[str, Any]]) -> Section:
-    """What the text says of Table C-3, held against it."""
-    import pandas as pd
-
-    by_load = {
-        name: part.set_index(part["set_pressure_kpa"].astype(float))["length_mm"].astype(float)
-        for name, part in curves
-    }
-    ten, thirteen = by_load.get("10 N"), by_load.get("13 N")
+def _thesis(curves: list[LoadCurve], rows: list[dict[str, Any]]) -> Section:
+    """Comparison of Table C-3 with the statements of the thesis about it."""
+    lengths = {
+        round(curve.load_n, 2): curve.rows.set_index(
+            curve.rows["set_pressure_kpa"].astype(float)
+        )["length_mm"].astype(float)
+        for curve in curves
+    }  # fmt: skip
     crossed = []
-    if ten is not None and thirteen is not None:
+    if 10.0 in lengths and 13.0 in lengths:
+        ten, thirteen = lengths[10.0], lengths[13.0]
         both = ten.index.intersection(thirteen.index)
         crossed = [float(p) for p in both if thirteen[p] < ten[p]]
     rising = [
-        name
-        for name, lengths in list(by_load.items())[:2]
-        if bool((lengths[lengths.index <= 125].diff().dropna() >= 0).all())
+        curve.name
+        for curve, values in list(zip(curves, lengths.values(), strict=True))[:2]
+        if bool((values[values.index <= 125].diff().dropna() >= 0).all())
     ]
     low, high = min(r["contraction"] for r in rows), max(r["contraction"] for r in rows)
-    said = [
-        {
-            "claim": "contraction lies within 0 to 0.2 (quoted with Equation 4-19)",
-            "found": f"{low:.2f} to {high:.2f} from 0 to 600 kPa",
-            "same": high <= 0.2,
-        },
-        {
-            "claim": "length rises with pressure up to 125 kPa for the two lightest loads (4.8.3)",
-            "found": f"throughout for: {', '.join(rising) or 'neither'}; it wavers",
-            "same": len(rising) == 2,
-        },
-        {
-            "claim": "a heavier load hangs lower",
-            "found": "13 N shorter than 10 N at "
-            + (", ".join(f"{p:g}" for p in crossed) + " kPa" if crossed else "no pressure"),
-            "same": not crossed,
-        },
-    ]
-    return Section(
-        "Beside what the thesis says",
+    at = ", ".join(f"{p:g}" for p in crossed) + " kPa" if crossed else "no pressure"
+    return claims_section(
+        "Comparison with the thesis",
+        "The thesis prints no number derived from Table C-3; these statements can be checked.",
         (
-            "The thesis prints no number derived from Table C-3; these statements can be held"
-            " against it.",
+            (
+                "contraction lies within 0 to 0.2 (quoted with Equation 4-19)",
+                f"{low:.2f} to {high:.2f} from 0 to 600 kPa",
+                high <= 0.2,
+            ),
+            (
+                "length rises with pressure up to 125 kPa for the two lightest loads (4.8.3)",
+                f"throughout for: {', '.join(rising) or 'neither'}; otherwise it rises and falls",
+                len(rising) == 2,
+            ),
+            ("a heavier load hangs lower", f"13 N shorter than 10 N at {at}", not crossed),
         ),
-        pd.DataFrame(said),
-        (("claim", "said"), ("found", "in the table"), ("same", "agrees")),
+        "in the table",
     )
 
 
-def _figure(curves: list[tuple[str, pd.DataFrame]]) -> Figure:
-    from analysis.figures.drawing import (
-        COVERAGE,
-        MARKERS,
-        directions_legend,
-        labels_at_right,
-        new_figure,
-        sequence,
-        style,
-    )
+def _figure(curves: list[LoadCurve]) -> Figure:
+    from analysis.figures.drawing import CurveEnds, curve, curves_figure, directions_legend
 
-    colours = sequence(len(curves))
-    with style():
-        figure, axes = new_figure(7.2, 4.9)
-        ends: list[tuple[float, float, str, Any]] = []
-        for k, (name, rows) in enumerate(curves):
-            for direction, part in rows.groupby("direction", sort=True):
-                down = direction == "down"
-                axes.errorbar(
-                    part["pressure_kpa"], part["length_mm"],
-                    xerr=COVERAGE * np.nan_to_num(part["u_pressure_kpa"].astype(float)),
-                    yerr=COVERAGE * np.nan_to_num(part["u_length_mm"].astype(float)),
-                    fmt=MARKERS[k % len(MARKERS)], markersize=5 if down else 3.4,
-                    markerfacecolor="white" if down else colours[k], color=colours[k],
-                    elinewidth=0.7,
+    def draw(axes: Any, colours: list[Any], ends: CurveEnds) -> None:
+        for k, load in enumerate(curves):
+            end = (math.nan, math.nan)
+            for direction, part in load.rows.groupby("direction", sort=True):
+                end = curve(
+                    axes, part, ("pressure_kpa", "length_mm"), nominal_kpa(part), colours[k], k,
+                    down=direction == "down",
                 )  # fmt: skip
-                nominal = part["set_pressure_kpa"].fillna(part["pressure_kpa"].round(0))
-                mean = part[["pressure_kpa", "length_mm"]].astype(float).groupby(nominal).mean()
-                axes.plot(
-                    mean["pressure_kpa"], mean["length_mm"], color=colours[k], linewidth=1.0,
-                    linestyle="--" if down else "-",
-                )  # fmt: skip
-            last = rows.dropna(subset=["length_mm"]).iloc[-1]
-            ends.append((float(last["pressure_kpa"]), float(last["length_mm"]), name, colours[k]))
-        axes.set_xlabel("pressure (kPa gauge)")
-        axes.set_ylabel("length (mm)")
-        labels_at_right(axes, ends, "load")
-        if any((rows["direction"] == "down").any() for _, rows in curves):
-            directions_legend(axes, "pressure", "upper right")
-    return figure
+            ends.append((*end, load.name, colours[k]))
+        if any((load.rows["direction"] == "down").any() for load in curves):
+            directions_legend(axes, "upper right")
+
+    return curves_figure(
+        len(curves), "pressure (kPa gauge)", "length (mm)", "load", draw, zero_line=False
+    )
 
 
 def _reduce(run: Run) -> Reduction:
-    """Settled points with the mass that hung at each."""
     return reduce_points(run, extra=EXTRA)
 
 
-def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    from analysis.layouts.static import isotonic_layout
-
-    return isotonic_layout(pressure_max_kpa=max(parameters.get("pressures_kpa") or [600.0]))
-
-
-ISOTONIC = Analysis("isotonic", "Isotonic test", _reduce, _layout, isotonic_findings)
+ISOTONIC = Analysis(
+    "isotonic",
+    "Isotonic test",
+    _reduce,
+    lambda parameters: isotonic_layout(max_pressure_kpa(parameters)),
+    isotonic_findings,
+)
 ANALYSES = (ISOTONIC,)

@@ -1,4 +1,4 @@
-"""What a simulated run says: its table of windows, its screen, its part of the report."""
+"""Analysis of a simulated run: its table of windows, its live layout, its findings."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.findings.findings import Analysis, Findings, Section
-from analysis.reduction.columns import points_frame
-from analysis.reduction.points import Reduction
+from analysis.reduction.columns import number_or_nan, points_frame
+from analysis.reduction.points import Reduction, put_mean
 from analysis.reduction.uncertainty import window_mean
-from daq.live.layout import LiveLayout
+from daq.live.layout import GREEN, ORANGE, SKY, Channel, Feed, LiveLayout, Panel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,9 +23,10 @@ EXTRA = {"mass_kg": "float64"}
 
 
 def reduce(run: Run) -> Reduction:
-    """One row a window: means of the first muscle's pressure and pull, and its length.
+    """One row per window: mean pressure and force of the first muscle, and its length.
 
-    Where joints move, `length_mm` is the truth's mean (no camera looks at a finger's muscles).
+    ``length_mm`` is the mean of the true state, because a camera does not see the muscles of a
+    finger.
     """
     points = [event for event in run.events if event.get("kind") == "point"]
     if not points:
@@ -40,10 +41,6 @@ def reduce(run: Run) -> Reduction:
     return Reduction(points_frame(rows, EXTRA), (), calibrations)
 
 
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else float(value)
-
-
 def _row(
     run: Run, point: dict[str, Any], valve: Any, balance: Any, truth: Any, length: str
 ) -> dict[str, Any]:
@@ -54,8 +51,8 @@ def _row(
         "settled": bool(point["settled"]),
         **{key: point[key] for key in ("trial", "slot", "mounting", "order")},
         "set_pressure_kpa": math.nan,
-        "set_length_mm": _or_nan(point.get("set_length_mm")),
-        "mass_kg": _or_nan(point.get("mass_kg")),
+        "set_length_mm": number_or_nan(point.get("set_length_mm")),
+        "mass_kg": number_or_nan(point.get("mass_kg")),
         "temperature_c": float(stated["temperature_c"]),
     }
     for key in ("u_temperature_c", "u_temperature_c_noise", "u_temperature_c_cal"):
@@ -65,7 +62,7 @@ def _row(
     row["n_samples"] = int(inside.sum())
     if inside.any():
         goal = run.calibration("pressure_kpa").apply(valve["setpoint_x16"][inside][-1] / 16.0)
-        row["set_pressure_kpa"] = round(float(goal), 1)  # a set-point is sent in 1/16 counts
+        row["set_pressure_kpa"] = round(float(goal), 1)  # set-points are sent in 1/16 counts
     begin, end = point["balance_rows"]
     held = (balance["row"] >= begin) & (balance["row"] < end)
     for quantity, raw in (
@@ -75,12 +72,7 @@ def _row(
         calibration = run.calibration(quantity)
         mean = window_mean(calibration.apply(raw), abs(calibration.scale))
         u_cal = float(calibration.u(mean.mean)) if mean.n else math.nan
-        row |= {
-            quantity: mean.mean,
-            f"u_{quantity}_noise": mean.u,
-            f"u_{quantity}_cal": u_cal,
-            f"u_{quantity}": math.hypot(mean.u, u_cal),
-        }
+        put_mean(row, quantity, mean, u_cal)
     host = valve["host_ns"][inside]
     span = (truth["host_ns"] >= host.min()) & (truth["host_ns"] <= host.max()) if len(host) else []
     values = truth[length][span] if len(host) else np.array([])
@@ -90,7 +82,7 @@ def _row(
 
 
 def findings(run: Run, reduction: Reduction) -> Findings:
-    """Pressures, valves and places of the whole run, and the table of windows."""
+    """The figure of the whole run, and the table of windows."""
     manifest = run.manifest["parameters"]
     final = run.final or {}
     took = final.get("times_real_time")
@@ -105,14 +97,14 @@ def findings(run: Run, reduction: Reduction) -> Findings:
         ("set_pressure_kpa", "set, kPa"),
         ("pressure_kpa", "pressure, kPa"),
         ("length_mm", "length, mm"),
-        ("force_n", "pull, N"),
+        ("force_n", "force, N"),
     )
     sections = [
         Section(
-            "What moved",
+            "Motion",
             (words,),
             figure=lambda: scene_figure(run),
-            caption="True state, each millisecond; dashed: set-points.",
+            caption="True state, every millisecond; dashed: set-points.",
         )
     ]
     if len(reduction.table):
@@ -121,24 +113,24 @@ def findings(run: Run, reduction: Reduction) -> Findings:
 
 
 def scene_figure(run: Run) -> Figure:
-    """Pressure of each muscle, its pull, and every place, against time."""
+    """Pressure and force of each muscle, and every position, against time."""
     from analysis.figures.drawing import QUIET, SET, new_figure, sequence, style
 
     truth = run.samples("truth")
     t = (truth["host_ns"] - truth["host_ns"][0]) * 1e-9
     pressures = [n for n in truth if n.endswith("_pressure_kpa")]
     forces = [n for n in truth if n.endswith("_force_n")]
-    places = [n for n in truth if n.endswith(("_deg", "_mm")) and not n.endswith("_length_mm")] or [
-        n for n in truth if n.endswith("_length_mm")
-    ]
-    places += [n for n in truth if n == "length_mm"]
+    positions = [
+        n for n in truth if n.endswith(("_deg", "_mm")) and not n.endswith("_length_mm")
+    ] or [n for n in truth if n.endswith("_length_mm")]
+    positions += [n for n in truth if n == "length_mm"]
     with style():
         figure, axes = new_figure(7.2, 5.6, rows=3, sharex=True)
-        groups = ((pressures, "pressure (kPa)"), (forces, "pull (N)"), (places, ""))
+        groups = ((pressures, "pressure (kPa)"), (forces, "force (N)"), (positions, ""))
         for ax, (names, label) in zip(axes, groups, strict=True):
             for name, colour in zip(names, sequence(len(names)), strict=True):
                 ax.plot(t, truth[name], color=colour, linewidth=0.9, label=_plain(name))
-            ax.set_ylabel(label or _axis(places))
+            ax.set_ylabel(label or _axis(positions))
             if len(names) > 1:
                 ax.legend(fontsize=7, ncols=2)
         valve = run.samples("valve")
@@ -162,17 +154,15 @@ def _plain(name: str) -> str:
     return name
 
 
-def _axis(places: list[str]) -> str:
-    return "angle (deg)" if places and places[0].endswith("_deg") else "place (mm)"
+def _axis(positions: list[str]) -> str:
+    return "angle (deg)" if positions and positions[0].endswith("_deg") else "position (mm)"
 
 
 def layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen: curves of pressure, pull and place."""
-    from daq.live.layout import GREEN, ORANGE, SKY, Channel, Feed, Panel
-
+    """Live layout: curves of pressure, force and position."""
     unit = "deg" if parameters.get("load") == "joint" else "mm"
     names = list(parameters.get("coordinates") or []) or ["length"]
-    places = tuple(Channel(f"place/{name}_{unit}", name, unit, digits=2) for name in names)
+    positions = tuple(Channel(f"place/{name}_{unit}", name, unit, digits=2) for name in names)
     columns = [f"{name}_{unit}" for name in names]
     return LiveLayout(
         title=str(parameters.get("name", "simulation")),
@@ -182,9 +172,9 @@ def layout(parameters: Mapping[str, Any]) -> LiveLayout:
                     Channel("pressure/set_kpa", "set-point", "kPa", ORANGE, step=True),
                     Channel("pressure/measured_kpa", "measured", "kPa", SKY),
                 )),
-                Panel("Pull (N)", "series", "force",
+                Panel("Force (N)", "series", "force",
                       (Channel("force/measured_n", "measured", "N", GREEN, digits=2),)),
-                Panel(f"Place ({unit})", "series", "place", places),
+                Panel(f"Position ({unit})", "series", "place", positions),
             ),
         ),
         feeds=(
@@ -193,7 +183,7 @@ def layout(parameters: Mapping[str, Any]) -> LiveLayout:
             Feed("force/measured_n", "balance", "force_n"),
             *(
                 Feed(channel.path, "place", column)
-                for channel, column in zip(places, columns, strict=True)
+                for channel, column in zip(positions, columns, strict=True)
             ),
         ),
     )  # fmt: skip

@@ -1,18 +1,16 @@
-"""What a table of step responses says: schemes side by side, and what section 5.8 says of them."""
+"""Findings of a step test: comparison of the schemes, and with section 5.8 of the thesis."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.findings.findings import Analysis, Findings, Section
+from analysis.figures.valve_moves import ValveMoves
+from analysis.findings.findings import EXPANDED, Analysis, Findings, Section, claims_section
 from analysis.layouts.valve import valve_layout
 from analysis.reduction.step import reduce_step
-from analysis.reduction.valve import ValveRecord
-from daq.live.layout import LiveLayout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,14 +24,14 @@ TITLES = {
     "duty_in": "PWM of the inlet (5.7.2)",
     "duty": "PWM of both (5.7.3)",
     "slide": "sliding mode (5.7.4)",
-    "burst": "bursts that know the valve",
-    "pwm": "pulses by proportion",
+    "burst": "bursts with valve model",
+    "pwm": "proportional pulses",
 }
 THESIS = ("two", "duty_in", "duty", "slide")
 
 
 def step_findings(run: Run, reduction: Reduction) -> Findings:
-    """One row a scheme, the responses, and the thesis's statements."""
+    """The responses, one row per scheme, and the comparison with the thesis."""
     import pandas as pd
 
     table = reduction.table
@@ -47,12 +45,12 @@ def step_findings(run: Run, reduction: Reduction) -> Findings:
             caption="Measured pressure (1 kHz) of the first replicate; dashed: set-point.",
         ),
         Section(
-            "Schemes side by side",
+            "Comparison of the schemes",
             (
-                f"In % of the supply ({supply:g} kPa): error is the mean over the last stretch of"
-                " a step less its set-point, ripple the range in it, overshoot how far beyond the"
-                " set-point; worst over all steps. Settled: steps that came to stay within the"
-                " band, and how long that took (median).",
+                f"In % of the supply ({supply:g} kPa): error is the mean of the last part of a"
+                " step minus its set-point, ripple the range in that part, overshoot the distance"
+                " beyond the set-point; worst of all steps. Settled: steps that settled within"
+                " the tolerance band, and their settling time (median).",
             ),
             pd.DataFrame(rows),
             (
@@ -61,7 +59,7 @@ def step_findings(run: Run, reduction: Reduction) -> Findings:
                 ("overshoot", "overshoot worst, %"), ("settled_steps", "settled"),
                 ("settle", "after, s"), ("switchings", "switchings, 1/s"),
             ),
-            caption="± expanded uncertainty, k = 2.",
+            caption=f"{EXPANDED}.",
         ),
     ]  # fmt: skip
     claims = _claims(rows)
@@ -73,7 +71,7 @@ def step_findings(run: Run, reduction: Reduction) -> Findings:
         ("ripple_kpa", "ripple, kPa"), ("overshoot_kpa", "overshoot, kPa"),
         ("rise_s", "rise, s"), ("settle_s", "settled after, s"),
     )  # fmt: skip
-    caption = "± expanded uncertainty, k = 2. Shaded: did not come to stay within the band."
+    caption = f"{EXPANDED}. Shaded: did not settle within the tolerance band."
     sections.append(Section("All steps", (), table, columns, caption=caption))
     return Findings(_headline(rows), tuple(sections), {"schemes": rows, "supply_kpa": supply})
 
@@ -89,7 +87,7 @@ def _row(name: str, part: pd.DataFrame, supply: float) -> dict[str, Any]:
     error, u_error = worst("error_kpa")
     ripple, u_ripple = worst("ripple_kpa")
     overshoot, u_overshoot = worst("overshoot_kpa")
-    came = part[part["settled"]]
+    settled = part[part["settled"]]
     return {
         "scheme": TITLES.get(name, name),
         "name": name,
@@ -102,8 +100,8 @@ def _row(name: str, part: pd.DataFrame, supply: float) -> dict[str, Any]:
         "u_ripple": u_ripple,
         "overshoot": overshoot,
         "u_overshoot": u_overshoot,
-        "settled_steps": f"{len(came)} of {len(part)}",
-        "settle": float(came["settle_s"].median()) if len(came) else math.nan,
+        "settled_steps": f"{len(settled)} of {len(part)}",
+        "settle": float(settled["settle_s"].median()) if len(settled) else math.nan,
         "switchings": round(float(part["switchings_per_s"].mean()), 1),
     }
 
@@ -115,85 +113,62 @@ def _headline(rows: list[dict[str, Any]]) -> str:
     best = min(good, key=lambda row: row["error_worst"] + row["ripple"])
     worst = max(good, key=lambda row: row["error_worst"] + row["ripple"])
     text = (
-        f"Nearest and quietest: {best['scheme']}, at worst {best['error_worst']:.1f} % of supply"
-        f" from its set-point with {best['ripple']:.1f} % of ripple"
+        f"Smallest error and ripple: {best['scheme']}, at worst {best['error_worst']:.1f} and"
+        f" {best['ripple']:.1f} % of supply"
     )
     if worst is not best:
         text += (
-            f"; farthest: {worst['scheme']}, {worst['error_worst']:.1f} and {worst['ripple']:.1f} %"
+            f"; largest: {worst['scheme']}, {worst['error_worst']:.1f} and {worst['ripple']:.1f} %"
         )
     return text + "."
 
 
 def _claims(rows: list[dict[str, Any]]) -> Section | None:
-    """Section 5.8's statements about its four schemes, held against what was measured."""
-    import pandas as pd
-
+    """Comparison of the four schemes with the statements of section 5.8."""
     by = {row["name"]: row for row in rows if math.isfinite(row["ripple"])}
     if not all(name in by for name in THESIS):
         return None
-    swing = {name: by[name]["ripple"] for name in THESIS}
-    named = ", ".join(f"{TITLES[n].split(' (')[0]} {swing[n]:.1f} %" for n in THESIS)
-    calmest = min(THESIS, key=lambda name: swing[name])
-    said = [
-        {
-            "claim": "two-position: wild movement and considerable overshoot",
-            "found": f"overshoot {by['two']['overshoot']:.1f} %, ripple {swing['two']:.1f} %",
-            "same": by["two"]["overshoot"] > 5.0 and swing["two"] > 5.0,
-        },
-        {
-            "claim": "PWM of the inlet swings more than two-position",
-            "found": f"{swing['duty_in']:.1f} against {swing['two']:.1f} % of ripple",
-            "same": swing["duty_in"] > swing["two"],
-        },
-        {
-            "claim": "sliding mode is the most stable of the four",
-            "found": f"least ripple: {TITLES[calmest].split(' (')[0]} ({named})",
-            "same": calmest == "slide",
-        },
-        {
-            "claim": "none of the four stops oscillating",
-            "found": named,
-            "same": min(swing.values()) > 1.0,
-        },
-    ]
-    return Section(
-        "Beside what the thesis says of its schemes (5.8)",
+    ripple = {name: by[name]["ripple"] for name in THESIS}
+    short = {name: TITLES[name].split(" (")[0] for name in THESIS}
+    named = ", ".join(f"{short[name]} {ripple[name]:.1f} %" for name in THESIS)
+    calmest = min(THESIS, key=lambda name: ripple[name])
+    return claims_section(
+        "Comparison with the thesis: its schemes (5.8)",
+        "The thesis gives no number. Here, oscillation means a ripple above 1 % of supply, and"
+        " considerable means above 5 %. The listings of its programs have defects that may explain"
+        " differences (docs/reference/valve-schemes.md).",
         (
-            "The thesis gives no number, so that oscillation is held against 1 % of supply and"
-            " considerable against 5 %. The listings of its programs have defects that may"
-            " explain what differs (docs/reference/valve-schemes.md).",
+            (
+                "two-position: wild movement and considerable overshoot",
+                f"overshoot {by['two']['overshoot']:.1f} %, ripple {ripple['two']:.1f} %",
+                by["two"]["overshoot"] > 5.0 and ripple["two"] > 5.0,
+            ),
+            (
+                "PWM of the inlet oscillates more than two-position",
+                f"ripple {ripple['duty_in']:.1f} and {ripple['two']:.1f} %",
+                ripple["duty_in"] > ripple["two"],
+            ),
+            (
+                "sliding mode is the most stable of the four",
+                f"smallest ripple: {short[calmest]} ({named})",
+                calmest == "slide",
+            ),
+            ("none of the four stops oscillating", named, min(ripple.values()) > 1.0),
         ),
-        pd.DataFrame(said),
-        (("claim", "said"), ("found", "measured"), ("same", "agrees")),
     )
 
 
 def _figure(run: Run, table: pd.DataFrame) -> Figure:
-    from analysis.figures.drawing import INK, MEASURED, SET, new_figure, style
-    from analysis.figures.timeline import min_max
+    from analysis.figures.drawing import INK, new_figure, style
 
-    record = ValveRecord(run, "switching-time")
-    first = table[table["repeat"] == table["repeat"].min()]
+    moves = ValveMoves(run, table)
+    first = moves.first
     schemes = list(dict.fromkeys(first["scheme"]))
-    windows = {int(e["order"]): e["valve_seq"] for e in record.events}
+    count = max(len(schemes), 1)
     with style():
-        figure, axes = new_figure(7.2, 0.7 + 1.35 * max(len(schemes), 1), rows=max(len(schemes), 1),
-                                  sharex=True)  # fmt: skip
+        figure, axes = new_figure(7.2, 0.7 + 1.35 * count, rows=count, sharex=True)
         for ax, name in zip(np.atleast_1d(axes), schemes, strict=False):
-            part = first[first["scheme"] == name].sort_values("order")
-            orders = [int(order) for order in part["order"]]
-            whole = record.samples([windows[orders[0]][0], windows[orders[-1]][1]])
-            if len(whole.get("counts", ())):
-                seconds = (whole["seq"].astype(np.float64) - windows[orders[0]][0]) * 1e-3
-                ax.plot(*min_max(seconds, record.kpa(whole["counts"])), color=MEASURED,
-                        linewidth=0.8)  # fmt: skip
-            edges, goals = [], []
-            for order, goal in zip(orders, part["set_pressure_kpa"], strict=True):
-                a, b = windows[order]
-                edges += [(a - windows[orders[0]][0]) * 1e-3, (b - windows[orders[0]][0]) * 1e-3]
-                goals += [goal, goal]
-            ax.plot(edges, goals, color=SET, linewidth=1.1, linestyle=(0, (4, 2)))
+            moves.draw_pressure(ax, first[first["scheme"] == name].sort_values("order"))
             ax.set_title(TITLES.get(name, name), loc="left", fontsize=8.5, color=INK)
             ax.set_ylabel("kPa")
             ax.set_ylim(bottom=0)
@@ -202,11 +177,16 @@ def _figure(run: Run, table: pd.DataFrame) -> Figure:
     return figure
 
 
-def _layout(parameters: Mapping[str, Any]) -> LiveLayout:
-    """Its screen."""
-    axis = {"result_axis": ("rms error of the second half of a step (kPa)", 100.0)}
-    return valve_layout("Step test", {**parameters, **axis}, window_s=10.0)
-
-
-STEP = Analysis("step", "Step test", reduce_step, _layout, step_findings)
+STEP = Analysis(
+    "step",
+    "Step test",
+    reduce_step,
+    lambda parameters: valve_layout(
+        "Step test",
+        parameters,
+        window_s=10.0,
+        result_axis=("rms error of the second half of a step (kPa)", 100.0),
+    ),
+    step_findings,
+)
 ANALYSES = (STEP,)

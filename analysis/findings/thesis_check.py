@@ -1,4 +1,4 @@
-"""Does the reduction give what the thesis printed? Table C-9 and Equations 4-34, 4-35."""
+"""Comparison with the printed results of the thesis: Table C-9, Equations 4-34 and 4-35."""
 
 from __future__ import annotations
 
@@ -21,49 +21,54 @@ if TYPE_CHECKING:
 
 IMPORTED_MM = 51.45
 HEADED_MM = 51.0
-"""What Table C-1 heads its shortest length."""
+"""The shortest length: as imported, and as in the heading of Table C-1."""
 
 EQUATIONS = {
     "4-34": ("gradient", "0.0087", "-0.426"),
     "4-35": ("intercept", "-0.159", "-0.43"),
 }
-"""Slope and constant as printed; 4-35's constant is printed -0.043 in the equation and -0.43 in
-Table 4-1, and only -0.43 follows from Table C-9."""
+"""Slope and constant as printed. The constant of 4-35 is printed -0.043 in the equation and -0.43
+in Table 4-1; only -0.43 follows from Table C-9."""
 
 FULL_REGRESSION_C8_SSE = "57.21"
 FULL_REGRESSION_C9_SSE = "421"
 
 
+def printed_rows(name: str) -> list[dict[str, str]]:
+    """Rows of a table of the thesis as text, digits as printed."""
+    table = resources.files("plant.data").joinpath(f"{name}.csv")
+    return list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+
+
 def printed_c9() -> list[dict[str, str]]:
-    """Table C-9 as text, digits as printed, shortest length first."""
-    table = resources.files("plant.data").joinpath("c09_c15_per_length_coefs_150_600.csv")
-    rows = csv.DictReader(table.read_text(encoding="utf-8").splitlines())
+    """Table C-9 as text, shortest length first."""
+    rows = printed_rows("c09_c15_per_length_coefs_150_600")
     return [row for row in rows if row["table"] == "C-9"]
 
 
 def to_printed(value: float, printed: str) -> str:
-    """The value with as many decimals as the printed one has."""
+    """The value with the number of decimals of the printed one."""
     decimals = len(printed.partition(".")[2])
     return f"{value:.{decimals}f}"
 
 
 def compare_c9(
-    lines: list[LengthLine], table: pd.DataFrame, printed_rows: list[dict[str, str]] | None = None
+    lines: list[LengthLine], table: pd.DataFrame, printed_table: list[dict[str, str]] | None = None
 ) -> dict[str, Any]:
-    """Set the recomputed coefficients beside the printed ones.
+    """Compare the recomputed coefficients with the printed ones.
 
     Args:
         lines: first-stage regressions of Table C-1 at 21 degC over 150 to 600 kPa.
-        table: the settled points they came from.
-        printed_rows: Table C-9 as text; the shipped one if not given.
+        table: the settled points of these regressions.
+        printed_table: Table C-9 as text; the shipped one if not given.
 
     Returns:
-        ``rows`` (one a length), ``matching`` pairs, ``equations`` under both readings of the
-        shortest length, and ``readings``: what the two give against what was printed.
+        ``rows`` (one per length), the number of ``matching`` pairs, and ``readings``: the
+        equations and sums of squares for both values of the shortest length.
     """
-    printed_rows = printed_rows or printed_c9()
+    printed_table = printed_table or printed_c9()
     rows = []
-    for line, printed in zip(lines, printed_rows, strict=False):
+    for line, printed in zip(lines, printed_table, strict=False):
         gradient, intercept = printed["pressure_gradient_coef"], printed["intercept_coef"]
         again = (
             to_printed(line.gradient_n_per_kpa, gradient),
@@ -86,7 +91,7 @@ def compare_c9(
     return {
         "rows": rows,
         "matching": sum(row["same"] for row in rows),
-        "pairs": len(printed_rows),
+        "pairs": len(printed_table),
         "readings": readings,
         "sse_c8_printed": FULL_REGRESSION_C8_SSE,
         "sse_c9_printed": FULL_REGRESSION_C9_SSE,
@@ -100,7 +105,7 @@ def printed_law(name: str) -> tuple[float, float]:
 
 
 def _reading(table: pd.DataFrame, shortest_mm: float) -> dict[str, Any]:
-    """What follows if the shortest length is taken as ``shortest_mm``."""
+    """Equations and sums of squares if the shortest length is ``shortest_mm``."""
     read = table.copy()
     shortest = read["length_mm"] == read["length_mm"].min()
     read.loc[shortest, ["length_mm", "set_length_mm"]] = shortest_mm

@@ -1,1 +1,1 @@
-"""Data of other programs in, and runs out to other programs."""
+"""Import of data from other programs, and export of runs to other programs."""

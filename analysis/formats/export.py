@@ -1,4 +1,4 @@
-"""A run for other programs: table and samples as CSV, Parquet or MAT, with units in the names."""
+"""Export of a run: table and samples as CSV, Parquet or MAT, with units in the column names."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ SUFFIX = {
     "counts": "counts",
     "ms": "ms",
 }
-"""How a unit ends the name of its column."""
-LONGEST = 63
-"""MATLAB cuts names beyond this."""
+"""Suffix of column names for each unit."""
+MAX_NAME_LENGTH = 63
+"""MATLAB truncates longer names."""
 
 
 def with_unit(name: str, unit: str) -> str:
-    """A column's name with its unit at the end, unless it is there."""
+    """A column's name with its unit as suffix, unless it already has it."""
     suffix = SUFFIX.get(unit, re.sub(r"[^a-z0-9]+", "_", unit.lower()).strip("_"))
     if not suffix or name == suffix or name.endswith(f"_{suffix}"):
         return name
@@ -49,7 +49,7 @@ def with_unit(name: str, unit: str) -> str:
 
 
 def tables_of(run: Run) -> dict[str, pd.DataFrame]:
-    """Everything that a run exports: ``table`` (its points) and each stream in units.
+    """The tables that a run exports: ``table`` (its points) and each stream in physical units.
 
     Raises:
         RecordError: run.json is damaged.
@@ -69,19 +69,19 @@ def tables_of(run: Run) -> dict[str, pd.DataFrame]:
 
 
 def export_run(run: Run, kind: str, out: Path | None = None, what: str = "all") -> list[Path]:
-    """Write a run for other programs.
+    """Write a run in the format of another program.
 
     Args:
         run: an opened run.
         kind: "csv", "parquet" or "mat".
-        out: folder; ``<run>-<kind>`` in the present one if not given.
+        out: folder; the default is ``<run>-<kind>`` in the current folder.
         what: "table", "samples" or "all".
 
     Returns:
-        the files written; a ``README.json`` beside them tells run, calibrations and notes.
+        The files written, with a ``README.json`` about the run, calibrations and units.
 
     Raises:
-        ConfigError: no such format.
+        ConfigError: unknown format.
         RecordError: the run is damaged, or the folder cannot be written.
     """
     if kind not in FORMATS:
@@ -118,7 +118,7 @@ def _write(run: Run, tables: dict[str, pd.DataFrame], kind: str, folder: Path) -
 
 
 def _write_mat(run: Run, tables: dict[str, pd.DataFrame], path: Path) -> None:
-    """One struct a table, one field a column; words are cell arrays of char."""
+    """One struct per table, one field per column; text columns are cell arrays of char."""
     from scipy.io import savemat
 
     content: dict[str, Any] = {"run_id": run.run_id, "protocol": str(run.manifest["protocol"])}
@@ -126,8 +126,10 @@ def _write_mat(run: Run, tables: dict[str, pd.DataFrame], path: Path) -> None:
         struct: dict[str, Any] = {}
         for column in table:
             field = re.sub(r"\W", "_", str(column))
-            if len(field) > LONGEST:
-                raise RecordError(str(column), f"is longer than MATLAB's {LONGEST} characters")
+            if len(field) > MAX_NAME_LENGTH:
+                raise RecordError(
+                    str(column), f"is longer than the {MAX_NAME_LENGTH} characters of MATLAB"
+                )
             values = table[column].to_numpy()
             if values.dtype == object or values.dtype.kind in "USO":
                 cells = np.empty((len(values), 1), dtype=object)

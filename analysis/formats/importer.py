@@ -1,7 +1,7 @@
-"""Measured data that this software did not record becomes a run like any other.
+"""Import of data that other software measured.
 
-An imported run holds a stream ``points`` and one event ``point`` a row; reduction, figures and
-report then treat it as they treat a recorded one.
+An imported run has a stream ``points`` and one event ``point`` per row. Reduction, figures and
+report treat it like a recorded run.
 """
 
 from __future__ import annotations
@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from analysis.formats.point_checks import NUMBERS as MORE
-from analysis.formats.point_checks import REQUIRED
+from analysis.formats.point_checks import NUMBERS, REQUIRED
 from analysis.formats.points_file import PointsFile, read_points
 from daq.clock import Clock
 
 SHORTEST_MM = 51.45
-"""What every table but C-1 calls the shortest length; C-1's own heading says 51."""
+"""The shortest length in all tables except C-1, whose heading says 51."""
 ORIGIN = {"c": "1996 thesis on pneumatic muscles, Appendix C", "d": "the same thesis, Appendix D"}
 
 
@@ -31,23 +30,23 @@ def import_thesis(
     include_formula: bool = False,
     shortest_mm: float = SHORTEST_MM,
 ) -> Path:
-    """Make a run of a measured table of the thesis.
+    """Import a measured table of the thesis as a run.
 
     Args:
         name: ``c01`` (isometric, 21 degC), ``c02`` (labelled: C-1 plus noise), ``c03``
             (isotonic), ``c04`` and ``c06`` (hysteresis, both directions), ``d01`` to ``d03``
-            (switching times, one run), ``d04`` (switching voltages), ``d05`` (air velocity);
-            ``c05`` and ``c07`` are differences of ``c04`` and ``c06`` and mean those.
+            (switching times, one run), ``d04`` (switching voltages), ``d05`` (air velocity).
+            ``c05`` and ``c07`` are differences of ``c04`` and ``c06``, which are imported.
         root: folder of all runs.
         clock: names the run.
-        include_formula: also take the columns above 21 degC, labelled as a formula.
-        shortest_mm: what the length headed 51 in Table C-1 is taken as.
+        include_formula: include the columns above 21 degC, labelled as a formula.
+        shortest_mm: the value of the length with heading 51 in Table C-1.
 
     Returns:
         The run folder.
 
     Raises:
-        PamrigError: unknown table, or the record cannot be written.
+        PamrigError: the table is unknown, or the record cannot be written.
     """
     from analysis.formats.thesis_sources import FORMULA, READING_51, source
 
@@ -92,7 +91,7 @@ def import_thesis(
 
 
 def import_points(path: Path | str, root: Path | str, clock: Clock, *, specimen: str = "") -> Path:
-    """Make a run of a CSV of settled points, or of an exchange folder of them.
+    """Import settled points from a CSV file or a folder in the dataset format as a run.
 
     Args:
         path: the file or folder, read by :func:`analysis.formats.points_file.read_points`.
@@ -101,7 +100,7 @@ def import_points(path: Path | str, root: Path | str, clock: Clock, *, specimen:
         specimen: name of the muscle; the file's name if empty.
 
     Raises:
-        PamrigError: names the file, row and column, what came and what to do.
+        PamrigError: states file, row and column, the value and a remedy.
     """
     path = Path(path)
     points: PointsFile = read_points(path)
@@ -133,13 +132,13 @@ def _write(
     clock: Clock,
     numbers: Sequence[str] = REQUIRED,
 ) -> Path:
-    """Write rows as a run: raw values into the stream, labels into events."""
+    """Write rows as a run: values into the stream, labels into events."""
     from daq.record.writer import RecordWriter
 
     full = {"protocol": "isometric", "imported": True, "calibrations": {}, **manifest}
     writer = RecordWriter(root, full, clock, durable=False, threaded=False)
     try:
-        columns = list(dict.fromkeys(n for n in (*numbers, *MORE) if not n.startswith("set_")))
+        columns = list(dict.fromkeys(n for n in (*numbers, *NUMBERS) if not n.startswith("set_")))
         if "length_mm" not in numbers:
             columns = [*numbers, *(f"u_{name}" for name in numbers)]
         schema = {"row": "int64", "file_row": "int64", **dict.fromkeys(columns, "float64")}
@@ -176,7 +175,7 @@ def _write(
 
 
 def _trials(rows: Iterable[dict[str, Any]]) -> list[int | str]:
-    """The trial of each row: as given, else one trial a slot or length, numbered from 1."""
+    """The trial of each row: as given, otherwise one trial per slot or length, from 1."""
     numbers: dict[Any, int] = {}
     trials: list[int | str] = []
     for row in rows:
@@ -198,7 +197,7 @@ def _known(row: dict[str, Any], name: str) -> float | None:
 
 
 def _whole(value: Any) -> int | str:
-    """A label as a whole number if it is one."""
+    """A label as an int if it is a whole number."""
     text = str(value)
     return int(text) if text.isdecimal() else text
 

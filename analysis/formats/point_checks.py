@@ -1,4 +1,4 @@
-"""Columns and values of foreign data that could be another unit, or a slip of the hand."""
+"""Checks of imported columns and values: other units and typing errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from daq.errors import PamrigError
 
 REQUIRED = ("pressure_kpa", "length_mm", "force_n")
-"""What an isometric point cannot do without."""
+"""Required quantities of an isometric point."""
 
 NUMBERS = (
     *REQUIRED,
@@ -47,7 +47,7 @@ SENSOR_RANGE = {
     "held_length_mm": (10.0, 200.0),
     "temperature_c": (10.0, 60.0),
 }
-"""What the sensors of the bench can read; ten times beyond it is taken for another unit."""
+"""Ranges of the sensors of the bench. Ten times beyond them another unit is assumed."""
 
 HARD_FLOOR = {"pressure_kpa": -101.325, "set_pressure_kpa": -101.325, "temperature_c": -273.15}
 
@@ -87,10 +87,10 @@ _TARGET = {
 
 
 def number(cell: Any, name: str, line: int, column: str, outside: dict[str, list[int]]) -> float:
-    """The cell as a number, NaN if empty; values outside the sensor's range are listed.
+    """The cell as a number, NaN if empty. Values outside the sensor range are added to ``outside``.
 
     Raises:
-        PamrigError: it is no number, or ten times outside what the sensor can read.
+        PamrigError: it is not a number, or ten times outside the range of the sensor.
     """
     where = f"{name} row {line} column {column}"
     if cell is None or cell == "":
@@ -108,7 +108,7 @@ def number(cell: Any, name: str, line: int, column: str, outside: dict[str, list
         raise PamrigError(where, f"expected a finite number, got {cell!r}", "leave it empty")
     if column.startswith("u_"):
         if value < 0:
-            raise PamrigError(where, f"an uncertainty cannot be negative: {value:g}", "mend it")
+            raise PamrigError(where, f"an uncertainty cannot be negative: {value:g}", "correct it")
         return value
     low, high = SENSOR_RANGE[column]
     floor = HARD_FLOOR.get(column, 10.0 * low if low < 0 else low / 10.0)
@@ -116,8 +116,8 @@ def number(cell: Any, name: str, line: int, column: str, outside: dict[str, list
         unit = column.rsplit("_", 1)[1]
         raise PamrigError(
             where,
-            f"{value:g} is far outside the {low:g} to {high:g} {unit} that the sensor can read",
-            f"is it in another unit? convert it to {unit}, or empty the cell",
+            f"{value:g} is far outside the sensor range of {low:g} to {high:g} {unit}",
+            f"if it has another unit, convert it to {unit}; otherwise clear the cell",
         )
     if not low <= value <= high:
         outside.setdefault(column, []).append(line)
@@ -125,7 +125,7 @@ def number(cell: Any, name: str, line: int, column: str, outside: dict[str, list
 
 
 def check_columns(columns: list[str], name: str, known: tuple[str, ...]) -> list[str]:
-    """Refuse another unit, a time series or a doubled column; note what is ignored."""
+    """Raise PamrigError for other units and time series; returns a note on ignored columns."""
     ignored = []
     for column in columns:
         if column in known:
@@ -134,7 +134,7 @@ def check_columns(columns: list[str], name: str, known: tuple[str, ...]) -> list
             raise PamrigError(
                 f"{name} column {column}",
                 "this is a time series, expected a table of settled points",
-                "reduce it to settled points first: one row a point, without time",
+                "reduce it to settled points first: one row per point, without time",
             )
         match = _QUANTITY.match(column)
         if match and column not in TRIAL_COLUMNS:
@@ -152,7 +152,7 @@ def check_columns(columns: list[str], name: str, known: tuple[str, ...]) -> list
 
 
 def check_required(columns: list[str], name: str, trials: dict[str, dict[str, Any]]) -> None:
-    """Refuse a table that lacks what an isometric point needs; guess at slips of the pen."""
+    """Raise PamrigError if a required column is missing; suggests a similar name."""
     held = any(row.get("held_length_mm") not in (None, "") for row in trials.values())
     for column in REQUIRED:
         if column in columns or (column == "length_mm" and held):

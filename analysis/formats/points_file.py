@@ -1,8 +1,8 @@
-"""Settled points that came from elsewhere: a CSV file or an exchange folder, checked strictly.
+"""Strict reading of settled points from a CSV file or a folder in the dataset format.
 
-A number that is silently wrong costs more than a file that is refused, so anything that could
-be another unit, another quantity or a slip of the hand stops the import with the file, the row
-and the column.
+A wrong number that is not noticed is worse than a rejected file. Therefore the import stops at
+everything that could be another unit, another quantity or a typing error; the message states
+file, row and column.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from plant import tomlfile
 
 @dataclass(frozen=True)
 class PointsFile:
-    """Settled points as read: one dict a row, numbers as float, labels as text.
+    """Settled points as read: one dict per row, numbers as float, labels as text.
 
     Attributes:
         rows: every row has the three required numbers; other numbers may be NaN.
-        notes: what a reader of the report should know (ignored columns, skipped rows).
+        notes: for the report (ignored columns, skipped rows).
         sources: name, size and SHA-256 of every file read.
         bench: contents of ``bench.toml``, empty without one.
     """
@@ -54,27 +54,24 @@ def read_points(path: Path) -> PointsFile:
     """Read a CSV of settled points, or a folder with trials.csv and samples.csv or .parquet.
 
     Raises:
-        PamrigError: names the file, row and column, what came and what to do.
+        PamrigError: states file, row and column, the value and a remedy.
     """
     if not path.exists():
         raise PamrigError(str(path), "no such file or folder", "check the path")
     if path.is_dir():
         return _read_folder(path)
-    raw = _read_table(path)
-    return _points(raw, {}, path.name, [_source(path)])
+    return _points(_read_table(path), {}, path.name, [_source(path)])
 
 
 def _read_folder(folder: Path) -> PointsFile:
     names = ("samples.csv", "samples.parquet")
     found = [folder / name for name in names if (folder / name).exists()]
     if len(found) != 1:
-        what = "both samples.csv and samples.parquet are there" if found else "no samples.csv"
-        raise PamrigError(
-            str(folder), what, "an exchange folder holds trials.csv and one of the two"
-        )
+        what = "has both samples.csv and samples.parquet" if found else "no samples.csv"
+        raise PamrigError(str(folder), what, "the dataset format has trials.csv and one of the two")
     samples_path, trials_path = found[0], folder / "trials.csv"
     if not trials_path.exists():
-        raise PamrigError(str(folder), "no trials.csv", "one row a trial, with at least: trial")
+        raise PamrigError(str(folder), "no trials.csv", "one row per trial, with at least: trial")
     trials: dict[str, dict[str, Any]] = {}
     for line, row in _read_table(trials_path):
         check_columns(list(row), trials_path.name, TRIAL_COLUMNS)
@@ -84,8 +81,8 @@ def _read_folder(folder: Path) -> PointsFile:
         if name in trials:
             raise PamrigError(
                 f"{trials_path.name} row {line} column trial",
-                f"trial {name!r} is there twice",
-                "one row a trial",
+                f"trial {name!r} occurs twice",
+                "one row per trial",
             )
         trials[name] = row
     sources = [_source(trials_path), _source(samples_path)]
@@ -95,7 +92,9 @@ def _read_folder(folder: Path) -> PointsFile:
         try:
             bench = tomlfile.loads(tomlfile.read_text(folder / "bench.toml"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise PamrigError("bench.toml", f"is not TOML: {error}", "mend or remove it") from error
+            raise PamrigError(
+                "bench.toml", f"is not TOML: {error}", "correct or remove it"
+            ) from error
     points = _points(_read_table(samples_path), trials, samples_path.name, sources)
     return PointsFile(points.rows, points.notes, points.sources, bench)
 
@@ -152,7 +151,7 @@ def _points(
 def _joined(
     cells: dict[str, Any], trials: dict[str, dict[str, Any]], name: str, line: int
 ) -> dict[str, Any]:
-    """The row with what its trial says wherever the row itself is silent."""
+    """The row, with missing values taken from its trial."""
     if not trials:
         return cells
     trial = str(cells.get("trial") if cells.get("trial") is not None else "")
@@ -218,11 +217,11 @@ def _read_table(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     header = [cell.strip() for cell in next(lines, [])]
     if len(header) == 1 and re.search(r"[;\t]", header[0]):
         raise PamrigError(
-            f"{path.name} row 1", "columns are not parted by commas", "save it with commas"
+            f"{path.name} row 1", "columns are not separated by commas", "save it with commas"
         )
     for column in header:
         if header.count(column) > 1:
-            raise PamrigError(f"{path.name} column {column}", "is there twice", "remove one")
+            raise PamrigError(f"{path.name} column {column}", "occurs twice", "remove one")
     for cells in lines:
         if not any(cell.strip() for cell in cells):
             continue
@@ -230,7 +229,7 @@ def _read_table(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
             raise PamrigError(
                 f"{path.name} row {lines.line_num}",
                 f"has {len(cells)} cells, the header has {len(header)}",
-                "a comma too many, too few, or as decimal sign?",
+                "check for a missing or extra comma, or a decimal comma",
             )
         yield lines.line_num, dict(zip(header, (cell.strip() for cell in cells), strict=True))
 

@@ -1,4 +1,4 @@
-"""The measured tables of the thesis as rows of points, with what is to be known about each."""
+"""The measured tables of the thesis as rows of points, with notes about each."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from daq.errors import PamrigError
 from plant.thesis import load
 
 GRAVITY = 9.80665
-"""m/s2; the thesis gives masses in C-6 and forces in C-3."""
+"""m/s2. The thesis gives masses in C-6 and forces in C-3."""
 EVEN = math.sqrt(3.0)
-"""Half-width of an even spread over its standard deviation."""
+"""Half-width of a rectangular distribution divided by its standard deviation."""
 STEP = math.sqrt(12.0)
-"""Step of a printed number over its standard deviation."""
+"""Step of a printed number divided by its standard deviation."""
 
 READING_51 = (
-    "Table C-1 heads its shortest length 51 mm; Tables C-2, C-8 to C-15 and C-19 to C-32 say"
-    " 51.45 mm, and only 51.45 mm reproduces the published coefficients. It is taken as"
-    " {length:g} mm here."
+    "The heading of Table C-1 gives its shortest length as 51 mm; Tables C-2, C-8 to C-15 and C-19"
+    " to C-32 give 51.45 mm, and only 51.45 mm reproduces the published coefficients. Here it is"
+    " {length:g} mm."
 )
 FORMULA = (
-    "formula, not measured: the columns above 21 °C follow from the 21 °C column by one"
-    " factor a cell in every one of their 1344 cells"
+    "formula, not measured: each of the 1344 cells above 21 °C follows from the 21 °C column by"
+    " one factor"
 )
 NOISE = (
-    "C-1 plus noise: no cell of Table C-2 differs from Table C-1 by more than 1.005 N, evenly"
-    " spread, so it is no independent test and confirms nothing about C-1"
+    "C-1 plus noise: the cells of Table C-2 differ from Table C-1 by at most 1.005 N, with a"
+    " uniform distribution, so it is no independent test and does not confirm C-1"
 )
 STATED_NOTE = (
     "uncertainties are those stated in section 4.6.4 (± 5 kPa, ± 0.1 mm, ± 0.01 °C)"
-    " read as limits of an even spread; of the force only the scale's step (0.001 g) is stated,"
-    " so u_force_n holds no more than the rounding of the printed numbers"
+    " taken as limits of a rectangular distribution; for the force only the step of the balance"
+    " (0.001 g) is stated, so u_force_n includes only the rounding of the printed numbers"
 )
 CAMERA_NOTE = (
     "uncertainties are those stated in section 4.6.4 (± 5 kPa by the gauge, ± 0.05 mm by the"
-    " camera) read as limits of an even spread; the load is as hung, its error is not stated"
+    " camera) taken as limits of a rectangular distribution; the error of the load is not stated"
 )
 VALVE_NOTE = (
-    "of these readings the thesis states no error: pressures are taken as ± 5 kPa (the gauge of"
-    " section 4.6.4) read as limits of an even spread, the rest as the rounding of the printed"
-    " numbers"
+    "the thesis states no errors of these readings: pressures are taken as ± 5 kPa (the gauge of"
+    " section 4.6.4), limits of a rectangular distribution; other uncertainties are those of"
+    " rounding"
 )
 
 
@@ -52,12 +52,12 @@ class Source:
 
     Attributes:
         table: its name as printed.
-        title: what it holds.
-        protocol: the test it came from: its reduction and its report.
+        title: its contents.
+        protocol: the test whose reduction and report are used.
         stated: standard uncertainties by column (``u_<column>``).
-        rows: makes its points: columns of ``columns`` and labels, one dict a point.
+        rows: returns its points, one dict each, with ``columns`` and labels.
         columns: numbers of a point, in order.
-        labels, notes: as the report shows them.
+        labels, notes: for the report.
     """
 
     table: str
@@ -71,10 +71,10 @@ class Source:
 
 
 def source(name: str) -> tuple[str, Source]:
-    """The table of that name (``c01``, ``C-1``, ``d05``): (key, source).
+    """The table with this name (``c01``, ``C-1``, ``d05``): (key, source).
 
     Raises:
-        PamrigError: no such table, or it holds nothing measured.
+        PamrigError: there is no such table, or it has no measured points.
     """
     key = name.lower().replace("-", "").replace("_", "")
     if key[:1] in ("c", "d") and key[1:].isdecimal():
@@ -83,119 +83,74 @@ def source(name: str) -> tuple[str, Source]:
     if key not in SOURCES:
         raise PamrigError(
             f"thesis table {name}",
-            "is not one of measured points",
-            f"those that can be imported: {', '.join([*SOURCES, *ALIASES])}",
+            "is not a table of measured points",
+            f"tables that can be imported: {', '.join([*SOURCES, *ALIASES])}",
         )
     return key, SOURCES[key]
 
 
+def _points(name: str, **common: Any) -> list[dict[str, Any]]:
+    """The cells of a table, one point per printed row, with line, set pressure and repeat."""
+    return [
+        {"line": line, "repeat": 1, **cells, "set_pressure_kpa": cells["pressure_kpa"], **common}
+        for line, cells in enumerate(load(name), start=2)
+    ]
+
+
 def _muscle(name: str) -> list[dict[str, Any]]:
     """C-1, C-2, C-4: force at held lengths."""
-    rows = []
-    for line, cells in enumerate(load(name), start=2):
-        row = {k: cells[k] for k in ("pressure_kpa", "length_mm", "force_n")}
-        cycle = f" cycle {cells['cycle_max_kpa']:g}" if "cycle_max_kpa" in cells else ""
-        row.update(
-            line=line,
-            temperature_c=cells.get("temperature_c", 21.0),
-            direction=cells.get("direction", "single"),
-            cycle_max_kpa=cells.get("cycle_max_kpa"),
-            set_pressure_kpa=row["pressure_kpa"],
-            set_length_mm=row["length_mm"],
-            slot=f"L{row['length_mm']:g}{cycle}",
-            repeat=2 if cycle.endswith("400") else 1,
-        )
-        rows.append(row)
+    rows = _points(name)
+    for row in rows:
+        cycle = f" cycle {row['cycle_max_kpa']:g}" if "cycle_max_kpa" in row else ""
+        row.setdefault("temperature_c", 21.0)
+        row.setdefault("direction", "single")
+        row |= {"set_length_mm": row["length_mm"], "slot": f"L{row['length_mm']:g}{cycle}"}
     return rows
 
 
 def _isobaric() -> list[dict[str, Any]]:
-    rows = _muscle("c02")
-    for row in rows:
-        row["slot"] = f"P{row['pressure_kpa']:g}"
-    return rows
-
-
-def _hysteresis() -> list[dict[str, Any]]:
-    rows = _muscle("c04")
-    for row in rows:
-        row["repeat"] = 1
-    return rows
+    return [{**row, "slot": f"P{row['pressure_kpa']:g}"} for row in _muscle("c02")]
 
 
 def _isotonic() -> list[dict[str, Any]]:
-    """C-3: lengths under loads that are headed in newton."""
-    rows = []
-    for line, cells in enumerate(load("c03"), start=2):
-        row: dict[str, Any] = {k: cells[k] for k in ("pressure_kpa", "length_mm", "force_n")}
-        row.update(
-            line=line,
-            temperature_c=21.0,
-            direction="single",
-            mass_kg=float(row["force_n"]) / GRAVITY,
-            set_pressure_kpa=row["pressure_kpa"],
-            slot=f"{row['force_n']:g} N",
-            repeat=1,
-        )
-        rows.append(row)
+    """C-3: lengths under loads, with headings in newton."""
+    rows = _points("c03", temperature_c=21.0, direction="single")
+    for row in rows:
+        row |= {"mass_kg": float(row["force_n"]) / GRAVITY, "slot": f"{row['force_n']:g} N"}
     return rows
 
 
 def _isotonic_hysteresis() -> list[dict[str, Any]]:
-    """C-6: lengths under hung masses, up and down."""
-    rows = []
-    for line, cells in enumerate(load("c06"), start=2):
-        mass = float(str(cells["mass_kg"]))
-        row = {
-            "line": line,
-            "pressure_kpa": cells["pressure_kpa"],
-            "length_mm": cells["length_mm"],
-            "force_n": mass * GRAVITY,
-            "temperature_c": 21.0,
-            "direction": cells["direction"],
-            "cycle_max_kpa": cells["cycle_max_kpa"],
-            "mass_kg": mass,
-            "set_pressure_kpa": cells["pressure_kpa"],
-            "slot": f"{mass:g} kg cycle {cells['cycle_max_kpa']:g}",
-            "repeat": 1,
-        }
-        rows.append(row)
+    """C-6: lengths under hung masses at rising and falling pressure."""
+    rows = _points("c06", temperature_c=21.0)
+    for row in rows:
+        mass = float(str(row["mass_kg"]))
+        slot = f"{mass:g} kg cycle {row['cycle_max_kpa']:g}"
+        row |= {"mass_kg": mass, "force_n": mass * GRAVITY, "slot": slot}
     return rows
 
 
-def _by_valve(name: str, unit: str, *common: str) -> list[dict[str, Any]]:
-    """D-1 to D-4: two points a printed row, one a valve."""
+def _by_valve(name: str, unit: str) -> list[dict[str, Any]]:
+    """D-1 to D-4: two points per printed row, one for each valve."""
     rows = []
-    for line, cells in enumerate(load(name), start=2):
+    for cells in _points(name):
         for valve in ("inlet", "outlet"):
-            row: dict[str, Any] = {
-                "line": line,
+            row = {k: v for k, v in cells.items() if not k.startswith(("inlet_", "outlet_"))}
+            row |= {
                 "valve": valve,
-                "pressure_kpa": cells["pressure_kpa"],
-                "set_pressure_kpa": cells["pressure_kpa"],
                 f"on_{unit}": cells[f"{valve}_on_{unit}"],
                 f"off_{unit}": cells[f"{valve}_off_{unit}"],
                 "slot": f"{valve} {cells['pressure_kpa']:g}",
-                "repeat": int(str(cells.get("repeat", 1))),
             }
-            row.update({k: cells[k] for k in common})
             rows.append(row)
     return rows
 
 
 def _flow() -> list[dict[str, Any]]:
-    return [
-        {
-            "line": line,
-            "valve": "outlet",
-            "pressure_kpa": cells["pressure_kpa"],
-            "set_pressure_kpa": cells["pressure_kpa"],
-            "velocity_m_s": cells["air_velocity_m_s"],
-            "slot": f"{cells['pressure_kpa']:g}",
-            "repeat": 1,
-        }
-        for line, cells in enumerate(load("d05"), start=2)
-    ]
+    rows = _points("d05", valve="outlet")
+    for row in rows:
+        row |= {"velocity_m_s": row["air_velocity_m_s"], "slot": f"{row['pressure_kpa']:g}"}
+    return rows
 
 
 _MUSCLE = ("pressure_kpa", "length_mm", "force_n", "temperature_c")
@@ -219,37 +174,38 @@ SOURCES = {
         _SEEN, _isotonic, _MUSCLE,
         notes=(
             CAMERA_NOTE,
-            "Table C-3 heads its loads in newton where section 4.6.2 speaks of hung masses; they"
-            " are taken as newton",
+            "the headings of Table C-3 give loads in newton, section 4.6.2 mentions hung masses;"
+            " newton is used",
         ),
     ),
     "c04": Source(
         "C-4", "isometric hysteresis, pressure up and down to 400 and 600 kPa", "hysteresis",
-        {**_HELD, "u_force_n": 0.01 / STEP}, _hysteresis, _MUSCLE, notes=(STATED_NOTE,),
+        {**_HELD, "u_force_n": 0.01 / STEP}, lambda: _muscle("c04"), _MUSCLE,
+        notes=(STATED_NOTE,),
     ),
     "c06": Source(
         "C-6", "isotonic hysteresis, length with pressure up and down to 400 and 600 kPa",
         "hysteresis", _SEEN, _isotonic_hysteresis, _MUSCLE,
         notes=(
             CAMERA_NOTE,
-            "Table C-6 heads its columns force, in newton; they hold lengths in mm",
+            "the headings of Table C-6 are forces in newton; the columns are lengths in mm",
         ),
     ),
     "d01": Source(
         "D-1 to D-3", "switching times of both valves, three repeats", "switching-time",
         {**_GAUGE, "u_on_ms": 0.1 / STEP, "u_off_ms": 0.1 / STEP},
-        lambda: _by_valve("d01", "ms", "air_delay_ms"),
+        lambda: _by_valve("d01", "ms"),
         ("pressure_kpa", "on_ms", "off_ms", "air_delay_ms"),
         notes=(
             VALVE_NOTE,
-            "the tables name no unit; section 5.12 speaks of milliseconds",
+            "the tables have no unit; section 5.12 uses milliseconds",
             "the inlet's off times of Tables D-2 and D-3 are the same numbers, and so are the"
             " outlet's: off times have two repeats, not three",
-            "whether the printed times still hold the air's way to the sensor is not said; they"
-            " are taken as printed. The tables give it as 1.016 ms, the text as 1.02, and"
-            " 62 mm at 65 m/s are 0.954 ms",
-            "time is printed at 0 kPa, too, where no air flows: a strain gauge on the line cannot"
-            " have seen it",
+            "the thesis does not state whether the printed times include the propagation delay to"
+            " the sensor; they are used as printed. The tables give the delay as 1.016 ms, the text"
+            " as 1.02 ms, and 62 mm at 65 m/s are 0.954 ms",
+            "times are also printed at 0 kPa, where no air flows: a strain gauge on the line cannot"
+            " have measured them",
         ),
     ),
     "d04": Source(
@@ -263,12 +219,12 @@ SOURCES = {
         {**_GAUGE, "u_velocity_m_s": 1.0 / STEP}, _flow, ("pressure_kpa", "velocity_m_s"),
         notes=(
             VALVE_NOTE,
-            "the table names no units: kPa and, by the text, m/s; neither the bore in which the"
-            " velocity was read nor the valve is told",
+            "the table has no units: kPa and, from the text, m/s; the bore of the meter and the"
+            " valve are not stated",
         ),
     ),
 }  # fmt: skip
 
 ALIASES = {"c05": "c04", "c07": "c06", "d02": "d01", "d03": "d01"}
-"""C-5 and C-7 are differences of C-4 and C-6, recomputed in their reports; D-1 to D-3 are one
-test of three repeats."""
+"""C-5 and C-7 are differences of C-4 and C-6, which their reports recompute. D-1 to D-3 are one
+test with three repeats."""

@@ -1,1 +1,1 @@
-"""The panels that the live view and the view file show, one layout per protocol."""
+"""The panels of the live view and the view file, one layout per protocol."""

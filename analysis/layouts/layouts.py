@@ -1,4 +1,4 @@
-"""What the live view shows during each protocol."""
+"""The live layout of isometric tests, the panels that other tests share, and picture overlays."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ CAMERA = "camera"
 LOG = "log"
 POINTS = "points/force_n"
 
-# States that look the same on every protocol's lane; others get colours of the viewer.
+# Colours of the states that all protocols have; the viewer chooses colours of others.
 STATE_COLOURS = (
     ("precondition", PURPLE),
     ("zero", GREY),
@@ -62,30 +62,57 @@ STATE_COLOURS = (
 )
 
 
+PRESSURE_FEEDS = (Feed(SET_POINT, "valve", "setpoint_kpa"), Feed(PRESSURE, "valve", "pressure_kpa"))
+VALVE_FEEDS = (
+    Feed(INLET, "valve", "inlet_cmd", scale=100.0),
+    Feed(OUTLET, "valve", "vent_cmd", scale=100.0),
+)
+STATE_FEEDS = (EventFeed(STATE, "state", "state"), EventFeed(FAULT, "fault", "text"))
+VALVES = Panel(
+    "Valves, share of time commanded open (%)",
+    "series",
+    "valves",
+    (
+        Channel(INLET, "inlet", "%", SKY, reduce="mean", digits=0),
+        Channel(OUTLET, "outlet", "%", VERMILLION, reduce="mean", digits=0),
+    ),
+    y_range=(-5.0, 105.0),
+)
+STATES = Panel(
+    "Protocol",
+    "states",
+    "state",
+    (Channel(STATE, "state"), Channel(FAULT, "fault", colour=VERMILLION)),
+    share=0.8,
+    state_colours=STATE_COLOURS,
+)
+NOW = Panel("Now", "readout", "readout", share=0.85)
+MESSAGES = Panel("Messages", "log", LOG, share=0.6)
+
+
+def pressure_panel(title: str) -> Panel:
+    """Set-point and measured pressure."""
+    channels = (
+        Channel(SET_POINT, "set-point", "kPa", ORANGE, step=True),
+        Channel(PRESSURE, "measured", "kPa", SKY),
+    )
+    return Panel(title, "series", "pressure", channels, share=1.6)
+
+
 def isometric_layout(
     pressure_max_kpa: float = 500.0,
     force_max_n: float = 100.0,
     window_s: float = 60.0,
     frame_px: tuple[int, int] = (640, 480),
 ) -> LiveLayout:
-    """The screen of an isometric test: curves left; points, camera and figures right.
+    """The layout of an isometric test: curves on the left; points, camera and readings right.
 
     Args:
         pressure_max_kpa: highest pressure of the protocol, for the axis of the points.
-        force_max_n: highest force expected; the axis grows if more comes.
-        window_s: how much of the past the curves show.
-        frame_px: width and height of the camera's frames.
+        force_max_n: highest expected force; the axis is extended if necessary.
+        window_s: time range of the curves.
+        frame_px: width and height of the camera frames.
     """
-    pressure = Panel(
-        "Pressure (kPa)",
-        "series",
-        "pressure",
-        (
-            Channel(SET_POINT, "set-point", "kPa", ORANGE, step=True),
-            Channel(PRESSURE, "measured", "kPa", SKY),
-        ),
-        share=1.6,
-    )
     force = Panel(
         "Force (N)",
         "series",
@@ -101,24 +128,6 @@ def isometric_layout(
             Channel(SET_LENGTH, "set", "mm", ORANGE, step=True, digits=2),
             Channel(LENGTH, "measured by camera", "mm", YELLOW, digits=3),
         ),
-    )
-    valves = Panel(
-        "Valves, share of time commanded open (%)",
-        "series",
-        "valves",
-        (
-            Channel(INLET, "inlet", "%", SKY, reduce="mean", digits=0),
-            Channel(OUTLET, "outlet", "%", VERMILLION, reduce="mean", digits=0),
-        ),
-        y_range=(-5.0, 105.0),
-    )
-    states = Panel(
-        "Protocol",
-        "states",
-        "state",
-        (Channel(STATE, "state"), Channel(FAULT, "fault", colour=VERMILLION)),
-        share=0.8,
-        state_colours=STATE_COLOURS,
     )
     points = Panel(
         "Settled points: force (N) against pressure (kPa), one colour per length",
@@ -136,25 +145,17 @@ def isometric_layout(
         x_axis=Axis("x (px)", 0.0, frame_px[0]),
         y_axis=Axis("y (px)", 0.0, frame_px[1]),
     )
-    now = Panel("Now", "readout", "readout", share=0.85)
-    log = Panel("Messages", "log", LOG, share=0.6)
+    left = (pressure_panel("Pressure (kPa)"), force, length, VALVES, STATES)
     return LiveLayout(
         title="Isometric test",
-        columns=((pressure, force, length, valves, states), (points, (camera, now), log)),
+        columns=(left, (points, (camera, NOW), MESSAGES)),
         shares=(1.0, 1.0),
         window_s=window_s,
-        feeds=(
-            Feed(SET_POINT, "valve", "setpoint_kpa"),
-            Feed(PRESSURE, "valve", "pressure_kpa"),
-            Feed(INLET, "valve", "inlet_cmd", scale=100.0),
-            Feed(OUTLET, "valve", "vent_cmd", scale=100.0),
-            Feed(FORCE, "balance", "force_n"),
-        ),
+        feeds=(*PRESSURE_FEEDS, *VALVE_FEEDS, Feed(FORCE, "balance", "force_n")),
         event_feeds=(
             EventFeed(SET_LENGTH, "command", "length_mm"),
             EventFeed(LENGTH, "length", "pixels", quantity="length_mm", only="trusted"),
-            EventFeed(STATE, "state", "state"),
-            EventFeed(FAULT, "fault", "text"),
+            *STATE_FEEDS,
         ),
         points=(PointFeed(POINTS, x=("valve", "pressure_kpa"), y=("balance", "force_n")),),
         camera=CAMERA,
@@ -162,9 +163,9 @@ def isometric_layout(
 
 
 def edge_lines(gap: GapMeasurement, length_mm: float | None = None) -> list[Line]:
-    """What to draw over a frame: both measured edges and the gap with its length.
+    """Overlay of a frame: both measured edges, and the gap with its length.
 
-    Empty where no gap was found; a gap that is not trusted says why instead of a length.
+    Empty if no gap was found. If the gap is not trusted, the reason replaces the length.
     """
     lines: list[Line] = []
     for edge, name in ((gap.left, "left edge"), (gap.right, "right edge")):
@@ -187,10 +188,10 @@ def edge_lines(gap: GapMeasurement, length_mm: float | None = None) -> list[Line
 
 
 def profile_lines(gray: npt.NDArray[np.uint8], region: Box) -> list[Line]:
-    """Region, column profile and the columns the macro's threshold marks, as nameless lines.
+    """Region, column profile and the columns that the macro's threshold marks, without labels.
 
-    The profile stands on the region's lower border, a quarter of its height for the whole
-    grey scale; a bar below it runs under marked columns. Nothing where nothing was looked at.
+    The base line of the profile is the lower border of the region; the full grey scale is a
+    quarter of its height. A bar marks columns above the threshold. Empty without a region.
     """
     left, top, width, height = region
     if width == 0:
@@ -217,10 +218,10 @@ def _point(corner: tuple[int, int]) -> tuple[float, float]:
 
 
 def measured_edges(run: Run) -> Callable[[bytes], list[Line]]:
-    """Measures stored frames of a run again, for its view file.
+    """Returns a function that measures a stored frame of a run and returns its overlay.
 
     Raises:
-        RecordError: run.json does not say how.
+        RecordError: the camera settings in run.json are invalid.
     """
     from analysis.reduction.pictures import camera_of, decode, measure_stored
 

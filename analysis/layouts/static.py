@@ -1,4 +1,4 @@
-"""What the live view shows during each static test: what that test's operator looks at."""
+"""Live layouts of the static tests."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LENGTHS = Axis("length (mm)", 50.0, 73.0)
 
 
 def isobaric_layout(force_max_n: float = 100.0) -> LiveLayout:
-    """Force against length, one colour for each pressure; the length moves, the pressure holds."""
+    """Force against length, one colour per pressure; the length changes at constant pressure."""
     base = isometric_layout(force_max_n=force_max_n)
     points = replace(
         _panel(base, "points"),
@@ -26,7 +26,7 @@ def isobaric_layout(force_max_n: float = 100.0) -> LiveLayout:
         label="{set_pressure_kpa:g} kPa",
     )  # fmt: skip
     pressure, force, length, valves, states = base.columns[0]
-    left = (_grown(length, 1.4), force, pressure, valves, states)
+    left = (_with_share(length, 1.4), force, pressure, valves, states)
     return replace(
         base, title="Isobaric test", columns=(left, (points, *base.columns[1][1:])), points=(feed,)
     )
@@ -35,7 +35,7 @@ def isobaric_layout(force_max_n: float = 100.0) -> LiveLayout:
 def isotonic_layout(
     pressure_max_kpa: float = 600.0, label: str = "{mass_kg:g} kg", title: str = "Isotonic test"
 ) -> LiveLayout:
-    """The camera's picture and the length, which is the result; no balance is looked at."""
+    """Camera picture and length, which is the result; without the balance."""
     base = isometric_layout(pressure_max_kpa=pressure_max_kpa)
     pressure, _, length, valves, states = base.columns[0]
     camera, now = base.columns[1][1]  # type: ignore[misc]
@@ -44,7 +44,7 @@ def isotonic_layout(
         base,
         title=title,
         columns=(
-            (_grown(length, 1.7), pressure, valves, states),
+            (_with_share(length, 1.7), pressure, valves, states),
             (points, (replace(camera, share=1.2), now), base.columns[1][2]),
         ),
         feeds=tuple(feed for feed in base.feeds if feed.stream != "balance"),
@@ -55,7 +55,7 @@ def isotonic_layout(
 def hysteresis_layout(
     lengths: Iterable[float], masses: Iterable[float], pressure_max_kpa: float = 600.0
 ) -> LiveLayout:
-    """Loops as they grow: force against pressure, length against pressure, or both."""
+    """Loops: force against pressure, length against pressure, or both."""
     label = " to {cycle_max_kpa:g} kPa"
     if not list(lengths):
         title = "Hysteresis test under a load"
@@ -75,7 +75,7 @@ def hysteresis_layout(
 
 
 def isothermal_layout(pressure_max_kpa: float = 600.0) -> LiveLayout:
-    """The isometric screen with the thermometer; points by length and temperature."""
+    """The isometric layout with the thermometer; points by length and temperature."""
     base = isometric_layout(pressure_max_kpa=pressure_max_kpa)
     warm = Panel(
         "Temperature (°C)", "series", "temperature",
@@ -103,7 +103,7 @@ def _panel(layout: LiveLayout, kind: str) -> Panel:
     return next(panel for panel in layout.panels if panel.kind == kind)
 
 
-def _grown(panel: Panel | tuple[Panel, ...], share: float) -> Panel:
+def _with_share(panel: Panel | tuple[Panel, ...], share: float) -> Panel:
     assert isinstance(panel, Panel)
     return replace(panel, share=share)
 

@@ -1,1 +1,1 @@
-"""Points for model fits, and fits as text and figures."""
+"""Points for models, and figures and texts of their fits and comparisons."""

@@ -1,4 +1,4 @@
-"""Figures of models: fitted surface, residuals against every input, residual map, comparison."""
+"""Figures of model fits (curves, surface, residuals) and of model comparisons."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from plant.fitting.fit import Fit
 
 BEST = "#009E73"
-"""Colour of models that cannot be told from the best; distinct from the others to all eyes."""
+"""Colour of models that are not significantly worse than the best; safe for colour blindness."""
 FEW = 40
-"""Points up to which each is drawn large."""
+"""Up to this number of points, the markers are large."""
 
 
 def fit_figure(fit: Fit, points: Points) -> Figure:
-    """Three panels of the fit (curves, surface, residual map) over one residual plot an input."""
+    """Curves, surface and residual map of a fit, and residuals against each input."""
     with style():
         figure, axes = new_figure(11.0, 6.6, 2, 3)
         _curves(axes[0, 0], fit, points)
@@ -58,7 +58,7 @@ def fit_figure(fit: Fit, points: Points) -> Figure:
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Held-out rmse of each model with its interval, beside what no model can beat."""
+    """Held-out rmse of each model with its interval, and the scatter between lengths."""
     with style():
         figure, axes = new_figure(9.4, 0.42 * len(comparison.scores) + 1.9, 1, 2)
         shown = [s for s in comparison.scores if np.isfinite(s.rmse_n)]
@@ -81,7 +81,8 @@ def comparison_figure(comparison: Comparison) -> Figure:
         ax.set_xlim(left=0)
         ax.set_xlabel(f"rmse on held-out {comparison.holdout}s in N (95 % interval)")
         ax.set_title(
-            "round, green: not told from the best; square, blue: worse; tick: fit to all",
+            "round, green: not significantly worse than the best; square, blue: worse;"
+            " tick: fit to all",
             fontsize=8, color=QUIET, loc="left",
         )  # fmt: skip
         by_region: Axes = axes[1]
@@ -93,7 +94,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         by_region.set_yticks(rows, [])
         by_region.set_ylim(-0.6, len(shown) + 0.2)
         by_region.set_xlim(left=0)
-        by_region.set_xlabel("the same by pressure region, rmse in N")
+        by_region.set_xlabel("rmse by pressure region in N")
         by_region.legend(loc="upper right", fontsize=8)
         return figure
 
@@ -132,14 +133,14 @@ def _curves(ax: Axes, fit: Fit, points: Points) -> None:
 
 
 def _surface(ax: Axes, fit: Fit, points: Points) -> None:
-    """The model over pressure and length, as filled contours; points as dots."""
+    """The model over pressure and length as filled contours; points as dots."""
     p = np.linspace(points.pressure_pa.min(), points.pressure_pa.max(), 90)
     length = np.linspace(points.length_m.min(), points.length_m.max(), 90)
     ax.set_xlabel("pressure in kPa")
     ax.set_ylabel("length in mm")
     ax.set_title("model: force in N", fontsize=9, loc="left")
     if fit.model.law.memory or np.ptp(length) == 0:
-        ax.text(0.5, 0.5, "no surface: memory, or one length", ha="center", va="center",
+        ax.text(0.5, 0.5, "no surface: model with memory, or one length", ha="center", va="center",
                 transform=ax.transAxes, color=QUIET)  # fmt: skip
         return
     grid = np.meshgrid(p, length)
@@ -153,12 +154,12 @@ def _surface(ax: Axes, fit: Fit, points: Points) -> None:
 
 
 def _residual_map(ax: Axes, fit: Fit, points: Points) -> None:
-    """Residuals in place: where the model pulls too little (up) or too much (down)."""
+    """Mean residual of each cell of pressure and length: measured minus model force."""
     cells: dict[tuple[float, float], list[float]] = {}
     for p, x, r in zip(points.pressure_pa, points.length_m, fit.residual_n, strict=True):
         cells.setdefault((round(p / 1e3, 0), round(x * 1e3, 1)), []).append(float(r))
     where = np.array(list(cells))
-    # The mean of a cell: points at several temperatures or directions lie on each other.
+    # Points of several temperatures or directions have the same position: draw their mean.
     mean = np.array([np.mean(values) for values in cells.values()])
     limit = float(np.percentile(np.abs(mean), 98)) or 1.0
     drawn = ax.scatter(
@@ -169,11 +170,11 @@ def _residual_map(ax: Axes, fit: Fit, points: Points) -> None:
     figure.colorbar(drawn, ax=ax, extend="both").ax.tick_params(labelsize=7.5)
     ax.set_xlabel("pressure in kPa")
     ax.set_ylabel("length in mm")
-    ax.set_title("measured less model in N", fontsize=9, loc="left")
+    ax.set_title("measured − model in N", fontsize=9, loc="left")
 
 
 def _residuals(ax: Axes, x: Any, residual: Any, label: str) -> None:
-    """Residuals against one input, with the mean in bins."""
+    """Residuals against one input, with the mean of each bin."""
     ax.axhline(0.0, color=QUIET, linewidth=0.8)
     ax.plot(x, residual, "o", color=MEASURED, markersize=4 if len(x) <= FEW else 2.5, alpha=0.65)
     values = np.unique(x)
@@ -186,7 +187,7 @@ def _residuals(ax: Axes, x: Any, residual: Any, label: str) -> None:
         centres = [(float(v), float(np.mean(residual[x == v]))) for v in values]
     ax.plot(*zip(*centres, strict=True), color=SET, linewidth=1.6, label="mean")
     ax.set_xlabel(label)
-    ax.set_ylabel("measured less model in N")
+    ax.set_ylabel("measured − model in N")
     ax.legend(fontsize=8, loc="best")
 
 

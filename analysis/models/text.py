@@ -1,4 +1,4 @@
-"""What fits and comparisons found, as text for people and JSON for machines."""
+"""Results of fits and comparisons as text and as JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def fit_text(found: Fit, points: Points) -> str:
-    """What a fit found, for people."""
+    """The result of a fit as text."""
     lines = [f"{found.model.name} on {points.source}, {len(points)} points"]
     lines.append(f"{'parameter':22}{'value':>13}  {'unit':18}{'95 % interval':>28}")
     for e in found.estimates:
@@ -29,21 +29,21 @@ def fit_text(found: Fit, points: Points) -> str:
     lines.append(f"rmse {found.rmse_n:.4g} N, s {found.sd_n:.4g} N")
     if math.isfinite(found.noise_scale):
         lines.append(
-            f"scatter is {found.noise_scale:.2f} times the stated noise; zero and gain of the "
-            "sensors are in the intervals"
+            f"scatter is {found.noise_scale:.2f} times the stated noise; the intervals include "
+            "zero and gain of the sensors"
         )
     else:
-        lines.append("no sensor errors are stated: intervals are from the scatter alone")
+        lines.append("no sensor errors are stated: the intervals are from the scatter only")
     lines += found.identifiability.lines()
     return "\n".join(lines)
 
 
 def comparison_text(found: Comparison) -> str:
-    """The ranking, for people."""
+    """The result of a comparison as text."""
     regions = list(found.scores[0].regions)
     lines = [
         f"{found.points} points of {found.source}; groups: {len(found.groups)} {found.holdout}s "
-        f"({found.groups[0]} to {found.groups[-1]}), never seen by the fit that is scored on them",
+        f"({found.groups[0]} to {found.groups[-1]}), each excluded from the fit that it tests",
         f"{'model':20}{'par':>4}{'rmse N':>8}{'95 % interval':>16}{'bias':>7}{'worst':>8}"
         + "".join(f"{r:>13}" for r in regions) + f"{'above best':>18}{'p':>7}",
     ]  # fmt: skip
@@ -56,7 +56,7 @@ def comparison_text(found: Comparison) -> str:
         line += "".join(f"{s.regions[r]:>13.3f}" for r in regions)
         if k:
             line += f"{s.excess_low_n:>10.2f} to {s.excess_high_n:.2f}{s.p:>7.3f}"
-            line += "  worse" if s.real else "  not told from the best"
+            line += "  worse" if s.real else "  not significantly worse"
         lines.append(line)
     f = found.floors
     floor = f"floors: {f.between_lengths_n:.3f} N scatter between neighbouring lengths"
@@ -69,17 +69,17 @@ def comparison_text(found: Comparison) -> str:
             for n in dict.fromkeys(found.nested_choices)
         )
         lines.append(
-            f"choosing the model by training groups alone: {found.nested_rmse_n:.3f} N ({chosen})"
+            f"model chosen from the training groups only: {found.nested_rmse_n:.3f} N ({chosen})"
         )
     lines.append(
-        "'worse': the difference to the best is real at 5 % (signs of the groups' differences "
-        "changed at random, Holm's correction)"
+        "'worse': the difference from the best is significant at 5 % (sign permutation test of "
+        "the groups' differences, Holm's correction)"
     )
     return "\n".join(lines)
 
 
 def fit_json(found: Fit, points: Points) -> dict[str, Any]:
-    """What a fit found, for machines; infinite bounds are null."""
+    """The result of a fit as JSON; infinite bounds are null."""
     return {
         "model": model_json(found.model),
         "source": points.source,
@@ -98,7 +98,7 @@ def fit_json(found: Fit, points: Points) -> dict[str, Any]:
 
 
 def comparison_json(found: Comparison) -> dict[str, Any]:
-    """The ranking, for machines."""
+    """The result of a comparison as JSON."""
     value = dataclasses.asdict(found)
     for score in value["scores"]:
         del score["residual_n"]
@@ -106,7 +106,7 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
 
 
 def model_json(model: Model) -> dict[str, Any]:
-    """A model, for machines."""
+    """A model as JSON."""
     value = {f.name: getattr(model, f.name) for f in dataclasses.fields(model) if f.name != "law"}
     value["parameters"] = [dataclasses.asdict(p) for p in model.parameters]
     value["domain"] = dataclasses.asdict(model.domain)
@@ -114,7 +114,7 @@ def model_json(model: Model) -> dict[str, Any]:
 
 
 def emit(value: Any) -> None:
-    """Print one JSON value; JSON has no infinity, such numbers become null."""
+    """Print a value as JSON; infinite numbers and NaN become null."""
     typer.echo(json.dumps(_finite(value), indent=2, allow_nan=False))
 
 

@@ -1,1 +1,1 @@
-"""Raw records to one table of points per run, with type A uncertainties."""
+"""Reduction of raw records to one table of points per run, with type A uncertainties."""

@@ -1,8 +1,9 @@
-"""The table of settled points: its columns, in order, and their types."""
+"""Columns and types of the tables of points."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -26,20 +27,42 @@ COLUMNS: dict[str, str] = {
     **{f"u_{name}_noise": "float64" for name in QUANTITIES},
     **{f"u_{name}_cal": "float64" for name in QUANTITIES},
 }
-"""Columns of the table in order; a label is a whole number where all are, else text."""
+"""Columns of the table of settled points, in order.
 
-_DTYPES: dict[str, Any] = {"str": str, "float64": "float64", "int64": "int64", "bool": "bool"}
+A "label" column is int64 if all its values are integers, otherwise text."""
+
+LABEL_TYPES = {
+    **dict.fromkeys(("direction", "scheme", "switch", "valve", "slot", "mounting"), "str"),
+    **dict.fromkeys(("repeat", "trial", "order"), "int64"),
+    "settled": "bool",
+}
+"""Types of the label columns of valve tests; all other columns are float64."""
 
 
 def points_frame(rows: list[dict[str, Any]], extra: Mapping[str, str] = {}) -> pd.DataFrame:
-    """Rows as a table with the columns of ``COLUMNS``, then those of ``extra``, in order."""
+    """Rows as a table with the columns of ``COLUMNS``, then those of ``extra``."""
+    return _typed_frame(rows, {**COLUMNS, **extra})
+
+
+def valve_test_frame(rows: Sequence[Mapping[str, Any]], columns: Iterable[str]) -> pd.DataFrame:
+    """Rows as the table of a valve test with these columns."""
+    return _typed_frame(rows, {column: LABEL_TYPES.get(column, "float64") for column in columns})
+
+
+def number_or_nan(value: Any) -> float:
+    """The value as a float, NaN for None."""
+    return math.nan if value is None else float(value)
+
+
+def _typed_frame(rows: Sequence[Mapping[str, Any]], kinds: Mapping[str, str]) -> pd.DataFrame:
     import pandas as pd
 
-    kinds = {**COLUMNS, **extra}
-    frame = pd.DataFrame(rows, columns=list(kinds))
+    frame = pd.DataFrame(list(rows), columns=list(kinds))
     for column, kind in kinds.items():
         if kind == "label":
             whole = all(isinstance(value, int) for value in frame[column])
             kind = "int64" if whole else "str"
-        frame[column] = frame[column].astype(_DTYPES[kind])
+        # Python's str, because the name "str" would select the string type of pandas.
+        dtype: Any = str if kind == "str" else kind
+        frame[column] = frame[column].astype(dtype)
     return frame.sort_values("order", kind="stable", ignore_index=True)

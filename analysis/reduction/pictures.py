@@ -1,4 +1,4 @@
-"""Stored pictures decoded and measured, live and in every later reduction alike."""
+"""Decoding and measurement of stored pictures, the same live and in every later reduction."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from vision.marker.lens import Lens
 if TYPE_CHECKING:
     from daq.store.run import Run
 
-FARTHEST = 1e9
-"""Pixels, or a lens's coefficients: beyond, squares and their products are no numbers."""
+MAX_MAGNITUDE = 1e9
+"""Limit of pixel positions and lens coefficients. Beyond it, products of squares overflow."""
 
 
 def decode(jpeg: bytes) -> npt.NDArray[np.uint8] | None:
-    """Grey levels of a stored picture, (h, w); None if it is none, or a larger one than is read."""
+    """Grey levels of a stored picture, (h, w); None if it cannot be decoded or is too large."""
     try:
         return decode_gray(jpeg, eight_bit=True)
     except PictureError:
@@ -33,10 +33,10 @@ def decode(jpeg: bytes) -> npt.NDArray[np.uint8] | None:
 
 
 def camera_of(run: Run) -> dict[str, Any]:
-    """How a run's pictures are to be measured: what :func:`measure_stored` takes.
+    """The camera settings of a run for :func:`measure_stored`: region, sync and lens.
 
     Raises:
-        RecordError: run.json says something else there.
+        RecordError: the camera settings in run.json are invalid.
     """
     camera = run.manifest.get("camera") or {}
     try:
@@ -44,24 +44,24 @@ def camera_of(run: Run) -> dict[str, Any]:
         boxes = (*region, *(patch := sync["patch"] if sync else []))
         sound = {len(region), len(patch)} <= {0, 4} and all(type(n) is int for n in boxes)
         sound = sound and all(type(x) in (int, float) for x in lens.values())
-        near = all(abs(x) < FARTHEST for x in (*boxes, *lens.values()))
+        near = all(abs(x) < MAX_MAGNITUDE for x in (*boxes, *lens.values()))
         if not (sound and near) or (lens and Lens(**lens).radius < 1.0):
             raise ValueError(f"{camera}"[:200])
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         where = str(run.folder / "run.json")
-        raise RecordError(where, f"camera: not what a rig says of its camera ({error})") from error
+        raise RecordError(where, f"camera: invalid camera settings ({error})") from error
     return {"region": region, "sync": sync, "lens": lens}
 
 
 def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> GapMeasurement:
-    """Measure a decoded picture as the run's rig says (``camera`` of run.json).
+    """Measure a decoded picture with the run's camera settings (``camera`` of run.json).
 
-    The live test, the reduction and the view all come through here. The gap is freed of the
-    lens's distortion where the camera's calibration knows it. A picture too small for its region,
-    or for any, gives an untrusted measurement without a region, whose reason says so.
+    The live test, the reduction and the view all use this function. The gap is corrected for
+    lens distortion if the calibration of the camera has it. A picture that is too small gives an
+    untrusted measurement without a region; its reason states this.
     """
-    # Compiled code takes an array that may not be written for another type and is compiled anew:
-    # some seconds without a heartbeat, in the midst of a test, where a frame came off a socket.
+    # For the compiler a read-only array is another type, and the code is compiled again. During
+    # a test, with frames from a socket, this would stop the heartbeat for some seconds.
     gray = np.require(gray, np.uint8, ["C", "W"])
     region, sync, lens = (camera.get(key) for key in ("region", "sync", "lens"))
     try:

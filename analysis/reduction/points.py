@@ -1,15 +1,15 @@
-"""From the record of a run to one tidy table of settled points.
+"""Reduction of a recorded run to one table of settled points.
 
-Only raw data are read: counts, grams as the balance sent them, and the frames as stored,
-measured anew. What a number is worth is carried in two parts that behave differently when
-points are averaged: noise (``u_*_noise``, seen in the window itself, averages out) and
-calibration (``u_*_cal``, zero and gain, common to all points, does not).
+The reduction reads raw data only: pressure counts, balance readings in grams, and the stored
+pictures, which it measures again. Each uncertainty has two parts. Noise (``u_*_noise``) is
+estimated from the window itself and decreases on averaging. Calibration (``u_*_cal``: zero and
+gain) is common to all points and does not.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.reduction.columns import COLUMNS as COLUMNS
-from analysis.reduction.columns import QUANTITIES, points_frame
-from analysis.reduction.uncertainty import FEW_INDEPENDENT, WindowMean, window_mean
+from analysis.reduction.columns import QUANTITIES, number_or_nan, points_frame
+from analysis.reduction.uncertainty import FEW_INDEPENDENT, NO_READINGS, WindowMean, window_mean
 from daq.calibration import Calibration
 from daq.errors import RecordError
 
@@ -29,31 +29,51 @@ if TYPE_CHECKING:
     from daq.store.run import Run
 
 CODES = 4096
-"""12-bit pressure counts run from 0 to 4095; both ends may hide a value beyond."""
+"""The 12-bit pressure counts range from 0 to 4095. At both ends the sensor may be saturated."""
 
 BALANCE_STEP_G = 0.001
-STRANGERS = "excluded, but not among the points of this run"
 
 MeasureGap = Callable[[npt.NDArray[np.uint8]], Any]
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """The table of settled points and what a reader of it should know.
+    """The table of points of a run, with its notes and calibrations.
 
     Attributes:
-        table: one row a point, columns as ``COLUMNS``; empty if the run has no points.
-        notes: sentences; the first says why where the table is empty.
-        calibrations: those that were applied, by quantity.
-        zeros: vented readings, one row each: trial, when, pressure_kpa, u_pressure_kpa.
-        excluded: points left out afterwards: order, reason and what they read.
+        table: one row per point, columns as ``COLUMNS``; empty if the run has no points.
+        own_notes: sentences for the reader; the first gives the reason if the table is empty.
+        calibrations: the calibrations that were applied, by quantity.
+        zeros: vented readings, one dict each: trial, when, pressure_kpa, u_pressure_kpa.
+        excluded: points that were excluded after the run: order, reason and readings.
+        unknown_exclusions: orders that were excluded but are not points of this run.
     """
 
     table: pd.DataFrame
-    notes: tuple[str, ...]
+    own_notes: tuple[str, ...]
     calibrations: dict[str, Calibration]
     zeros: tuple[dict[str, Any], ...] = ()
     excluded: tuple[dict[str, Any], ...] = ()
+    unknown_exclusions: tuple[int, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All notes, including the one about unknown exclusions."""
+        if not self.unknown_exclusions:
+            return self.own_notes
+        orders = ", ".join(str(order) for order in self.unknown_exclusions)
+        return (*self.own_notes, f"excluded, but not among the points of this run: {orders}")
+
+
+def point_events(run: Run) -> list[dict[str, Any]]:
+    """The point events of a run. If a point was repeated, only the last take is returned."""
+    events = [event for event in run.events if event.get("kind") == "point"]
+    return list({event.get("order", k): event for k, event in enumerate(events)}.values())
+
+
+def is_imported(run: Run) -> bool:
+    """True if the points of the run were imported from other data."""
+    return any(e.get("kind") == "point" and e.get("row") is not None for e in run.events)
 
 
 def reduce_isometric(run: Run, measure: MeasureGap | None = None) -> Reduction:
@@ -64,34 +84,34 @@ def reduce_isometric(run: Run, measure: MeasureGap | None = None) -> Reduction:
 def reduce_points(
     run: Run, measure: MeasureGap | None = None, extra: Mapping[str, str] = {}
 ) -> Reduction:
-    """Reduce a run, whole or interrupted, to its settled points.
+    """Reduce a complete or interrupted run to its settled points.
 
-    Of a point that was made again the last take counts.
+    If a point was repeated, the last take is used.
 
     Args:
-        run: an opened run; one with a stream ``points`` was imported and is passed through.
+        run: an opened run. The points of an imported run are taken from its stream ``points``.
         measure: replaces ``vision.marker.edge.measure_gap`` (for tests).
-        extra: fields of its points that become columns as well, with their kinds as in
-            ``COLUMNS``. Points with a ``mass_kg`` have the hung mass's weight for their force.
+        extra: event fields that become additional columns, with types as in ``COLUMNS``. For
+            points with a ``mass_kg`` the force is the weight of that mass.
     """
-    every = [event for event in run.events if event.get("kind") == "point"]
-    points = list({event.get("order", k): event for k, event in enumerate(every)}.values())
+    takes = sum(event.get("kind") == "point" for event in run.events)
+    points = point_events(run)
     if not points:
         why = "the run holds no settled points"
         if run.outcome != "clean":
             why += f" (it is {run.outcome}: it ended before the first one)"
         return Reduction(points_frame([], extra), (why,), {})
     if points[0].get("row") is not None:
-        return without_excluded(run, _imported(run, every, extra))
-    reduction = _Bench(run, measure, extra).reduce(points)
-    if len(points) < len(every):
-        note = f"{len(every) - len(points)} takes were made again; the last of each counts"
-        reduction = replace(reduction, notes=(*reduction.notes, note))
+        return without_excluded(run, _imported(run, extra))
+    reduction = PointReducer(run, measure, extra).reduce(points)
+    if len(points) < takes:
+        note = f"{takes - len(points)} points were repeated; the last take of each is used"
+        reduction = replace(reduction, own_notes=(*reduction.own_notes, note))
     return without_excluded(run, reduction)
 
 
 def without_excluded(run: Run, reduction: Reduction) -> Reduction:
-    """The reduction without the points that were excluded afterwards, which it lists.
+    """The reduction without the points that were excluded after the run.
 
     Raises:
         RecordError: the file of exclusions is damaged.
@@ -101,30 +121,46 @@ def without_excluded(run: Run, reduction: Reduction) -> Reduction:
     reasons = excluded_points(run.folder)
     if not reasons:
         return reduction
+    unknown = set(reasons) - {int(order) for order in reduction.table["order"]}
+    before = len(reduction.table)
+    reduction = exclude(reduction, reasons)
+    count = before - len(reduction.table)
+    note = [f"{count} points are excluded, each with a reason (see the list)"] if count else []
+    return replace(
+        reduction,
+        own_notes=(*reduction.own_notes, *note),
+        unknown_exclusions=tuple(sorted(unknown)),
+    )
+
+
+def exclude(reduction: Reduction, reasons: Mapping[int, str]) -> Reduction:
+    """Move the points with these orders from the table to the list of excluded points."""
     table = reduction.table
     out = table["order"].isin(list(reasons))
-    rows = table[out].to_dict("records")
-    listed = tuple(
+    listed = [
         {"reason": reasons[int(row["order"])], **{str(k): v for k, v in row.items()}}
-        for row in rows
-    )
-    notes = [f"{len(rows)} points are excluded, each with a reason (see the list)"] if rows else []
-    unknown = sorted(set(reasons) - {int(order) for order in table["order"]})
-    if unknown:
-        some = ", ".join(str(order) for order in unknown)
-        notes.append(f"{STRANGERS}: {some}")
+        for row in table[out].to_dict("records")
+    ]
     return replace(
         reduction,
         table=table[~out].reset_index(drop=True),
-        notes=(*reduction.notes, *notes),
-        excluded=listed,
+        excluded=(*reduction.excluded, *listed),
     )
 
 
-class _Bench:
-    """One recorded run's raw streams, calibrated on demand."""
+class PointReducer:
+    """Reduction of the settled points of one recorded run, with notes on defects.
 
-    def __init__(self, run: Run, measure: MeasureGap | None, extra: Mapping[str, str] = {}) -> None:
+    The table of a run, its report, its export and the trials of the diagnosis all use it.
+
+    Args:
+        run: an opened run with recorded streams.
+        measure, extra: as for :func:`reduce_points`.
+    """
+
+    def __init__(
+        self, run: Run, measure: MeasureGap | None = None, extra: Mapping[str, str] = {}
+    ) -> None:
         self.run = run
         self.measure = measure
         self.extra = extra
@@ -143,7 +179,8 @@ class _Bench:
         }
 
     def reduce(self, points: list[dict[str, Any]]) -> Reduction:
-        rows = [self._row(point) for point in points]
+        """The table of these point events."""
+        rows = [self.row(point) for point in points]
         zeros = tuple(self._zeros())
         for what, places in self._places.items():
             more = f" and {len(places) - 1} more" if len(places) > 1 else ""
@@ -164,7 +201,7 @@ class _Bench:
         return Reduction(table, tuple(self.notes), self.calibrations, zeros)
 
     def _samples(self, stream: str, needed: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
-        """A stream's columns; empty ones, and a note, where nothing of it survived."""
+        """Columns of a stream. If the stream is lost, they are empty and a note is added."""
         try:
             columns = self.run.samples(stream)
         except RecordError as error:
@@ -172,19 +209,17 @@ class _Bench:
             columns = {}
         return {name: columns.get(name, np.empty(0, dtype=np.int64)) for name in needed}
 
-    def _met(self, what: str, place: str) -> None:
-        """Remember a defect and where it was; one note is made of all its places."""
+    def _add_defect(self, what: str, place: str) -> None:
+        """Store a defect and its place. One note is made of all places of a defect."""
         self._places.setdefault(what, []).append(place)
 
-    def _row(self, point: dict[str, Any]) -> dict[str, Any]:
+    def row(self, point: dict[str, Any]) -> dict[str, Any]:
+        """One row of the table: means, uncertainties and labels of a point event."""
         name = f"point {point['order']}"
         pressure = self._pressure(point["valve_seq"], name)
         row: dict[str, Any] = {
-            "direction": point["direction"],
-            "repeat": point["replicate"],
             "n_samples": pressure.n,
-            "settled": bool(point["settled"]),
-            **{key: point[key] for key in ("trial", "slot", "mounting", "order")},
+            **_labels(point),
             **{key: point.get(key) for key in ("set_pressure_kpa", "set_length_mm", *self.extra)},
         }
         self._put(row, "pressure_kpa", pressure)
@@ -197,72 +232,64 @@ class _Bench:
         return row
 
     def _put_weight(self, row: dict[str, Any], mass_kg: float) -> None:
-        """The force of a hung mass: no noise, only what is known of mass and gravity."""
+        """The weight of a hung mass. It has no noise; its uncertainty is that of the mass."""
         gravity = float(self.run.manifest["conditions"]["gravity_m_s2"])
         u_mass = float((self.run.manifest.get("load") or {}).get("u_mass", math.nan))
-        row["force_n"] = mass_kg * gravity
-        row["u_force_n_noise"] = 0.0
-        row["u_force_n_cal"] = row["u_force_n"] = mass_kg * gravity * u_mass
+        _put_stated(row, "force_n", mass_kg * gravity, mass_kg * gravity * u_mass)
 
     def _put(self, row: dict[str, Any], quantity: str, mean: WindowMean) -> None:
         u_cal = float(self.calibrations[quantity].u(mean.mean))
         if self.calibrations[quantity].outside(mean.mean):
             self._outside[quantity] = self._outside.get(quantity, 0) + 1
-        row[quantity] = mean.mean
-        row[f"u_{quantity}_noise"] = mean.u
-        row[f"u_{quantity}_cal"] = u_cal
-        row[f"u_{quantity}"] = math.hypot(mean.u, u_cal)
+        put_mean(row, quantity, mean, u_cal)
 
     def _put_temperature(self, row: dict[str, Any], point: dict[str, Any]) -> None:
-        """Temperature by the thermometer at the point, or as entered for the rig.
-
-        Of one that was entered no noise is known, only what was stated.
-        """
-        if point.get("temperature_c") is not None:
-            row["temperature_c"] = float(point["temperature_c"])
-            row["u_temperature_c_noise"] = 0.0
-            row["u_temperature_c_cal"] = row["u_temperature_c"] = float(point["u_temperature_c"])
-            return
-        stated = self.run.manifest.get("conditions") or {}
-        row["temperature_c"] = _number(stated.get("temperature_c"))
-        row["u_temperature_c_noise"] = 0.0 if math.isfinite(row["temperature_c"]) else math.nan
-        row["u_temperature_c_cal"] = row["u_temperature_c"] = _number(stated.get("u_temperature_c"))
+        """Temperature of the thermometer at the point, otherwise that stated for the rig."""
+        source = point
+        if point.get("temperature_c") is None:
+            source = self.run.manifest.get("conditions") or {}
+        value = number_or_nan(source.get("temperature_c"))
+        _put_stated(row, "temperature_c", value, number_or_nan(source.get("u_temperature_c")))
+        if not math.isfinite(value):
+            row["u_temperature_c_noise"] = math.nan
 
     def _pressure(self, window: list[int], name: str) -> WindowMean:
-        seq = self.valve["seq"]
-        inside = (seq >= window[0]) & (seq < window[1])
-        counts = self.valve["counts"][inside]
-        missing = window[1] - window[0] - len(counts)
-        if missing:
-            self._met("pressure samples are missing", f"{name} ({missing})")
+        counts = self._window(self.valve, window, name, "pressure samples are missing")
         if len(counts) and (counts.min() == 0 or counts.max() >= CODES - 1):
-            self._met("pressure touches the end of the sensor's range", name)
+            self._add_defect("pressure is at the end of the sensor's range", name)
         calibration = self.calibrations["pressure_kpa"]
         return window_mean(_applied(calibration, counts), abs(calibration.scale))
 
     def _force(self, window: list[int], name: str) -> WindowMean:
-        row = self.balance["row"]
-        grams = self.balance["grams"][(row >= window[0]) & (row < window[1])]
-        missing = window[1] - window[0] - len(grams)
-        if missing:
-            self._met("balance readings are missing", f"{name} ({missing})")
+        grams = self._window(self.balance, window, name, "balance readings are missing")
         calibration = self.calibrations["force_n"]
         return window_mean(_applied(calibration, grams), abs(calibration.scale) * BALANCE_STEP_G)
 
+    def _window(
+        self, stream: Mapping[str, npt.NDArray[Any]], window: list[int], name: str, defect: str
+    ) -> npt.NDArray[Any]:
+        """Values of a stream (number, value) in a half-open range of numbers."""
+        number, values = stream.values()
+        inside = values[(number >= window[0]) & (number < window[1])]
+        missing = window[1] - window[0] - len(inside)
+        if missing:
+            self._add_defect(defect, f"{name} ({missing})")
+        return inside
+
     def _length(self, frames: list[int], name: str) -> WindowMean:
-        """Mean over the point's frames, each measured anew from its stored picture."""
+        """Mean over the frames of a point, each measured again in its stored picture."""
         pixels, variances = [], []
         for number in frames:
             gap = self._gap(number)
             if isinstance(gap, str):
-                self._met("no length", f"{name}, frame {number}: {gap}")
+                self._add_defect("no length", f"{name}, frame {number}: {gap}")
                 continue
             if self.live_pixels.get(number, gap.pixels) != gap.pixels:
-                self._met("length differs from the one taken live", f"{name}, frame {number}")
+                self._add_defect("length differs from the live value", f"{name}, frame {number}")
             pixels.append(float(gap.pixels))
             variances.append(float(gap.u_pixels) ** 2)
         if not pixels:
-            return WindowMean(math.nan, math.nan, 0, 0.0, math.nan)
+            return NO_READINGS
         scale = abs(self.calibrations["length_mm"].scale)
         lengths = _applied(self.calibrations["length_mm"], np.array(pixels))
         u_frames = scale * math.sqrt(sum(variances)) / len(pixels)
@@ -292,10 +319,10 @@ class _Bench:
         return gap if gap.trusted else str(gap.reason)
 
     def _zeros(self) -> list[dict[str, Any]]:
-        """Vented pressure readings; they check the zero, they do not correct it.
+        """Vented pressure readings. They check the zero; they do not correct it.
 
-        The calibration's own zero uncertainty already covers what they show, and a muscle
-        that is not quite vented would turn a correction into an error.
+        The zero uncertainty of the calibration already covers what they show. If the muscle is
+        not completely vented, a correction would introduce an error.
         """
         zeros = []
         calibration = self.calibrations["pressure_kpa"]
@@ -320,15 +347,38 @@ class _Bench:
         if beyond:
             worst, limit, name = max(beyond, key=lambda entry: abs(entry[0]))
             self.notes.append(
-                f"pressure zero: {len(beyond)} of {len(zeros)} vented readings lie beyond three"
-                f" standard uncertainties ({limit:.2f} kPa), worst {worst:.2f} kPa at {name};"
-                " nothing was corrected"
+                f"pressure zero: {len(beyond)} of {len(zeros)} vented readings differ from zero by"
+                f" more than three standard uncertainties ({limit:.2f} kPa), worst {worst:.2f} kPa"
+                f" at {name}; nothing was corrected"
             )
         return zeros
 
 
+def put_mean(row: dict[str, Any], quantity: str, mean: WindowMean, u_cal: float) -> None:
+    """Store the mean of a window, its uncertainty and the two parts of the uncertainty."""
+    row[quantity] = mean.mean
+    row[f"u_{quantity}_noise"] = mean.u
+    row[f"u_{quantity}_cal"] = u_cal
+    row[f"u_{quantity}"] = math.hypot(mean.u, u_cal)
+
+
+def _put_stated(row: dict[str, Any], quantity: str, value: float, u: float) -> None:
+    """Store a value without noise, with a stated uncertainty."""
+    row[quantity], row[f"u_{quantity}_noise"] = value, 0.0
+    row[f"u_{quantity}_cal"] = row[f"u_{quantity}"] = u
+
+
+def _labels(point: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "direction": point["direction"],
+        "repeat": point["replicate"],
+        "settled": bool(point["settled"]),
+        **{key: point[key] for key in ("trial", "slot", "mounting", "order")},
+    }
+
+
 def write_table(reduction: Reduction, folder: Path) -> list[Path]:
-    """Write table.parquet and table.csv into ``folder``: the same bytes for the same table."""
+    """Write table.parquet and table.csv into ``folder``. Equal tables give equal bytes."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -339,50 +389,50 @@ def write_table(reduction: Reduction, folder: Path) -> list[Path]:
     return paths
 
 
-def _imported(run: Run, points: list[dict[str, Any]], extra: Mapping[str, str] = {}) -> Reduction:
-    """Points as they were imported, with the uncertainty given or stated, else NaN."""
+def imported_rows(
+    run: Run, points: Iterable[dict[str, Any]]
+) -> tuple[list[tuple[dict[str, Any], int]], list[str]]:
+    """Point events with their positions in the stream ``points``, and the notes of the run."""
     stream = run.samples("points")
     index = {int(row): position for position, row in enumerate(stream["row"])}
+    every = [(point, index.get(int(point["row"]))) for point in points]
+    found = [(point, position) for point, position in every if position is not None]
+    notes = list(run.manifest.get("notes") or [])
+    if len(found) < len(every):
+        notes.append(f"{len(every) - len(found)} points are missing: their samples were lost")
+    return found, notes
+
+
+def _imported(run: Run, extra: Mapping[str, str]) -> Reduction:
+    """Imported points. An uncertainty that is neither given nor stated is NaN."""
+    stream = run.samples("points")
     stated = run.manifest.get("stated_uncertainty") or {}
-    rows, lost = [], 0
-    for point in points:
-        position = index.get(int(point["row"]))
-        if position is None:
-            lost += 1
-            continue
+    found, notes = imported_rows(run, [e for e in run.events if e.get("kind") == "point"])
+    rows = []
+    for point, position in found:
         row: dict[str, Any] = {
-            "direction": point["direction"],
-            "repeat": point["replicate"],
             "n_samples": 1,
-            "settled": bool(point["settled"]),
-            **{key: point[key] for key in ("trial", "slot", "mounting", "order")},
-            **{key: _number(point.get(key)) for key in ("set_pressure_kpa", "set_length_mm")},
+            **_labels(point),
+            **{key: number_or_nan(point.get(key)) for key in ("set_pressure_kpa", "set_length_mm")},
             **{key: point.get(key) for key in extra},
         }
         for name in QUANTITIES:
             given = float(stream[f"u_{name}"][position])
             row[name] = float(stream[name][position])
-            u = given if math.isfinite(given) else _number(stated.get(f"u_{name}"))
+            u = given if math.isfinite(given) else number_or_nan(stated.get(f"u_{name}"))
             row[f"u_{name}"] = row[f"u_{name}_noise"] = u
             row[f"u_{name}_cal"] = math.nan
         rows.append(row)
-    notes = list(run.manifest.get("notes") or [])
-    if lost:
-        notes.append(f"{lost} points are missing: their samples did not survive")
     table = points_frame(rows, extra)
     unknown = [name for name in QUANTITIES if table[f"u_{name}"].isna().any()]
     if unknown:
         notes.append(f"no uncertainty is known for all of {', '.join(unknown)}: left empty (NaN)")
     notes.append(
         "uncertainties of imported points are as given or stated; no calibration is known,"
-        " so what all points have in common is not in them"
+        " so they do not include errors that are common to all points"
     )
     return Reduction(table, tuple(notes), {})
 
 
 def _applied(calibration: Calibration, raw: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     return np.asarray(calibration.apply(raw.astype(np.float64)), dtype=np.float64)
-
-
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)

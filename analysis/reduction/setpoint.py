@@ -1,8 +1,8 @@
-"""Points brought to their set pressures: what a cycle compares must be at one pressure.
+"""Correction of points to their set pressures, so that a cycle compares values at one pressure.
 
-A valve leaves the pressure anywhere in its dead zone, and a regulator comes from below on the
-way up and from above on the way down; taken at face value that difference would pass for
-hysteresis.
+A valve leaves the pressure anywhere in its dead zone. A regulator approaches from below when the
+pressure rises and from above when it falls. Without the correction this difference in pressure
+would appear as hysteresis.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd
 
-FARTHEST_KPA = 10.0
-"""A point further away than this from its set pressure is left as it is."""
+MAX_CORRECTION_KPA = 10.0
+"""A point farther than this from its set pressure is not corrected."""
 
 
 def at_set_pressure(table: pd.DataFrame, value: str) -> pd.DataFrame:
-    """The table with ``value`` moved to each point's set pressure.
+    """The table with ``value`` corrected to each point's set pressure.
 
-    Along the curve of its own trial and direction, by the slope between its neighbours. What
-    the pressure's noise leaves unknown goes into ``u_VALUE_noise``; ``pressure_kpa`` becomes
-    the set pressure. Vented points and those of a trial without neighbours stay.
+    The slope is that between the neighbours in the same trial and direction. The noise of the
+    pressure is added to ``u_VALUE_noise``. ``pressure_kpa`` becomes the set pressure. Vented
+    points and points without neighbours stay unchanged.
 
     Args:
         table: settled points.
@@ -37,10 +37,11 @@ def at_set_pressure(table: pd.DataFrame, value: str) -> pd.DataFrame:
         if len(p) < 2 or (np.diff(p) <= 0).any():
             continue
         slope = np.gradient(good[value].to_numpy(dtype=np.float64), p)
-        away = good["set_pressure_kpa"].to_numpy(dtype=np.float64) - p
-        use = (np.abs(away) <= FARTHEST_KPA) & (good["set_pressure_kpa"].to_numpy() > 0.0)
+        offset = good["set_pressure_kpa"].to_numpy(dtype=np.float64) - p
+        use = np.abs(offset) <= MAX_CORRECTION_KPA
+        use &= good["set_pressure_kpa"].to_numpy() > 0.0
         at = good.index[use]
-        out.loc[at, value] = good.loc[at, value] + slope[use] * away[use]
+        out.loc[at, value] = good.loc[at, value] + slope[use] * offset[use]
         noise = good.loc[at, f"u_{value}_noise"].to_numpy(dtype=np.float64)
         by_pressure = slope[use] * good.loc[at, "u_pressure_kpa_noise"].to_numpy(dtype=np.float64)
         out.loc[at, f"u_{value}_noise"] = np.hypot(noise, by_pressure)

@@ -1,7 +1,7 @@
-"""Switching times of the valves from fast blocks: what the thesis read off an oscilloscope.
+"""Switching times of the valves from fast blocks, as the thesis read them from an oscilloscope.
 
-A block holds the samples around one pulse (``capture``, docs/reference/wire-format.md). The air
-needs time from the valve to a sensor down the line; times are corrected for it.
+A block holds the samples around one pulse (``capture``, docs/reference/wire-format.md). The times
+are corrected for the propagation delay from the valve to the sensor.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import numpy.typing as npt
 from daq.errors import DeviceError
 
 AIR_M_S = 65.0
-"""Speed of the air down the line (thesis 5.12)."""
+"""Speed of the air in the line (thesis 5.12)."""
 LINE_MM = 62.0
 LEVEL = 0.25
-"""An edge is where the signal passes this share of its largest rise ..."""
+"""An edge is where the signal passes this fraction of its largest rise ..."""
 NOISES = 6.0
-"""... or so many standard deviations of its noise, if that is more."""
+"""... or this many standard deviations of its noise, whichever is larger."""
 
 
 def air_delay_ms(line_mm: float = LINE_MM, air_m_s: float = AIR_M_S) -> float:
-    """Time in ms that the air needs from the valve to a sensor ``line_mm`` down the line."""
+    """Propagation delay in ms from the valve to a sensor at ``line_mm`` along the line."""
     return line_mm / air_m_s
 
 
@@ -31,8 +31,8 @@ def air_delay_ms(line_mm: float = LINE_MM, air_m_s: float = AIR_M_S) -> float:
 class Block:
     """Fast samples around one pulse.
 
-    ``counts`` has shape (n,), one every ``period_us`` from ``lead_us`` before the command on; the
-    command lasted ``width_us``.
+    ``counts`` has shape (n,), with one sample every ``period_us``. The first sample is
+    ``lead_us`` before the command starts. The command lasts ``width_us``.
     """
 
     valve: str
@@ -44,21 +44,21 @@ class Block:
 
 @dataclass(frozen=True)
 class SwitchingTimes:
-    """Delays in ms from a command's edges to the valve's, the line's delay taken off."""
+    """Delays in ms from the edges of the command to those of the valve, line delay subtracted."""
 
     on_ms: float
     off_ms: float
 
 
 def switching_times(block: Block, delay_ms: float | None = None) -> SwitchingTimes:
-    """When the valve opened and shut, from a sensor that sees flow and sees none.
+    """Opening and closing delay of the valve, from a sensor that detects the flow.
 
     Args:
         block: samples of the second sensor.
-        delay_ms: what the line takes; by default that of 62 mm at 65 m/s.
+        delay_ms: propagation delay of the line; the default is that of 62 mm at 65 m/s.
 
     Raises:
-        DeviceError: no flow is to be seen, or it does not end within the block.
+        DeviceError: no flow is detected, or it does not end within the block.
     """
     delay_ms = air_delay_ms() if delay_ms is None else delay_ms
     y = block.counts
@@ -78,7 +78,7 @@ def switching_times(block: Block, delay_ms: float | None = None) -> SwitchingTim
         raise DeviceError(
             f"{block.valve} valve",
             f"flow {'before the command' if first == 0 else 'to the end of the block'}",
-            "a valve that leaks, or a command too long for the block",
+            "the valve leaks, or the command is too long for the block",
         )
     up = first - (y[first] - level) / (y[first] - y[first - 1])
     down = last + (y[last] - level) / (y[last] - y[last + 1])

@@ -1,4 +1,4 @@
-"""Standard uncertainty of the mean of a settled window (type A), and its resolution."""
+"""Type A standard uncertainty of the mean of a settled window, with the resolution."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 import numpy.typing as npt
 
 FEW_INDEPENDENT = 5.0
-"""Below this many independent samples a window says little about its own noise."""
+"""With fewer independent samples than this, a window does not give a reliable noise estimate."""
 
 
 @dataclass(frozen=True)
 class WindowMean:
-    """Mean of a window of readings with what the window itself says about its spread.
+    """Mean of a window of readings, with its standard uncertainty estimated from the window.
 
     Attributes:
         mean: mean of the readings, in their unit; NaN if there were none.
-        u: standard uncertainty of the mean from noise and resolution, widened by Student's t
-            so that twice it covers 95 % however few independent readings there were.
+        u: standard uncertainty of the mean from noise and resolution. It is increased by
+            Student's t so that k = 2 covers 95 % for any number of independent readings.
         n: number of readings.
-        n_effective: number of independent readings they are worth.
+        n_effective: equivalent number of independent readings.
         sd: standard deviation of a single reading.
     """
 
@@ -32,12 +32,15 @@ class WindowMean:
     sd: float
 
 
-def correlation_time(values: npt.NDArray[np.float64]) -> float:
-    """Integrated autocorrelation time of a window, in samples, never below 1.
+NO_READINGS = WindowMean(math.nan, math.nan, 0, 0.0, math.nan)
 
-    Geyer's initial positive monotone sequence on the sample autocovariance. Subtracting the
-    window's own mean removes the variance of that mean from every autocovariance, which makes
-    short windows look less correlated than they are; it is put back by iteration.
+
+def correlation_time(values: npt.NDArray[np.float64]) -> float:
+    """Integrated autocorrelation time of a window, in samples, at least 1.
+
+    The estimator is Geyer's initial positive monotone sequence of the sample autocovariance.
+    Subtraction of the window's own mean removes the variance of that mean from every
+    autocovariance. This makes short windows appear less correlated; an iteration corrects it.
 
     Args:
         values: shape (n,), equally spaced in time.
@@ -69,22 +72,22 @@ def correlation_time(values: npt.NDArray[np.float64]) -> float:
 def window_mean(values: npt.NDArray[np.float64], resolution: float = 0.0) -> WindowMean:
     """Mean of a settled window and its standard uncertainty from noise and resolution.
 
-    The resolution enters as that of one reading (step / sqrt 12) only while the noise is too
-    small to carry the reading over its steps (sd below half a step); with more noise than
-    that the rounding is already part of the spread and averages out with it.
+    The resolution is added as that of one reading (step / sqrt 12) only if the noise is below
+    half a step. With more noise the rounding is already part of the scatter and decreases on
+    averaging.
 
     Args:
         values: shape (n,), readings equally spaced in time, in the unit of the result.
         resolution: one step of the instrument, same unit.
 
     Returns:
-        WindowMean; for a single reading ``u`` is the resolution alone if one is known, NaN if
-        not; for none everything is NaN.
+        WindowMean. For a single reading ``u`` is that of the resolution, NaN if the resolution
+        is not known. Without readings all values are NaN.
     """
     n = len(values)
     u_resolution = resolution / math.sqrt(12.0)
     if n == 0:
-        return WindowMean(math.nan, math.nan, 0, 0.0, math.nan)
+        return NO_READINGS
     mean = float(values.mean())
     if n == 1:
         return WindowMean(mean, u_resolution if resolution > 0 else math.nan, 1, 1.0, math.nan)
@@ -99,7 +102,7 @@ def window_mean(values: npt.NDArray[np.float64], resolution: float = 0.0) -> Win
 
 
 def _student_ratio(degrees_of_freedom: float) -> float:
-    """Student's two-sided 95.45 % quantile over 2, so that k = 2 keeps its meaning."""
+    """Student's two-sided 95.45 % quantile divided by 2, so that k = 2 covers 95.45 %."""
     from scipy.special import stdtrit
 
     return float(stdtrit(max(degrees_of_freedom, 1.0), 0.977249868)) / 2.0

@@ -1,40 +1,37 @@
-"""From the record of a valve test to its table: from raw counts, blocks and voltages alone."""
+"""Reduction of a valve test to its table, from raw counts, blocks and voltages."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from analysis.reduction.points import Reduction, without_excluded
+from analysis.reduction.columns import valve_test_frame
+from analysis.reduction.points import Reduction, point_events, without_excluded
 from analysis.reduction.uncertainty import window_mean
-from analysis.reduction.valve_points import (
-    imported_points,
-    labels_of,
-    point_events,
-    put,
-    valve_frame,
-)
+from analysis.reduction.valve_points import columns_of, imported_points, labels_of, put
 from daq.errors import DeviceError, RecordError
 
 if TYPE_CHECKING:
     from daq.store.run import Run
 
+Samples = dict[str, npt.NDArray[Any]]
 Floats = npt.NDArray[np.float64]
 BEFORE = 20
-"""Pressure samples before a pulse that tell what was upstream; so many around its end, too."""
+"""Number of pressure samples before a pulse that give the upstream pressure."""
 AROUND = 3
+"""Number of pressure samples on each side of the end of a pulse."""
 WHOLE = 0.97
-"""Share of the samples between two readings of the meter that must be there (1 kHz)."""
+"""Required fraction of the samples between two readings of the meter (1 kHz)."""
 ALIKE = 0.85
-"""Readings of one opening are averaged down to this share of the highest pressure among them."""
+"""Readings of one opening are averaged down to this fraction of their highest pressure."""
 
 
 class ValveRecord:
-    """The streams that a valve test needs, its events, and what is said of both."""
+    """The streams and point events of a valve test, and the rows and notes of its table."""
 
     def __init__(self, run: Run, protocol: str) -> None:
         self.run = run
@@ -46,15 +43,15 @@ class ValveRecord:
         self.valve = self.stream("valve")
         self.rows: list[dict[str, Any]] = []
 
-    def stream(self, name: str) -> dict[str, npt.NDArray[Any]]:
-        """A stream's columns; none, and a note, where nothing of it survived."""
+    def stream(self, name: str) -> Samples:
+        """The columns of a stream. If it is lost, none are returned and a note is added."""
         try:
             return self.run.samples(name)
         except RecordError as error:
             self.notes.append(str(error))
             return {}
 
-    def samples(self, window: list[int]) -> dict[str, npt.NDArray[Any]]:
+    def samples(self, window: list[int]) -> Samples:
         """The valve's samples of a half-open range of sequence numbers."""
         if not self.valve:
             return {}
@@ -62,38 +59,35 @@ class ValveRecord:
         inside = (seq >= window[0]) & (seq < window[1])
         return {name: values[inside] for name, values in self.valve.items()}
 
-    def asked(self, event: Mapping[str, Any]) -> list[int]:
-        """The window of a point from the sample on at which its set-point was asked for.
+    def window_from_set_point(self, event: Mapping[str, Any]) -> list[int]:
+        """The window of a point, starting at the sample when its set-point was sent.
 
-        The window of the event begins with the newest sample that the host had then, some 50 ms
-        before. An older record does not say when it was asked for, and keeps that.
+        The window in the event starts with the newest sample that the host had then, about 50 ms
+        earlier. Older records do not hold the time of the set-point; for them that window is
+        returned.
         """
         first, end = event["valve_seq"]
-        asked_ns = event.get("asked_t_ns")
-        if asked_ns is None or not self.valve:
-            return [first, end]
-        zero_ns = int(self.run.manifest["started"]["monotonic_ns"])
+        sent_ns = event.get("asked_t_ns")
         part = self.samples([first, end])
-        if not len(part.get("device_us", ())):
+        if sent_ns is None or not len(part.get("device_us", ())):
             return [first, end]
-        # The device's own intervals, behind the arrival of the sample that was under way least:
-        # no clock fit outlives a restart, and over seconds none is needed.
+        sent_ns += int(self.run.manifest["started"]["monotonic_ns"])
+        # Device times, shifted to the sample with the smallest latency. A clock fit would not be
+        # valid after a restart, and over some seconds it is not necessary.
         device_ns = part["device_us"] * 1000
         host_ns = device_ns + (part["host_ns"] - device_ns).min()
-        later = host_ns >= zero_ns + asked_ns
+        later = host_ns >= sent_ns
         if not later.any():
             return [first, end]
         at, seq = int(np.argmax(later)), part["seq"]
-        late = int((host_ns[at] - zero_ns - asked_ns) // 1_000_000)  # of samples lost there
-        return [max(first, int(seq[at]) - late), end]
+        lost = int((host_ns[at] - sent_ns) // 1_000_000)  # samples missing before this one
+        return [max(first, int(seq[at]) - lost), end]
 
-    def on_time(
-        self, window: list[int]
-    ) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.bool_]]:
-        """The valve's samples of a range, one each millisecond, and which of them came.
+    def on_time_grid(self, window: list[int]) -> tuple[Samples, npt.NDArray[np.bool_]]:
+        """The valve's samples of a range, one per millisecond, and which of them were received.
 
-        One that was lost on the way is put between its neighbours (counts), or as the one before
-        it (all else), so that what follows keeps its time. Nothing where none came.
+        Missing counts are interpolated; all other columns repeat the sample before. If no sample
+        was received, both results are empty.
         """
         part = self.samples(window)
         if not len(part.get("counts", ())):
@@ -108,33 +102,47 @@ class ValveRecord:
         """Counts as pressure."""
         return np.asarray(self.pressure.apply(counts.astype(np.float64)), dtype=np.float64)
 
+    def add_failed(self, row: dict[str, Any], names: Iterable[str], why: str) -> None:
+        """Set these quantities of a point to NaN, mark it as not settled and add a note."""
+        self.notes.append(f"point {row['order']} ({row['slot']} kPa): {why}")
+        for name in names:
+            put(row, name)
+        row["settled"] = False
+
     def finish(self, calibrations: Mapping[str, Any] = {}) -> Reduction:
-        """The table, without what was excluded afterwards."""
-        run, table = self.run, valve_frame(self.protocol, self.rows)
-        if run.outcome != "clean":
-            self.notes.append(
-                f"the run is {run.outcome}: the table holds the {len(table)} points it reached"
-            )
-        unsettled = int((~table["settled"]).sum())
-        if unsettled:
-            self.notes.append(f"{unsettled} points are marked as not as they should be (settled)")
+        """The table without the points that were excluded after the run."""
+        unsettled = sum(not row["settled"] for row in self.rows)
+        notes = [f"{unsettled} points are marked as invalid (column settled)"] if unsettled else []
+        return self._reduction(
+            columns_of(self.protocol), f"{len(self.rows)} points it reached", notes, calibrations
+        )
+
+    def finish_steps(self, columns: Iterable[str], what: str) -> Reduction:
+        """The same for a test of steps or moves, with columns of its own."""
+        return self._reduction(columns, f"{len(self.rows)} {what} made", [], {})
+
+    def _reduction(
+        self,
+        columns: Iterable[str],
+        held: str,
+        notes: Iterable[str],
+        calibrations: Mapping[str, Any],
+    ) -> Reduction:
+        if self.run.outcome != "clean":
+            self.notes.append(f"the run is {self.run.outcome}: the table holds the {held}")
+        table = valve_test_frame(self.rows, columns)
         found = {"pressure_kpa": self.pressure, **calibrations}
-        return without_excluded(run, Reduction(table, tuple(self.notes), found))
-
-
-def is_imported(run: Run) -> bool:
-    """Whether the points of a run were imported."""
-    return any(e.get("kind") == "point" and e.get("row") is not None for e in run.events)
+        return without_excluded(self.run, Reduction(table, (*self.notes, *notes), found))
 
 
 def reduce_switching_time(run: Run) -> Reduction:
-    """Delays from the blocks, with the pressure at the moment when each command changed.
+    """Delays from the blocks, with the pressure at each edge of the command.
 
     A point is one block: ``on_ms``, ``off_ms``, ``pressure_kpa`` (upstream, before the pulse) and
-    ``off_pressure_kpa`` (upstream, at its end; the inlet's is the supply, which stays).
+    ``off_pressure_kpa`` (upstream, at its end; for the inlet it is the constant supply).
     """
-    if is_imported(run):
-        return without_excluded(run, imported_points(run, "switching-time"))
+    if (imported := imported_points(run, "switching-time")) is not None:
+        return imported
     from analysis.reduction.switching import Block, air_delay_ms, switching_times
 
     record = ValveRecord(run, "switching-time")
@@ -159,34 +167,30 @@ def reduce_switching_time(run: Run) -> Reduction:
         )
         try:
             if len(counts) < b - a:
-                raise DeviceError(event["slot"], "samples of its block did not survive")
+                raise DeviceError(event["slot"], "samples of its block were lost")
             found = switching_times(block, delay_ms)
-            # Where an edge lies between two samples is known to one period at best, and is
-            # much the same in every block, since pulse and samples keep step.
+            # The position of an edge is known to one sample period at best. It is nearly the same
+            # in every block, because pulse and samples are synchronous.
             period_ms = block.period_us * 1e-3
             noise, common = period_ms / math.sqrt(12.0), period_ms / math.sqrt(3.0)
             put(row, "on_ms", found.on_ms, noise, math.hypot(u_delay, common))
             put(row, "off_ms", found.off_ms, noise, math.hypot(u_delay, common))
         except DeviceError as error:
-            record.notes.append(f"point {event['order']} ({event['slot']} kPa): {error.what}")
-            for name in ("on_ms", "off_ms"):
-                put(row, name, math.nan, math.nan, math.nan)
-            row["settled"] = False
+            record.add_failed(row, ("on_ms", "off_ms"), error.what)
         record.rows.append(row)
     record.notes.append(
-        f"the air's way to the sensor is taken off: {p.get('line_mm', 62.0):g} mm at"
+        f"corrected for propagation delay to the sensor: {p.get('line_mm', 62.0):g} mm at"
         f" {p.get('air_m_s', 65.0):g} m/s, {delay_ms:.3f} ± {2 * u_delay:.3f} ms (k = 2)"
     )
     return record.finish()
 
 
 def _upstream(record: ValveRecord, event: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Pressure upstream of the tried valve at both edges of its command, and the noise of it."""
+    """Pressure upstream of the tested valve at both edges of its command, and its noise."""
     if event["valve"] == "inlet":
         return float(event["supply_kpa"]), float(event["supply_kpa"]), 0.0
     part = record.samples(event["valve_seq"])
-    column = "vent_u5"
-    driven = np.flatnonzero(part[column] > 0) if column in part else np.empty(0, dtype=int)
+    driven = np.flatnonzero(part["vent_u5"] > 0) if "vent_u5" in part else np.empty(0, dtype=int)
     if not len(driven):
         return math.nan, math.nan, math.nan
     kpa = record.kpa(part["counts"])
@@ -197,13 +201,13 @@ def _upstream(record: ValveRecord, event: Mapping[str, Any]) -> tuple[float, flo
 
 
 def reduce_flow(run: Run) -> Reduction:
-    """Velocity and pressure over the same stretches of time while the valve stood open.
+    """Velocity and pressure over the same periods while the valve was open.
 
-    A reading of the meter is a mean since the one before it; it counts where all of that time
-    lies within the opening, the valve's own delay left out.
+    A reading of the meter is the mean since the reading before. It is used if that period lies
+    completely within the opening, without the delay of the valve.
     """
-    if is_imported(run):
-        return without_excluded(run, imported_points(run, "flow"))
+    if (imported := imported_points(run, "flow")) is not None:
+        return imported
     from daq.store.derive import sample_host_ns
 
     record = ValveRecord(run, "flow")
@@ -215,20 +219,15 @@ def reduce_flow(run: Run) -> Reduction:
         row = labels_of(event)
         pairs = _pairs(record, event, readings, host_ns, lead_ns)
         if meter is None or not len(pairs):
-            record.notes.append(
-                f"point {event['order']} ({event['slot']} kPa): no reading of the meter lies"
-                " wholly within the opening"
-            )
-            for name in ("pressure_kpa", "velocity_m_s"):
-                put(row, name, math.nan, math.nan, math.nan)
-            row["settled"] = False
+            why = "no reading of the meter lies completely within the opening"
+            record.add_failed(row, ("pressure_kpa", "velocity_m_s"), why)
         else:
-            # Flow bends with pressure: only readings at much the same pressure may be averaged.
+            # Flow is not linear in pressure: only readings at similar pressures are averaged.
             pairs = pairs[pairs[:, 0] >= ALIKE * pairs[:, 0].max()]
             v = np.asarray(meter.apply(pairs[:, 1]), dtype=np.float64)
             kpa = pairs[:, 0]
             n = len(pairs)
-            # The vessel empties while it is read: what is left about the common line is noise.
+            # The pressure falls during the readings: the scatter about their line is the noise.
             slope = np.polyfit(kpa, v, 1) if n > 2 and np.ptp(kpa) > 0 else None
             left = v - np.polyval(slope, kpa) if slope is not None else v * 0.0
             dof = max(n - 2, 1)
@@ -263,7 +262,7 @@ def _pairs(
     for k in range(1, len(at)):
         if at[k - 1] >= opened and at[k] <= shut:
             use = (host_ns > at[k - 1]) & (host_ns <= at[k])
-            # Pressure falls meanwhile: a mean over part of that time is that of another moment.
+            # The pressure falls: a mean over a part of the period belongs to another time.
             if use.sum() >= WHOLE * (at[k] - at[k - 1]) * 1e-6:
                 kpa = float(record.kpa(record.valve["counts"][use]).mean())
                 out.append((kpa, float(readings["reading"][k])))
@@ -271,13 +270,13 @@ def _pairs(
 
 
 def reduce_switching_voltage(run: Run) -> Reduction:
-    """Voltages between which a valve does and does not act, from every try anew.
+    """Voltages between which a valve does and does not switch, evaluated again from every try.
 
-    Whether a valve was open is seen in the pressure behind or before it, not taken from what was
-    noted live.
+    The pressure upstream or downstream shows whether a valve was open. The live result is not
+    used.
     """
-    if is_imported(run):
-        return without_excluded(run, imported_points(run, "switching-voltage"))
+    if (imported := imported_points(run, "switching-voltage")) is not None:
+        return imported
     record = ValveRecord(run, "switching-voltage")
     tries = [e for e in run.events if e.get("kind") == "try"]
     supply = record.stream("supply")
@@ -308,7 +307,7 @@ def reduce_switching_voltage(run: Run) -> Reduction:
             if not (math.isfinite(low) and math.isfinite(high)):
                 record.notes.append(
                     f"point {event['order']} ({event['slot']} kPa): no voltage at which it"
-                    f" {'opens' if edge == 'on' else 'lets go'} was found"
+                    f" {'opens' if edge == 'on' else 'closes'} was found"
                 )
                 row["settled"] = False
             half = (high - low) / 2.0
@@ -318,19 +317,17 @@ def reduce_switching_voltage(run: Run) -> Reduction:
 
 
 def bracket(tries: list[tuple[float, bool]]) -> tuple[float, float]:
-    """The highest voltage at which a valve was shut and the lowest at which it was open."""
+    """The highest voltage at which a valve was closed and the lowest at which it was open."""
     shut = [v for v, opened in tries if not opened]
     opened = [v for v, is_open in tries if is_open]
-    low = max(shut) if shut else math.nan
-    high = min(opened) if opened else math.nan
-    return low, high
+    return max(shut, default=math.nan), min(opened, default=math.nan)
 
 
 def open_in(kpa: Floats, event: Mapping[str, Any], part: Mapping[str, npt.NDArray[Any]]) -> bool:
-    """Whether the valve was open in a try's window, by what the pressure did there.
+    """Whether the valve was open in the window of a try, from the change of pressure.
 
-    For turning on: the pressure after the pulse against that before it. For turning off: its
-    slope over the last stretch of the command, when the voltage had been lowered.
+    For switching on: the pressure after the pulse minus that before it. For switching off: the
+    change over the last part of the command, when the voltage had been lowered.
     """
     column = "inlet_u5" if event["valve"] == "inlet" else "vent_u5"
     driven = np.flatnonzero(part[column] > 0)
@@ -347,10 +344,9 @@ def open_in(kpa: Floats, event: Mapping[str, Any], part: Mapping[str, npt.NDArra
 
 
 def _before(record: ValveRecord, event: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Mean pressure before the command of a try, and its noise; None if unknown."""
     part = record.samples(event["valve_seq"])
-    if not len(part.get("counts", ())):
-        return None
-    driven = np.flatnonzero(part["vent_u5"] > 0)
+    driven = np.flatnonzero(part["vent_u5"] > 0) if "vent_u5" in part else np.empty(0, dtype=int)
     if not len(driven):
         return None
     kpa = record.kpa(part["counts"])[: int(driven[0]) + 1]
@@ -359,7 +355,7 @@ def _before(record: ValveRecord, event: Mapping[str, Any]) -> tuple[float, float
 
 
 def _measured(supply: Mapping[str, npt.NDArray[Any]], event: Mapping[str, Any]) -> float:
-    """Voltage as the supply measured it in this try, or as it was set where that is lost."""
+    """Voltage that the supply measured in this try; the set voltage if that reading is lost."""
     if "voltage_v" in supply:
         at = np.flatnonzero(supply["row"] == event["supply_row"])
         if len(at):

@@ -1,16 +1,21 @@
-"""Points of the valve tests: their columns, and those that were imported."""
+"""Points of the valve tests: columns, labels, and the reduction of imported points."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from analysis.reduction.points import Reduction
+from analysis.reduction.columns import number_or_nan, valve_test_frame
+from analysis.reduction.points import (
+    Reduction,
+    imported_rows,
+    is_imported,
+    point_events,
+    without_excluded,
+)
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from daq.store.run import Run
 
 LABELS = ("valve", "repeat", "trial", "slot", "mounting", "order", "settled")
@@ -19,8 +24,8 @@ NUMBERS = {
     "switching-voltage": ("pressure_kpa", "on_v", "off_v"),
     "flow": ("pressure_kpa", "velocity_m_s"),
 }
-"""What each test measures; every number has ``u_<name>`` beside it, and its parts
-``u_<name>_noise`` (averages out) and ``u_<name>_cal`` (common to all points)."""
+"""Quantities that each test measures. The table also has ``u_<name>`` of each, and its parts
+``u_<name>_noise`` (decreases on averaging) and ``u_<name>_cal`` (common to all points)."""
 
 
 def columns_of(protocol: str) -> list[str]:
@@ -30,71 +35,42 @@ def columns_of(protocol: str) -> list[str]:
     return [*numbers, *LABELS, "set_pressure_kpa", *parts]
 
 
-def valve_frame(protocol: str, rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """Rows as the table of a valve test, in the order in which they were taken."""
-    import pandas as pd
-
-    frame = pd.DataFrame(list(rows), columns=columns_of(protocol))
-    for column in frame:
-        if column in ("valve", "slot", "mounting"):
-            frame[column] = frame[column].astype(str)
-        elif column in ("repeat", "trial", "order"):
-            frame[column] = frame[column].astype("int64")
-        elif column == "settled":
-            frame[column] = frame[column].astype(bool)
-        else:
-            frame[column] = frame[column].astype("float64")
-    return frame.sort_values("order", kind="stable", ignore_index=True)
-
-
-def point_events(run: Run) -> list[dict[str, Any]]:
-    """The points of a run, each as it was last taken."""
-    found: dict[int, dict[str, Any]] = {}
-    for event in run.events:
-        if event.get("kind") == "point":
-            found[int(event["order"])] = event
-    return list(found.values())
-
-
 def labels_of(event: Mapping[str, Any]) -> dict[str, Any]:
-    """What the event of a point says of where it belongs."""
+    """The labels of a point event: valve, repeat, trial, slot and so on."""
     return {
         "valve": event.get("valve", ""),
         "repeat": event.get("replicate", 1),
-        "set_pressure_kpa": _number(event.get("set_pressure_kpa")),
+        "set_pressure_kpa": number_or_nan(event.get("set_pressure_kpa")),
         **{k: event[k] for k in ("trial", "slot", "mounting", "order", "settled")},
     }
 
 
-def put(row: dict[str, Any], name: str, value: float, noise: float, cal: float) -> None:
-    """A number with its uncertainty and the two parts of it."""
+def put(
+    row: dict[str, Any],
+    name: str,
+    value: float = math.nan,
+    noise: float = math.nan,
+    cal: float = math.nan,
+) -> None:
+    """Store a value, its standard uncertainty and the two parts of the uncertainty."""
     row[name] = value
     row[f"u_{name}_noise"], row[f"u_{name}_cal"] = noise, cal
     row[f"u_{name}"] = math.hypot(noise, 0.0 if math.isnan(cal) else cal)
 
 
-def imported_points(run: Run, protocol: str) -> Reduction:
-    """An imported valve table, with the uncertainty stated of it."""
+def imported_points(run: Run, protocol: str) -> Reduction | None:
+    """The table of an imported valve test, with the stated uncertainty; None if not imported."""
+    if not is_imported(run):
+        return None
     stream = run.samples("points")
-    at = {int(row): k for k, row in enumerate(stream["row"])}
     stated = run.manifest.get("stated_uncertainty") or {}
-    rows, lost = [], 0
-    for event in point_events(run):
-        k = at.get(int(event["row"]))
-        if k is None:
-            lost += 1
-            continue
+    found, notes = imported_rows(run, point_events(run))
+    rows = []
+    for event, k in found:
         row = labels_of(event)
         for name in NUMBERS[protocol]:
             if name in stream:
-                u = _number(stated.get(f"u_{name}"))
-                put(row, name, float(stream[name][k]), u, math.nan)
+                put(row, name, float(stream[name][k]), number_or_nan(stated.get(f"u_{name}")))
         rows.append(row)
-    notes = list(run.manifest.get("notes") or [])
-    if lost:
-        notes.append(f"{lost} points are missing: their samples did not survive")
-    return Reduction(valve_frame(protocol, rows), tuple(notes), {})
-
-
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)
+    table = valve_test_frame(rows, columns_of(protocol))
+    return without_excluded(run, Reduction(table, tuple(notes), {}))

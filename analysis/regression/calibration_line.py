@@ -1,4 +1,4 @@
-"""Zero, span and linearity: a straight line through readings against a reference."""
+"""Zero, gain and linearity: a straight line through readings against a reference."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ LEAST_POINTS = 3
 
 @dataclass(frozen=True)
 class Reference:
-    """What a calibration is made against, and how well it is known (standard uncertainty).
+    """The reference of a calibration, with its standard uncertainty.
 
     Attributes:
         name: kind and identity, such as "gauge G-12, certificate 4711".
-        u_each: of each value, independent from point to point (reading a dial), in the unit.
-        u_offset: common to all values: its zero, in the unit.
-        u_gain: common to all values: its scale (of a set of weights: their class; g), relative.
+        u_each: of each value, independent between points (such as reading a dial), in the unit.
+        u_offset: of its zero, common to all values, in the unit.
+        u_gain: of its scale, common to all values, relative (weights: their class, and g).
     """
 
     name: str
@@ -35,8 +35,8 @@ class Reference:
 class LineFit:
     """``value = offset + scale * raw`` with standard uncertainties.
 
-    ``hypot(u_offset, u_gain * (value - offset))`` is nowhere between the calibration's ends
-    below what fit and reference leave unknown. ``linearity`` is the largest residual.
+    Over the calibrated range ``hypot(u_offset, u_gain * (value - offset))`` is not smaller than
+    the uncertainty of fit and reference. ``linearity`` is the largest residual.
     """
 
     offset: float
@@ -54,19 +54,19 @@ def fit_line(
     reference: Reference,
     where: str = "calibration",
 ) -> LineFit:
-    """Weighted least squares, with what the reference itself leaves open.
+    """Weighted least squares, with the uncertainty of the reference.
 
     Args:
         raw: mean readings, shape (n,).
         u_raw: their standard uncertainties (repeatability), in raw units.
-        value: what the reference says, in the calibrated unit.
-        reference: its uncertainty.
-        where: for messages.
+        value: values of the reference, in the calibrated unit.
+        reference: the reference and its uncertainty.
+        where: place named in messages.
 
     Returns:
-        The line. Its offset's uncertainty holds the fit's, the reference's zero and the
-        largest residual taken as the half-width of a rectangle (linearity); its gain's the
-        fit's and the reference's scale.
+        The line. The uncertainty of its offset includes that of the fit, the zero of the
+        reference, and the largest residual as the half-width of a rectangular distribution
+        (linearity). The uncertainty of its gain includes that of the fit and of the reference.
 
     Raises:
         ConfigError: too few points, or all at the same reading.
@@ -80,7 +80,7 @@ def fit_line(
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ConfigError(where, "a point has no reading", "repeat it")
     if np.ptp(x) <= 1e-12 * max(1.0, float(np.abs(x).max())) or np.ptp(y) == 0.0:
-        raise ConfigError(where, "all points are the same", "spread them over the range")
+        raise ConfigError(where, "all points are equal", "spread them over the range")
     scale = float(np.ptp(y) / np.ptp(x))
     design = np.column_stack([np.ones_like(x), x])
     beta = np.zeros(2)
@@ -93,7 +93,7 @@ def fit_line(
         beta = normal @ (design.T @ (weight * y))
         scale = float(beta[1])
     residuals = y - design @ beta
-    # What scatters more than it was said to is believed; what scatters less is not.
+    # A scatter above the stated uncertainty increases it; a smaller scatter does not reduce it.
     chi2 = float((weight * residuals**2).sum()) / (len(x) - 2)
     covariance = normal * max(1.0, chi2)
     linearity = float(np.abs(residuals).max())
@@ -101,8 +101,8 @@ def fit_line(
     u_offset = float(
         np.sqrt(covariance[0, 0] + reference.u_offset**2 + (linearity / np.sqrt(3.0)) ** 2)
     )
-    # Offset and scale of a fit are correlated; the two numbers that a calibration has are not.
-    # Where the correlation would count (readings of both signs), the offset covers it.
+    # Offset and scale of a fit are correlated; a calibration has no correlation. If it matters
+    # (readings of both signs), the uncertainty of the offset is increased to cover it.
     grid = np.linspace(x.min(), x.max(), 21)
     true = covariance[0, 0] + 2 * grid * covariance[0, 1] + grid**2 * covariance[1, 1]
     true += reference.u_offset**2 + (reference.u_gain * scale * grid) ** 2 + linearity**2 / 3

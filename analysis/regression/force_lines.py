@@ -1,8 +1,8 @@
-"""Straight lines through settled points: force against pressure, then against length.
+"""Straight lines through settled points: force against pressure, coefficients against length.
 
-The thesis's black box (section 4.9): at each length force = gradient * pressure + intercept
-over a pressure region, Equation 4-32 and Table C-9; then gradient and intercept each a
-straight line in length, Equations 4-34 and 4-35.
+This is the black-box model of the thesis (section 4.9). At each length, force = gradient *
+pressure + intercept over a pressure region (Equation 4-32, Table C-9). Gradient and intercept are
+then straight lines in length (Equations 4-34 and 4-35).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 THESIS_REGION_KPA = (150.0, 600.0)
-"""Section 4.8.1: from 150 to 600 kPa the force is close to linear in pressure."""
+"""Section 4.8.1: from 150 to 600 kPa the force is nearly linear in pressure."""
 
 THESIS_DIGITS = 3
-"""Table C-9 holds three significant digits; Equations 4-34 and 4-35 follow from those."""
+"""Significant digits of Table C-9, from which Equations 4-34 and 4-35 were computed."""
 
 Floats = npt.NDArray[np.float64]
 
@@ -34,8 +34,8 @@ Floats = npt.NDArray[np.float64]
 class Fit:
     """Least-squares straight line y = slope * x + intercept.
 
-    ``u_slope`` and ``u_intercept`` are standard errors from the scatter about the line (NaN
-    for two points), ``sd`` the scatter itself, ``r2`` a fraction.
+    ``u_slope`` and ``u_intercept`` are standard errors from the scatter about the line (NaN for
+    two points), ``sd`` is the scatter, ``r2`` is between 0 and 1.
     """
 
     slope: float
@@ -51,10 +51,10 @@ class Fit:
 class LengthLine:
     """Force against pressure at one held length (Equation 4-32), N and kPa.
 
-    ``u_*_fit`` come from the scatter about the line; ``u_*_cal`` from the zero and gain of the
-    pressure and force calibrations, which no number of points averages away (NaN if unknown);
-    ``down_minus_up_n`` is the mean force on the way down less that on the way up at the same
-    set pressure, inside the region (NaN without both).
+    ``u_*_fit`` come from the scatter about the line. ``u_*_cal`` come from zero and gain of the
+    pressure and force calibrations; they do not decrease with the number of points (NaN if
+    unknown). ``down_minus_up_n`` is the mean force at falling pressure minus that at rising
+    pressure, at the same set pressures within the region (NaN without both).
     """
 
     length_mm: float
@@ -82,7 +82,7 @@ class LengthLaw:
 
 
 def fit_line(x: Floats, y: Floats) -> Fit | None:
-    """Ordinary least squares, shapes (n,); None if the abscissae do not span a line."""
+    """Ordinary least squares, shapes (n,); None with fewer than two different x."""
     n = len(x)
     if n < 2 or float(np.ptp(x)) == 0.0:
         return None
@@ -106,16 +106,15 @@ def fit_line(x: Floats, y: Floats) -> Fit | None:
 
 
 def to_significant(value: float, digits: int) -> float:
-    """The value as a table with so many significant digits would print it."""
+    """The value rounded to this number of significant digits."""
     return float(f"{value:.{digits}g}") if math.isfinite(value) else value
 
 
 def length_groups(table: pd.DataFrame) -> list[tuple[float, float, pd.DataFrame]]:
-    """Rows of one held length and temperature together: (length, temperature, rows).
+    """Rows grouped by held length and temperature: (length, temperature, rows).
 
-    The set length names the group (a stage is never exactly where it was told to be); a table
-    without set lengths is grouped by its measured length to 0.01 mm. Temperatures are told
-    apart, to the degree, only where the table spans more than 2 degC.
+    Groups are formed by the set length, or by the measured length to 0.01 mm if there is no set
+    length. Temperatures are separated, to 1 degC, only if the table spans more than 2 degC.
     """
     length = table["set_length_mm"].fillna(table["length_mm"].round(2))
     temperature = table["temperature_c"].astype(float)
@@ -129,6 +128,19 @@ def length_groups(table: pd.DataFrame) -> list[tuple[float, float, pd.DataFrame]
     return groups
 
 
+def nominal_kpa(table: pd.DataFrame) -> pd.Series:
+    """The set pressure of each row, or the measured pressure to 1 kPa if there is none."""
+    return table["set_pressure_kpa"].fillna(table["pressure_kpa"].round(0)).astype(float)
+
+
+def coldest(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows at the lowest temperature (to 2 degC), if the table spans several."""
+    temperature = table["temperature_c"].astype(float)
+    if not temperature.max() - temperature.min() > 2.0:
+        return table
+    return table[temperature < temperature.min() + 2.0]
+
+
 def per_length(
     table: pd.DataFrame,
     region_kpa: tuple[float, float] = THESIS_REGION_KPA,
@@ -136,14 +148,13 @@ def per_length(
 ) -> list[LengthLine]:
     """Fit force = gradient * pressure + intercept at each length over a pressure region.
 
-    A point belongs to the region by its set pressure where there is one, so that 149.8 kPa
-    measured at a set-point of 150 stays in. Lengths whose points do not span a line are left
-    out.
+    A point with a set pressure belongs to the region by that: 149.8 kPa measured at a set-point
+    of 150 kPa is inside. Lengths with fewer than two different pressures are left out.
 
     Args:
-        table: settled points as ``analysis.reduction.points`` makes them.
+        table: settled points from ``analysis.reduction.points``.
         region_kpa: lowest and highest pressure, both included.
-        calibrations: by quantity (``pressure_kpa``, ``force_n``), for the ``u_*_cal`` columns.
+        calibrations: by quantity (``pressure_kpa``, ``force_n``), for ``u_*_cal``.
     """
     lines = []
     for length_key, temperature_c, rows in length_groups(table):
@@ -156,12 +167,11 @@ def per_length(
         if fit is None:
             continue
         u_gradient_cal, u_intercept_cal = calibration_share(pressure, force, calibrations or {})
-        set_lengths = inside["set_length_mm"]
         measured_mm = _mean(inside["length_mm"])
         lines.append(
             LengthLine(
                 length_mm=measured_mm if math.isfinite(measured_mm) else length_key,
-                set_length_mm=_mean(set_lengths),
+                set_length_mm=_mean(inside["set_length_mm"]),
                 temperature_c=temperature_c,
                 n=fit.n,
                 gradient_n_per_kpa=fit.slope,
@@ -179,8 +189,8 @@ def per_length(
 
 
 def covered_kpa(table: pd.DataFrame, region_kpa: tuple[float, float]) -> tuple[float, float]:
-    """Lowest and highest set pressure of a region's points; the region itself without any."""
-    nominal = table["set_pressure_kpa"].fillna(table["pressure_kpa"].round(0)).astype(float)
+    """Lowest and highest set pressure of the points in a region; the region if there are none."""
+    nominal = nominal_kpa(table)
     inside = nominal[nominal.between(*region_kpa)]
     return (float(inside.min()), float(inside.max())) if len(inside) else region_kpa
 
@@ -190,9 +200,9 @@ def against_length(lines: list[LengthLine], digits: int | None = None) -> Length
 
     Args:
         lines: first stage, of one temperature.
-        digits: round gradient and intercept to so many significant digits first, as someone
-            does who takes them from a printed table. The thesis did: Equation 4-34 prints
-            -0.426, which its own Table C-9 gives and the unrounded coefficients (-0.425) do not.
+        digits: round gradient and intercept to this number of significant digits first. The
+            thesis used the rounded values: Equation 4-34 prints -0.426, which follows from Table
+            C-9; the unrounded coefficients give -0.425.
 
     Returns:
         The two lines, or None with fewer than three lengths.
@@ -219,7 +229,7 @@ def calibration_share(
     calibrations: Mapping[str, Calibration],
     names: tuple[str, str] = ("pressure_kpa", "force_n"),
 ) -> tuple[float, float]:
-    """How far one standard uncertainty of each zero and gain moves slope and intercept.
+    """Uncertainty of slope and intercept due to zero and gain of the calibrations.
 
     Args:
         x, y: the points of the line, shapes (n,).
@@ -227,7 +237,7 @@ def calibration_share(
         names: quantities of x and y.
 
     Returns:
-        Standard uncertainties of slope and intercept; NaN where a calibration is not known.
+        Standard uncertainties of slope and intercept; NaN if a calibration is not known.
     """
     base = fit_line(x, y)
     if base is None or not set(names) <= set(calibrations):
@@ -255,10 +265,10 @@ def line_uncertainty(
     calibrations: Mapping[str, Calibration],
     names: tuple[str, str] = ("pressure_kpa", "force_n"),
 ) -> tuple[float, float]:
-    """Standard uncertainties of slope and intercept: scatter and, where known, calibrations.
+    """Standard uncertainties of slope and intercept, from scatter and known calibrations.
 
     Args:
-        line: least squares through x and y, shapes (n,); pairs with a NaN were left out.
+        line: least squares through x and y, shapes (n,), without pairs that contain NaN.
         x, y, calibrations, names: as for :func:`calibration_share`.
     """
     points = np.column_stack([np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)])
@@ -269,8 +279,8 @@ def line_uncertainty(
 
 
 def _down_minus_up(rows: pd.DataFrame) -> float:
-    """Mean over set pressures of force going down less force going up."""
-    by_pressure = rows.assign(at=rows["set_pressure_kpa"].fillna(rows["pressure_kpa"].round(0)))
+    """Mean over set pressures of the force at falling minus that at rising pressure."""
+    by_pressure = rows.assign(at=nominal_kpa(rows))
     means = by_pressure.groupby(["at", "direction"])["force_n"].mean().unstack()
     if "up" not in means or "down" not in means:
         return math.nan

@@ -1,4 +1,4 @@
-"""Straight lines by least squares with the table that a statistics package prints beside them."""
+"""Straight lines by least squares with the statistics of a regression table."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Line:
     Attributes:
         intercept, slope: coefficients.
         u_intercept, u_slope: standard errors from the scatter, n - 2 degrees of freedom.
-        p_intercept, p_slope: two-sided, of no effect.
-        s: scatter about the line.
-        r2, r2_adjusted: shares, 0 to 1.
+        p_intercept, p_slope: two-sided p values of the hypothesis that they are zero.
+        s: standard deviation about the line.
+        r2, r2_adjusted: coefficients of determination, 0 to 1.
         ss_regression, ss_error: sums of squares.
         n: points.
     """
@@ -44,46 +44,43 @@ class Line:
 
     @property
     def t_slope(self) -> float:
-        """Slope in its standard errors."""
+        """T value of the slope."""
         return self.slope / self.u_slope if self.u_slope else math.inf
 
     @property
     def t_intercept(self) -> float:
-        """Intercept in its standard errors."""
+        """T value of the intercept."""
         return self.intercept / self.u_intercept if self.u_intercept else math.inf
 
     @property
     def f(self) -> float:
-        """F of the regression."""
+        """F value of the regression."""
         return self.ss_regression / (self.ss_error / (self.n - 2)) if self.ss_error else math.inf
 
 
 def straight_line(x: npt.ArrayLike, y: npt.ArrayLike) -> Line | None:
-    """Fit a line, shapes (n,); pairs with a NaN are left out.
+    """Fit a line, shapes (n,). Pairs that contain NaN are left out.
 
     Returns:
-        None for fewer than three points, or all at one x.
+        None with fewer than three points, or if all have the same x.
     """
-    every_x, every_y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    good = np.isfinite(every_x) & np.isfinite(every_y)
-    return _fit(every_x[good], every_y[good])
-
-
-def _fit(x: Floats, y: Floats) -> Line | None:
     from scipy.special import stdtr
 
-    n = len(x)
-    if n < 3 or float(np.ptp(x)) == 0.0:
+    all_x, all_y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    good = np.isfinite(all_x) & np.isfinite(all_y)
+    xs, ys = all_x[good], all_y[good]
+    n = len(xs)
+    if n < 3 or float(np.ptp(xs)) == 0.0:
         return None
-    dx, dy = x - x.mean(), y - y.mean()
+    dx, dy = xs - xs.mean(), ys - ys.mean()
     sxx, syy = float(dx @ dx), float(dy @ dy)
     slope = float(dx @ dy) / sxx
-    intercept = float(y.mean()) - slope * float(x.mean())
+    intercept = float(ys.mean()) - slope * float(xs.mean())
     residual = dy - slope * dx
     sse = float(residual @ residual)
     s = math.sqrt(sse / (n - 2))
     u_slope = s / math.sqrt(sxx)
-    u_intercept = s * math.sqrt(1.0 / n + float(x.mean()) ** 2 / sxx)
+    u_intercept = s * math.sqrt(1.0 / n + float(xs.mean()) ** 2 / sxx)
 
     def p(value: float, u: float) -> float:
         return 2.0 * float(stdtr(n - 2, -abs(value) / u)) if u > 0.0 else 0.0
@@ -108,12 +105,12 @@ def _fit(x: Floats, y: Floats) -> Line | None:
 def mean_of_repeats(
     values: npt.ArrayLike, pooled_sd: float = math.nan, dof: int = 0
 ) -> tuple[float, float]:
-    """Mean of replicates and its standard uncertainty, widened by Student's t for k = 2.
+    """Mean of replicates and its standard uncertainty, increased by Student's t for k = 2.
 
     Args:
         values: replicates of one setting; NaN are left out.
-        pooled_sd: scatter pooled over all settings, used instead of that of these few.
-        dof: its degrees of freedom.
+        pooled_sd: standard deviation pooled over all settings, used instead of that of ``values``.
+        dof: degrees of freedom of ``pooled_sd``.
     """
     from scipy.special import stdtrit
 
@@ -130,7 +127,7 @@ def mean_of_repeats(
 
 
 def pooled(groups: list[Floats]) -> tuple[float, int]:
-    """Standard deviation within groups, pooled, and its degrees of freedom."""
+    """Pooled standard deviation within groups, and its degrees of freedom."""
     ss, dof = 0.0, 0
     for group in groups:
         v = group[np.isfinite(group)]

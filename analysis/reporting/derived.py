@@ -1,4 +1,4 @@
-"""What is made of a record: samples, table, report and view file, in one sealed folder."""
+"""The derived files of a run: samples, table, report and view file, in one folder."""
 
 from __future__ import annotations
 
@@ -10,13 +10,10 @@ from daq.store.run import Run, open_run
 
 
 def derive_all(folder: Path | str) -> Run:
-    """Make everything derived of a run anew and return the run, opened afresh.
-
-    The report that a run gets is written last, so that it may name what stands beside it.
+    """Make all derived files of a run again, and return the run, opened again.
 
     Raises:
-        RecordError: the record is damaged where nothing can be made of it, or the folder
-            cannot be written.
+        RecordError: the record is too damaged for this, or the folder cannot be written.
     """
     from analysis.reduction.points import write_table
     from analysis.reporting.report import write_report
@@ -40,13 +37,13 @@ def derive_all(folder: Path | str) -> Run:
 
 
 def try_derive(folder: Path | str, error: BaseException | None = None) -> str:
-    """Make everything derived of a run; why that was not possible, or "".
+    """Make all derived files of a run; returns the reason why this was not possible, or "".
 
-    The record stays as it is either way. Where the run itself ended because the disk refused to
-    store it (``error`` is a RecordError), nothing is derived.
+    The record does not change. If the run ended because it could not be stored on the disk
+    (``error`` is a RecordError), no files are derived.
     """
     if isinstance(error, RecordError):
-        return "the disk would not take it"
+        return "the disk could not store the run"
     try:
         derive_all(folder)
     except PamrigError as problem:

@@ -1,19 +1,17 @@
-"""The report of a run: one HTML file that stands alone, or the same as JSON."""
+"""The report of a run as one self-contained HTML file, or as JSON."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analysis.figures.wording import outcome_sentence, signed, value_cell, with_u
+from analysis.figures.timeline import timeline_figure
+from analysis.figures.wording import outcome_sentence, value_cell, with_u
 from analysis.findings.findings import Findings, Section
-from analysis.findings.isometric import isometric_figures, isometric_json, timeline
 from analysis.reduction.points import Reduction
 from analysis.registry import analysis_of
-from analysis.regression.force_lines import THESIS_REGION_KPA
 from analysis.reporting.sections import figure_address, section_parts
 from analysis.run_table import reduce_run
 from daq.store.annotations import ANNOTATIONS, read_annotations
@@ -22,62 +20,48 @@ if TYPE_CHECKING:
     from daq.store.run import Run
 
 SCHEMA = "pamrig-report/1"
-QUIET_EVENTS = (
-    "point",
-    "zero",
-    "length",
-    "state",
-    "command",
-    "tare",
-    "clockfit",
-    "armed",
-    "controller",
-    "trial",
-    "marker",
-    "manual",
-    "load",
-    "mounted",
-    "leak",
-    "try",
-)
-"""Events of a run as it should be; any other kind is shown among faults and gaps."""
+NORMAL_EVENTS = (
+    "point", "zero", "length", "state", "command", "tare", "clockfit", "armed", "controller",
+    "trial", "marker", "manual", "load", "mounted", "leak", "try",
+)  # fmt: skip
+"""Kinds of events of a normal run. All other kinds are listed among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")
+"""Keys that the appendix of the HTML report leaves out."""
 
 
 def report_json(
-    run: Run,
-    reduction: Reduction | None = None,
-    region_kpa: tuple[float, float] = THESIS_REGION_KPA,
-    findings: Findings | None = None,
+    run: Run, reduction: Reduction | None = None, findings: Findings | None = None
 ) -> dict[str, Any]:
-    """Everything the report says, as plain values: null for what is unknown, never NaN.
+    """The contents of the report as plain values. Unknown values are null, never NaN.
 
     Args:
         run: an opened run, finished or not.
-        reduction: its reduction if already made.
-        region_kpa: pressures over which the straight lines of an isometric test are fitted.
-        findings: what its protocol finds in the table, if already made.
+        reduction: its reduction, if already made.
+        findings: its findings, if already made.
     """
     kind = analysis_of(run.manifest.get("protocol"))
     reduction = reduction or reduce_run(run)
-    if findings is None and kind.findings is not None:
-        findings = kind.findings(run, reduction)
-    if findings is not None:
+    findings = findings or kind.findings(run, reduction)
+    parts = findings.report_entries
+    if parts is None:
         parts = {
-            "headline": findings.headline,
             "results": findings.data,
             "sections": [_section_json(section) for section in findings.sections],
         }
-    else:
-        parts = isometric_json(run, reduction, region_kpa)
     plain: dict[str, Any] = _plain(
-        {**_common(run, reduction), "title": kind.title, "results": None, **parts}
+        {
+            **_common(run, reduction),
+            "title": kind.title,
+            "headline": findings.headline,
+            "results": None,
+            **parts,
+        }
     )
     return plain
 
 
 def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
-    """What a report says of any run: who, when, on what, how it went, and its points."""
+    """The entries of every report: operator, times, specimen, outcome, points and so on."""
     manifest, final = run.manifest, run.final or {}
     return {
         "schema": SCHEMA,
@@ -115,7 +99,7 @@ def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
                 **{k: v for k, v in event.items() if k not in ("n", "t_ns")},
             }
             for event in run.events
-            if event.get("kind") not in QUIET_EVENTS
+            if event.get("kind") not in NORMAL_EVENTS
             and not event.get("confirmed")
             and not (event.get("kind") == "soaked" and event.get("settled"))
             and not (event.get("kind") == "camera_sync" and event.get("found"))
@@ -137,35 +121,26 @@ def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
     }
 
 
-def write_report(
-    run: Run,
-    out: Path | None = None,
-    reduction: Reduction | None = None,
-    region_kpa: tuple[float, float] = THESIS_REGION_KPA,
-) -> Path:
-    """Write the report; it needs no other file and no network.
+def write_report(run: Run, out: Path | None = None, reduction: Reduction | None = None) -> Path:
+    """Write the HTML report. It needs no other file and no network.
 
     Args:
         run: an opened run, finished or not.
-        out: the HTML file; ``derived/report.html`` of the run if not given.
-        reduction: its reduction if already made.
-        region_kpa: pressures over which the straight lines of an isometric test are fitted.
+        out: the HTML file; the default is ``derived/report.html`` of the run.
+        reduction: its reduction, if already made.
     """
     out = out or Path(run.folder) / "derived" / "report.html"
-    kind = analysis_of(run.manifest.get("protocol"))
     reduction = reduction or reduce_run(run)
-    findings = kind.findings(run, reduction) if kind.findings is not None else None
-    data = report_json(run, reduction, region_kpa, findings)
-    figures = {"timeline": timeline(run)}
-    if findings is None:
-        figures = {**isometric_figures(reduction, data, region_kpa), **figures}
+    findings = analysis_of(run.manifest.get("protocol")).findings(run, reduction)
+    data = report_json(run, reduction, findings)
+    timeline = None if run.manifest.get("imported") else timeline_figure(run)
     html = (
         _environment()
         .get_template("report.html.j2")
         .render(
             r=data,
-            figures={name: figure_address(figure) for name, figure in figures.items()},
-            sections=None if findings is None else [section_parts(s) for s in findings.sections],
+            timeline=figure_address(timeline),
+            sections=[section_parts(section) for section in findings.sections],
             provenance=_flat({k: data[k] for k in _APPENDIX if data.get(k) is not None}),
         )
     )
@@ -175,7 +150,7 @@ def write_report(
 
 
 def _section_json(section: Section) -> dict[str, Any]:
-    """A section as plain values: title, words and the rows of its table."""
+    """A section as plain values: title, text and the rows of its table."""
     rows = [] if section.table is None else section.table.to_dict("records")
     return {"title": section.title, "text": list(section.words), "rows": rows}
 
@@ -184,7 +159,7 @@ _APPENDIX = ("rig", "devices", "conditions", "source", "parameters", "provenance
 
 
 def record_hash(folder: Path) -> str:
-    """SHA-256 over names and contents of the record; what is derived or said later is left out."""
+    """SHA-256 over names and contents of the record, without derived files and annotations."""
     total = hashlib.sha256()
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -210,8 +185,7 @@ def _environment() -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(with_u=with_u, cell=value_cell, signed=signed)
-    environment.filters["fixed"] = partial(_fixed)
+    environment.filters.update(with_u=with_u, cell=value_cell, fixed=_fixed)
     return environment
 
 
@@ -220,7 +194,7 @@ def _fixed(value: float | None, decimals: int) -> str:
 
 
 def _flat(values: Any, path: str = "") -> list[tuple[str, str]]:
-    """Nested values as (path, text) rows; bulky texts are left to the record itself."""
+    """Nested values as (path, text) rows, without the keys in ``BULKY``."""
     if isinstance(values, dict):
         rows = []
         for key, value in values.items():
@@ -235,7 +209,7 @@ def _flat(values: Any, path: str = "") -> list[tuple[str, str]]:
 
 
 def _plain(value: Any) -> Any:
-    """Python's own types only, with None for NaN, as JSON wants it."""
+    """Values of Python types only, with None in place of NaN, for JSON."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

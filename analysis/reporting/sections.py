@@ -1,4 +1,4 @@
-"""A protocol's own sections of a report, as the page's template wants them."""
+"""The sections of a report in the form that the page template uses."""
 
 from __future__ import annotations
 
@@ -16,20 +16,19 @@ if TYPE_CHECKING:
 
 
 SHADED = ("same", "settled")
-"""A row in which one of these is false is shaded."""
+"""A row is shaded if one of these columns is false."""
 
 
 def section_parts(section: Section) -> dict[str, Any]:
-    """A section with its figure drawn and its cells written out."""
-    rows = []
-    if section.table is not None:
-        for record in section.table.to_dict("records"):
-            rows.append(
-                {
-                    "off": any(name in record and not record[name] for name in SHADED),
-                    "cells": [_cell(record, name) for name, _ in section.columns],
-                }
-            )
+    """A section with its figure as an address and its cells as text."""
+    records = [] if section.table is None else section.table.to_dict("records")
+    rows = [
+        {
+            "off": any(name in record and not record[name] for name in SHADED),
+            "cells": [_cell(record, name) for name, _ in section.columns],
+        }
+        for record in records
+    ]
     return {
         "title": section.title,
         "words": section.words,
@@ -41,7 +40,7 @@ def section_parts(section: Section) -> dict[str, Any]:
 
 
 def figure_address(figure: Figure | None) -> str:
-    """A figure as an address that holds it; empty for none."""
+    """A figure as a data address; empty for None."""
     if figure is None:
         return ""
     from analysis.figures.drawing import as_svg
@@ -50,7 +49,7 @@ def figure_address(figure: Figure | None) -> str:
 
 
 def _cell(record: Mapping[Any, Any], name: str) -> dict[str, Any]:
-    """A value as text, with its expanded uncertainty where there is one."""
+    """A value as text, with its expanded uncertainty if it has one."""
     value: Any = record[name]
     if hasattr(value, "item"):
         value = value.item()
@@ -61,6 +60,6 @@ def _cell(record: Mapping[Any, Any], name: str) -> dict[str, Any]:
         u = record.get(f"u_{name}")
         if u is not None:
             return {"text": with_u(value, float(u)), "left": False}
-        if abs(value) < 1e5:  # without a stated uncertainty five digits say more than enough
+        if abs(value) < 1e5:  # five digits are sufficient without an uncertainty
             return {"text": with_u(value, None), "left": False}
     return {"text": value_cell(value), "left": text}

@@ -45,9 +45,9 @@ def finger(
     as_json: JsonOption = False,
 ) -> None:
     """Whether a controller holds a joint and follows a fingertip circle, with and without 20 g."""
-    from studies.first_use import tell_of_compiling
+    from studies.first_use import compilation_message
 
-    with tell_of_compiling(quiet=as_json):
+    with compilation_message(quiet=as_json):
         from plant.finger import load_finger
         from studies.comparison.report import as_markdown, as_text
         from studies.comparison.study import table
@@ -65,9 +65,9 @@ def finger(
 
 def pressure(seeds: SeedsOption = 5, page: PageOption = False, as_json: JsonOption = False) -> None:
     """Compare controllers of one muscle's pressure on both valves."""
-    from studies.first_use import tell_of_compiling
+    from studies.first_use import compilation_message
 
-    with tell_of_compiling(quiet=as_json):
+    with compilation_message(quiet=as_json):
         from studies.comparison.pressure import pressure_table
         from studies.comparison.report import pressure_markdown, pressure_text
 
@@ -86,9 +86,9 @@ def tuning(
     finger: FingerOption = "finger", valve: ValveOption = "cured", as_json: JsonOption = False
 ) -> None:
     """Where the gains come from, and how loops behave when tuned one at a time; takes a minute."""
-    from studies.first_use import tell_of_compiling
+    from studies.first_use import compilation_message
 
-    with tell_of_compiling(quiet=as_json):
+    with compilation_message(quiet=as_json):
         from plant.finger import load_finger
         from plant.finger.reader import load_valve
         from studies.comparison.provenance import provenance
@@ -115,9 +115,9 @@ def controllers(
     as_json: JsonOption = False,
 ) -> None:
     """All controllers on both valves, with and without payload; takes some minutes."""
-    from studies.first_use import tell_of_compiling
+    from studies.first_use import compilation_message
 
-    with tell_of_compiling(quiet=as_json):
+    with compilation_message(quiet=as_json):
         from plant.finger import load_finger
         from studies.comparison.report import as_markdown, as_text, plants_markdown
         from studies.comparison.study import PERTURBED, table

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from analysis.reduction.points import PointReducer, point_events
 from daq.errors import RecordError
 from daq.store.derive import VALVE_STREAM, engineering
 from daq.store.run import Run
@@ -81,6 +82,7 @@ def run_trials(
         )
     channels = _Channels(run, commands)
     settled = _settled_points(run)
+    reducer: PointReducer | None = None
     protocol = str(run.manifest.get("protocol", "unnamed"))
     conditions = run.manifest.get("conditions", {})
     wall_s = int(run.manifest["started"]["wall_ns"]) * 1e-9
@@ -104,19 +106,35 @@ def run_trials(
         samples = channels.between(span.begin_s, span.end_s)
         points = settled.get(facts["trial"], [])
         if _moved_unseen(row, points, samples):
-            samples = channels.at(points)
+            reducer = reducer or PointReducer(run)
+            samples = _settled_samples(reducer, points)
         if row["load_kg"]:  # what a load hangs on is not joined to the balance
             samples = samples.drop(columns="force_n", errors="ignore")
         yield RunTrial(row, samples)
 
 
 def _settled_points(run: Run) -> dict[Any, list[dict[str, Any]]]:
-    """The points of each trial, the last take of each."""
-    found: dict[Any, dict[Any, dict[str, Any]]] = {}
-    for event in run.events:
-        if event["kind"] == "point" and "valve_seq" in event:
-            found.setdefault(event["trial"], {})[event.get("order")] = event
-    return {trial: list(points.values()) for trial, points in found.items()}
+    """The point events of each trial, the last take of each."""
+    found: dict[Any, list[dict[str, Any]]] = {}
+    for event in point_events(run):
+        if "valve_seq" in event:
+            found.setdefault(event["trial"], []).append(event)
+    return found
+
+
+def _settled_samples(reducer: PointReducer, points: list[dict[str, Any]]) -> pd.DataFrame:
+    """One row per settled point, its means, without time."""
+    rows = []
+    for point in points:
+        reduced = reducer.row(point)
+        rows.append(
+            {
+                **{name: reduced[name] for name in ("pressure_kpa", "force_n", "length_mm")},
+                "temperature_c": point.get("temperature_c", np.nan),
+                "direction": reduced["direction"],
+            }
+        )
+    return pd.DataFrame(rows).dropna(axis="columns", how="all")
 
 
 def _moved_unseen(row: dict[str, Any], points: list[dict[str, Any]], samples: pd.DataFrame) -> bool:
@@ -192,44 +210,18 @@ class _Channels:
         self._parts: list[tuple[str, Array, Array]] = []
         valve, _ = engineering(run, VALVE_STREAM)
         time_s = np.asarray(valve["time_s"], dtype=np.float64)
-        self._seq, self._pressure = valve["seq"], np.asarray(valve["pressure_kpa"])
-        self._row, self._force = np.empty(0), np.empty(0)
-        self._parts.append(("pressure_kpa", time_s, self._pressure))
+        self._parts.append(("pressure_kpa", time_s, np.asarray(valve["pressure_kpa"])))
         if commands and not _regulated(run):
             for name, column in (("inlet_cmd", "inlet_cmd"), ("outlet_cmd", "vent_cmd")):
                 self._parts.append((name, *_edges(time_s, np.asarray(valve[column]))))
-        forces = [name for name in run.streams if name == "balance"]
-        for stream in forces:
-            columns, _ = engineering(run, stream)
+        if "balance" in run.streams:
+            columns, _ = engineering(run, "balance")
             if "force_n" in columns and len(columns["force_n"]):
-                self._row, self._force = columns["row"], np.asarray(columns["force_n"])
                 self._parts.append(("force_n", columns["time_s"], columns["force_n"]))
         self._parts += _instruments(run)
-        self._seen = _lengths(run)
-        lengths = _course(self._seen) or _placed(run)
+        lengths = _lengths(run) or _placed(run)
         if lengths is not None:
             self._parts.append(("length_mm", *lengths))
-
-    def at(self, points: list[dict[str, Any]]) -> pd.DataFrame:
-        """One row a settled point, its means, without time."""
-        rows = []
-        for point in points:
-            first, last = np.searchsorted(self._seq, point["valve_seq"])
-            low, high = np.searchsorted(self._row, point.get("balance_rows", (0, 0)))
-            seen = [
-                self._seen[frame][1] for frame in point.get("frames", ()) if frame in self._seen
-            ]
-            force = self._force[low:high]
-            rows.append(
-                {
-                    "pressure_kpa": self._pressure[first:last].mean() if last > first else np.nan,
-                    "force_n": force.mean() if len(force) else np.nan,
-                    "length_mm": np.mean(seen) if seen else np.nan,
-                    "temperature_c": point.get("temperature_c", np.nan),
-                    "direction": point.get("direction", ""),
-                }
-            )
-        return pd.DataFrame(rows).dropna(axis="columns", how="all")
 
     def between(self, begin_s: float, end_s: float) -> pd.DataFrame:
         """Rows of one trial: one for each instant at which some channel has a sample."""
@@ -303,18 +295,18 @@ def _placed(run: Run) -> tuple[Array, Array] | None:
     return np.asarray(columns["time_s"]), np.asarray(columns["length_mm"])
 
 
-def _lengths(run: Run) -> dict[int, tuple[float, float]]:
-    """Time and length by picture, as measured in the run's pictures; trusted ones only."""
+def _lengths(run: Run) -> tuple[Array, Array] | None:
+    """Times and lengths of the trusted live measurements of the pictures, in order of time."""
     calibration = run.calibrations.get("length_mm")
     pixels = {
         e["frame"]: e["pixels"] for e in run.events if e["kind"] == "length" and e.get("trusted")
     }
     if calibration is None or not pixels:
-        return {}
+        return None
     start_ns = int(run.manifest["started"]["monotonic_ns"])
     synced = [e for e in run.events if e["kind"] == "camera_sync" and e.get("found")]
     late_s = float(synced[-1]["delay_ms"]) * 1e-3 if synced else 0.0
-    return {
+    seen = {
         f["frame"]: (
             (f["host_ns"] - start_ns) * 1e-9 - late_s,
             float(calibration.apply(pixels[f["frame"]])),
@@ -322,10 +314,6 @@ def _lengths(run: Run) -> dict[int, tuple[float, float]]:
         for f in run.frames
         if f["frame"] in pixels
     }
-
-
-def _course(seen: dict[int, tuple[float, float]]) -> tuple[Array, Array] | None:
-    """What pictures showed, in order of time."""
     if not seen:
         return None
     table = np.array(sorted(seen.values()), dtype=np.float64)

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+import numpy.typing as npt
+
 from plant.constants import REFERENCE_DENSITY_KG_M3, REFERENCE_TEMPERATURE_K
 from plant.errors import PlantError
 
@@ -35,6 +38,13 @@ def subsonic_factor(ratio: float, critical_ratio: float) -> float:
         return math.sqrt(edge * (2.0 - edge)) * below / LINEAR_BELOW
     share = below / width
     return math.sqrt(share * (2.0 - share))
+
+
+def subsonic_factors(
+    ratios: npt.NDArray[np.float64], critical_ratio: float
+) -> npt.NDArray[np.float64]:
+    """Psi of each pressure ratio, see `subsonic_factor`."""
+    return np.array([subsonic_factor(float(ratio), critical_ratio) for ratio in ratios])
 
 
 def subsonic_slope(ratio: float, critical_ratio: float) -> float:

@@ -1,1 +1,1 @@
-"""Controllers compared: studies, spread, figures and reports."""
+"""Comparison of controllers: studies, spread over noise, figures and reports."""

@@ -1,8 +1,7 @@
-"""The figures of merit of a trial: rise, settling, overshoot, steady error, path error."""
+"""Figures of merit of a trial: rise, settling, overshoot, steady error, path error."""
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +15,12 @@ BAND_DEG = 1.0
 
 @dataclass(frozen=True)
 class StepFigures:
-    """Of one step, true angles; None where it never happened.
+    """Figures of merit of one step, from true angles; None if not reached.
 
-    `rise_s` from 10 to 90 %, `settling_s` until within 1 degree for good, `overshoot_percent` of
-    the step; over the last second: `steady_error_deg` the largest error of the joint,
-    `mean_error_deg`, `ripple_deg` its range, `others_error_deg` the largest of any other joint.
+    `rise_s` is from 10 to 90 %, `settling_s` the time until the angle stays within 1 degree,
+    `overshoot_percent` relative to the step. Over the last second: `steady_error_deg` is the
+    largest error of the joint, `mean_error_deg` its mean, `ripple_deg` its range,
+    `others_error_deg` the largest error of any other joint.
     """
 
     rise_s: float | None
@@ -33,14 +33,13 @@ class StepFigures:
     switchings_per_s: float
     faults: tuple[str, ...]
 
-    def as_dict(self) -> dict[str, object]:
-        """For JSON."""
-        return {**dataclasses.asdict(self), "faults": list(self.faults)}
-
 
 @dataclass(frozen=True)
 class PathFigures:
-    """Of one path: distance of the fingertip from where it should be then, after the first turn."""
+    """Figures of merit of one path: distance of the fingertip from its reference position.
+
+    The first turn is not included, except in `first_turn_rms_mm`.
+    """
 
     rms_mm: float
     worst_mm: float
@@ -48,17 +47,13 @@ class PathFigures:
     switchings_per_s: float
     faults: tuple[str, ...]
 
-    def as_dict(self) -> dict[str, object]:
-        """For JSON."""
-        return {**dataclasses.asdict(self), "faults": list(self.faults)}
-
 
 def step_figures(trial: Trial, joint: int, degrees: float = STEP_DEG) -> StepFigures:
-    """Judge a step of one joint."""
+    """Figures of merit of a step of one joint."""
     begin = round(trial.reference.scored_from_s / GRID_S)
     goal = trial.reference.q[-1]
     q = np.degrees(trial.q[begin:] - goal)
-    # From where the reference was: a steady error before the step is not part of its rise.
+    # Relative to the reference before the step: a steady error before it is not part of the rise.
     share = 1.0 + q[:, joint] / degrees
     time = np.arange(len(share)) * GRID_S
     up = [np.flatnonzero(share >= level) for level in (0.1, 0.9)]
@@ -83,7 +78,7 @@ def step_figures(trial: Trial, joint: int, degrees: float = STEP_DEG) -> StepFig
 
 
 def path_figures(trial: Trial, lead_s: float = 1.5) -> PathFigures:
-    """Judge a path of the fingertip."""
+    """Figures of merit of a path of the fingertip."""
     assert trial.reference.tip is not None
     distance = np.linalg.norm(trial.tip - trial.reference.tip, axis=1) * 1e3
     begin = round(trial.reference.scored_from_s / GRID_S)

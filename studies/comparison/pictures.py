@@ -1,4 +1,4 @@
-"""Figures of the finger's studies."""
+"""Figures of the studies of the finger."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DARK = "#D55E00"
 
 
 def draw_steps(finger: Finger, folder: Path, laws: tuple[str, ...] = PICTURED) -> Path:
-    """Small multiples: a row a controller, a column a valve; without and with the payload."""
+    """Steps without and with payload: one row per controller, one column per valve."""
     joint = finger.arm.joint(STEP_JOINT)
     with style():
         figure, axes = new_figure(8.6, 1.35 * len(laws) + 0.8, len(laws), 2, sharex=True)
@@ -29,15 +29,12 @@ def draw_steps(finger: Finger, folder: Path, laws: tuple[str, ...] = PICTURED) -
                 ax = axes[row, column]
                 for case, colour in ((LADEN, DARK), (BARE, MEASURED)):
                     trial = run_trial(finger, law, valve, case, reference)
-                    ax.plot(
-                        time,
-                        np.degrees(trial.q[:, joint]),
-                        color=colour,
-                        linewidth=1.0,
-                        label=case.title,
-                    )
+                    q = np.degrees(trial.q[:, joint])
+                    ax.plot(time, q, color=colour, linewidth=1.0, label=case.title)
                 goal = np.degrees(reference.q[:, joint])
-                ax.plot(time, goal, color=INK, linewidth=0.8, linestyle=(0, (4, 2)), label="asked")
+                ax.plot(
+                    time, goal, color=INK, linewidth=0.8, linestyle=(0, (4, 2)), label="reference"
+                )
                 ax.set_title(TITLES[law], loc="left", fontsize=8.5, color=INK)
                 ax.set_ylim(-5, 50)
                 ax.set_xlim(-0.5, 2.0)
@@ -51,7 +48,7 @@ def draw_steps(finger: Finger, folder: Path, laws: tuple[str, ...] = PICTURED) -
 
 
 def draw_circles(finger: Finger, folder: Path, laws: tuple[str, ...] = PICTURED) -> Path:
-    """The fingertip's path in the flexion plane: a column a controller, a row a valve."""
+    """Path of the fingertip in the flexion plane: one column per controller, one row per valve."""
     with style():
         figure, axes = new_figure(2.1 * len(laws), 4.9, 2, len(laws))
         reference = circle(finger)
@@ -64,8 +61,8 @@ def draw_circles(finger: Finger, folder: Path, laws: tuple[str, ...] = PICTURED)
                 for case, colour in ((LADEN, DARK), (BARE, MEASURED)):
                     trial = run_trial(finger, law, valve, case, reference)
                     tip = trial.tip[begin:] * 1e3
-                    missed = np.linalg.norm(trial.tip - reference.tip, axis=1)[begin:]
-                    errors.append(float(np.sqrt(np.mean(missed**2))) * 1e3)
+                    distance = np.linalg.norm(trial.tip - reference.tip, axis=1)[begin:]
+                    errors.append(float(np.sqrt(np.mean(distance**2))) * 1e3)
                     ax.plot(tip[:, 0], tip[:, 2], color=colour, linewidth=0.8, label=case.title)
                 goal = reference.tip[begin:] * 1e3
                 ax.plot(goal[:, 0], goal[:, 2], color=QUIET, linewidth=0.8, linestyle="--")

@@ -1,10 +1,11 @@
-"""Controllers of one muscle's pressure, at fixed length: the firmware's schemes, and a host's PID.
+"""Pressure control of one muscle at constant length: firmware schemes, and a PID on the host.
 
-The PID (1-4) has no scheme of its own in the firmware: in each period the host reads the telemetry
-(4 ms old) and asks the scheme `open` for one pulse on one valve. Its output is a net opening in ms,
-fill or vent; the pulse is longer by what the valve opens later than it shuts. Less than half of the
-shortest opening is no pulse. A period is 20 ms, or four times what the valve takes to shut. Its
-gains are Ziegler and Nichols's, from the critical gain that is found on the same bench.
+The PID (Equation 1-4) has no scheme in the firmware. In each period the host reads the telemetry
+(4 ms old) and requests one pulse on one valve with the scheme `open`. The output is a net opening
+time in ms to fill or vent. The pulse is longer than that by the difference between opening and
+closing delay. An output below half of the shortest opening gives no pulse. The period is 20 ms, or
+four times the closing time of the valve. The gains follow the rules of Ziegler and Nichols, from
+the critical gain on the same bench.
 """
 
 from __future__ import annotations
@@ -50,10 +51,11 @@ PRESSURE_LAWS = ("two", "duty_in", "duty", "slide", "ram", "burst", "pid")
 
 @dataclass(frozen=True)
 class PressureFigures:
-    """Over a staircase of set-points; kPa of true pressure, worst and mean over the steps.
+    """Figures of merit over a staircase of set-points, from the true pressure in kPa.
 
-    Error of the mean and ripple (range) over the last half second of each 2 s; overshoot beyond the
-    set-point; settling within 5 kPa for good, None where a step never did.
+    Error of the mean and ripple (range) are over the last half second of each 2 s; overshoot is
+    beyond the set-point; settling is the time until the pressure stays within 5 kPa, None if a
+    step does not settle. Worst and mean are over the steps.
     """
 
     law: str
@@ -68,17 +70,17 @@ class PressureFigures:
 
 
 def rest_ms(c: PlantConstants) -> int:
-    """A valve told to shut has shut after so long."""
+    """Time after which a valve is closed, with a margin."""
     return max(2, int(np.ceil(1.1e3 * max(c.inlet_off_s, c.outlet_off_s))))
 
 
 def period_ms(c: PlantConstants) -> int:
-    """From pulse to pulse of the PID."""
+    """Period of the PID."""
     return max(20, 4 * rest_ms(c))
 
 
 class PressureBench:
-    """One muscle held at a length, its board, and a host that beats and asks."""
+    """One muscle at a constant length, its board, and a host with heartbeats and requests."""
 
     def __init__(self, constants: PlantConstants, scheme: str, seed: int = 1) -> None:
         self.board = SimBoard(
@@ -99,21 +101,21 @@ class PressureBench:
         controller.values["inlet_max_ms"] = 2000
         controller.values["inlet_rest_ms"] = rest_ms(constants)
         self.run(50)
-        self.ask(f"arm {config_crc(controller.values):04x} {controller.telemetry.boot_id}")
+        self.request(f"arm {config_crc(controller.values):04x} {controller.telemetry.boot_id}")
         self.run(2)
-        self.ask(f"scheme {scheme}")
+        self.request(f"scheme {scheme}")
         self.run(2)
 
-    def ask(self, text: str) -> None:
-        """A request on the wire; carried out at the next tick."""
+    def request(self, text: str) -> None:
+        """Send a request; the firmware executes it at the next tick."""
         self.board.feed(encode_frame(f"Q1 {text}".encode()))
 
     def run(self, ms: int) -> None:
-        """Let time pass, beating."""
+        """Advance the simulation, with heartbeats."""
         for _ in range(ms):
             if self._ms % 100 == 0 and self._ms:
                 self._beats += 1
-                self.ask(f"hb {self._beats}")
+                self.request(f"hb {self._beats}")
             self._ms += 1
             self.board.run_until_us(self.board.bench_us + 1000)
             self._past.append(self.board.adc())
@@ -123,17 +125,17 @@ class PressureBench:
 
     @property
     def reading_kpa(self) -> float:
-        """What the host knows: the newest telemetry."""
+        """The newest telemetry that the host has."""
         return self._past[0] / COUNTS_PER_KPA
 
     @property
     def truth_kpa(self) -> Array:
-        """True pressure, one a millisecond since power-on."""
+        """True pressure every millisecond since power-on."""
         return np.array(self.board.truth_kpa)
 
 
 class PulsePid:
-    """PID whose output is a net opening, ms: above 0 fill, below 0 vent. Gains in ms/kPa, s, s."""
+    """PID with a net opening time in ms as output: above 0 fill, below 0 vent. Gains: ms/kPa, s."""
 
     def __init__(self, constants: PlantConstants, gains: Gains) -> None:
         c = constants
@@ -145,13 +147,13 @@ class PulsePid:
             1e6 * (c.outlet_on_s - c.outlet_off_s),
         ]
         self._least_us = [1e6 * c.inlet_off_s + MARGIN_US, 1e6 * c.outlet_off_s + MARGIN_US]
-        # The firmware takes no pulse before the last one and its rest are over.
+        # The firmware accepts a pulse only after the last one and its rest time.
         self._most_ms = self.period_ms - rest_ms(c) - 1.0
         self._integral = 0.0
         self._last: float | None = None
 
     def pulse(self, wanted_kpa: float, reading_kpa: float) -> tuple[str, int]:
-        """Valve and width (us) of the coming period; width 0 for none."""
+        """Valve and width (us) of the next pulse; width 0 for none."""
         step = self.period_ms * 1e-3
         g = self.gains
         error = wanted_kpa - reading_kpa
@@ -182,7 +184,7 @@ def run_pid(
         while left > 0:
             valve, width = law.pulse(goal, bench.reading_kpa)
             if width:
-                bench.ask(f"pulse {valve} {width}")
+                bench.request(f"pulse {valve} {width}")
             bench.run(min(law.period_ms, left))
             left -= law.period_ms
     return bench
@@ -202,7 +204,7 @@ def pressure_critical(constants: PlantConstants, rounds: int = 8) -> Critical:
 def pressure_case(
     constants: PlantConstants, valve: str, law: str, found: Critical | None = None, seed: int = 1
 ) -> PressureFigures:
-    """One controller of the pressure over the staircase."""
+    """Figures of merit of one controller over the staircase."""
     if law == "pid":
         critical = found or pressure_critical(constants)
         gains = ziegler_nichols(critical.gain, critical.period_s)
@@ -210,7 +212,7 @@ def pressure_case(
     else:
         bench = PressureBench(constants, law, seed)
         for goal in STAIRCASE_KPA:
-            bench.ask(f"sp {round(goal * COUNTS_PER_KPA * 16)}")
+            bench.request(f"sp {round(goal * COUNTS_PER_KPA * 16)}")
             bench.run(round(STEP_S * 1000))
     samples = round(STEP_S * 1000)
     truth = bench.truth_kpa[-samples * len(STAIRCASE_KPA) :].reshape(len(STAIRCASE_KPA), samples)
@@ -243,7 +245,7 @@ def pressure_case(
 
 @dataclass(frozen=True)
 class PressureOutcome:
-    """One controller on one valve over its draws; `figures` by the names of `PressureFigures`."""
+    """One controller on one valve over all draws; `figures` by the names of `PressureFigures`."""
 
     law: str
     valve: str
@@ -252,14 +254,10 @@ class PressureOutcome:
     faults: tuple[str, ...]
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON: every figure as [median, least, largest]."""
-        return {
-            "law": self.law,
-            "valve": self.valve,
-            "draws": self.draws,
-            **{key: value.as_list() for key, value in self.figures.items()},
-            "faults": list(self.faults),
-        }
+        """Plain values for JSON: each figure as [median, lowest, highest]."""
+        plain = {**vars(self), **{key: value.as_list() for key, value in self.figures.items()}}
+        del plain["figures"]
+        return plain
 
 
 def pressure_table(
@@ -267,7 +265,7 @@ def pressure_table(
     seeds: Iterable[int] = (1,),
     progress: Callable[[str], None] | None = None,
 ) -> Iterator[PressureOutcome]:
-    """All controllers of a pressure on these valve blocks, as they come. Raises `PlantError`."""
+    """All pressure controllers on these valve blocks, one after the other. Raises `PlantError`."""
     draws = list(seeds)
     for valve in valves:
         constants = load_valve(valve)

@@ -1,7 +1,8 @@
-"""Where the gains of the finger's laws come from, and whether loops bear being tuned one by one."""
+"""Origin of the gains of the finger controllers; tuning of the loops together and one by one."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,11 +21,12 @@ from studies.controllers.tuning import Critical, loops_critical
 
 @dataclass(frozen=True)
 class Provenance:
-    """What the rules were given and made on one valve.
+    """Inputs and results of the tuning rules for one valve.
 
-    `together` is the critical gain of all loops raised together, `apart` of each joint's loop with
-    the others open, both relative to the joint's static gain; `with_together` and `with_apart` are
-    step of 20 degrees and circle with Ziegler and Nichols's gains from either.
+    `together` is the critical gain with all loops closed, `apart` that of each joint with the
+    other loops open, both relative to the static gain of the joint. `with_together` and
+    `with_apart` are the step of 20 degrees and the circle with the Ziegler-Nichols gains from
+    each.
     """
 
     tuning: Tuning
@@ -34,7 +36,7 @@ class Provenance:
     with_apart: tuple[StepFigures, PathFigures]
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON."""
+        """Plain values for JSON."""
         t = self.tuning
         return {
             "pressure_dead_s": t.response.dead_s,
@@ -47,8 +49,8 @@ class Provenance:
             ],
             "critical_together": vars(self.together),
             "critical_apart": {joint: vars(found) for joint, found in self.apart.items()},
-            "with_together": [found.as_dict() for found in self.with_together],
-            "with_apart": [found.as_dict() for found in self.with_apart],
+            "with_together": [dataclasses.asdict(found) for found in self.with_together],
+            "with_apart": [dataclasses.asdict(found) for found in self.with_apart],
         }
 
     @property
@@ -59,7 +61,7 @@ class Provenance:
         return [(float(abs(p) / (2.0 * np.pi)), float(-p.real / abs(p))) for p in waves]
 
     def text(self) -> str:
-        """For people."""
+        """The results as text."""
         t = self.tuning
         waves = ", ".join(f"{hz:.1f} Hz (damping ratio {d:.2f})" for hz, d in self.oscillations)
         lines = [
@@ -79,9 +81,9 @@ class Provenance:
         both = (("together", self.with_together), ("one at a time", self.with_apart))
         for words, (stepped, turned) in both:
             lines.append(
-                f"PID with the gains found {words}: after the step {STEP_JOINT} moves by "
-                f"{stepped.ripple_deg:.2f} degrees, another joint is off by up to "
-                f"{stepped.others_error_deg:.2f}; circle {turned.rms_mm:.2f} mm rms"
+                f"PID with the gains found {words}: range of {STEP_JOINT} after the step "
+                f"{stepped.ripple_deg:.2f} degrees, largest error of another joint "
+                f"{stepped.others_error_deg:.2f} degrees; circle {turned.rms_mm:.2f} mm rms"
             )
         return "\n".join(lines)
 
@@ -89,7 +91,7 @@ class Provenance:
 def provenance(
     finger: Finger, constants: PlantConstants, progress: Callable[[str], None]
 ) -> Provenance:
-    """Find all of it; half a minute of computing. Raises `PlantError` as the searches do."""
+    """Compute all results, in about half a minute. Raises `PlantError` if a search fails."""
     progress("pressure loop and linear model")
     made = tuning(finger, constants)
     progress("critical gain of all loops together")

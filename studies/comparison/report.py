@@ -1,4 +1,4 @@
-"""The studies' rows as text for a terminal and as tables for a page."""
+"""Results of the studies as text for a terminal and as Markdown tables."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from studies.comparison.pressure import PressureOutcome
 from studies.comparison.spread import Outcome, Spread
 from studies.comparison.study import MOST_PATH_RMS_MM, MOST_STEADY_DEG
 from studies.controllers.laws import TITLES
+
+Columns = Sequence[tuple[str, str, int]]
+"""Heading, key and digits of each figure."""
 
 _COLUMNS = (
     ("rise s", "rise_s", 2),
@@ -25,9 +28,9 @@ _LEGEND = (
     "Step of 20 degrees of the base flexion: rise 10 to 90 %, settled within 1 degree; over\n"
     "the last second the largest error (steady), the range (ripple), the largest error of\n"
     "another joint (others). Circle: rms and largest distance of the fingertip from its\n"
-    "place, after the first turn. switch/s: all valves. - : never. Under the medians, least\n"
-    "and largest over the draws of the noise. held: in how many draws it was within\n"
-    f"{MOST_STEADY_DEG:g} degree and {MOST_PATH_RMS_MM:g} mm rms without a fault; (payload learnt)."
+    "reference, after the first turn. switch/s: all valves. - : not reached. Below the\n"
+    "medians: lowest and highest over the draws of the noise. held: number of draws within\n"
+    f"{MOST_STEADY_DEG:g} degree and {MOST_PATH_RMS_MM:g} mm rms, no fault; (payload learned)."
 )
 
 
@@ -36,7 +39,7 @@ def _number(value: float | None, digits: int) -> str:
 
 
 def _range(figure: Spread, digits: int) -> str:
-    """Least to largest as printed; empty where both are printed as the median is."""
+    """Lowest to highest as printed; empty if both are printed like the median."""
     ends = [_number(value, digits) for value in (figure.low, figure.high)]
     return "" if set(ends) == {_number(figure.median, digits)} else " to ".join(ends)
 
@@ -50,26 +53,35 @@ def _held(outcome: Outcome) -> str:
     return words
 
 
-def as_text(outcomes: Sequence[Outcome]) -> str:
-    """A table in columns, medians above ranges, with a legend."""
-    lines = [list(_HEAD)]
-    for o in outcomes:
-        found = [(o.figures[key], digits) for _, key, digits in _COLUMNS]
+def _text(
+    head: Sequence[str],
+    rows: Sequence[tuple[list[str], dict[str, Spread], str]],
+    columns: Columns,
+    legend: str,
+) -> str:
+    """A table in columns, medians above ranges, with a legend.
+
+    Args:
+        head: headings.
+        rows: names, figures and last cell of each row.
+        columns: heading, key and digits of each figure.
+        legend: explanation of the figures.
+    """
+    lines = [list(head)]
+    for names, figures, last in rows:
+        found = [(figures[key], digits) for _, key, digits in columns]
         medians = [_number(figure.median, digits) for figure, digits in found]
-        lines.append([o.valve, TITLES[o.law], o.plant, *medians, _held(o)])
+        lines.append([*names, *medians, last])
         ranges = [_range(figure, digits).replace(" to ", "..") for figure, digits in found]
         if any(ranges):
-            lines.append(["", "", "", *ranges, ""])
-    return _columns(lines, left=(0, 1, 2, len(_HEAD) - 1)) + "\n\n" + _LEGEND
+            lines.append([*[""] * len(names), *ranges, ""])
+    left = (*range(len(head) - len(columns) - 1), len(head) - 1)
+    return _columns(lines, left) + "\n\n" + legend
 
 
-def as_markdown(outcomes: Sequence[Outcome]) -> str:
-    """The same table for a page: median, and in brackets least and largest."""
-    rows = []
-    for o in outcomes:
-        found = [_median_and_range(o.figures[key], digits) for _, key, digits in _COLUMNS]
-        rows.append([o.valve, TITLES[o.law], o.plant, *found, _held(o)])
-    return _page(list(_HEAD), rows)
+def _cells(figures: dict[str, Spread], columns: Columns) -> list[str]:
+    """Median of each figure, with lowest and highest in brackets."""
+    return [_median_and_range(figures[key], digits) for _, key, digits in columns]
 
 
 def _median_and_range(figure: Spread, digits: int) -> str:
@@ -77,21 +89,29 @@ def _median_and_range(figure: Spread, digits: int) -> str:
     return _number(figure.median, digits) + (f" ({ends})" if ends else "")
 
 
+def as_text(outcomes: Sequence[Outcome]) -> str:
+    """The table of finger controllers as text."""
+    rows = [([o.valve, TITLES[o.law], o.plant], o.figures, _held(o)) for o in outcomes]
+    return _text(_HEAD, rows, _COLUMNS, _LEGEND)
+
+
+def as_markdown(outcomes: Sequence[Outcome]) -> str:
+    """The table of finger controllers as Markdown."""
+    rows = [
+        [o.valve, TITLES[o.law], o.plant, *_cells(o.figures, _COLUMNS), _held(o)] for o in outcomes
+    ]
+    return _page(_HEAD, rows)
+
+
 def plants_markdown(outcomes: Sequence[Outcome]) -> str:
-    """Plants down, laws across: circle rms (mm) and steady error of the step (degrees)."""
+    """One row per plant, one column per law: circle rms (mm) / steady error of the step (deg)."""
     laws = list(dict.fromkeys(o.law for o in outcomes))
-    plants = list(dict.fromkeys(o.plant for o in outcomes))
-    cells = {(o.plant, o.law): o for o in outcomes}
-    rows = []
-    for plant in plants:
-        row = [plant]
-        for law in laws:
-            figures = cells[plant, law].figures
-            row.append(
-                f"{_median_and_range(figures['rms_mm'], 2)} / "
-                f"{_median_and_range(figures['steady_error_deg'], 2)}"
-            )
-        rows.append(row)
+    figures = {(o.plant, o.law): o.figures for o in outcomes}
+    keys = (("", "rms_mm", 2), ("", "steady_error_deg", 2))
+    rows = [
+        [plant, *(" / ".join(_cells(figures[plant, law], keys)) for law in laws)]
+        for plant in dict.fromkeys(o.plant for o in outcomes)
+    ]
     return _page(["plant", *(TITLES[law] for law in laws)], rows)
 
 
@@ -103,34 +123,25 @@ _PRESSURE_COLUMNS = (
     ("settle s", "settling_worst_s", 2),
     ("switch/s", "switchings_per_s", 0),
 )
+_PRESSURE_HEAD = ("valve", "scheme", *(title for title, _, _ in _PRESSURE_COLUMNS))
+_PRESSURE_LEGEND = (
+    "Staircase of five set-points, 2 s each, muscle at 62 mm. Error: mean and worst over\n"
+    "the steps, of the last half second; ripple (range), overshoot and settling within\n"
+    "5 kPa: the worst step. - : a step did not settle. Below the medians: lowest and highest\n"
+    "over the draws of the noise."
+)
 
 
 def pressure_text(outcomes: Sequence[PressureOutcome]) -> str:
-    """The table of controllers of a pressure, with a legend."""
-    lines = [["valve", "scheme", *(title for title, _, _ in _PRESSURE_COLUMNS), ""]]
-    for o in outcomes:
-        found = [(o.figures[key], digits) for _, key, digits in _PRESSURE_COLUMNS]
-        medians = [_number(figure.median, digits) for figure, digits in found]
-        lines.append([o.valve, o.law, *medians, ", ".join(o.faults)])
-        ranges = [_range(figure, digits).replace(" to ", "..") for figure, digits in found]
-        if any(ranges):
-            lines.append(["", "", *ranges, ""])
-    legend = (
-        "Staircase of five set-points, 2 s each, muscle at 62 mm. Error: mean and worst over\n"
-        "the steps, of the last half second; ripple (range), overshoot and settling within\n"
-        "5 kPa: the worst step. - : a step never settled. Under the medians, least and largest\n"
-        "over the draws of the noise."
-    )
-    return _columns(lines, left=(0, 1, len(lines[0]) - 1)) + "\n\n" + legend
+    """The table of pressure controllers as text."""
+    rows = [([o.valve, o.law], o.figures, ", ".join(o.faults)) for o in outcomes]
+    return _text((*_PRESSURE_HEAD, ""), rows, _PRESSURE_COLUMNS, _PRESSURE_LEGEND)
 
 
 def pressure_markdown(outcomes: Sequence[PressureOutcome]) -> str:
-    """The same table for a page."""
-    rows = []
-    for o in outcomes:
-        found = [_median_and_range(o.figures[key], digits) for _, key, digits in _PRESSURE_COLUMNS]
-        rows.append([o.valve, f"`{o.law}`", *found])
-    return _page(["valve", "scheme", *(title for title, _, _ in _PRESSURE_COLUMNS)], rows)
+    """The table of pressure controllers as Markdown."""
+    rows = [[o.valve, f"`{o.law}`", *_cells(o.figures, _PRESSURE_COLUMNS)] for o in outcomes]
+    return _page(_PRESSURE_HEAD, rows)
 
 
 def _columns(lines: Sequence[Sequence[str]], left: Sequence[int]) -> str:

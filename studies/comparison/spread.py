@@ -1,4 +1,4 @@
-"""Figures over draws of the noise: median and range, the rows of one case put together."""
+"""Median and range of figures of merit over draws of the noise."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ PATH_KEYS = ("rms_mm", "worst_mm")
 
 @dataclass(frozen=True)
 class Spread:
-    """Median, least and largest of a figure. None is "never", which is above every number."""
+    """Median, lowest and highest value of a figure. None means not reached, above every number."""
 
     median: float | None
     low: float | None
     high: float | None
 
     def as_list(self) -> list[float | None]:
-        """Median, least, largest, for JSON."""
+        """Median, lowest, highest, for JSON."""
         return [self.median, self.low, self.high]
 
 
 def spread(values: Iterable[float | None]) -> Spread:
-    """Of one figure over the draws. Raises `ValueError` for none."""
+    """Median and range of one figure over the draws. Raises `ValueError` without draws."""
     ranked = sorted(float("inf") if value is None else value for value in values)
     if not ranked:
         raise ValueError("no draw to take a median of")
@@ -41,17 +41,17 @@ def spread(values: Iterable[float | None]) -> Spread:
     def known(value: float) -> float | None:
         return None if value == float("inf") else value
 
-    # Of an even number the upper one of the middle two: a median that some draw had.
+    # For an even number the upper of the middle two, so that the median is the value of a draw.
     middle = statistics.median_high(ranked)
     return Spread(known(middle), known(ranked[0]), known(ranked[-1]))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One controller on one valve and plant over all its draws.
+    """One controller on one valve and plant over all draws.
 
-    `figures` by the names of `StepFigures` and `PathFigures`, and `switchings_per_s` of both;
-    `held` in how many of the `draws` it was accepted; `faults` whatever was latched in any.
+    `figures` by the names of `StepFigures` and `PathFigures`, with the mean `switchings_per_s`;
+    `held` is the number of accepted draws; `faults` are the causes latched in any draw.
     """
 
     law: str
@@ -64,7 +64,7 @@ class Outcome:
     faults: tuple[str, ...]
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON: every figure as [median, least, largest]."""
+        """Plain values for JSON: each figure as [median, lowest, highest]."""
         return {
             "law": self.law,
             "valve": self.valve,
@@ -78,7 +78,7 @@ class Outcome:
 
 
 def over_draws(rows: Sequence[Row]) -> list[Outcome]:
-    """Rows of the same law, valve and plant as one, in the order of their first."""
+    """One outcome per law, valve and plant, in the order of their first rows."""
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row.valve, row.law, row.case), []).append(row)

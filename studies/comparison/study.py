@@ -1,12 +1,10 @@
-"""Every controller on both valves, with and without payload; and on plants it was not told of."""
+"""All controllers on both valves, with and without payload, and on plants unknown to them."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-
-import numpy as np
 
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
@@ -26,10 +24,10 @@ MOST_STEADY_DEG = 1.0
 
 @dataclass(frozen=True)
 class Case:
-    """One plant: what differs from what law and firmware know.
+    """One plant: differences from the plant that law and firmware assume.
 
-    `heavier` scales masses and inertias of all links, `plant` holds constants of
-    `configs/plant/thesis.toml`, `scaled` factors of such constants.
+    `heavier` scales masses and inertias of all links, `plant` sets constants of
+    `configs/plant/thesis.toml`, `scaled` has factors of such constants.
     """
 
     title: str
@@ -40,13 +38,13 @@ class Case:
     heavier: float = 1.0
 
     def constants(self, known: PlantConstants) -> PlantConstants:
-        """The plant's own."""
+        """The constants of the plant."""
         changes = dict(self.plant)
         changes |= {key: known.value(key) * factor for key, factor in self.scaled}
         return known.with_overrides(changes, f"case {self.title!r}")
 
     def built(self, finger: Finger) -> Finger:
-        """The finger as it is, without payload."""
+        """The finger of the plant, without payload."""
         if self.heavier == 1.0:
             return finger
         links = []
@@ -58,32 +56,27 @@ class Case:
         return dataclasses.replace(finger, arm=dataclasses.replace(finger.arm, links=tuple(links)))
 
     def additions(self) -> Effects:
-        """The effects in force."""
+        """The active effects."""
         if not self.effects:
             return NONE
         return Effects.from_config({name: dict(given) for name, given in self.effects})
 
 
+FRICTION_2_N = ("braid_friction", (("friction_n", 2.0),))
+
 BARE = Case("no payload")
 LADEN = Case("20 g", PAYLOAD_KG)
 PERTURBED = (
-    Case("braid friction 2 N", 0.0, (), (("braid_friction", (("friction_n", 2.0),)),)),
-    Case("braid friction 2 N, 20 g", PAYLOAD_KG, (), (("braid_friction", (("friction_n", 2.0),)),)),
-    Case("liner takes 30 kPa", 0.0, (), (("liner_threshold", (("threshold_kpa", 30.0),)),)),
-    Case("supply 500 for 550 kPa", 0.0, (("supply_kpa", 500.0),)),
-    Case(
-        "outlets 20 % wider",
-        0.0,
-        (),
-        (("flow_area", (("ratio", 1.2), ("side", "outlet"))),),
-    ),
+    Case("braid friction 2 N", effects=(FRICTION_2_N,)),
+    Case("braid friction 2 N, 20 g", PAYLOAD_KG, effects=(FRICTION_2_N,)),
+    Case("liner takes 30 kPa", effects=(("liner_threshold", (("threshold_kpa", 30.0),)),)),
+    Case("supply 500 for 550 kPa", plant=(("supply_kpa", 500.0),)),
+    Case("outlets 20 % wider", effects=(("flow_area", (("ratio", 1.2), ("side", "outlet"))),)),
     Case(
         "inlets shut 0.5 ms later",
-        0.0,
-        (),
-        (("valve_delay", (("edge", "inlet_off"), ("delay_ms", 0.5))),),
+        effects=(("valve_delay", (("edge", "inlet_off"), ("delay_ms", 0.5))),),
     ),
-    Case("dead volume 1 for 0.5 ml", 0.0, (("dead_volume_ml", 1.0),)),
+    Case("dead volume 1 for 0.5 ml", plant=(("dead_volume_ml", 1.0),)),
     Case("links 20 % heavier", heavier=1.2),
     Case("links 20 % lighter", heavier=0.8),
     Case("braid threads 5 % longer", scaled=(("braid_length_mm", 1.05),)),
@@ -100,15 +93,15 @@ PERTURBED = (
         ),
     ),
 )
-"""What no law was tuned for. Kinds and sizes were chosen before any was run; the first seven before
-the adaptive law learnt friction, the others after and before they were run."""
+"""Plants that no law was tuned for. Kinds and sizes were chosen before they were run: the first
+seven before the adaptive law learned friction, the others after."""
 
 
 @dataclass(frozen=True)
 class Row:
     """One controller on one valve and plant under one draw of the noise.
 
-    `learned_g` is what the adaptive law believes the payload to be.
+    `learned_g` is the payload estimated by the adaptive law.
     """
 
     law: str
@@ -130,23 +123,14 @@ class Row:
         )
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON."""
-        return {
-            "law": self.law,
-            "valve": self.valve,
-            "case": self.case,
-            "seed": self.seed,
-            "step": self.step.as_dict(),
-            "path": self.path.as_dict(),
-            "learned_g": self.learned_g,
-            "accepted": self.accepted,
-        }
+        """Plain values for JSON."""
+        return {**dataclasses.asdict(self), "accepted": self.accepted}
 
 
 def run_trial(
     finger: Finger, law: str, valve: str, case: Case, reference: Reference, **options: object
 ) -> Trial:
-    """One controller on one plant. Raises `PlantError` for a law or valve that is not known."""
+    """One controller on one plant. Raises `PlantError` for an unknown law or valve."""
     known = load_valve(valve)
     controller, scheme = build_law(law, finger, known)
     return run_law(
@@ -174,7 +158,7 @@ def run_case(
     )
     learned = None
     if law == "adaptive":
-        learned = float(np.asarray(turned.notes["note"])[-1, 0] * 1e3)
+        learned = float(turned.estimates[-1, 0] * 1e3)
     figures = step_figures(stepped, joint), path_figures(turned)
     return Row(law, valve, case.title, seed, *figures, learned)
 
@@ -187,9 +171,9 @@ def table(
     seeds: Iterable[int] = (1,),
     progress: Callable[[str], None] | None = None,
 ) -> Iterator[Row]:
-    """Rows for every combination, as they come, valve by valve, law by law, case by case.
+    """One row per combination, in the order valve, law, case, seed.
 
-    A seed draws the noise and the sensors' own errors. `progress` is told each case before it runs.
+    A seed selects the noise and the errors of the sensors. `progress` is called before each row.
     """
     chosen, draws = list(laws), list(seeds)
     for law in chosen:

@@ -1,5 +1,6 @@
-"""Controllers of the finger, all through the firmware: one valve controller a muscle.
+"""Controllers of the finger. All act through the firmware, one valve controller per muscle.
 
-`bench.FingerBench` joins firmware and simulated finger; `loop.run_law` closes a loop around it;
-the laws are `statics`, `pid`, `placement`, `feedforward`, `adaptive`; `tuning` finds their gains.
+`bench.FingerBench` connects firmware and simulated finger. `loop.run_law` closes a control loop
+around it. The laws are in `statics`, `pid`, `placement`, `feedforward` and `adaptive`; `tuning`
+determines their gains.
 """

@@ -1,25 +1,24 @@
-"""An adaptive law: payload and friction are learnt from the motion and go into the feed-forward.
+"""Adaptive law: payload and friction are estimated from the motion and used in the feed-forward.
 
-The desired compensation adaptation law (Sadegh and Horowitz 1990, Int. J. Robotics Research 9(3)),
-the form of Slotine and Li's adaptive manipulator control (1987, ibid. 6(3)) whose regressor is of
-the wanted motion, so that no noise enters it:
+This is the desired compensation adaptation law (Sadegh and Horowitz 1990, Int. J. Robotics Research
+9(3)). It is the form of the adaptive manipulator control of Slotine and Li (1987, ibid. 6(3)) whose
+regressor uses the reference motion, so that it has no noise:
 
     torque = Y0(q_d, q_d', q_d'') + m Y(q_d, q_d', q_d'') + f_j W_j(q_d) + bias
     dm/dt  = gamma Y^T s,   df_j/dt = gamma_j W_j s_j,   s = e' + lambda e,   e = q_d - q
 
-Y is the torque a kilogram at the tip takes, exact, from the link equations; W_j what a newton of
-friction in the braids of joint j takes (`fibres`). m stays within 0 to 100 g, f within 0 to 20 N.
-The feedback part of the published law is the muscles' own stiffness and damping, which the
-pressures set. `bias` is the slow integral of `feedforward`, at a quarter of its rate, for what is
-neither; it begins with the reference's clock, when the payload has had the time of the approach
-to show: else both would share one static error for good. Friction is learnt from then on, for
-before nothing is wanted to move. Errors above 10 degrees teach nothing, for the finger is then
-falling, or at a stop.
+Y is the torque per kilogram at the tip, exact, from the link equations. W_j is the torque per
+newton of friction in the braids of joint j (`fibres`). m is limited to 0 to 100 g, f to 0 to 20 N.
+The feedback of the published law is replaced by stiffness and damping of the muscles. `bias` is the
+slow integral of `feedforward`, at a quarter of its rate, for all other errors. It starts at time 0:
+the payload is estimated during the approach, otherwise both would share one static error
+permanently. Friction is also estimated from time 0, because before that the reference does not
+move. With errors above 10 degrees nothing is estimated: the finger is falling or at a stop.
 
-The rates gamma are set by what a constant error means: were all of it payload (or friction, with
-every fibre slipping) at the model's posture, m (or f) would approach it at half of the rate that
-`feedforward` gives its integral. lambda lies at twice the slowest oscillation's frequency, so that
-s does not feed that back as e'.
+The rates gamma follow from a constant error: if it were caused by the payload only (or by friction
+only, with all fibres slipping) at the posture of the model, m (or f) would converge at half of the
+integral rate of `feedforward`. lambda is twice the frequency of the slowest oscillation, so that s
+does not feed back the oscillation through e'.
 """
 
 from __future__ import annotations
@@ -48,13 +47,13 @@ _PROBE_KG = 0.1
 
 
 def payload_regressor(arm: Arm, q: Array, qd: Array, qdd: Array) -> Array:
-    """Torque (n,) a kilogram at the tip takes in a motion, N m/kg; linear in the mass, so exact."""
+    """Torque (n,) per kilogram at the tip in a motion, N m/kg; exact, as it is linear in mass."""
     with_it = inverse_dynamics(arm.with_payload(_PROBE_KG), q, qd, qdd)
     return (with_it - inverse_dynamics(arm, q, qd, qdd)) / _PROBE_KG
 
 
 class Adaptive(FeedForward):
-    """Feed-forward that learns payload (kg) and friction of each joint's braids (N at 300 kPa)."""
+    """Feed-forward with estimates of payload (kg) and friction of each joint (N at 300 kPa)."""
 
     def __init__(
         self, pairs: Pairs, model: Linear, lead_s: float, rate: float, late_s: float = 0.002
@@ -67,24 +66,24 @@ class Adaptive(FeedForward):
         still = np.zeros(model.degrees)
         weight = payload_regressor(self._arm, model.q0, still, still)
         self._lambda = 2.0 * 2.0 * np.pi / model.slowest_period_s
-        # A torque y bends the joints by K^-1 y; y^T K^-1 y is what a kilogram, or a newton, earns.
-        # s = e' + lambda e: the rate of learning is gamma lambda y^T K^-1 y.
-        earned = float(weight @ np.linalg.solve(model.stiffness, weight))
-        self._gamma = LEARNING_SHARE * rate / (self._lambda * earned)
+        # A torque y deflects the joints by K^-1 y. With s = e' + lambda e the rate of convergence
+        # is gamma lambda y^T K^-1 y.
+        gained = float(weight @ np.linalg.solve(model.stiffness, weight))
+        self._gamma = LEARNING_SHARE * rate / (self._lambda * gained)
         slipping = pairs.radius * 2.0 * MEAN_KPA * 1e3 / REFERENCE_PRESSURE_PA
         softness = np.diag(np.linalg.inv(model.stiffness))
         self._gamma_friction = LEARNING_SHARE * rate / (self._lambda * slipping**2 * softness)
-        # One goes ahead with what is sent, one stays with what is measured.
+        # Fibres at the time of the commands, and at the time of the measured angles.
         self._sent, self._seen = Fibres(pairs), Fibres(pairs)
         self._last: Array | None = None
 
     @property
-    def note(self) -> Array:
+    def estimates(self) -> Array:
         """Estimated payload, kg, then friction of each joint, N."""
         return np.array([self.mass_kg, *self.friction_n])
 
     def start(self, reference: Reference, q: Array) -> None:
-        """Forget the past, payload and friction included."""
+        """Reset all states, including payload and friction."""
         super().start(reference, q)
         self.mass_kg = 0.0
         self.friction_n = np.zeros_like(self.friction_n)
@@ -93,7 +92,7 @@ class Adaptive(FeedForward):
         self._last = None
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Nominal torque, and those of payload and friction as far as they are known."""
+        """Nominal torque with the estimated payload and friction."""
         smooth = self._smooth(q, qd, qdd)
         return np.asarray(smooth + self.friction_n * self._per_newton(self._sent, q, smooth))
 
@@ -103,11 +102,11 @@ class Adaptive(FeedForward):
         return np.asarray(bare + self.mass_kg / _PROBE_KG * (laden - bare))
 
     def _per_newton(self, fibres: Fibres, q: Array, torque: Array) -> Array:
-        """What friction takes where a motion is and goes, by the pressures that move it."""
+        """Torque per newton of friction at a point of the motion, with its pressures."""
         return fibres.torque(q, self.pairs.pressures(self.pairs.delta(q, torque)))
 
     def delta(self, time_s: float, q: Array) -> Array:
-        """Learn from the error, then feed forward."""
+        """Update the estimates, then feed forward."""
         assert self._reference is not None
         step = HOST_MS * 1e-3
         wanted, rate, push = self._reference.at(time_s - self._late_s)
@@ -121,8 +120,8 @@ class Adaptive(FeedForward):
             self.mass_kg += self._gamma * step * float(per_kg @ s)
             self.mass_kg = min(max(self.mass_kg, 0.0), MOST_KG)
             if time_s >= 0.0:
-                learnt = self.friction_n + self._gamma_friction * step * per_newton * s
-                self.friction_n = np.clip(learnt, 0.0, MOST_N)
+                friction = self.friction_n + self._gamma_friction * step * per_newton * s
+                self.friction_n = np.clip(friction, 0.0, MOST_N)
         out = super().delta(time_s, q)
         if time_s < 0.0:
             out = out - self._integral

@@ -1,9 +1,9 @@
-"""Eight valve controllers, each the real firmware, on the eight muscles of a simulated finger.
+"""Eight valve controllers with the real firmware on the eight muscles of a simulated finger.
 
-One millisecond at a time the finger advances under the valve times that the firmware last drove,
-and every controller ticks once on its own noisy 12-bit reading. The host's words (set-points,
-heartbeats) are frames on the wire and arrive late by the line's delay; joint angles reach the host
-quantised, noisy and late.
+Each millisecond the finger advances with the last valve times of the firmware. Then every
+controller runs one tick with its own noisy 12-bit reading. The commands of the host (set-points,
+heartbeats) are frames on the wire with the delay of the line. The joint angles that the host reads
+are quantised, noisy and delayed.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ TICK_S = TICK_US * 1e-6
 HEARTBEAT_MS = 100
 NOISE_BLOCK = 2048
 LEAST_SETPOINT_KPA = 10.0
-"""A set-point of 0 means vented; the host asks for no less than this."""
+"""Lowest set-point of the host; a set-point of 0 means vent."""
 
 
 @dataclass(frozen=True)
 class Sensing:
-    """What lies between the finger and who controls it; standard deviations are of white noise.
+    """Sensors and line between finger and host; standard deviations of white noise.
 
-    Pressure sensors are those of the reference bench (12 bit, 0.5 kPa; zero 0.3 kPa and
-    gain 0.3 % drawn). Angles are read by 12-bit magnetic encoders. The line is a frame of 20 bytes
-    at 115200 baud.
+    The pressure sensors are those of the reference bench (12 bit, 0.5 kPa; random zero 0.3 kPa
+    and gain 0.3 %). The angle sensors are 12-bit magnetic encoders. The delay of the line is that
+    of a frame of 20 bytes at 115200 baud.
     """
 
     angle_bits: int = 12
@@ -52,7 +52,7 @@ class Sensing:
 
 
 class MuscleBoard(Board):
-    """The board of one muscle: its controller drives two valves and reads one pressure."""
+    """The board of one muscle: two valves and one pressure sensor."""
 
     name = "sim"
     outlet_normally_open = True
@@ -79,23 +79,23 @@ class MuscleBoard(Board):
         return self.counts
 
     def drive(self, inlet_us: int, vent_us: int) -> None:
-        """Valve times from now; counts how often either valve is energised."""
+        """Set the valve times; counts how often a valve is energised."""
         self.inlet_us = inlet_us
         self.vent_us = vent_us
         now_in, now_out = inlet_us > 0, vent_us > 0
         self.switchings += (now_in and not self._was_in) + (now_out and not self._was_out)
-        # A pulse that ends within the tick has ended when the next begins.
+        # A pulse shorter than a tick ends before the next tick.
         self._was_in, self._was_out = inlet_us >= TICK_US, vent_us >= TICK_US
 
     def rx(self) -> bytes:
-        """What the line has brought."""
+        """Bytes received on the line."""
         data = self.inbox
         if data:
             self.inbox = b""
         return data
 
     def tx(self, data: bytes) -> None:
-        """Telemetry and replies: nobody listens here."""
+        """Discard telemetry and replies."""
 
     def random16(self) -> int:
         """Boot id."""
@@ -103,15 +103,15 @@ class MuscleBoard(Board):
 
 
 class FingerBench:
-    """Firmware and finger in step. Not armed until `begin`.
+    """Firmware and finger, synchronised. The firmware is armed by `begin`.
 
     Args:
         sim: the finger.
-        scheme: the firmware's scheme for every muscle.
-        rng: noise, and the sensors' own errors.
-        sensing: what lies between.
-        parameters: firmware parameters beside those that the valve block asks for.
-        known: the constants that the firmware was set up with, where they are not the plant's.
+        scheme: the firmware scheme of every muscle.
+        rng: for noise and errors of the sensors.
+        sensing: sensors and line.
+        parameters: firmware parameters in addition to those for the valve block.
+        known: the constants for the setup of the firmware, if they differ from the plant's.
     """
 
     def __init__(
@@ -165,19 +165,19 @@ class FingerBench:
 
     @property
     def switchings(self) -> int:
-        """How often any valve has been energised."""
+        """Number of times that a valve was energised."""
         return sum(board.switchings for board in self.boards)
 
     def begin(self) -> None:
-        """Arm every controller over the wire and choose the scheme."""
+        """Arm every controller and select the scheme, over the wire."""
         for i, board in enumerate(self.boards):
             crc = config_crc(board.controller.values)
             self._send(i, f"arm {crc:04x} {board.controller.telemetry.boot_id}")
             self._send(i, f"scheme {self.scheme}")
         self.run(self.sensing.line_delay_ms + 2)
 
-    def ask(self, pressure_kpa: Array) -> None:
-        """Send set-points (2 n,); what has not changed by a sixteenth of a count is not sent."""
+    def set_pressures(self, pressure_kpa: Array) -> None:
+        """Send set-points (2 n,) that changed by at least 1/16 count."""
         top = self.sim.constants.supply_pa * 1e-3
         for i, kpa in enumerate(np.clip(pressure_kpa, LEAST_SETPOINT_KPA, top)):
             x16 = round(float(kpa) * ADC_TOP / 1000.0 * 16)
@@ -186,7 +186,7 @@ class FingerBench:
                 self._send(i, f"sp {x16}")
 
     def angles(self) -> Array:
-        """What the host reads now: late, noisy, in steps of the encoder (rad)."""
+        """Angles that the host reads now: delayed, noisy, quantised (rad)."""
         s = self.sensing
         true = self._past[0]
         noisy = true + self._rng.normal(0.0, np.radians(s.angle_noise_deg), true.shape)
@@ -194,7 +194,7 @@ class FingerBench:
         return np.asarray(np.round(noisy / step) * step)
 
     def run(self, ms: int) -> None:
-        """Let time pass."""
+        """Advance the simulation."""
         on_s, sim, boards = self._on_s, self.sim, self.boards
         for _ in range(ms):
             if self.ms % HEARTBEAT_MS == 0:
@@ -234,11 +234,10 @@ class FingerBench:
 def firmware_parameters(
     constants: PlantConstants, changes: dict[str, int] | None = None
 ) -> dict[str, int]:
-    """Parameters of every muscle's controller for a valve block, as a data sheet would give them.
+    """Parameters of every muscle's controller, from the data of the valve block.
 
-    Pressures of a finger change while its valves are shut, because its joints move, so the watch
-    for leaks is off. Where the valve is fast the burst scheme reads sooner: four samples, and as
-    soon as the solenoid has surely shut.
+    The leak monitor is off, because the pressure changes with closed valves when a joint moves.
+    With a fast valve the burst scheme reads earlier: four samples, as soon as the valve is closed.
     """
     rest_ms = max(2, int(np.ceil(1.3e3 * max(constants.inlet_off_s, constants.outlet_off_s))))
     return {

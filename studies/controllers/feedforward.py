@@ -1,10 +1,10 @@
-"""Feed-forward from the link equations (section 1.6.2), with a slow integral behind it.
+"""Feed-forward from the link equations (section 1.6.2), with a slow integral.
 
-The torques that the wanted motion takes (inverse dynamics, damping included) are turned into
-pressures by the muscle's law at the wanted angles, and sent ahead of time by the delay of the
-pressure loop. That is open loop; as section 1.6.2 asks, a feedback loop goes with it: an integral
-of the error, one rate for all joints, a third of the rate at which the nominal model would begin to
-oscillate (a gain margin of 3).
+The torques of the reference motion (inverse dynamics with damping) are converted to pressures by
+the muscle model at the reference angles. They are sent ahead of time by the delay of the pressure
+loop. As section 1.6.2 requires, feedback is added to this open loop: an integral of the error with
+one rate for all joints. The rate is a third of that at which the nominal model starts to oscillate
+(a gain margin of 3).
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ MARGIN = 3.0
 
 
 def critical_integral_rate(model: Linear, dead_s: float) -> float:
-    """Rate in 1/s at which integral action on all joints begins to oscillate (nominal model).
+    """Rate in 1/s at which integral action on all joints starts to oscillate (nominal model).
 
-    The integral's output is turned to pressures by the model's static gain, so that slowly
-    q' = rate (wanted - q) whatever the joint. Found by bisection on the sampled closed loop.
+    The static gain of the model converts the integral to pressures, so that at low frequency
+    q' = rate (reference - q) for every joint. Found by bisection on the sampled closed loop.
     """
     step = HOST_MS * 1e-3
     n = model.degrees
@@ -44,7 +44,7 @@ def critical_integral_rate(model: Linear, dead_s: float) -> float:
             at = 3 * n + k * n
             whole[at : at + n, at + n : at + 2 * n] = np.eye(n)
         last = 3 * n + (delay - 1) * n
-        # The reading enters the integral before the integral is sent.
+        # The reading is added to the integral before the integral is sent.
         whole[last : last + n, size - n :] = turn
         whole[last : last + n, :n] = -rate * step * turn
         whole[size - n :, size - n :] = np.eye(n)
@@ -76,16 +76,16 @@ class FeedForward:
         self._reference: Reference | None = None
 
     def start(self, reference: Reference, q: Array) -> None:
-        """Forget the past."""
+        """Reset all states."""
         self._reference = reference.gentle
         self._integral = np.zeros(len(q))
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """What the nominal finger needs for a motion, N m (n,)."""
+        """Torque of the nominal finger for a motion, N m (n,)."""
         return inverse_dynamics(self.pairs.finger.arm, q, qd, qdd)
 
     def delta(self, time_s: float, q: Array) -> Array:
-        """Feed-forward for what will be wanted when it arrives, and the integral."""
+        """Feed-forward of the reference at the time of arrival, and the integral."""
         assert self._reference is not None
         wanted, rate, push = self._reference.at(time_s + self.lead_s)
         ahead = self.pairs.delta(wanted, self.torque(wanted, rate, push))

@@ -1,9 +1,8 @@
-"""Friction of the braids along the wanted motion, a newton at 300 kPa: what a law can learn from.
+"""Torque of braid friction along the reference motion, per newton of friction at 300 kPa.
 
-Fibres slide as `plant.physics.friction` says, driven by pressure and length alike; here by the
-pressures and lengths of the wanted motion, so that no noise enters. How far they must slide until
-all of them slip is taken from the catalogue; how much friction there is, is for the law to find
-out.
+The friction model is that of `plant.physics.friction`, driven by pressure and length. Here these
+are the values of the reference motion, which have no noise. The travel until all fibres slip is
+that of the catalogue of effects; the law estimates the magnitude of the friction.
 """
 
 from __future__ import annotations
@@ -20,28 +19,28 @@ Array = npt.NDArray[np.float64]
 
 
 class Fibres:
-    """The fibres of every muscle along one path; `torque` moves them on."""
+    """State of the fibres of every muscle along one path; `torque` updates it."""
 
     def __init__(self, pairs: Pairs) -> None:
         self._travel_kpa = _catalogued("travel_kpa")
         self._travel_m = _catalogued("travel_mm") * 1e-3
         self._pairs = pairs
         _, self._rest, self._arm = pairs.finger.tendons.T
-        # The stiffest element yields first; see plant.physics.friction.
+        # The stiffest element slips first; see plant.physics.friction.
         self._share = 2.0 ** np.arange(SLIP_ELEMENTS - 1, -1, -1)[:, None]
         self.start()
 
     def start(self) -> None:
-        """Begin with muscles that were filled from vented: every fibre has slid the one way."""
+        """Start with muscles filled from vented: all fibres have slipped in one direction."""
         self._slip = np.ones((SLIP_ELEMENTS, len(self._rest)))
         self._place: Array | None = None
 
     def torque(self, q: Array, pressure_kpa: Array) -> Array:
-        """Torque (n,) a newton of friction takes with the fibres brought to `q` and pressures.
+        """Move the fibres to `q` and pressures; returns the torque (n,) per newton of friction.
 
         Args:
-            q: wanted angles (n,), rad.
-            pressure_kpa: pressures wanted there (2 n,).
+            q: reference angles (n,), rad.
+            pressure_kpa: reference pressures (2 n,).
         """
         length = self._rest + self._arm * np.repeat(q, 2)
         place = pressure_kpa / self._travel_kpa - length / self._travel_m
@@ -55,6 +54,6 @@ class Fibres:
 
 
 def _catalogued(name: str) -> float:
-    """The catalogue's own figure for how far fibres slide."""
+    """Default value of a parameter of braid friction in the catalogue."""
     entry = CATALOGUE["braid_friction"]
     return float(next(p.default for p in entry.parameters if p.name == name) or 0.0)

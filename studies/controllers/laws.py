@@ -1,4 +1,4 @@
-"""The laws by name, with the gains that the tuning rules give on the nominal finger."""
+"""The control laws by name, with gains from the tuning rules on the nominal finger."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from studies.controllers.tuning import (
 )
 
 SCHEMES = ("two", "duty_in", "duty", "slide", "burst")
-"""Firmware schemes that stand alone: pressures from the muscle's law, no feedback of the angle."""
+"""Firmware schemes without feedback of the angle; the pressures follow from the muscle model."""
 HOST_LAWS = ("pid", "placement", "feedforward", "adaptive")
-"""Laws on the host; below them the firmware runs `burst` on every muscle."""
+"""Laws on the host; the firmware runs the scheme `burst` on every muscle."""
 LAWS = (*SCHEMES, *HOST_LAWS)
 TITLES = {
     "two": "two-position (5.7.1)",
@@ -50,7 +50,7 @@ TITLES = {
 
 @dataclass(frozen=True)
 class Tuning:
-    """What the rules were given, and made, for one finger and valve block."""
+    """Inputs and results of the tuning rules for one finger and valve block."""
 
     response: PressureResponse
     model: Linear
@@ -64,25 +64,25 @@ def tuning(finger: Finger, constants: PlantConstants) -> Tuning:
     """Pressure response, linear model and integral rate; nominal, without payload."""
     response = pressure_response(finger, constants)
     model = linear_model(Pairs(finger, constants), np.radians(STEP_POSTURE_DEG), response.lag_s)
-    # The response counts from the host's word; the angle's way back comes on top.
+    # The response starts at the command of the host; the delay of the angle is added.
     dead = response.dead_s + Sensing().angle_delay_ms * 1e-3
-    # A law speaks once in HOST_MS: what it says is half of that old on average.
+    # A law commands every HOST_MS: the mean age of a command is half of that.
     lead = response.dead_s + response.lag_s + HOST_MS * 0.5e-3
     return Tuning(response, model, dead, lead, critical_integral_rate(model, dead))
 
 
 @functools.lru_cache(maxsize=8)
 def critical(finger: Finger, constants: PlantConstants) -> Critical:
-    """Critical gain of all joints' loops together, through the whole firmware; takes some seconds.
+    """Critical gain with the loops of all joints closed, with the firmware; takes some seconds.
 
-    One at a time, with the other loops open, each bears more (`provenance`), the outer ones three
-    times as much: what one joint does shakes the next.
+    With the other loops open the critical gain of a joint is larger (`provenance`), three times
+    for the outer joints, because the joints are coupled.
     """
     return loops_critical(finger, constants)
 
 
 def pid_law(finger: Finger, constants: PlantConstants, found: Sequence[Critical]) -> Pid:
-    """PID with Ziegler and Nichols's gains from the critical ones of each joint."""
+    """PID with Ziegler-Nichols gains from the critical gain of each joint."""
     pairs = Pairs(finger, constants)
     posture = np.radians(STEP_POSTURE_DEG)
     gains = []
@@ -95,7 +95,7 @@ def pid_law(finger: Finger, constants: PlantConstants, found: Sequence[Critical]
 def build_law(
     name: str, finger: Finger, constants: PlantConstants, found: Critical | None = None
 ) -> tuple[Law, str]:
-    """A law ready to run, and the firmware scheme below it. Raises `PlantError` if unknown."""
+    """A law and its firmware scheme. Raises `PlantError` if the name is unknown."""
     pairs = Pairs(finger, constants)
     if name in SCHEMES:
         return StaticMap(pairs), name

@@ -1,8 +1,8 @@
-"""Close a loop: a law on the host, the firmware on every muscle, the finger beneath."""
+"""The control loop: a law on the host, the firmware on every muscle, and the finger."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -18,44 +18,44 @@ from studies.controllers.reference import GRID_S, Reference, tips
 Array = npt.NDArray[np.float64]
 
 HOST_MS = 10
-"""The host asks for new pressures so often."""
+"""Period of the host in ms."""
 FINE_STEP_S = 5e-5
-"""The finger's step in a closed loop, for the reason given at
-`plant.simulator.bench.FINE_STEP_SHARE`."""
+"""Integration step of the finger in a closed loop; see `plant.simulator.bench.FINE_STEP_SHARE`."""
 SETTLE_S = 1.5
-"""From vented to the reference's first posture, before the clock starts."""
+"""Time from vented to the first posture of the reference, before time 0."""
 
 
 class Law(Protocol):
-    """A controller on the host: angles in, deltas out."""
+    """A controller on the host: input angles, output deltas."""
 
     def start(self, reference: Reference, q: Array) -> None:
-        """Begin at angles `q` (as read), at rest."""
+        """Start at rest at the read angles `q`."""
 
     def delta(self, time_s: float, q: Array) -> Array:
-        """Delta of each pair (n,), kPa, for `HOST_MS` from now; `q` is the reading."""
+        """Delta of each pair (n,) in kPa for the next `HOST_MS`; `q` are the read angles."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What happened: true angles (samples, n), tip (samples, 3), pressures (samples, 2 n) each ms.
+    """True angles (samples, n), tip (samples, 3), pressures (samples, 2 n), every ms.
 
-    `asked_kpa` (samples, 2 n) are the set-points, `switchings` how often a valve was energised
-    while the reference ran, `faults` what the firmware latched, `notes` what the law tells.
+    `set_kpa` (samples, 2 n) are the set-points. `switchings` counts how often a valve was
+    energised during the reference. `faults` are those latched by the firmware. `estimates` are
+    the parameters that the law estimates, one row every `HOST_MS`.
     """
 
     time_s: Array
     q: Array
     tip: Array
     pressure_kpa: Array
-    asked_kpa: Array
+    set_kpa: Array
     reference: Reference
     switchings: int
     faults: list[str]
-    notes: dict[str, Array] = field(default_factory=dict)
+    estimates: Array
 
 
-def run_law(  # noqa: PLR0913 - what a trial may change, each by name
+def run_law(  # noqa: PLR0913 - options of a trial, by name
     finger: Finger,
     constants: PlantConstants,
     law: Law,
@@ -71,11 +71,10 @@ def run_law(  # noqa: PLR0913 - what a trial may change, each by name
     parameters: dict[str, int] | None = None,
     step_max_s: float = FINE_STEP_S,
 ) -> Trial:
-    """Bring the finger from vented to the reference's start, then let the law follow it.
+    """Move the finger from vented to the start of the reference, then follow the reference.
 
-    `finger` and `constants` are what law and firmware know; the finger as it is built and the
-    plant's own constants (`built`, `plant`, where they differ), its `payload_kg` and `effects` are
-    theirs to cope with.
+    Law and firmware use `finger` and `constants`. The plant may differ from these by `built`,
+    `plant`, `payload_kg` and `effects`.
     """
     known = Pairs(finger, constants)
     sim = FingerSim(built or finger, plant or constants, effects, payload_kg, step_max_s=step_max_s)
@@ -85,34 +84,34 @@ def run_law(  # noqa: PLR0913 - what a trial may change, each by name
     law.start(reference, reference.q[0])
     begin_ms = round(SETTLE_S * 1000)
     for k in range(0, begin_ms, HOST_MS):
-        # The law itself brings the finger to the start, with the reference standing still.
+        # The law moves the finger to the start, with a constant reference.
         time = (k - begin_ms) * 1e-3
-        bench.ask(known.pressures(law.delta(time, bench.angles())))
+        bench.set_pressures(known.pressures(law.delta(time, bench.angles())))
         bench.run(HOST_MS)
     before = bench.switchings
     samples = len(reference.q)
     n = len(finger.joints)
     angles = np.empty((samples, n))
     pressure = np.empty((samples, 2 * n))
-    asked = np.empty((samples, 2 * n))
-    notes: list[Array] = []
+    set_kpa = np.empty((samples, 2 * n))
+    estimates: list[Array] = []
     now = np.zeros(2 * n)
     for k in range(samples):
         angles[k], pressure[k] = sim.q_rad, sim.pressure_kpa
         if k % HOST_MS == 0:
             now = known.pressures(law.delta(k * GRID_S, bench.angles()))
-            bench.ask(now)
-            notes.append(np.array(getattr(law, "note", np.zeros(0)), dtype=float))
-        asked[k] = now
+            bench.set_pressures(now)
+            estimates.append(np.array(getattr(law, "estimates", np.zeros(0)), dtype=float))
+        set_kpa[k] = now
         bench.run(1)
     return Trial(
         np.asarray(np.arange(samples) * GRID_S),
         angles,
         tips(finger.arm, angles),
         pressure,
-        asked,
+        set_kpa,
         reference,
         bench.switchings - before,
         bench.faults,
-        {"note": np.array(notes)},
+        np.array(estimates),
     )

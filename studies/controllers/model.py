@@ -1,9 +1,9 @@
-"""The finger as linear equations about a posture: what pole placement and tuning rest on.
+"""Linear model of the finger about a posture, for pole placement and tuning.
 
     D q'' + B q' + K (q - q0) = G delta,    T delta' = delta_asked(t - L) - delta
 
-K is the muscles' stiffness at constant pressures and gravity's, G their torque a kPa, T and L the
-lag and dead time of the pressure loop below (`tuning.pressure_response`).
+K is the stiffness of muscles (at constant pressures) and gravity, G the torque per kPa, T and L
+are lag and dead time of the pressure loop (`tuning.pressure_response`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 class Linear:
     """x = (q - q0, q', delta - delta0), 3 n states; u = delta_asked - delta0 (kPa), n inputs.
 
-    `a` (3 n, 3 n) and `b` (3 n, n) are continuous; the dead time is not in them.
+    `a` (3 n, 3 n) and `b` (3 n, n) are in continuous time, without the dead time.
     """
 
     q0: Array
@@ -40,7 +40,7 @@ class Linear:
         return len(self.q0)
 
     def sampled(self, step_s: float) -> tuple[Array, Array]:
-        """Exact a and b for an input held over each step."""
+        """Exact a and b for an input that is constant over each step."""
         size, inputs = self.b.shape
         block = np.zeros((size + inputs, size + inputs))
         block[:size, :size] = self.a

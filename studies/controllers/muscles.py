@@ -1,8 +1,8 @@
-"""Pressures that make a torque: what a law knows of the muscles, nominal by intent.
+"""Muscle model of the laws: pressures for a torque. It uses nominal constants on purpose.
 
-A pair holds the mean pressure `mean_kpa` and turns by the difference: agonist mean + delta,
-antagonist mean - delta. With Chou and Hannaford's law (4-8) the torque of a pair is linear in
-delta, so both ways between torque and delta are exact:
+A pair has the mean pressure `mean_kpa`; the agonist has mean + delta, the antagonist mean - delta.
+With the law of Chou and Hannaford (4-8) the torque of a pair is linear in delta, so the conversion
+is exact in both directions:
 
     tau = r ((mean + delta) g(L_a) - (mean - delta) g(L_b)),   g(L) = (3 L^2 - b^2) / (4 pi n^2)
 """
@@ -24,7 +24,7 @@ MEAN_KPA = 250.0
 
 @dataclass(frozen=True)
 class Pairs:
-    """The muscles of a finger as a law sees them. Deltas in kPa, torques in N m, angles in rad."""
+    """The muscle pairs of a finger. Deltas in kPa, torques in N m, angles in rad."""
 
     finger: Finger
     constants: PlantConstants
@@ -49,12 +49,12 @@ class Pairs:
         return np.array([self.finger.pair(joint).pulley_radius_m for joint in self.finger.joints])
 
     def gain(self, q: Array) -> Array:
-        """Torque a kPa of delta, N m/kPa."""
+        """Torque per kPa of delta, N m/kPa."""
         agonist, antagonist = self.areas(q)
         return np.asarray(self.radius * (agonist + antagonist) * 1e3)
 
     def delta(self, q: Array, torque: Array) -> Array:
-        """Delta (n,) that makes `torque` at angles q."""
+        """Delta (n,) that gives `torque` at angles q."""
         agonist, antagonist = self.areas(q)
         mean = self.mean_kpa * 1e3 * (agonist - antagonist)
         return np.asarray((torque / self.radius - mean) / (agonist + antagonist) * 1e-3)

@@ -1,10 +1,10 @@
-"""PID on each joint's angle, equations 1-1 to 1-4, with Ziegler and Nichols's gains.
+"""PID control of each joint angle, Equations 1-1 to 1-4, with Ziegler-Nichols gains.
 
     u = kp (e + 1/Ti integral of e + Td de/dt)
 
-The thesis prints the integral in 1-3 and 1-4 without 1/Ti, which has no unit to stand on. The
-derivative is that of the reading, behind a lag of Td / 8, so that a step of the reference does not
-kick; the integral stops where the pressures have reached their limits.
+The thesis prints the integral in 1-3 and 1-4 without 1/Ti; the units would then be inconsistent.
+The derivative is that of the reading, with a lag of Td / 8, so that a step of the reference has no
+effect on it. The integral stops when the pressures are at their limits.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Gains:
 
 
 def ziegler_nichols(critical_gain: float, critical_period_s: float, form: str = "pid") -> Gains:
-    """Gains from the critical gain and period (Ziegler and Nichols 1942): "p", "pi" or "pid"."""
+    """Gains from critical gain and period (Ziegler and Nichols 1942): "p", "pi" or "pid"."""
     share, ti, td = {
         "p": (0.5, float("inf"), 0.0),
         "pi": (0.45, 1.0 / 1.2, 0.0),
@@ -42,7 +42,7 @@ def ziegler_nichols(critical_gain: float, critical_period_s: float, form: str = 
 
 
 class Pid:
-    """Independent loops, one a joint, about `bias` (kPa). `gains` one a joint; `limit_kpa`."""
+    """Independent loops, one per joint, about `bias` (kPa), with output limits ± `limit_kpa`."""
 
     def __init__(self, gains: list[Gains], bias: Array, limit_kpa: float = 250.0) -> None:
         self._kp = np.array([g.kp for g in gains])
@@ -56,14 +56,14 @@ class Pid:
         self._reference: Reference | None = None
 
     def start(self, reference: Reference, q: Array) -> None:
-        """Forget the past."""
+        """Reset all states."""
         self._reference = reference.gentle
         self._integral = np.zeros(len(self._kp))
         self._slope = np.zeros(len(self._kp))
         self._last = None
 
     def delta(self, time_s: float, q: Array) -> Array:
-        """The loops' outputs."""
+        """Outputs of the loops."""
         assert self._reference is not None
         step = HOST_MS * 1e-3
         wanted, _, _ = self._reference.at(time_s)
@@ -75,7 +75,7 @@ class Pid:
         self._last = q.copy()
         free = self._bias + self._kp * (error - self._td * self._slope) + self._integral
         out = np.clip(free, -self._limit, self._limit)
-        # Only while the output is free, or where it helps the output back.
+        # Anti-windup: integrate only within the limits, or towards them.
         held = (free != out) & (np.sign(error) == np.sign(free))
         self._integral += np.where(held, 0.0, self._ki * step * error)
         return out

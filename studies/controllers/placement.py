@@ -2,13 +2,13 @@
 
 Design, on the nominal linear model at the reference's middle posture, sampled at the host's rate:
 
-- state feedback: every oscillation keeps its frequency and is given a damping ratio of 0.7; poles
-  that are real or damped as much already stay. On a moved pole and on nothing else is work spent;
-- observer: of angles alone it estimates rates, pressure differences and a constant disturbance a
-  joint (in kPa), which is then taken off the input: that is the integral action. Its poles are
-  real, 40 to 90 1/s; plant poles faster than 150 1/s stay;
-- the dead time of the pressure loop is bridged by running the model forward from the estimate over
-  the inputs that are still on their way.
+- state feedback: every oscillation keeps its frequency and gets a damping ratio of 0.7. Poles that
+  are real or sufficiently damped do not change, so that no control effort is spent on them;
+- observer: from the angles it estimates rates, pressure differences and a constant disturbance per
+  joint (in kPa), which is subtracted from the input (integral action). Its poles are real, 40 to
+  90 1/s; plant poles faster than 150 1/s do not change;
+- the dead time of the pressure loop is compensated by a prediction with the model, from the
+  estimate over the inputs that have not arrived yet.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ KEPT_ABOVE = 150.0
 
 
 def feedback_rates(rates: Array, damping: float = DAMPING) -> Array:
-    """Where the continuous poles go (complex, 1/s): oscillations damped, the rest untouched."""
+    """Target poles (complex, 1/s): oscillations damped, other poles unchanged."""
     out = np.array(rates, dtype=complex)
     for index, pole in enumerate(rates):
         size = abs(pole)
@@ -43,7 +43,7 @@ def feedback_rates(rates: Array, damping: float = DAMPING) -> Array:
 
 
 class PolePlacement:
-    """State feedback from an observer. `model` linear, `dead_s` dead time of the pressures."""
+    """State feedback with an observer. `dead_s` is the dead time of the pressures."""
 
     def __init__(self, model: Linear, dead_s: float, limit_kpa: float = 250.0) -> None:
         step = HOST_MS * 1e-3
@@ -55,7 +55,7 @@ class PolePlacement:
         self.a, self.b = model.sampled(step)
         self.feedback_poles = np.exp(feedback_rates(np.asarray(model.rates)) * step)
         self.k = _placed(self.a, self.b, self.feedback_poles)
-        # The observer's model: the disturbance enters where the input does, and stays.
+        # Model of the observer: a constant disturbance is added to the input.
         self.a_wide = np.block([[self.a, self.b], [np.zeros((n, 3 * n)), np.eye(n)]])
         self.c_wide = np.zeros((n, 4 * n))
         self.c_wide[:, :n] = np.eye(n)
@@ -70,7 +70,7 @@ class PolePlacement:
         self._reference: Reference | None = None
 
     def start(self, reference: Reference, q: Array) -> None:
-        """Begin with an estimate at rest at `q`."""
+        """Start with an estimate at rest at `q`."""
         n = self._n
         self._reference = reference.gentle
         self._estimate = np.zeros(4 * n)
@@ -78,7 +78,7 @@ class PolePlacement:
         self._sent = deque([np.zeros(n)] * self._ahead, maxlen=self._ahead)
 
     def delta(self, time_s: float, q: Array) -> Array:
-        """Correct the estimate by the reading, look ahead, feed back."""
+        """Correct the estimate by the reading, predict, feed back."""
         assert self._reference is not None
         n, model = self._n, self.model
         x = self._estimate
@@ -87,7 +87,7 @@ class PolePlacement:
         ahead = state
         for u in self._sent:
             ahead = self.a @ ahead + self.b @ (u + disturbance)
-        # What is asked now meets the state that far ahead.
+        # The command of now acts on the state at that later time.
         wanted, rate, _ = self._reference.at(time_s + self._ahead * HOST_MS * 1e-3)
         goal = np.zeros(3 * n)
         goal[:n] = wanted - model.q0
@@ -104,7 +104,7 @@ class PolePlacement:
 
 
 def _placed(a: Array, b: Array, poles: Array) -> Array:
-    """Gain that gives a - b k these poles; equal ones are moved apart by as little as it takes."""
+    """Gain k for these poles of a - b k; equal poles are separated slightly."""
     apart = np.array(poles, dtype=complex)
     inputs = np.linalg.matrix_rank(b)
     for index in range(len(apart)):
@@ -112,6 +112,6 @@ def _placed(a: Array, b: Array, poles: Array) -> Array:
         if twins >= inputs:
             apart[index] += 1e-4 * twins
     with warnings.catch_warnings():
-        # It tells when further rounds would still improve the conditioning; the poles are placed.
+        # scipy warns if more iterations could improve the conditioning; the poles are correct.
         warnings.simplefilter("ignore", UserWarning)
         return np.asarray(place_poles(a, b, apart).gain_matrix.real)

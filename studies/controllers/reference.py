@@ -1,9 +1,9 @@
-"""What the finger is asked to do: a step of one joint, and the circle of the fingertip.
+"""References of the finger: a step of one joint, and a circle of the fingertip.
 
-References are angles over time on a grid of a millisecond, with rates and accelerations, so that a
-law may look ahead. The circle (15 mm radius in the flexion plane, one turn in 4 s) leaves one of
-three flexion joints free; the tip joint is held to the middle one, angle for angle. (To two thirds
-of it, as in a hand, the fingertip reaches from 66 to 97 mm only: barely the circle.)
+A reference has angles, rates and accelerations every millisecond, so that a law can use future
+values. The circle (15 mm radius in the flexion plane, one turn in 4 s) does not determine all three
+flexion joints: the angle of the tip joint equals that of the middle joint. (With two thirds of it,
+as in a hand, the fingertip reaches only 66 to 97 mm, just enough for the circle.)
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ Array = npt.NDArray[np.float64]
 
 GRID_S = 1e-3
 COUPLING = 1.0
-"""Angle of the tip joint over that of the middle one, on the circle."""
+"""Ratio of the angles of tip joint and middle joint on the circle."""
 CIRCLE_RADIUS_M = 0.015
 CIRCLE_TURN_S = 4.0
 CIRCLE_POSTURE_DEG = (0.0, 10.0, 46.0, 46.0)
-"""The circle's centre is the tip of this posture."""
+"""The centre of the circle is the position of the tip in this posture."""
 STEP_POSTURE_DEG = (0.0, 10.0, 25.0, 25.0)
 STEP_DEG = 20.0
 SOFT_S = 0.3
-"""How long the softened step takes: two periods of the nominal finger's slowest oscillation."""
+"""Duration of the softened step: two periods of the slowest oscillation of the nominal finger."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Angles, rates, accelerations (samples, n) every `GRID_S`, and where the tip should be.
+    """Angles, rates, accelerations (samples, n) every `GRID_S`, and reference position of the tip.
 
-    `scored_from_s` is when judging begins. Before 0 and after the end the ends hold, at rest.
+    Figures of merit start at `scored_from_s`. Before 0 and after the end the end values hold.
     """
 
     q: Array
@@ -48,12 +48,12 @@ class Reference:
 
     @property
     def gentle(self) -> Reference:
-        """The same without jumps, for laws that need rates: a step takes `SOFT_S`."""
+        """The reference without jumps, for laws that need rates: a step takes `SOFT_S`."""
         return self.softened or self
 
     @property
     def duration_s(self) -> float:
-        """Length of the reference."""
+        """Duration of the reference."""
         return (len(self.q) - 1) * GRID_S
 
     def at(self, time_s: float) -> tuple[Array, Array, Array]:
@@ -63,7 +63,7 @@ class Reference:
 
 
 def tips(arm: Arm, q: Array) -> Array:
-    """Tip positions (samples, 3) of angles (samples, n): the DH chain on whole columns."""
+    """Tip positions (samples, 3) of angles (samples, n), by the DH chain."""
     count = len(q)
     rotation = np.broadcast_to(np.eye(3), (count, 3, 3))
     place = np.zeros((count, 3))
@@ -93,7 +93,7 @@ def step(
     lead_s: float = 1.5,
     posture_deg: tuple[float, ...] = STEP_POSTURE_DEG,
 ) -> Reference:
-    """All joints at a posture, then one of them further by `degrees` at `lead_s`. `LinkError`."""
+    """A posture, and a step of one joint by `degrees` at `lead_s`. Raises `LinkError`."""
     index = finger.arm.joint(joint)
     count = round((lead_s + hold_s) / GRID_S) + 1
     q = np.tile(np.radians(posture_deg), (count, 1))
@@ -116,10 +116,9 @@ def circle(
     turn_s: float = CIRCLE_TURN_S,
     posture_deg: tuple[float, ...] = CIRCLE_POSTURE_DEG,
 ) -> Reference:
-    """The fingertip on a circle in the flexion plane; judging begins after the first turn.
+    """The fingertip on a circle in the flexion plane; figures of merit exclude the first turn.
 
-    At first the finger waits at the circle's first point, then the turning begins gently, over
-    half a second.
+    The finger waits at the first point of the circle, then the speed rises over half a second.
     """
     arm = finger.arm
     samples = 512
@@ -127,13 +126,13 @@ def circle(
     centre = tips(arm, np.radians([posture_deg]))[0]
     goal = centre + radius_m * np.stack([np.cos(phase), 0 * phase, np.sin(phase)], axis=-1)
     q = _solve(arm, goal, np.radians(posture_deg))
-    # Periodic: the Fourier series is exact between samples, and so are its derivatives.
+    # The motion is periodic: its Fourier series and its derivatives are exact between samples.
     series = np.fft.rfft(q, axis=0) / samples
     series[1:] *= 2.0
     gentle_s = 0.5
     time = np.arange(round((lead_s + turns * turn_s + gentle_s) / GRID_S) + 1) * GRID_S - lead_s
     share = np.clip(time / (2.0 * gentle_s), 0.0, 1.0)
-    # Speed rises as 3 s^2 - 2 s^3 over twice the gentle time; its integral is behind by half of it.
+    # The speed rises as 3 s^2 - 2 s^3 over 2 gentle_s; its integral lags by gentle_s.
     speed = 3 * share**2 - 2 * share**3
     turned = np.where(
         time < 2 * gentle_s,
@@ -159,7 +158,7 @@ def circle(
 
 
 def _solve(arm: Arm, goal: Array, start: Array) -> Array:
-    """Angles (samples, 4) that bring the tip to `goal` in the flexion plane, by Newton."""
+    """Angles (samples, 4) with the tip at `goal` in the flexion plane, by Newton's method."""
     free = np.tile(start[1:3], (len(goal), 1))
 
     def angles(two: Array) -> Array:

@@ -1,7 +1,7 @@
-"""No feedback of the angle at all: pressures from the muscle's law, held by the firmware's scheme.
+"""Control without feedback of the angle: pressures from the muscle model and a firmware scheme.
 
-What is left of the angle's error is what the scheme leaves of the pressure's. The thesis's own
-schemes are judged this way: they control pressures and know of no joint.
+The error of the angle is caused by the pressure error of the scheme. The schemes of the thesis are
+evaluated in this way, because they control pressures only.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ Array = npt.NDArray[np.float64]
 
 
 class StaticMap:
-    """Delta of the wanted angle at rest, gravity included."""
+    """Delta of the reference angle at rest, with gravity."""
 
     def __init__(self, pairs: Pairs) -> None:
         self._pairs = pairs
         self._reference: Reference | None = None
 
     def start(self, reference: Reference, q: Array) -> None:
-        """Take the reference."""
+        """Store the reference."""
         self._reference = reference
 
     def delta(self, time_s: float, q: Array) -> Array:
-        """The wanted angle's own delta."""
+        """Delta of the reference angle."""
         assert self._reference is not None
         wanted, _, _ = self._reference.at(time_s)
         return self._pairs.delta(wanted, gravity_torque(self._pairs.finger.arm, wanted))

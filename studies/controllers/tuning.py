@@ -1,6 +1,6 @@
-"""Where the gains come from: critical gains, and how the pressure loop answers. All nominal.
+"""Tuning on the nominal finger: critical gains and the response of the pressure loop.
 
-Gains follow from the rules of Ziegler and Nichols and of the laws' own modules, on the finger
+Gains follow from the rules of Ziegler and Nichols and of the modules of the laws, for the finger
 without payload or effects.
 """
 
@@ -27,7 +27,7 @@ Respond = Callable[[float], tuple[Array, Array]]
 
 DISTURBED_AT_S = 0.1
 FLOOR_DEG = 0.3
-"""Oscillations smaller than this are the valve's and the sensor's, not the loop's."""
+"""Smaller oscillations are caused by valve and sensor, not by the loop."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Critical:
 
 
 def swing_growth(time_s: Array, y: Array, floor: float) -> float:
-    """How an oscillation fares: its size in the last third over that in the third before.
+    """Growth of an oscillation: standard deviation of the last third over that of the second.
 
-    0 where the last third is smaller than `floor`.
+    0 if that of the last third is below `floor`.
     """
     third = len(y) // 3
     before, last = float(np.std(y[-2 * third : -third])), float(np.std(y[-third:]))
@@ -51,7 +51,7 @@ def swing_growth(time_s: Array, y: Array, floor: float) -> float:
 
 
 def oscillation_period(time_s: Array, y: Array) -> float:
-    """Mean time between upward passages through the mean, interpolated, s. `PlantError` if none."""
+    """Mean time between upward crossings of the mean, in s. Raises `PlantError`."""
     wave = y - y.mean()
     up = np.flatnonzero((wave[:-1] < 0.0) & (wave[1:] >= 0.0))
     if len(up) < 3:
@@ -63,11 +63,11 @@ def oscillation_period(time_s: Array, y: Array) -> float:
 def critical_gain(
     respond: Respond, low: float, high: float, floor: float = 0.0, rounds: int = 12
 ) -> Critical:
-    """Raise a proportional gain until oscillations are sustained (section 1.5.1).
+    """The proportional gain at which oscillations are sustained (section 1.5.1).
 
     Args:
-        respond: a gain to (time, output) of the closed loop after a disturbance.
-        low: a gain at which oscillations die out.
+        respond: (time, output) of the closed loop after a disturbance, for a gain.
+        low: a gain at which oscillations decay.
         high: a gain at which they grow, or stay at the limits.
         floor: standard deviation below which there is no oscillation.
         rounds: bisections on the logarithm of the gain.
@@ -75,11 +75,11 @@ def critical_gain(
     Raises:
         PlantError: `low` oscillates, or `high` does not.
     """
-    # A limit cycle between the valve's edges wanders by some percent from third to third.
+    # The amplitude of a limit cycle varies by some percent between the thirds.
     sustained = 0.9
     for gain, wanted in ((low, False), (high, True)):
         if (swing_growth(*respond(gain), floor) >= sustained) != wanted:
-            state = "dies out" if wanted else "is sustained"
+            state = "decays" if wanted else "is sustained"
             raise PlantError(f"at gain {gain:g} the oscillation {state}; widen the search")
     for _ in range(rounds):
         middle = float(np.sqrt(low * high))
@@ -99,10 +99,10 @@ def loops_critical(
     rounds: int = 6,
     hold_s: float = 3.0,
 ) -> Critical:
-    """Critical gain of the loops of some joints (all), raised together, through the whole firmware.
+    """Critical gain of the loops of some joints (default all) together, with the firmware.
 
-    The gain is relative: 1 asks for the pressure that would by itself bring back the error, so that
-    loops of different joints compare. Disturbed by a step of 5 degrees of the first of them.
+    The gain is relative: 1 is the pressure that statically corrects the error, so that loops of
+    different joints are comparable. The disturbance is a step of 5 degrees of one joint.
     """
     chosen = joints or finger.joints
     pairs = Pairs(finger, constants)
@@ -125,14 +125,14 @@ def loops_critical(
 
 
 def static_gains(pairs: Pairs, posture: Array) -> Array:
-    """Delta a radian of each joint, the others held: stiffness over torque a kPa, kPa/rad."""
+    """Delta per radian of each joint, the others fixed: stiffness / torque per kPa, kPa/rad."""
     delta = pairs.delta(posture, gravity_torque(pairs.finger.arm, posture))
     return np.asarray(pairs.stiffness(posture, delta) / pairs.gain(posture))
 
 
 @dataclass(frozen=True)
 class PressureResponse:
-    """The pressure loop below, as dead time and lag: the firmware's scheme, valve and chamber."""
+    """Dead time and lag of the pressure loop: firmware scheme, valve and chamber."""
 
     dead_s: float
     lag_s: float
@@ -143,7 +143,7 @@ def pressure_response(
 ) -> PressureResponse:
     """Dead time and lag of delta after small steps, by Smith's 28 and 63 % (mean of 4 joints).
 
-    Steps of 10 kPa up and down at the reference's first posture, from when the host speaks.
+    Steps of 10 kPa up and down at the first posture of the reference; time 0 is the command.
     """
     pairs = Pairs(finger, constants)
     posture = np.radians(STEP_POSTURE_DEG)
@@ -151,16 +151,16 @@ def pressure_response(
     sim = FingerSim(finger, constants, step_max_s=FINE_STEP_S)
     bench = FingerBench(sim, scheme, np.random.default_rng([seed, 82]))
     bench.begin()
-    bench.ask(pairs.pressures(base))
+    bench.set_pressures(pairs.pressures(base))
     bench.run(1500)
     rows = []
     size, length = 10.0, 400
     for k in range(12):
         sign = 1.0 if k % 2 == 0 else -1.0
         before = base + (0.0 if sign > 0 else size)
-        # Unequal pauses, so that the steps meet the scheme at all its phases.
+        # Unequal pauses, so that the steps occur at all phases of the scheme.
         bench.run(7 * k)
-        bench.ask(pairs.pressures(before + sign * size))
+        bench.set_pressures(pairs.pressures(before + sign * size))
         for _ in range(length):
             pressure = sim.pressure_kpa
             rows.append((pressure[::2] - pressure[1::2]) / 2.0)

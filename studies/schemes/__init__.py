@@ -1,1 +1,1 @@
-"""Questions put to the simulation, with answers in figures: `pamrig study NAME`."""
+"""Studies of the valve schemes of the thesis, in simulation."""

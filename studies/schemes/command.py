@@ -1,4 +1,4 @@
-"""What `pamrig study NAME` does."""
+"""The command `pamrig study NAME`."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ import typer
 
 from daq.errors import RecordError
 from daq.interrupt import StopFlag, Stopped, stop_on_signals
-from studies.first_use import tell_of_compiling
+from studies.first_use import compilation_message
 
 T = TypeVar("T")
 Ticker = Callable[[Iterable[T], str], Iterator[T]]
 
 
 def study_command(name: str, full: bool, out: Path | None, as_json: bool) -> int:
-    """Run a study, print its answers, draw its figures; returns the exit status."""
-    with tell_of_compiling(quiet=as_json):
+    """Run a study, print its results, draw its figures; returns the exit status."""
+    with compilation_message(quiet=as_json):
         module = import_module(f"studies.schemes.{name}")
     with stop_on_signals() as stop:
         progress = Progress(stop, quiet=as_json or not sys.stderr.isatty())
         try:
             study = module.run(full, progress)
         except Stopped as stopped:
-            typer.echo(f"study {name}: stopped ({stopped}), nothing is reported", err=True)
+            typer.echo(f"study {name}: stopped ({stopped}), no results", err=True)
             return 130
         progress.close()
     if as_json:
@@ -51,7 +51,7 @@ def study_command(name: str, full: bool, out: Path | None, as_json: bool) -> int
 
 
 class Progress:
-    """Counts through the parts of a study; a signal stops it between two."""
+    """Shows the progress of a study; a signal stops it between two parts."""
 
     def __init__(self, stop: StopFlag | None = None, quiet: bool = True) -> None:
         self._stop = stop
@@ -59,7 +59,7 @@ class Progress:
         self._drawn = False
 
     def over(self, items: Iterable[T], what: str) -> Iterator[T]:
-        """The items, one after the other, shown as they go."""
+        """Iterate over the items and show the progress."""
         listed = list(items)
         for index, item in enumerate(listed):
             if self._stop is not None:
@@ -70,7 +70,7 @@ class Progress:
             yield item
 
     def close(self) -> None:
-        """Leave the terminal on a fresh line."""
+        """Move the cursor to a new line."""
         if self._drawn:
             typer.echo("", err=True)
             self._drawn = False

@@ -1,7 +1,8 @@
-"""Inertial against transport delay: does it matter to the schemes, and how does one tell.
+"""Inertial and transport delay of a valve: effect on the schemes, and how to distinguish them.
 
-Inertial: a valve opens only if its command outlasts its delay. Transport: every command passes,
-later. Tables D-1 to D-3 of the thesis hold long commands only, which cannot tell.
+Inertial: a valve opens only if the command is longer than the delay. Transport: every command
+acts, with a delay. Tables D-1 to D-3 of the thesis have long commands only, which cannot
+distinguish them.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from plant.physics.valve import open_time_s
 from plant.simulator.simulate import pulse_train, run_commands
 from studies.schemes.command import Progress
 from studies.schemes.result import Grid, Study
-from studies.schemes.schemes import LOAD_WORDS, LOADS, STEPS, measure
+from studies.schemes.schemes import LOAD_WORDS, LOADS, STEPS, Merit, measure, standard_error
 from studies.schemes.trial import INTENDED, TITLES, Bench
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 MODES = ("inertial", "transport")
 WIDTHS_MS = (1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 10.5, 11.0, 11.5, 12.0, 14.0, 16.0, 20.0)
 UNITS_US = (1000, 100, 20)
-"""Length of a PWM unit: the shorter, the more pulses are below the on-delay."""
+"""Lengths of a PWM unit. With a shorter unit, more pulses are shorter than the on-delay."""
 
 
 def bench_of(mode: str) -> PlantConstants:
@@ -33,13 +34,13 @@ def bench_of(mode: str) -> PlantConstants:
 
 
 def answer_kpa(mode: str, width_ms: float) -> float:
-    """What one inlet pulse leaves in the vented muscle at 60 mm."""
+    """Pressure in the vented muscle at 60 mm after one inlet pulse."""
     traces = run_commands(bench_of(mode), pulse_train("inlet", 0.0, width_ms * 1e-3), 0.2)
     return float(traces.pressure_kpa[-1])
 
 
 def run(full: bool, progress: Progress) -> Study:
-    """Everything; `full` with all steps, loads and four draws of noise."""
+    """Run the study; `full` with all steps, loads and four draws of noise."""
     steps, seeds = (STEPS, 4) if full else (STEPS[:3], 1)
     loads = LOADS if full else LOADS[:1]
     cases = [(load, s, unit) for load in loads for s in (*INTENDED, "burst")
@@ -55,7 +56,7 @@ def run(full: bool, progress: Progress) -> Study:
         cells = []
         for key in ("ripple", "error", "overshoot"):
             cells += [f"{m[key][0]:.1f} ± {m[key][1]:.1f}" for m in both]
-        differ = any(_apart(both[0][k], both[1][k]) for k in ("ripple", "error", "overshoot"))
+        differ = any(_differ(both[0][k], both[1][k]) for k in ("ripple", "error", "overshoot"))
         apart += differ
         name = TITLES[scheme] + (f", unit {unit / 1000:g} ms" if scheme.startswith("duty") else "")
         rows.append((LOAD_WORDS[load], name, *cells, "yes" if differ else "no"))
@@ -68,7 +69,7 @@ def run(full: bool, progress: Progress) -> Study:
     )  # fmt: skip
     return Study(
         "delay",
-        "Inertial or transport delay: does it matter, and how is one told from the other?",
+        "Inertial or transport delay: does it matter, and how can they be distinguished?",
         (),
         (
             Grid("Schemes under either delay, valve of 1996", heads, tuple(rows)),
@@ -79,22 +80,21 @@ def run(full: bool, progress: Progress) -> Study:
         {"delay": _figure},
         (
             f"{apart} of {len(rows)} rows differ by more than twice the standard error of their "
-            "difference. A pulse shorter than the on-delay (10.87 ms at 550 kPa) tells: none of "
-            "its air arrives if the delay is inertial. `pamrig switching-time` style captures of "
-            "long commands cannot tell, and the thesis's are such.",
+            "difference. A pulse shorter than the on-delay (10.87 ms at 550 kPa) distinguishes "
+            "them: with an inertial delay no air arrives. Long commands, as in "
+            "`pamrig switching-time` and in the thesis, do not distinguish them.",
         ),
     )  # fmt: skip
 
 
-def _apart(a: tuple[float, float, int], b: tuple[float, float, int]) -> bool:
+def _differ(a: Merit, b: Merit) -> bool:
     if not (a[2] and b[2]):
         return a[2] != b[2]
-    error = np.hypot(a[1] / np.sqrt(a[2]), b[1] / np.sqrt(b[2]))
-    return bool(abs(a[0] - b[0]) > max(2.0 * error, 0.1))
+    return bool(abs(a[0] - b[0]) > max(2.0 * standard_error(a, b), 0.1))
 
 
 def _figure() -> Figure:
-    """Pressure that one pulse leaves, against its length."""
+    """Pressure after one pulse, against its length."""
     from analysis.figures.drawing import MEASURED, SET, new_figure, style
 
     widths = np.arange(0.5, 20.01, 0.25)
@@ -106,6 +106,6 @@ def _figure() -> Figure:
         ax.axvline(10.8725, color="#8a8a8a", linewidth=0.8, linestyle=":")
         ax.text(10.7, ax.get_ylim()[1] * 0.93, "on-delay", ha="right", fontsize=8)
         ax.set_xlabel("length of the inlet pulse (ms)")
-        ax.set_ylabel("pressure it leaves (kPa)")
+        ax.set_ylabel("pressure after it (kPa)")
         ax.legend(loc="upper left")
     return figure

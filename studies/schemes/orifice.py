@@ -1,8 +1,8 @@
-"""How small an orifice and how fast a valve would have cured the oscillation: a map of both.
+"""Map of orifice size and valve speed that would prevent the oscillation.
 
-The muscle is held at 60 mm. Conductance goes with the square of the orifice's diameter (1.25e-9
-m3/(s Pa) at 1.0 mm); all four delays are scaled together from those of 1996. The steady error is
-the rms distance of the true pressure from the set-point over the last second of 3 s.
+The muscle is held at 60 mm. The conductance is proportional to the square of the orifice diameter
+(1.25e-9 m3/(s Pa) at 1.0 mm). All four delays are those of 1996 times one factor. The steady error
+is the rms distance of the true pressure from the set-point over the last second of 3 s.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ Floats = npt.NDArray[np.float64]
 
 DIAMETERS_MM = (0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4)
 SPEEDS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4)
-"""Delays as shares of those of 1996 (on 10.9 ms, off 8.5 ms at 550 kPa)."""
+"""Delays relative to those of 1996 (on 10.9 ms, off 8.5 ms at 550 kPa)."""
 STEPS = (0.25, 0.55, 0.85, 0.5, 0.25)
 CURED_RMS = 2.0
-"""Cured: a steady error below so much of supply, in %."""
+"""Cured means a steady error below this, in % of supply."""
 
 
 def valve(diameter_mm: float, speed: float) -> PlantConstants:
-    """The bench of 1996 with another orifice and its delays scaled."""
+    """The bench of 1996 with another orifice and scaled delays."""
     c = nominal()
     changes = {f"{s}_conductance_m3_s_pa": 1.25e-9 * diameter_mm**2 for s in ("inlet", "outlet")}
     for side in ("inlet", "outlet"):
@@ -51,7 +51,7 @@ def valve(diameter_mm: float, speed: float) -> PlantConstants:
 
 
 def burst_share(c: PlantConstants) -> float:
-    """What the inlet passes in one off-delay at choked flow, as a share of supply, in %."""
+    """Pressure rise from choked flow through the inlet during one off-delay, in % of supply."""
     off = c.inlet_off_s + c.inlet_off_s_per_pa * c.supply_pa
     absolute = c.supply_pa + c.atmosphere_pa
     slew = (
@@ -62,7 +62,7 @@ def burst_share(c: PlantConstants) -> float:
 
 
 def run(full: bool, progress: Progress) -> Study:
-    """Everything; `full` on the whole grid with three draws of noise."""
+    """Run the study; `full` on the whole grid with three draws of noise."""
     diameters = DIAMETERS_MM if full else (0.2, 0.5, 1.0)
     speeds = SPEEDS if full else (0.1, 0.5, 1.0)
     seeds = 3 if full else 1
@@ -88,14 +88,14 @@ def run(full: bool, progress: Progress) -> Study:
     )  # fmt: skip
     return Study(
         "orifice",
-        "How small an orifice and how fast a valve would have cured the oscillation?",
+        "How small an orifice or how fast a valve would have prevented the oscillation?",
         _statements(maps, slow, worth, diameters, speeds),
         (_limits(maps, slow, worth, diameters, speeds), *grids),
         {"orifice": lambda: _figure(maps, worth, diameters, speeds)},
         (
-            f"Cured means a steady error below {CURED_RMS:g} % of supply. The burst is what the "
-            "inlet passes in one off-delay at choked flow, as a share of supply: the product that "
-            "both remedies of section 5.10 make smaller.",
+            f"Cured means a steady error below {CURED_RMS:g} % of supply. The burst is the "
+            "pressure rise from choked flow during one off-delay, relative to supply. Both "
+            "remedies of section 5.10 reduce it.",
         ),
     )
 
@@ -107,7 +107,7 @@ def _limits(
     diameters: tuple[float, ...],
     speeds: tuple[float, ...],
 ) -> Grid:
-    """How far either remedy alone goes, and the largest burst that is cured."""
+    """Limits of each remedy alone, and the largest burst that is cured."""
     rows = []
     as_1996 = speeds.index(1.0), diameters.index(1.0)
     for s in INTENDED:
@@ -131,7 +131,7 @@ def _limits(
     heads = ("scheme", "largest orifice, delays of 1996", "its rise, s",
              "slowest valve, orifice of 1996", "largest burst cured, %",
              "smallest burst not cured, %")  # fmt: skip
-    return Grid("How far one remedy alone goes", heads, tuple(rows))
+    return Grid("Limits of one remedy alone", heads, tuple(rows))
 
 
 def _statements(
@@ -151,7 +151,7 @@ def _statements(
         k = diameters.index(d)
         because = (
             f"two-position: {two[i, j]:.1f} % at 1.0 mm, {two[i, k]:.1f} % at {d:g} mm, where a "
-            f"burst is worth {worth[i, k]:.1f} % of supply; the rise then takes "
+            f"burst is {worth[i, k]:.1f} % of supply; the rise then takes "
             f"{slow['two'][i, k]:.2f} s instead of {slow['two'][i, j]:.2f} s"
         )
     else:
@@ -165,13 +165,13 @@ def _statements(
         k = speeds.index(v)
         because = (
             f"two-position: {two[i, j]:.1f} % with the delays of 1996, {two[k, j]:.1f} % with "
-            f"{v:g} of them (off after {8.5 * v:.1f} ms), where a burst is worth "
+            f"{v:g} of them (off after {8.5 * v:.1f} ms), where a burst is "
             f"{worth[k, j]:.1f} % of supply"
         )
     else:
         because = (
             f"not at 1.0 mm on this grid: {two[0, j]:.1f} % even with {speeds[0]:g} of the delays, "
-            "because the loop itself takes a millisecond, in which the open inlet passes "
+            "because the period of the loop is 1 ms, in which the open inlet adds "
             f"{worth[i, j] / 8.5:.1f} % of supply"
         )
     found.append(
@@ -184,7 +184,7 @@ def _statements(
 def _figure(
     maps: dict[str, Floats], worth: Floats, diameters: tuple[float, ...], speeds: tuple[float, ...]
 ) -> Figure:
-    """A map for each scheme, with lines of equal burst."""
+    """One map per scheme, with contours of the burst."""
     from matplotlib.colors import LogNorm
 
     from analysis.figures.drawing import new_figure, style
@@ -211,7 +211,7 @@ def _figure(
         for ax in axes[:, 0]:
             ax.set_ylabel("delays (share of 1996)")
         figure.colorbar(
-            mesh, ax=axes, label="steady error (rms, % of supply); lines: bursts worth 1, 3, 10 %",
+            mesh, ax=axes, label="steady error (rms, % of supply); lines: bursts of 1, 3, 10 %",
             shrink=0.7,
         )  # fmt: skip
     return figure

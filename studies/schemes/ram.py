@@ -1,8 +1,8 @@
-"""Section 5.9 put to the simulation: was the ram held well, why, and what it hangs on.
+"""Section 5.9 in simulation: is the ram held, and on which parameters does this depend.
 
-The ram (bore 50 mm, stroke 200 mm, 5 kg, friction 20 N) is lifted under the firmware's `ram` scheme
-until a proximity switch answers, from several starts; and the four schemes of 5.7 hold its
-pressure with the piston at its upper end, as they hold that of the muscle.
+The ram (bore 50 mm, stroke 200 mm, 5 kg, friction 20 N) is lifted by the firmware scheme `ram`
+until a proximity switch triggers, from several starts. The four schemes of 5.7 control its pressure
+with the piston at its upper end, and that of the muscle.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from plant.simulator.bench import FINE_STEP_SHARE
 from rigs.virtual.board.pressure_sensor import ADC_TOP
 from studies.schemes.command import Progress
 from studies.schemes.result import CONFIRMED, CONTRADICTED, PARTLY, Grid, Statement, Study
+from studies.schemes.schemes import Merit, Summary
 from studies.schemes.trial import INTENDED, TITLES, Bench, run_trial, summary
 from valvefw.config import defaults
 from valvefw.schemes.ram import Ram as RamScheme
@@ -36,15 +37,15 @@ SWITCH_MM = 150.0
 SETPOINT_KPA = 250.0
 RUN_S = 3.0
 HELD_MM = 10.0
-"""Held: at rest within so much of its switch, 5 % of the stroke."""
+"""Held means at rest within this distance of the switch, 5 % of the stroke."""
 STEPS = (0.25, 0.55, 0.4, 0.7)
 RAM_STEP_S = 10.0
-"""Of a step of the ram's pressure: its chamber fills in seconds."""
+"""Duration of a step of the pressure of the ram; its chamber takes seconds to fill."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Lift:
-    """One lift: true height (mm) and pressure (kPa) each ms; where it came to rest."""
+    """One lift: true height (mm) and pressure (kPa) every ms."""
 
     height_mm: Floats
     pressure_kpa: Floats
@@ -56,12 +57,12 @@ class Lift:
 
     @property
     def moved_mm(self) -> float:
-        """How much it moved in that time."""
+        """Range of the height in that time."""
         return float(np.ptp(self.height_mm[-500:]))
 
     @property
     def arrival_mm_s(self) -> float:
-        """Speed at which it first came to the switch's height; NaN if it never did."""
+        """Speed when it first reached the height of the switch; NaN if it did not."""
         above = np.flatnonzero(self.height_mm >= SWITCH_MM)
         if not len(above) or above[0] < 5:
             return float("nan")
@@ -70,14 +71,14 @@ class Lift:
 
     @property
     def held(self) -> bool:
-        """Whether it stands, near the switch."""
+        """True if it is at rest near the switch."""
         return self.moved_mm < 0.1 and abs(self.rest_mm - SWITCH_MM) < HELD_MM
 
 
 def lift(c: PlantConstants, ram: RamConstants, start_mm: float, seed: int = 1) -> Lift:
-    """Lift the ram under the firmware's scheme from a start between its switches."""
+    """Lift the ram with the firmware scheme from a start between its switches."""
     plant = Ram(c, ram, height_mm=start_mm, step_share=FINE_STEP_SHARE)
-    plant.state[1] = ram.balance_kpa() * 1e3  # its weight is carried
+    plant.state[1] = ram.balance_kpa() * 1e3  # carries its weight
     scheme = RamScheme()
     scheme.start(defaults())
     valves = Valves()
@@ -100,7 +101,7 @@ def lift(c: PlantConstants, ram: RamConstants, start_mm: float, seed: int = 1) -
 
 
 def run(full: bool, progress: Progress) -> Study:
-    """Everything; `full` with all starts, draws and variations."""
+    """Run the study; `full` with all starts, draws and variations."""
     starts, seeds = (STARTS_MM, 3) if full else (STARTS_MM[:2], 1)
     variations = _variations() if full else _variations()[:3]
     rows, lifts = [], {}
@@ -122,21 +123,22 @@ def run(full: bool, progress: Progress) -> Study:
                 _speed(found),
             )
         )
-    pressures = [_pressure_row(name, full, progress) for name in INTENDED]
+    pressures = {name: _pressures(name, full, progress) for name in INTENDED}
+    pressure_rows = tuple(_pressure_row(name, *pair) for name, pair in pressures.items())
     bursts = _bursts()
     base = lifts["as given"]
     return Study(
         "ram",
-        "Was the ram of section 5.9 held well because it is large?",
+        "Was the ram of section 5.9 held because it is large?",
         _statements(base, lifts, pressures, bursts),
         (
             Grid("Lifts to the switch at 150 mm", ("changed", "held", "rest minus switch, mm",
                  "movement in the last 0.5 s, mm", "arrives at, mm/s"), tuple(rows)),
             Grid("Pressure held by the schemes of 5.7, valve of 1996",
                  ("scheme", "ripple muscle, %", "ripple ram, %", "error muscle, %",
-                  "error ram, %"), tuple(pressures)),
+                  "error ram, %"), pressure_rows),
             Grid("Smallest burst of the valve of 1996",
-                 ("chamber", "gas volume, ml", "worth, % of supply"), bursts),
+                 ("chamber", "gas volume, ml", "effect, % of supply"), bursts),
         ),
         {"ram": lambda: _figure(base)},
         (
@@ -154,7 +156,7 @@ def _speed(found: Sequence[Lift]) -> str:
 
 
 def _variations() -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
-    """What the thesis does not print of ram, switch and valve."""
+    """Parameters of ram, switch and valve that are not printed in the thesis."""
     out: list[tuple[str, dict[str, Any], dict[str, Any]]] = [("as given", {}, {})]
     out += [(f"switch reaches {v:g} mm", {"switch_reach_m": v * 1e-3}, {}) for v in (2, 10, 15)]
     out += [(f"friction {v:g} N", {"friction_n": float(v)}, {}) for v in (0, 5, 60)]
@@ -165,23 +167,30 @@ def _variations() -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
     return out
 
 
-def _pressure_row(scheme: str, full: bool, progress: Progress) -> tuple[str, ...]:
-    """Ripple and error of the muscle's and the ram's pressure under one scheme."""
+def _pressures(scheme: str, full: bool, progress: Progress) -> tuple[Summary, Summary]:
+    """Figures of merit of the pressure of muscle and ram with one scheme."""
     seeds = range(3 if full else 1)
     muscle, ram = [], []
     for seed in progress.over(seeds, f"pressure, {scheme}"):
         muscle += run_trial(Bench(nominal()), scheme, STEPS, seed=seed)
         ram += run_trial(Bench(full_ram()), scheme, STEPS, RAM_STEP_S, seed=seed)
-    a, b = summary(muscle), summary(ram)
-    cells = [f"{m[key][0]:.2f} ± {m[key][1]:.2f}" for key in ("ripple", "error") for m in (a, b)]
+    return summary(muscle), summary(ram)
+
+
+def _pressure_row(scheme: str, muscle: Summary, ram: Summary) -> tuple[str, ...]:
+    cells = [_pm(m[key]) for key in ("ripple", "error") for m in (muscle, ram)]
     return (TITLES[scheme], *cells)
 
 
+def _pm(value: Merit) -> str:
+    return f"{value[0]:.2f} ± {value[1]:.2f}"
+
+
 def full_ram() -> PlantConstants:
-    """The bench with the ram's full cylinder for its chamber: 413 ml that hold still."""
+    """The bench with the full cylinder of the ram as its chamber: 413 ml, constant."""
     ram = RamConstants()
     volume = ram.dead_volume_m3 + ram.area_m2 * ram.stroke_m
-    # A held braid adds its few ml; it is taken off again.
+    # The bench adds the volume of a held braid; it is subtracted here.
     from plant.physics.muscle import volume as braid
 
     c = nominal()
@@ -189,7 +198,7 @@ def full_ram() -> PlantConstants:
 
 
 def _bursts() -> tuple[tuple[str, float, float], ...]:
-    """What the shortest opening of the inlet (one off-delay) adds to each chamber."""
+    """Pressure that the shortest opening of the inlet (one off-delay) adds to each chamber."""
     from plant.simulator.simulate import pulse_train, run_commands
 
     rows = []
@@ -213,46 +222,45 @@ def _bursts() -> tuple[tuple[str, float, float], ...]:
 def _statements(
     base: Sequence[Lift],
     lifts: dict[str, list[Lift]],
-    pressures: Sequence[tuple[str, ...]],
+    pressures: dict[str, tuple[Summary, Summary]],
     bursts: Sequence[tuple[str, float, float]],
 ) -> tuple[Statement, ...]:
     held = sum(f.held for f in base)
     verdict = CONFIRMED if held == len(base) else PARTLY if held else CONTRADICTED
     holding = [w for w, found in lifts.items() if all(f.held for f in found)]
-    ripple = [float(row[2].split(" ")[0]) for row in pressures]
-    error = [float(row[4].split(" ")[0]) for row in pressures]
-    quiet = all(r < 2.0 for r in ripple) and all(e < 2.0 for e in error)
-    swings = [float(row[1].split(" ")[0]) for row in pressures]
-    better = sum(r < swing for r, swing in zip(ripple, swings, strict=True))
+    pairs = pressures.values()
+    steady = all(ram["ripple"][0] < 2.0 and ram["error"][0] < 2.0 for _, ram in pairs)
+    better = any(ram["ripple"][0] < muscle["ripple"][0] for muscle, ram in pairs)
+    quarter = CONFIRMED if 15.0 < bursts[0][2] < 30.0 else CONTRADICTED
     return (
         Statement(
             "the ram moved until the proximity sensor was triggered and held its position there",
             "5.9", verdict,
             f"{held} of {len(base)} lifts rest within {HELD_MM:g} mm of the switch, "
-            f"{np.mean([f.rest_mm - SWITCH_MM for f in base]):+.1f} mm from it on average. What "
-            "stands is held by gas shut in and friction, without any movement. But it arrives at "
+            f"{np.mean([f.rest_mm - SWITCH_MM for f in base]):+.1f} mm from it on average. The "
+            "ram is held by the enclosed gas and by friction, without movement. But it arrives at "
             f"{np.nanmean([f.arrival_mm_s for f in base]):.0f} mm/s, and with valves that take "
-            "8.5 ms to shut it may coast out of the switch's reach (5 mm either side), where the "
-            "scheme begins to fill again. "
+            "8.5 ms to close it may leave the range of the switch (± 5 mm), and the scheme starts "
+            "to fill again. "
             + (f"Held in every lift with: {', '.join(holding) or 'none of the variations'}"),
         ),
         Statement(
             "all schemes controlled the pressure of a large commercial ram", "5.15",
-            CONFIRMED if quiet else PARTLY if better else CONTRADICTED,
+            CONFIRMED if steady else PARTLY if better else CONTRADICTED,
             "ripple and error of the ram's pressure "
-            + "; ".join(f"{row[0]} {row[2]} and {row[4]} %" for row in pressures)
-            + ". Both PWM schemes are still on their way after "
+            + "; ".join(
+                f"{TITLES[name]} {_pm(ram['ripple'])} and {_pm(ram['error'])} %"
+                for name, (_, ram) in pressures.items()
+            )
+            + ". Both PWM schemes have not settled after "
             f"{RAM_STEP_S:g} s: a pulse proportional to the error adds too little to so large "
             "a chamber"
-            + f". The smallest burst is worth {bursts[0][2]:g} % of supply in the muscle and "
+            + f". The smallest burst adds {bursts[0][2]:g} % of supply in the muscle and "
             f"{bursts[2][2]:g} % in the ram, whose chamber is "
             f"{bursts[2][1] / bursts[0][1]:.0f} times as large",
         ),
         Statement(
-            "the minimum air burst filled a quarter of the muscle's volume", "5.10", CONFIRMED,
-            f"{bursts[0][2]:g} % of supply in a vented muscle",
-        ) if 15.0 < bursts[0][2] < 30.0 else Statement(
-            "the minimum air burst filled a quarter of the muscle's volume", "5.10", CONTRADICTED,
+            "the minimum air burst filled a quarter of the muscle's volume", "5.10", quarter,
             f"{bursts[0][2]:g} % of supply in a vented muscle",
         ),
     )  # fmt: skip

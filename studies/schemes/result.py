@@ -1,4 +1,4 @@
-"""What a study hands out: statements with verdicts, tables, figures."""
+"""Results of a study: statements with verdicts, tables, figures."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ PARTLY = "partly"
 
 @dataclass(frozen=True)
 class Statement:
-    """A sentence of the thesis, and what the simulation says to it.
+    """A statement of the thesis, and the result of the simulation.
 
     Attributes:
-        said: the statement in short, `where` its section.
+        said: the statement in short form; `where` is its section.
         verdict: `CONFIRMED`, `CONTRADICTED` or `PARTLY`.
-        because: the figures that decide it, and the cause.
+        because: the deciding figures, and the cause.
     """
 
     said: str
@@ -33,21 +33,21 @@ class Statement:
 
 @dataclass(frozen=True)
 class Grid:
-    """A table: heads with units, rows of text or numbers."""
+    """A table: headings with units, rows of text or numbers."""
 
     title: str
     heads: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
 
     def markdown(self) -> str:
-        """As the docs print it."""
+        """The table as Markdown."""
         lines = [f"**{self.title}**", "", _line(self.heads), _line(["---"] * len(self.heads))]
         return "\n".join([*lines, *(_line([_cell(v) for v in row]) for row in self.rows)])
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study's answers; `figures` are drawn only when somebody wants them."""
+    """The results of a study; `figures` are functions that draw them."""
 
     name: str
     question: str
@@ -57,7 +57,7 @@ class Study:
     notes: tuple[str, ...] = ()
 
     def markdown(self) -> str:
-        """Everything but the figures."""
+        """All results except the figures."""
         parts = [f"# {self.question}"]
         rows = tuple((s.said, s.where, s.verdict, s.because) for s in self.statements)
         if rows:
@@ -68,7 +68,7 @@ class Study:
         return "\n\n".join(parts)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values, null for what is unknown."""
+        """Plain values; unknown values are null."""
         return {
             "study": self.name,
             "question": self.question,

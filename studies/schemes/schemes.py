@@ -1,7 +1,7 @@
-"""Section 5.8 put to the simulation: four schemes, as intended and as printed, on two valves.
+"""Section 5.8 in simulation: four schemes, as intended and as printed, on two valves.
 
-Every figure is over steps of the set-point between 25 and 85 % of supply, 3 s each, with the
-muscle held at 60 mm and with 3 kg hung on it; the last second counts as steady.
+All figures are over steps of the set-point between 25 and 85 % of supply, 3 s each, with the muscle
+held at 60 mm and with a hung mass of 3 kg. The last second is the steady state.
 """
 
 from __future__ import annotations
@@ -26,19 +26,23 @@ STEPS = (0.25, 0.55, 0.85, 0.5, 0.25, 0.7, 0.4)
 FEW_STEPS = (0.25, 0.7, 0.4)
 LOADS = ("held", "hung")
 LOAD_WORDS = {"held": "held at 60 mm", "hung": "3 kg hung"}
-SWINGS = 5.0
-"""A ripple or overshoot of more than so much of supply, in %, is an oscillation or an overshoot."""
+OSCILLATES_ABOVE = 5.0
+"""A ripple (overshoot) above this, in % of supply, is an oscillation (overshoot)."""
 
-Summary = dict[str, tuple[float, float, int]]
+Merit = tuple[float, float, int]
+"""Mean, standard deviation and number of a figure of merit."""
+Summary = dict[str, Merit]
+Case = tuple[str, str, str, str]
+"""Load, valve, code, scheme."""
 
 
 def valves() -> dict[str, PlantConstants]:
-    """The valve of 1996 and one that is small and fast."""
+    """The valve of 1996, and a small, fast valve."""
     return {"1996": nominal(), "small and fast": load_valve("cured")}
 
 
 def run(full: bool, progress: Progress) -> Study:
-    """Everything; `full` with all steps and four draws of noise."""
+    """Run the study; `full` with all steps and four draws of noise."""
     steps, seeds = (STEPS, 4) if full else (FEW_STEPS, 1)
     cases = [
         (load, valve, code, scheme)
@@ -47,7 +51,7 @@ def run(full: bool, progress: Progress) -> Study:
         for code in ("intended", "printed")
         for scheme in INTENDED
     ]
-    found: dict[tuple[str, str, str, str], Summary] = {}
+    found: dict[Case, Summary] = {}
     for load, valve, code, scheme in progress.over(cases, "schemes"):
         bench = Bench(valves()[valve], load)
         found[load, valve, code, scheme] = measure(bench, _name(scheme, code), steps, seeds)
@@ -56,7 +60,7 @@ def run(full: bool, progress: Progress) -> Study:
     sensitivity = _sensitivity(variations, steps if full else FEW_STEPS, seeds, progress)
     return Study(
         "schemes",
-        "Do the schemes of section 5.7 do in simulation what section 5.8 reports?",
+        "Do the schemes of section 5.7 behave in simulation as section 5.8 reports?",
         _statements(found, sensitivity),
         (_matrix(found, ours), _causes(found), _sensitivity_grid(sensitivity)),
         {"schemes": lambda: _traces_figure(), "schemes-causes": lambda: _causes_figure(found)},
@@ -69,7 +73,7 @@ def run(full: bool, progress: Progress) -> Study:
 
 
 def measure(bench: Bench, scheme: str, steps: tuple[float, ...], seeds: int) -> Summary:
-    """Figures of one scheme on one bench over all steps and draws."""
+    """Figures of merit of one scheme on one bench over all steps and draws."""
     traces: list[Trace] = []
     for seed in range(seeds):
         traces += run_trial(bench, scheme, steps, seed=seed)
@@ -81,7 +85,7 @@ def _name(scheme: str, code: str) -> str:
 
 
 def _variations() -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
-    """What the thesis does not print: (words, changes of the bench, changes of the plant)."""
+    """Parameters not printed in the thesis: (name, changes of the bench, changes of the plant)."""
     out: list[tuple[str, dict[str, Any], dict[str, Any]]] = [("nominal", {}, {})]
     out += [
         (f"PWM unit {unit / 1000:g} ms", {"parameters": {"duty_unit_us": unit}}, {})
@@ -115,7 +119,7 @@ def _sensitivity(
     progress: Progress,
 ) -> Sensitivity:
     out: Sensitivity = []
-    for words, bench_changes, plant_changes in progress.over(variations, "what is not printed"):
+    for words, bench_changes, plant_changes in progress.over(variations, "variations"):
         c = nominal().with_overrides(plant_changes)
         bench = dataclasses.replace(Bench(c), **bench_changes)
         four = {scheme: measure(bench, scheme, steps, seeds) for scheme in INTENDED}
@@ -124,36 +128,39 @@ def _sensitivity(
 
 
 def holds(four: dict[str, Summary]) -> dict[str, bool]:
-    """Which statements of 5.8 a set of four results bears out.
+    """Which statements of section 5.8 four results confirm.
 
-    Two results differ when their means do by more than twice the standard error of the difference.
+    Two results differ if their means differ by more than twice the standard error.
     """
     two, one, both = four["two"], four["duty_in"], four["duty"]
     steadiest = min(INTENDED, key=lambda s: four[s]["ripple"][0] + four[s]["error"][0])
     return {
-        "two overshoots": two["overshoot"][0] > SWINGS and two["ripple"][0] > SWINGS,
+        "two overshoots": two["overshoot"][0] > OSCILLATES_ABOVE
+        and two["ripple"][0] > OSCILLATES_ABOVE,
         "inlet PWM worse": _more(one["ripple"], two["ripple"]),
         "both PWM faster": _more(one["rise_s"], both["rise_s"]),
-        "both PWM oscillates": both["ripple"][0] > SWINGS,
+        "both PWM oscillates": both["ripple"][0] > OSCILLATES_ABOVE,
         "sliding steadiest": steadiest == "slide",
-        "sliding oscillates": four["slide"]["ripple"][0] > SWINGS,
+        "sliding oscillates": four["slide"]["ripple"][0] > OSCILLATES_ABOVE,
     }
 
 
-def _more(a: tuple[float, float, int], b: tuple[float, float, int]) -> bool:
-    if not (a[2] and b[2]):
-        return False
-    error = math.hypot(a[1] / math.sqrt(a[2]), b[1] / math.sqrt(b[2]))
-    return a[0] - b[0] > 2.0 * error
+def _more(a: Merit, b: Merit) -> bool:
+    return bool(a[2] and b[2]) and a[0] - b[0] > 2.0 * standard_error(a, b)
 
 
-def _pm(value: tuple[float, float, int], digits: int = 1) -> str:
+def standard_error(a: Merit, b: Merit) -> float:
+    """Standard error of the difference of two means."""
+    return math.hypot(a[1] / math.sqrt(a[2]), b[1] / math.sqrt(b[2]))
+
+
+def _pm(value: Merit, digits: int = 1) -> str:
     if not value[2]:
         return "never"
     return f"{value[0]:.{digits}f} ± {value[1]:.{digits}f}"
 
 
-def _matrix(found: dict[tuple[str, str, str, str], Summary], ours: dict[str, Summary]) -> Grid:
+def _matrix(found: dict[Case, Summary], ours: dict[str, Summary]) -> Grid:
     rows = []
     for load in LOADS:
         for valve in valves():
@@ -173,8 +180,8 @@ def _figures(m: Summary) -> tuple[str, ...]:
     return (*plain, _pm(m["rise_s"], 2), f"{m['switchings'][0]:.0f}")
 
 
-def _causes(found: dict[tuple[str, str, str, str], Summary]) -> Grid:
-    """Ripple by code and valve: what each alone is worth."""
+def _causes(found: dict[Case, Summary]) -> Grid:
+    """Ripple by code and valve: the effect of each alone."""
     rows = []
     for load in LOADS:
         for scheme in INTENDED:
@@ -189,7 +196,7 @@ def _causes(found: dict[tuple[str, str, str, str], Summary]) -> Grid:
             ]
             rows.append((LOAD_WORDS[load], TITLES[scheme], *cells))
     heads = ("load", "scheme", "neither", "code as printed alone", "valve of 1996 alone", "both")
-    return Grid("Ripple (% of supply): what the valve and the code are worth", heads, tuple(rows))
+    return Grid("Ripple (% of supply): effect of valve and code", heads, tuple(rows))
 
 
 def _sensitivity_grid(sensitivity: Sensitivity) -> Grid:
@@ -199,13 +206,13 @@ def _sensitivity_grid(sensitivity: Sensitivity) -> Grid:
         ripples = tuple(f"{four[s]['ripple'][0]:.1f}" for s in INTENDED)
         rows.append((words, *ripples, *("yes" if verdicts[n] else "no" for n in names)))
     heads = ("changed", *(f"ripple {TITLES[s]}, %" for s in INTENDED), *names)
-    return Grid("What the thesis does not print (code as intended, valve of 1996)", heads,
+    return Grid("Parameters not printed in the thesis (code as intended, valve of 1996)", heads,
                 tuple(rows))  # fmt: skip
 
 
 def _share(sensitivity: Sensitivity, name: str) -> str:
     yes = sum(verdicts[name] for _, _, verdicts in sensitivity)
-    return f"holds in {yes} of {len(sensitivity)} variations of what is not printed"
+    return f"holds in {yes} of {len(sensitivity)} variations of parameters not printed"
 
 
 def _verdict(nominally: list[bool], anywhere: bool) -> str:
@@ -214,9 +221,7 @@ def _verdict(nominally: list[bool], anywhere: bool) -> str:
     return PARTLY if any(nominally) or anywhere else CONTRADICTED
 
 
-def _statements(
-    found: dict[tuple[str, str, str, str], Summary], sensitivity: Sensitivity
-) -> tuple[Statement, ...]:
+def _statements(found: dict[Case, Summary], sensitivity: Sensitivity) -> tuple[Statement, ...]:
     def four(load: str, valve: str = "1996", code: str = "intended") -> dict[str, Summary]:
         return {s: found[load, valve, code, s] for s in INTENDED}
 
@@ -243,8 +248,8 @@ def _statements(
         Statement(
             "two-position control moves wildly and overshoots considerably", "5.8",
             say("two overshoots"),
-            f"overshoot {figures('overshoot', 'two')} % of supply. The off-delay: the inlet stays "
-            "open for 8.5 ms after it should shut, which is worth 20 % of supply; with the small, "
+            f"overshoot {figures('overshoot', 'two')} % of supply. The cause is the off-delay: the "
+            "inlet stays open for 8.5 ms too long, which adds 20 % of supply; with the small, "
             f"fast valve {_pm(cured['two']['overshoot'])} %. "
             f"{_share(sensitivity, 'two overshoots')}",
         ),
@@ -252,27 +257,27 @@ def _statements(
             "PWM of the inlet oscillates even more wildly than two-position control", "5.8",
             say("inlet PWM worse"),
             f"ripple, inlet PWM against two-position: {figures('ripple', 'duty_in', 'two')} %. A "
-            "pass of 101 ms fires one burst at most and then only looks, so it swings seldom; it "
-            "stands off the set-point instead, by "
+            "pass of 101 ms gives at most one burst, so it rarely oscillates; it has an error "
+            "instead, of "
             f"{figures('error', 'duty_in')} %. {_share(sensitivity, 'inlet PWM worse')}",
         ),
         Statement(
-            "PWM of both responds quicker than PWM of the inlet", "5.8", say("both PWM faster"),
+            "PWM of both responds faster than PWM of the inlet", "5.8", say("both PWM faster"),
             f"rise, inlet against both: {figures('rise_s', 'duty_in', 'duty', digits=2)} s. Both "
-            "fill by the same rule, so only a fall could be quicker, and there the inlet scheme "
-            f"holds its outlet open. {_share(sensitivity, 'both PWM faster')}",
+            "fill by the same rule, so only a fall could be faster, and there the inlet scheme "
+            f"keeps its outlet open. {_share(sensitivity, 'both PWM faster')}",
         ),
         Statement(
             "PWM of both still oscillates too much for robotics", "5.8",
             say("both PWM oscillates"),
             f"ripple {figures('ripple', 'duty')} %, error {figures('error', 'duty')} %. It ends in "
-            "its dead zone or in a cycle of bursts, by chance of the step; as printed its inner "
-            f"loop never reads again. {_share(sensitivity, 'both PWM oscillates')}",
+            "its dead zone or in a cycle of bursts, depending on the step; as printed its inner "
+            f"loop never reads the sensor again. {_share(sensitivity, 'both PWM oscillates')}",
         ),
         Statement(
             "sliding mode is the steadiest of the four", "5.8", say("sliding steadiest"),
             f"ripple {figures('ripple', 'slide')} %. Its boundary of 50 counts in 100 ms is "
-            "a twenty-fifth of the speed of a fill, so that it vents in every fill; on the small, "
+            "1/25 of the speed of filling, so it vents during every fill; on the small, "
             f"fast valve it has the smallest error of the four, {_pm(cured['slide']['error'])} %. "
             f"{_share(sensitivity, 'sliding steadiest')}",
         ),
@@ -282,29 +287,29 @@ def _statements(
             f"ripple {figures('ripple', 'slide')} %. {_share(sensitivity, 'sliding oscillates')}",
         ),
         Statement(
-            "the oscillation comes of too much air a burst: orifice and switching time",
+            "the oscillation is caused by too much air per burst: orifice and switching time",
             "5.8, 5.10",
             CONFIRMED if _valve_alone(found) else PARTLY,
-            "with the code as intended the valve of 1996 alone makes two-position swing by "
-            f"{_pm(found['held', '1996', 'intended', 'two']['ripple'])} % and the small, fast one "
-            f"by {_pm(cured['two']['ripple'])} %; the code as printed on the small, fast valve "
-            f"makes {_pm(found['held', 'small and fast', 'printed', 'two']['ripple'])} % "
+            "with the code as intended the ripple of two-position with the valve of 1996 is "
+            f"{_pm(found['held', '1996', 'intended', 'two']['ripple'])} %, with the small, fast "
+            f"valve {_pm(cured['two']['ripple'])} %; with the code as printed on the small, fast "
+            f"valve {_pm(found['held', 'small and fast', 'printed', 'two']['ripple'])} % "
             "(two-position) and "
             f"{_pm(found['held', 'small and fast', 'printed', 'slide']['ripple'])} % (sliding "
-            "mode, whose printed rate has the wrong sign). So the valve is enough for it, and the "
-            "code as printed made it worse or something else of it",
+            "mode, whose printed rate has the wrong sign). So the valve alone is sufficient for "
+            "it; the code as printed makes it larger or different",
         ),
     )  # fmt: skip
 
 
-def _valve_alone(found: dict[tuple[str, str, str, str], Summary]) -> bool:
+def _valve_alone(found: dict[Case, Summary]) -> bool:
     ill = found["held", "1996", "intended", "two"]["ripple"][0]
     cured = found["held", "small and fast", "intended", "two"]["ripple"][0]
-    return ill > SWINGS > cured
+    return ill > OSCILLATES_ABOVE > cured
 
 
 def _traces_figure() -> Figure:
-    """Small multiples: a row a scheme, a column a load; as printed behind as intended."""
+    """Traces as intended and as printed: one row per scheme, one column per load."""
     from analysis.figures.drawing import INK, MEASURED, QUIET, SET, new_figure, style
 
     with style():
@@ -329,8 +334,8 @@ def _traces_figure() -> Figure:
     return figure
 
 
-def _causes_figure(found: dict[tuple[str, str, str, str], Summary]) -> Figure:
-    """Ripple of each scheme with neither, one or both of the suspects."""
+def _causes_figure(found: dict[Case, Summary]) -> Figure:
+    """Ripple of each scheme with neither, one or both of the possible causes."""
     from analysis.figures.drawing import new_figure, sequence, style
 
     groups = (

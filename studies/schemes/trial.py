@@ -1,9 +1,9 @@
-"""One step of the set-point under one scheme: the firmware's own scheme object on the plant.
+"""Steps of the set-point with one scheme: the scheme object of the firmware on the plant.
 
-The scheme runs as the firmware runs it (its step once a millisecond, on 12-bit readings with
-noise, its times counted down between), without wire, telemetry and guards around it, so that a
-study of thousands of steps takes minutes. `tests/test_study_trial.py` holds it against the whole
-firmware, tick by tick.
+The scheme runs as in the firmware (one step per millisecond, on noisy 12-bit readings, with valve
+times counted down), but without wire, telemetry and monitoring, so that a study of thousands of
+steps takes minutes. `tests/test_study_trial.py` compares it with the complete firmware, tick by
+tick.
 """
 
 from __future__ import annotations
@@ -56,10 +56,11 @@ TICK_US = 1000
 
 @dataclass(frozen=True)
 class Bench:
-    """What a trial runs on: plant, load, firmware parameters, converter.
+    """Plant, load, firmware parameters and converter of a trial.
 
-    `load` is "held" (at `length_mm`) or "hung" (`mass_kg`); `range_kpa` is full scale of the
-    converter; `baud` is of the listings' prints; `step_share` of the plant's usual step.
+    `load` is "held" (at `length_mm`) or "hung" (`mass_kg`). `range_kpa` is the full scale of the
+    converter, `baud` the rate of the serial output in the listings, `step_share` the integration
+    step relative to the normal step.
     """
 
     constants: PlantConstants
@@ -87,7 +88,7 @@ class Bench:
 
 @dataclass(frozen=True)
 class Trace:
-    """True state each millisecond from the start of the step; kPa, mm, solenoids 0 or 1."""
+    """True state every millisecond from the start of the step; kPa, mm, solenoids 0 or 1."""
 
     goal_kpa: float
     supply_kpa: float
@@ -97,12 +98,12 @@ class Trace:
     vent: npt.NDArray[np.bool_]
 
     def figures(self, last_s: float = 1.0) -> dict[str, float]:
-        """Figures of merit; all but times and switchings in % of supply.
+        """Figures of merit, in % of supply except times and switchings.
 
-        error: of the mean over the last `last_s`. rms: from the set-point over it. ripple: range
-        of the pressure in it. overshoot: beyond the set-point at any time. rise_s: to within 5 %
-        of supply for the first time. settle_s: from when on it stays there; NaN where it does not.
-        switchings: energisings a second in the last part. length_ripple_mm: range of the length.
+        Over the last `last_s`: error of the mean, rms difference from the set-point, ripple (range
+        of the pressure), switchings per second, length_ripple_mm (range of the length). Over the
+        step: overshoot beyond the set-point, rise_s until first within 5 % of supply, settle_s
+        until it stays there (NaN if it does not).
         """
         n = round(last_s * 1000)
         tail = self.pressure_kpa[-n:]
@@ -135,7 +136,7 @@ def run_trial(
     seed: int = 1,
     plant: Any = None,
 ) -> list[Trace]:
-    """Go through set-points (shares of supply) one after the other; a trace for each."""
+    """Run set-points (relative to supply) one after the other; returns one trace each."""
     c = bench.constants
     plant = plant or bench.plant()
     law = SCHEMES[scheme](bench.baud)
@@ -179,7 +180,7 @@ def run_trial(
 
 
 def summary(traces: list[Trace]) -> dict[str, tuple[float, float, int]]:
-    """Mean, standard deviation and number of each figure over traces; NaN left out."""
+    """Mean, standard deviation and number of each figure over traces, without NaN."""
     rows = [t.figures() for t in traces]
     out = {}
     for key in rows[0]:

@@ -1,1 +1,1 @@
-"""Scenarios of the whole bench: read, simulated with the firmware in the loop, recorded as runs."""
+"""Simulation of a scenario with the firmware in the loop; it leaves a record like any run."""

@@ -1,4 +1,4 @@
-"""What `pamrig simulate` does."""
+"""The command `pamrig simulate`."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ STATUS = {"clean": 0, "stopped": 130}
 def simulate_command(
     name: str, out: Path, seed: int | None, as_json: bool, plant: Path | None = None
 ) -> int:
-    """Read, simulate, record, say what came of it; returns the exit status."""
+    """Read and simulate a scenario, record it and print the result; returns the exit status."""
     from analysis.reporting.derived import try_derive
     from daq.interrupt import stop_on_signals
-    from studies.first_use import tell_of_compiling
+    from studies.first_use import compilation_message
 
-    with tell_of_compiling(quiet=as_json):
+    with compilation_message(quiet=as_json):
         from studies.simulation.scenario import load_scenario
         from studies.simulation.session import simulate
 
@@ -44,7 +44,7 @@ def simulate_command(
         f"{speed:.0f} times real time, in {result.folder}"
     )
     if result.reason:
-        typer.echo(f"  because: {result.reason}")
+        typer.echo(f"  reason: {result.reason}")
     if not_derived:
         typer.echo(f"  table and report could not be made: {not_derived}")
     else:
@@ -53,7 +53,7 @@ def simulate_command(
 
 
 class _Line:
-    """One line on the terminal that is drawn over."""
+    """A progress line on the terminal."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet

@@ -1,4 +1,4 @@
-"""What a simulation's controllers send, decoded as a host does, on its way into the record."""
+"""Decoding of the bytes from the simulated controllers, as by a host, into the record."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from valvefw import wire
 
 
 class Controllers:
-    """One serial line for each muscle; `refused` says which request was last refused, if any."""
+    """One serial line per muscle; `refused` describes the last refused request, if any."""
 
     def __init__(self, scenario: Scenario, record: RecordWriter, clock: VirtualClock) -> None:
         self._record = record
@@ -32,7 +32,7 @@ class Controllers:
             record.stream(name, VALVE_COLUMNS, VALVE_UNITS)
 
     def sink(self, unit: int) -> Callable[[int, bytes], None]:
-        """Takes the bytes of one controller."""
+        """Returns the receiver of bytes from one controller."""
 
         def take(bench_us: int, data: bytes) -> None:
             host_ns = bench_us * 1000
@@ -61,6 +61,6 @@ class Controllers:
                 )
 
     def flush(self) -> None:
-        """Hand out what is held back."""
+        """Write buffered telemetry to the record."""
         for stream in self.telemetry:
             stream.flush()

@@ -1,4 +1,4 @@
-"""What is known of a simulation before it runs: its run.json."""
+"""The run.json of a simulation."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ PROTOCOL = "simulate"
 
 
 def plant_stated(scenario: Scenario) -> dict[str, Any]:
-    """Constants of the first muscle's bench that differ from the nominal ones, by their keys.
+    """Constants of the first muscle that differ from the nominal ones, by their keys.
 
-    Effects are not among them: what a bench does beyond its constants is for others to find.
+    Effects are left out on purpose: the diagnosis has to find them.
     """
     own, usual = scenario.muscles[0].constants, nominal()
     numbers = {key: own.value(key) for key in KEYS if own.value(key) != usual.value(key)}
@@ -24,7 +24,7 @@ def plant_stated(scenario: Scenario) -> dict[str, Any]:
 
 
 def manifest(scenario: Scenario) -> dict[str, Any]:
-    """What is known before the run."""
+    """The contents of run.json before the run."""
     from rigs.execution.manifest import software
 
     range_kpa = scenario.sensors.pressure_range_kpa

@@ -1,4 +1,4 @@
-"""What a scenario's muscles pull on: nothing that moves, a hung mass, joints, or the ram."""
+"""The load of a scenario: a held length, a hung mass, joints, or the ram."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _DEG = math.pi / 180.0
 
 @dataclass(frozen=True)
 class Mechanism:
-    """The mechanical side of a scene, and how muscles are attached to it.
+    """The mechanical part of a scene, and the attachment of muscles.
 
-    `hung_kg` is the mass that is said to hang, without what an effect adds to it.
+    `hung_kg` is the stated hung mass, without the payload of an effect.
     """
 
     kind: str
@@ -40,36 +40,36 @@ class Mechanism:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all that can move."""
+        """Names of all coordinates."""
         return self.arm.joints if self.arm is not None else tuple(c.name for c in self.coordinates)
 
     @property
     def single(self) -> bool:
-        """Whether it takes one muscle and no more."""
+        """True if only one muscle is possible."""
         return self.kind != "joint"
 
     @property
     def held_mm(self) -> float | None:
-        """Length at which it holds a muscle; None where it holds none."""
+        """Held length of the muscle; None for other loads."""
         return self.held_m * 1e3 if self.kind == "held" else None
 
     @property
     def load_kg(self) -> float | None:
-        """Mass that hangs on a muscle; None where none does."""
+        """Stated hung mass; None for other loads."""
         return self.hung_kg if self.kind == "hung" else None
 
     @property
     def unit(self) -> str:
-        """In which places are reported."""
+        """Unit of positions."""
         return "deg" if self.kind == "joint" else "mm"
 
     @property
     def scale(self) -> float:
-        """Of SI in that unit."""
+        """Factor from that unit to SI."""
         return _DEG if self.kind == "joint" else 1e-3
 
     def chamber(self, constants: PlantConstants) -> PlantConstants:
-        """The constants with the ram's own dead volume, where it is one."""
+        """The constants, with the dead volume of the ram if the load is a ram."""
         if self.ram is None:
             return constants
         return dataclasses.replace(constants, dead_volume_m3=self.ram.dead_volume_m3)
@@ -125,7 +125,7 @@ def read_mechanism(t: Table, constants: PlantConstants, effects: Effects) -> Mec
 
 
 def _mass(load: Table, key: str, low: float, high: float, default: float | None = None) -> float:
-    """A mass; one that is negative gets a word of its own."""
+    """A mass; a negative one has its own message."""
     value = load.raw(key, default)
     if isinstance(value, (int, float)) and not isinstance(value, bool) and value < 0:
         raise load.fail(key, f"negative mass, {value!r}", "a mass is 0 or more")
@@ -209,7 +209,7 @@ def _joint(load: Table, effects: Effects) -> Mechanism:
 
 
 def _joints(load: Table, arm: Arm) -> tuple[Coordinate, ...]:
-    """Tables [[load.joint]]: where joints start, springs on them, torques that load them."""
+    """Tables [[load.joint]]: start positions, springs and load torques of joints."""
     found: list[Coordinate] = []
     given = load.raw("joint", [])
     if not isinstance(given, list) or not all(isinstance(row, dict) for row in given):

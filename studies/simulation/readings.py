@@ -1,8 +1,8 @@
-"""What a simulation's sensors read besides pressure, and the truth behind it, as streams.
+"""Streams of the simulated sensors except pressure, and of the true state.
 
-``balance`` (and ``force-NAME`` for each further muscle) holds the pull as a load cell gives it,
-``place`` length, height or joint angles as their sensor gives them (noise, step, delay), ``edges``
-every valve edge at its own time, ``truth`` the state itself once a tick.
+``balance`` (and ``force-NAME`` for each further muscle) has the force readings of a load cell.
+``place`` has the readings of length, height or joint angles (noise, step, delay). ``edges`` has
+every valve edge with its time, ``truth`` the true state at every tick.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ GRAMS_PER_N = 1000.0 / 9.80665
 
 
 class _Rows:
-    """A stream's rows on their way into the record."""
+    """Buffered rows of a stream."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class _Rows:
 
 
 class Readings:
-    """The sensors and the truth of one simulation; `take` once a tick."""
+    """Sensor readings and true state of one simulation; call `take` at every tick."""
 
     def __init__(self, scenario: Scenario, scene: Scene, record: RecordWriter) -> None:
         self._scene = scene
@@ -80,7 +80,7 @@ class Readings:
                   SMALL_BATCH)
             for k, name in enumerate(muscles)
         ]  # fmt: skip
-        # Where nothing moves, the length at which the muscle is held is what a camera would see.
+        # If nothing moves, the position is the held length of the muscle.
         self._held = not names
         places = [f"{name}_{unit}" for name in names] or ["length_mm"]
         self.place_columns = places
@@ -113,7 +113,7 @@ class Readings:
         self._next_place_s = 0.0
 
     def rows(self) -> dict[str, list[int]]:
-        """Row numbers that the next readings get, by stream."""
+        """Row numbers of the next readings, by stream."""
         self.flush()
         return {
             "valve": [self._record.rows("valve")],
@@ -122,12 +122,12 @@ class Readings:
         }
 
     def flush(self) -> None:
-        """Hand everything to the record."""
+        """Write all buffered rows to the record."""
         for rows in (*self._forces, self._places, self._truth, self._edges):
             rows.flush()
 
     def take(self, ticks: int) -> None:
-        """Readings that fall due at a tick, and the truth."""
+        """Store the true state and the readings that are due at a tick."""
         scene, host_ns = self._scene, ticks * 1_000_000
         now = ticks * 1e-3
         u = scene.world.units
@@ -161,7 +161,7 @@ class Readings:
         self._log_events()
 
     def _log_events(self) -> None:
-        """Valve edges into their stream; stops and switches as events with their own time."""
+        """Store valve edges in their stream; stops and switches as events with their time."""
         if not self._scene.world.clock[sc.LOGGED]:
             return
         for event in self._scene.take_events():

@@ -1,4 +1,4 @@
-"""A scenario file: plant, load, muscles, firmware and what is asked of it, checked line by line."""
+"""Reading and checking of scenario files: plant, load, muscles, firmware, commands."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Command:
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch over which means are taken as a settled point."""
+    """A time window whose means are a settled point."""
 
     at_s: float
     seconds: float
@@ -64,7 +64,7 @@ class Window:
 
 @dataclass(frozen=True)
 class SensorSpec:
-    """Noise (1 sd), own errors, steps, rates and delays of the sensors."""
+    """Noise (1 sd), errors, resolution, rates and delays of the sensors."""
 
     pressure_noise_kpa: float
     pressure_zero_kpa: float
@@ -81,7 +81,7 @@ class SensorSpec:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Everything a simulation needs; `source` and `text` say where it came from."""
+    """All inputs of a simulation; `source` and `text` are those of its file."""
 
     name: str
     description: str
@@ -99,19 +99,19 @@ class Scenario:
 
     @property
     def crc32(self) -> str:
-        """Of the file."""
+        """CRC-32 of the file."""
         return f"{zlib.crc32(self.text.encode()):08x}"
 
 
 def load_scenario(name: str, plant: Path | None = None) -> Scenario:
     """Read a scenario file, by path or by the name of a shipped one.
 
-    A `plant` file (constants and effects, as `pamrig gap shrink` writes them) takes the place of
-    the scenario's own plant and effects; what single muscles state stays.
+    A `plant` file (constants and effects, from `pamrig gap shrink`) replaces plant and effects of
+    the scenario, except those of single muscles.
 
     Raises:
-        ConfigError: names file and key: an unknown key or joint, a value of the wrong type or out
-            of range, a mass, inertia, length or parameter that cannot be.
+        ConfigError: states file and key: an unknown key or joint, a value of the wrong type or
+            out of range, or an impossible mass, inertia, length or parameter.
     """
     t = load_toml(name, "scenarios")
     text, _ = find_config(name, "scenarios")
@@ -119,7 +119,7 @@ def load_scenario(name: str, plant: Path | None = None) -> Scenario:
     effects = _effects(t, "effects")
     if plant is not None:
         constants, effects = load_plant(plant)
-        # The run keeps the text of its scenario: what was put in its place belongs there too.
+        # The run stores the text of its scenario: add the plant that replaced the original one.
         used = plant.read_text(encoding="utf-8").splitlines()
         text = "\n".join([text.rstrip(), f"# plant taken from {plant}:", *("# " + x for x in used)])
     mechanism = read_mechanism(t, constants, effects)
@@ -145,7 +145,7 @@ def load_scenario(name: str, plant: Path | None = None) -> Scenario:
 
 
 def rows(t: Table, key: str) -> list[Table]:
-    """The tables of an array [[key]], each with its own place in messages."""
+    """The tables of an array [[key]], each with its position for messages."""
     found = t.raw(key, [])
     if not isinstance(found, list) or not all(isinstance(row, dict) for row in found):
         raise t.fail(key, f"expected tables [[{key}]], got {found!r:.60}")
@@ -171,7 +171,7 @@ def _effects(t: Table, key: str) -> Effects:
 
 
 def _table(t: Table, key: str) -> dict[str, Any]:
-    """A table that another package reads, as parsed."""
+    """A parsed table for another package."""
     found = t.raw(key, {})
     if not isinstance(found, dict):
         raise t.fail(key, f"expected a table, got {found!r:.60}")
@@ -198,7 +198,7 @@ def _muscles(
     names = [m.name for m in found]
     for name in names:
         if names.count(name) > 1:
-            raise t.fail("muscle", f"more than one is called {name!r}", "give each its own name")
+            raise t.fail("muscle", f"more than one is named {name!r}", "use unique names")
     if mechanism.single and len(found) > 1:
         raise t.fail("muscle", f"load.kind = {mechanism.kind!r} takes one, got {len(found)}")
     return tuple(found)
@@ -209,7 +209,7 @@ def _muscle(
 ) -> MuscleSpec:
     name = row.text("name")
     if not name.strip():
-        raise row.fail("name", "is empty", "commands and streams need a name to go by")
+        raise row.fail("name", "is empty", "commands and streams need the name")
     try:
         own = constants.with_overrides(_table(row, "plant"), f"{row.source}: {row.path}.plant")
         model = None
@@ -255,16 +255,16 @@ def _check_range(
     reach: Mapping[str, float],
     rest_m: float,
 ) -> None:
-    """Refuse a joint whose range takes a muscle of the bench beyond its own shortest or longest.
+    """Raise ConfigError if the range of a joint exceeds the length range of the muscle.
 
-    Models of other muscles have lengths of their own, which their tables know.
+    Models of other muscles have their own length range in their tables.
     """
     assert mechanism.arm is not None
     for joint, radius in reach.items():
         link = mechanism.arm.links[mechanism.arm.joint(joint)]
         ends = [rest_m + radius * angle for angle in (link.low_rad, link.high_rad)]
         if not all(map(math.isfinite, ends)):
-            continue  # a joint without a range is bounded by what the muscles let it do
+            continue  # a joint without a range is limited by the muscles
         low, high = min(ends) * 1e3, max(ends) * 1e3
         least, most = c.length_min_m * 1e3, c.length_max_m * 1e3
         if low < least or high > most:
@@ -300,9 +300,7 @@ def _commands(t: Table, muscles: tuple[MuscleSpec, ...], duration: float) -> tup
         at = row.number("at_s", 0.0, duration, unit="s")
         muscle = row.text("muscle", "")
         if muscle and muscle not in names:
-            raise row.fail(
-                "muscle", f"no muscle is called {muscle!r}", f"known: {', '.join(names)}"
-            )
+            raise row.fail("muscle", f"no muscle named {muscle!r}", f"known: {', '.join(names)}")
         kinds = [key for key in ("scheme", "setpoint_kpa", "pulse") if key in row]
         if len(kinds) != 1:
             raise row.fail("at_s", "expected one of scheme, setpoint_kpa, pulse beside it")
@@ -364,13 +362,13 @@ def _sensors(t: Table, mechanism: Mechanism) -> SensorSpec:
 
 
 def plant_refusal(error: PlantError, source: str) -> ConfigError:
-    """A refusal of the plant as one of the scenario file."""
+    """An error of the plant as an error of the scenario file."""
     what, _, remedy = str(error).partition("; ")
     return ConfigError(source, what, remedy)
 
 
 def as_plain(scenario: Scenario) -> dict[str, Any]:
-    """The scenario's main figures for the record; the file's text stands beside them."""
+    """The main values of the scenario for the record, which also has the text of the file."""
     return {
         "name": scenario.name,
         "description": scenario.description,

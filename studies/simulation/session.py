@@ -1,7 +1,7 @@
-"""A scenario from start to finish: build the scene, let the firmware run it, leave a record.
+"""Simulation of a scenario: build the scene, run it with the firmware, write the record.
 
-The record is that of any run: telemetry as the controllers sent it, readings as the sensors gave
-them, events; beside them the stream ``truth``, which no bench has. Time is the scene's own.
+The record is like that of any run: telemetry of the controllers, readings of the sensors, events.
+In addition it has the stream ``truth``. The clock is the simulated time.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ Progress = Callable[[float, float], None]
 
 
 class SimulationFault(PamrigError):
-    """The firmware latched a fault: names the muscle and the cause."""
+    """The firmware latched a fault; the message states the muscle and the cause."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a simulation ended and how fast it was."""
+    """Outcome and duration of a simulation."""
 
     folder: Path
     outcome: str
@@ -57,7 +57,7 @@ def build_scene(scenario: Scenario) -> Scene:
     """The plant of a scenario.
 
     Raises:
-        ConfigError: its parts do not fit each other, such as a length outside the braid.
+        ConfigError: its parts are inconsistent, such as a length outside the braid.
     """
     units = [
         Unit(
@@ -94,11 +94,11 @@ def _piston(scenario: Scenario) -> Any:
 
 
 def firmware_values(scenario: Scenario, muscle: int, counts_per_kpa: float) -> dict[str, int]:
-    """Parameters of one muscle's firmware: those a technician would set, then the scenario's.
+    """Firmware parameters of one muscle: those from the plant, then those of the scenario.
 
-    Where the load moves, pressure changes with both valves shut, so the guard against a stuck
-    valve is off; in the ram's large chamber a fill shows too late for the guard against a dead
-    sensor.
+    If the load moves, the pressure changes with closed valves, so the leak monitor is off. In the
+    large chamber of the ram the pressure rises too slowly for the monitor of the sensor, which is
+    off too.
     """
     m = scenario.muscles[muscle]
     c = m.constants
@@ -122,17 +122,17 @@ def simulate(
     stop: StopFlag | None = None,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Run a scenario and leave a finished record.
+    """Run a scenario and write a complete record.
 
     Args:
         scenario: from `load_scenario`.
         root: folder of runs.
-        stop: set from outside to end the run in good order.
-        progress: called with simulated and whole time in s, ten times a simulated second.
+        stop: set from outside to end the run.
+        progress: called with simulated and total time in s, every 0.1 s of simulated time.
 
     Raises:
-        ConfigError: the scenario's parts do not fit each other; nothing was recorded yet.
-        RecordError: the run cannot be recorded there.
+        ConfigError: the scenario is inconsistent; nothing was recorded.
+        RecordError: the run cannot be recorded.
     """
     scene = build_scene(scenario)
     check_disk(Path(root), 0)
@@ -156,7 +156,7 @@ def simulate(
     )
     error: BaseException | None = None
     readings.flush()
-    import pyarrow as _  # noqa: F401  loading what writes the record is no part of its speed
+    import pyarrow as _  # noqa: F401  import it before the time is measured
 
     began = time.perf_counter()
     runner = _Runner(scenario, loop, record, controllers, readings, clock)
@@ -177,7 +177,7 @@ def simulate(
 
 
 class _Runner:
-    """Ticks, commands and windows of one simulation."""
+    """The tick loop of one simulation, with its commands and windows."""
 
     def __init__(
         self,
@@ -197,8 +197,8 @@ class _Runner:
         self.time_s = 0.0
         self._counts_x16 = 16.0 * ADC_TOP / scenario.sensors.pressure_range_kpa
 
-    def run(self, stop: StopFlag, progress: Progress | None) -> None:  # noqa: C901 - one tick, top to bottom
-        """Boot, arm, then the scenario's duration tick by tick."""
+    def run(self, stop: StopFlag, progress: Progress | None) -> None:  # noqa: C901 - the sequence of one tick
+        """Boot and arm, then run the scenario tick by tick."""
         record, loop = self.record, self.loop
         record.event("state", state="boot")
         for tick in range(BOOT_TICKS):
@@ -245,13 +245,13 @@ class _Runner:
                 raise SimulationFault(
                     f"{self.scenario.source}: muscle {name!r}",
                     f"the firmware latched {cause} after {self.time_s:.3f} s",
-                    "look at the trace; see docs/reference/safety-contract.md for what it guards",
+                    "see the trace, and docs/reference/safety-contract.md for the causes of faults",
                 )
         record.event("trial", phase="end", trial=1)
         record.event("state", state="done")
 
     def _trial(self) -> dict[str, Any]:
-        """What the whole simulation is to those who read runs trial by trial."""
+        """Fields of the trial event; the whole simulation is one trial."""
         mechanism = self.scenario.mechanism
         return {
             "trial": 1,
@@ -325,7 +325,7 @@ def _finish(
     simulated_s: float,
     took_s: float,
 ) -> None:
-    """Flush what is held back, write the last events and close the record."""
+    """Write buffered data and the last events, and close the record."""
     try:
         controllers.flush()
         top = max(loop.boards[0].bench_us, 1)
