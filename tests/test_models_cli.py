@@ -107,7 +107,7 @@ def test_audit_prints_the_whole_table() -> None:
         (("fit", "c01", "--model", "caldwell", "--start", "efficiency"), "NAME=NUMBER"),
         (("fit", "c01", "--model", "caldwell", "--region", "high"), "LOW-HIGH"),
         (("fit", "c01", "--model", "caldwell", "--region", "700-800"), "no points there"),
-        (("fit", "c01", "--model", "caldwell", "--tables"), "no sum of terms"),
+        (("fit", "c01", "--model", "caldwell", "--tables"), "not a sum of terms"),
         (("models", "compare"), "no data"),
         (("models", "compare", "c01", "--holdout", "mounting"), "at least three"),
         (("models", "compare", "--preset", "table-9"), "known: table-4-3"),
