@@ -1,4 +1,4 @@
-"""A message on the terminal while the simulation is compiled for the first time."""
+"""Messages on the terminal: progress, and the compilation of the simulation at first use."""
 
 from __future__ import annotations
 
@@ -31,3 +31,23 @@ def compilation_message(quiet: bool = False) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
+
+
+class ProgressLine:
+    """One line on stderr that each call of `show` overwrites."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._quiet = quiet
+        self._shown = False
+
+    def show(self, text: str) -> None:
+        """Show a text in place of the last one."""
+        if not self._quiet:
+            print(f"\r{text}   ", end="", file=sys.stderr, flush=True)
+            self._shown = True
+
+    def close(self) -> None:
+        """Move the cursor to a new line."""
+        if self._shown:
+            print(file=sys.stderr)
+            self._shown = False

@@ -49,7 +49,7 @@ class TestReferences:
         assert np.all((turn.q > stops[:, 0]) & (turn.q < stops[:, 1]))
 
     def test_rates_are_those_of_the_angles(self) -> None:
-        for reference in (circle(FINGER), step(FINGER).gentle):
+        for reference in (circle(FINGER), step(FINGER).smooth):
             rate = np.gradient(reference.q, GRID_S, axis=0)
             push = np.gradient(reference.qd, GRID_S, axis=0)
             np.testing.assert_allclose(rate[2:-2], reference.qd[2:-2], atol=2e-3)
@@ -57,7 +57,7 @@ class TestReferences:
 
     def test_a_softened_step_arrives(self) -> None:
         reference = step(FINGER)
-        np.testing.assert_allclose(reference.gentle.q[-1], reference.q[-1])
+        np.testing.assert_allclose(reference.smooth.q[-1], reference.q[-1])
         assert np.degrees(np.ptp(reference.q[:, 1])) == pytest.approx(20.0)
 
 

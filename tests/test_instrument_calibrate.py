@@ -72,7 +72,7 @@ def test_readings_of_both_signs_are_covered_at_both_ends() -> None:
 
 @pytest.mark.parametrize(
     ("raw", "words"),
-    [([1.0, 2.0], "at least 3"), ([5.0, 5.0, 5.0], "all points are the same"),
+    [([1.0, 2.0], "at least 3"), ([5.0, 5.0, 5.0], "all points are equal"),
      ([1.0, np.nan, 3.0], "no reading")],
 )  # fmt: skip
 def test_points_that_make_no_line_are_refused(raw: list[float], words: str) -> None:

@@ -407,7 +407,7 @@ def test_a_continuation_says_what_it_continues_and_keeps_both_records(tmp_path: 
     )
     note = report_json(second)["notes"][0]
     assert first.run_id in note
-    assert f"{len(done)} whole trials" in note
+    assert f"{len(done)} complete trials" in note
     assert verify(first) == verify(second) == []
     with pytest.raises(ConfigError, match=f"continued by {second.run_id}"):
         continue_run(first)

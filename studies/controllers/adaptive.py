@@ -109,12 +109,12 @@ class Adaptive(FeedForward):
         """Update the estimates, then feed forward."""
         assert self._reference is not None
         step = HOST_MS * 1e-3
-        wanted, rate, push = self._reference.at(time_s - self._late_s)
+        wanted, rate, acceleration = self._reference.at(time_s - self._late_s)
         error = wanted - q
         slope = np.zeros_like(error) if self._last is None else (error - self._last) / step
         self._last = error
-        per_kg = payload_regressor(self._arm, wanted, rate, push)
-        per_newton = self._per_newton(self._seen, wanted, self._smooth(wanted, rate, push))
+        per_kg = payload_regressor(self._arm, wanted, rate, acceleration)
+        per_newton = self._per_newton(self._seen, wanted, self._smooth(wanted, rate, acceleration))
         s = slope + self._lambda * error
         if np.abs(error).max() < TEACHING_RAD:
             self.mass_kg += self._gamma * step * float(per_kg @ s)

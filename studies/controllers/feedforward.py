@@ -77,7 +77,7 @@ class FeedForward:
 
     def start(self, reference: Reference, q: Array) -> None:
         """Reset all states."""
-        self._reference = reference.gentle
+        self._reference = reference.smooth
         self._integral = np.zeros(len(q))
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
@@ -87,8 +87,8 @@ class FeedForward:
     def delta(self, time_s: float, q: Array) -> Array:
         """Feed-forward of the reference at the time of arrival, and the integral."""
         assert self._reference is not None
-        wanted, rate, push = self._reference.at(time_s + self.lead_s)
-        ahead = self.pairs.delta(wanted, self.torque(wanted, rate, push))
+        wanted, rate, acceleration = self._reference.at(time_s + self.lead_s)
+        ahead = self.pairs.delta(wanted, self.torque(wanted, rate, acceleration))
         due, _, _ = self._reference.at(time_s - self._late_s)
         self._integral += self.rate * HOST_MS * 1e-3 * (self._turn @ (due - q))
         self._integral = np.clip(self._integral, -self.pairs.mean_kpa, self.pairs.mean_kpa)

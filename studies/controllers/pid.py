@@ -57,7 +57,7 @@ class Pid:
 
     def start(self, reference: Reference, q: Array) -> None:
         """Reset all states."""
-        self._reference = reference.gentle
+        self._reference = reference.smooth
         self._integral = np.zeros(len(self._kp))
         self._slope = np.zeros(len(self._kp))
         self._last = None

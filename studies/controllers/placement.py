@@ -72,7 +72,7 @@ class PolePlacement:
     def start(self, reference: Reference, q: Array) -> None:
         """Start with an estimate at rest at `q`."""
         n = self._n
-        self._reference = reference.gentle
+        self._reference = reference.smooth
         self._estimate = np.zeros(4 * n)
         self._estimate[:n] = q - self.model.q0
         self._sent = deque([np.zeros(n)] * self._ahead, maxlen=self._ahead)

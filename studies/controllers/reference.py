@@ -47,7 +47,7 @@ class Reference:
     softened: Reference | None = None
 
     @property
-    def gentle(self) -> Reference:
+    def smooth(self) -> Reference:
         """The reference without jumps, for laws that need rates: a step takes `SOFT_S`."""
         return self.softened or self
 
@@ -99,13 +99,13 @@ def step(
     q = np.tile(np.radians(posture_deg), (count, 1))
     jump = math.radians(degrees)
     still = np.zeros_like(q)
-    soft, rate, push = q.copy(), still.copy(), still.copy()
+    soft, rate, acceleration = q.copy(), still.copy(), still.copy()
     q[round(lead_s / GRID_S) :, index] += jump
     s = np.clip((np.arange(count) * GRID_S - lead_s) / SOFT_S, 0.0, 1.0)
     soft[:, index] += jump * (10 * s**3 - 15 * s**4 + 6 * s**5)
     rate[:, index] = jump * (30 * s**2 - 60 * s**3 + 30 * s**4) / SOFT_S
-    push[:, index] = jump * (60 * s - 180 * s**2 + 120 * s**3) / SOFT_S**2
-    return Reference(q, still, still, lead_s, softened=Reference(soft, rate, push, lead_s))
+    acceleration[:, index] = jump * (60 * s - 180 * s**2 + 120 * s**3) / SOFT_S**2
+    return Reference(q, still, still, lead_s, softened=Reference(soft, rate, acceleration, lead_s))
 
 
 def circle(
@@ -142,7 +142,7 @@ def circle(
     pace = np.where(share < 1.0, (6 * share - 6 * share**2) / (2 * gentle_s), 0.0)
     angle = 2.0 * np.pi * turned / turn_s
     angle_rate = 2.0 * np.pi * speed / turn_s
-    angle_push = 2.0 * np.pi * pace / turn_s
+    angle_acceleration = 2.0 * np.pi * pace / turn_s
     orders = np.arange(24)
     basis = np.exp(1j * np.outer(angle, orders))
     kept = series[:24]
@@ -150,7 +150,7 @@ def circle(
     slope = (basis @ (1j * orders[:, None] * kept)).real
     bend = (basis @ (-(orders[:, None] ** 2) * kept)).real
     qd = slope * angle_rate[:, None]
-    qdd = bend * angle_rate[:, None] ** 2 + slope * angle_push[:, None]
+    qdd = bend * angle_rate[:, None] ** 2 + slope * angle_acceleration[:, None]
     wanted = centre + radius_m * np.stack(
         [np.cos(angle), np.zeros_like(angle), np.sin(angle)], axis=-1
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import TypeVar
@@ -13,10 +13,9 @@ import typer
 
 from daq.errors import RecordError
 from daq.interrupt import StopFlag, Stopped, stop_on_signals
-from studies.first_use import compilation_message
+from studies.first_use import ProgressLine, compilation_message
 
 T = TypeVar("T")
-Ticker = Callable[[Iterable[T], str], Iterator[T]]
 
 
 def study_command(name: str, full: bool, out: Path | None, as_json: bool) -> int:
@@ -55,8 +54,7 @@ class Progress:
 
     def __init__(self, stop: StopFlag | None = None, quiet: bool = True) -> None:
         self._stop = stop
-        self._quiet = quiet
-        self._drawn = False
+        self._line = ProgressLine(quiet)
 
     def over(self, items: Iterable[T], what: str) -> Iterator[T]:
         """Iterate over the items and show the progress."""
@@ -64,13 +62,9 @@ class Progress:
         for index, item in enumerate(listed):
             if self._stop is not None:
                 self._stop.check()
-            if not self._quiet:
-                typer.echo(f"\r{what}  {index + 1} of {len(listed)}   ", nl=False, err=True)
-                self._drawn = True
+            self._line.show(f"{what}  {index + 1} of {len(listed)}")
             yield item
 
     def close(self) -> None:
         """Move the cursor to a new line."""
-        if self._drawn:
-            typer.echo("", err=True)
-            self._drawn = False
+        self._line.close()

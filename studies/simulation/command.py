@@ -18,7 +18,7 @@ def simulate_command(
     """Read and simulate a scenario, record it and print the result; returns the exit status."""
     from analysis.reporting.derived import try_derive
     from daq.interrupt import stop_on_signals
-    from studies.first_use import compilation_message
+    from studies.first_use import ProgressLine, compilation_message
 
     with compilation_message(quiet=as_json):
         from studies.simulation.scenario import load_scenario
@@ -27,9 +27,13 @@ def simulate_command(
     scenario = load_scenario(name, plant)
     if seed is not None:
         scenario = dataclasses.replace(scenario, seed=seed)
-    line = _Line(quiet=as_json or not sys.stderr.isatty())
+    line = ProgressLine(quiet=as_json or not sys.stderr.isatty())
+
+    def progress(now_s: float, total_s: float) -> None:
+        line.show(f"simulating  {now_s:.1f} of {total_s:g} s")
+
     with stop_on_signals() as stop:
-        result = simulate(scenario, out, stop=stop, progress=line.show)
+        result = simulate(scenario, out, stop=stop, progress=progress)
     line.close()
     not_derived = try_derive(result.folder)
     if as_json:
@@ -50,20 +54,3 @@ def simulate_command(
     else:
         typer.echo(f"  report: {result.folder / 'derived' / 'report.html'}")
     return STATUS.get(result.outcome, 2)
-
-
-class _Line:
-    """A progress line on the terminal."""
-
-    def __init__(self, quiet: bool) -> None:
-        self._quiet = quiet
-        self._drawn = False
-
-    def show(self, now_s: float, whole_s: float) -> None:
-        if not self._quiet:
-            typer.echo(f"\rsimulating  {now_s:.1f} of {whole_s:g} s", nl=False, err=True)
-            self._drawn = True
-
-    def close(self) -> None:
-        if self._drawn:
-            typer.echo("", err=True)
