@@ -15,6 +15,7 @@ def slow_tests() -> list[str]:
     return [line for line in lines if line and not line.startswith("#")]
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the listed tests."""
     listed = set(slow_tests())
