@@ -68,7 +68,7 @@ def test_a_report_takes_neither_the_cameras_clock_nor_an_untared_balance_for_a_f
     run = synced(tmp_path, 12.0, 0.0)
     page = write_report(run).read_text(encoding="utf-8")
     assert "No fault was reported." in page
-    assert "The camera's stamps are 12.0" in page
+    assert "time stamps, from the LED in its view: 12.0" in page
     figure = timeline_figure(run)
     assert figure is not None
     (force,) = [line for axes in figure.axes for line in axes.lines if line.get_label() == "force"]

@@ -16,6 +16,8 @@ from blind.sets import BLOCK
 from gap.check.campaign import Plan, run_campaign
 from gap.check.scoring.totals import summary
 
+pytestmark = pytest.mark.campaign  # minutes of two processors: a whole campaign in small
+
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:

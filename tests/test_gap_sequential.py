@@ -115,7 +115,7 @@ def test_entries_of_one_family_that_fit_alike_need_a_reference_as_well() -> None
 
 @pytest.mark.parametrize("status", ["named", "named_form_inadequate"])
 @pytest.mark.parametrize(
-    ("closed_low", "doubtful"), [(-5.4, True), (0.4, True), (None, True), (0.8, False)]
+    ("closed_low", "uncertain"), [(-5.4, True), (0.4, True), (None, True), (0.8, False)]
 )
 def test_a_name_not_certain_to_close_half_of_the_gap_waits_for_the_tests_left(
     closed_low: float | None, uncertain: bool, status: str

@@ -93,7 +93,8 @@ def test_what_is_advised_is_run_next_and_otherwise_the_next_of_the_list(
     protocol: str, why: str, expected: str, tmp_path: Path
 ) -> None:
     left, again = battery(load_rig("virtual")), battery(load_rig("virtual"), again=True)
-    experiment = Experiment(protocol, {}, 1.0, 4.0, 2, ("a", "b"), why)
+    settings = {"measure": {"seconds": 60.0}} if why.startswith("a minute") else {}
+    experiment = Experiment(protocol, settings, 1.0, 4.0, 2, ("a", "b"), why)
     running = loop._Running(load_rig("virtual"), tmp_path, None)
     running.verdict = Verdict("unknown", "", None, (), 0.0, 1.0, None, (), (), {}, experiment, {})
     for tests in (left, again) if protocol != "reference" else (left,):

@@ -124,7 +124,7 @@ def test_stop_by_the_control_ends_in_good_order(tmp_path: Path) -> None:
 
 def test_another_program_asks_through_the_control_file(tmp_path: Path) -> None:
     def tell(_: RunControl, runner: Runner) -> None:
-        assert "asked" in tell_run("last", tmp_path, "mark from outside")
+        assert "sent to" in tell_run("last", tmp_path, "mark from outside")
         with pytest.raises(ConfigError, match="'jump'"):
             tell_run("last", tmp_path, "jump")
         del runner

@@ -301,7 +301,7 @@ def test_a_run_continues_no_stranger_and_not_itself(run: Run, other: str) -> Non
     name = run.run_id if other == "itself" else other
     continues = {"run_id": name, "trials": [1], "trial": 2, "joined": True}
     strange = tamper(run, "run.json", lambda fields: fields.update(continues=continues))
-    with pytest.raises(RecordError, match=r"itself|not beside"):
+    with pytest.raises(RecordError, match=r"itself|not in the same folder"):
         reduce_run(strange)
 
 
