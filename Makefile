@@ -24,7 +24,7 @@ test: $(READY)   ## all tests at their small sizes: those that compute, then tho
 	@$(BIN)/python -m tests.compiling
 	@$(BIN)/python -m pytest -m "$(SMALL) and not realtime" -n logical --dist worksteal; \
 	computing=$$?; \
-	$(BIN)/python -m pytest -m "$(SMALL) and realtime" -n 6 --dist worksteal $(WAITING) || \
+	$(BIN)/python -m pytest -m "$(SMALL) and realtime" -n 3 --dist worksteal $(WAITING) || \
 	{ echo "Those that failed in real time once more, alone:"; \
 	  $(BIN)/python -m pytest -m "$(SMALL) and realtime" --last-failed -p no:xdist $(WAITING); }; \
 	exit $$((computing | $$?))
