@@ -412,13 +412,16 @@ def text(value: Any) -> bool:
 def compare(
     old: Path, new: Path, names: list[str], rel: tuple[float, float], allow_text: bool, most: int
 ) -> int:
-    """Print every difference; 1 if there is any, else 0."""
+    """Print every difference; 1 if there is any, else 0. What only NEW has is none."""
     before, after = outputs(old), outputs(new)
     chosen = items()
     count = differing = compared = 0
-    for name in [name for name in names if name in before or name in after]:
-        if name not in before or name not in after:
-            print(f"{name}: only in {(old if name in before else new).name}")
+    for name in names:
+        if name not in before:
+            print(f"{name}: not in {old.name}, so nothing to hold it against")
+            continue
+        if name not in after:
+            print(f"{name}: not in {new.name}")
             differing += 1
             continue
         compared += 1
