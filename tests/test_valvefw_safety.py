@@ -57,7 +57,7 @@ class Bench:
         self.listen()
 
     def listen(self) -> None:
-        for at_us, data in self.board.take_tx():
+        for at_us, data in self.board.take_timed():
             payload = decode_frame(data[:-1])
             assert payload is not None
             if payload[0] == EVENT:
@@ -389,7 +389,7 @@ def _fuzz_armed(total: int, seed: int) -> None:
     while done < total:
         tick += 1
         if not c.safety.armed:
-            c.safety.faults = []
+            c.safety.forget()
             c.safety.arm(c.values)
             c.choose(rng.choice(sorted(c.schemes)))
             if c.scheme is not c.openloop:

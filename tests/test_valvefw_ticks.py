@@ -108,9 +108,9 @@ class Logged(DeskBoard):
         super().drive(inlet_us, vent_us)
         self.log.append(f"drive {inlet_us} {vent_us}")
 
-    def rx(self) -> bytes:
+    def rx(self, inbox: bytearray) -> int:
         self.log.append("rx")
-        return super().rx()
+        return super().rx(inbox)
 
 
 @pytest.mark.parametrize("cause", ["over_pressure", "inlet_bound", "host_silent"])

@@ -3,7 +3,8 @@
 Only a board's own file may import ``machine``. Copy this class, implement every method and run
 
     controller = Controller(Board())
-    # then call controller.tick() every millisecond from a timer or a polling loop
+    # then call controller.tick() every millisecond from a timer or a polling loop; or, better,
+    # controller.step() from an interrupt and controller.loop() as often as possible
 
 The board itself must ensure three properties, because they must hold when the controller fails:
 
@@ -16,6 +17,10 @@ called.
 
 If ``tick`` raises, the board closes the inlet, opens the outlet and resets itself.
 """
+
+from array import array
+
+from valvefw.core import REPLY_HIGH, REPLY_LOW
 
 DRIVE_SILENCE_US = 20000
 
@@ -34,7 +39,7 @@ class Board:
         raise NotImplementedError
 
     def adc(self) -> int:
-        """Newest pressure reading, 12 bits; negative if there is none since the last call."""
+        """Pressure reading of this step, 12 bits; negative if there is none."""
         raise NotImplementedError
 
     def drive(self, inlet_us: int, vent_us: int) -> None:
@@ -55,12 +60,18 @@ class Board:
         """Proximity inputs: bit 0 is A, bit 1 is B."""
         return 0
 
-    def rx(self) -> bytes:
-        """Bytes received since the last call; empty if none. Must not wait."""
-        return b""
+    def rx(self, inbox: bytearray) -> int:
+        """Copy received bytes to ``inbox``; returns how many there were. Must not wait."""
+        return 0
 
-    def tx(self, data: bytes) -> None:
-        """Send without waiting; drop ``data`` as a whole if there is no space."""
+    def tx(self, data: bytes, n: int) -> None:
+        """Send the first ``n`` bytes without waiting; drop all if there is no space."""
+
+    def stamp(self, state: "array[int]") -> None:
+        """Write the device time to ``core.REPLY_LOW`` and ``core.REPLY_HIGH``."""
+        now_us = self.ticks_us()
+        state[REPLY_LOW] = now_us & 0xFFFF
+        state[REPLY_HIGH] = now_us >> 16
 
     def capture(self, source: int) -> bool:
         """Start ``CAPTURE_N`` samples every ``CAPTURE_US``, without the firmware.
@@ -72,6 +83,9 @@ class Board:
     def captured(self) -> bytes:
         """The block, two bytes per sample, low byte first; empty until it is complete."""
         return b""
+
+    def tidy(self) -> None:
+        """Free memory, which may take milliseconds: called while vented."""
 
     def wdt_feed(self) -> None:
         """Feed the hardware watchdog."""

@@ -7,21 +7,31 @@ its driver may wait half a second for a host that does not read. USB is used for
 Wiring
 and pneumatics: docs/reference/wiring.md.
 
+The safety core (``core``) runs in a hard interrupt each millisecond, the rest in the loop of
+``run``. The clock is the 125 MHz that MicroPython starts with: neither core voltage nor flash
+clock have to be changed for it.
+
 The PIO times the valve pulses to 1 us, with one state machine per valve. A state machine counts
 its last value down and switches off at the end. If the processor fails, both coils are
 therefore de-energised within 20 ms. The hardware watchdog resets the chip after
-``WATCHDOG_MS``.
+``WATCHDOG_MS``; it is fed by the loop, and only while the interrupt runs.
 """
 
+import gc
 import os
+import sys
 import time
+from array import array
 
 import machine
+import micropython
 import rp2
+from micropython import const
 
 from valvefw.board import DRIVE_SILENCE_US, Board
 from valvefw.controller import Controller
-from valvefw.wire import CAPTURE_N, CAPTURE_US, TICK_US
+from valvefw.core import Core, decide, note
+from valvefw.wire import CAPTURE_N, CAPTURE_US
 
 # Board facts.
 PIN_UART_TX = 0
@@ -38,10 +48,10 @@ OUTLET_NORMALLY_OPEN = True
 HAS_REGULATOR = False
 BAUD = 115200
 WATCHDOG_MS = 200
-CPU_HZ = 200000000  # the chip's highest certified clock; a tick in Python needs it
+CPU_HZ = 125000000
+MICROPYTHON = (1, 26)  # the first with hard timer interrupts on this chip
 TX_BYTES = 2048
-RX_BYTES = 256  # per tick
-MAKE_UP_US = 20000  # ticks with a larger delay are skipped
+TX_FORGET_US = 200000  # by then the UART has sent them all
 REGULATOR_HZ = 10000
 
 PIO_HZ = 5000000  # five instructions per loop: 1 us
@@ -52,8 +62,21 @@ ADC_FIFO = ADC_BASE + 0x0C
 ADC_DIV = ADC_BASE + 0x10
 ADC_HZ = 48000000
 DREQ_ADC = 36
-TIMER_RAW_LOW = 0x40054028  # 4.6.5: microseconds, 32 bits
+TIMER = 0x40054000  # 4.6.5: word 10 is the time in microseconds, 32 bits
+SIO = 0xD0000000  # 2.3.1.7: words 1, 5, 6 are GPIO_IN, GPIO_OUT_SET, GPIO_OUT_CLR
+PIO0 = 0x50200000  # 3.7: words 4 and 5 are the transmit FIFOs of state machines 0 and 1
+DMA = 0x50000000  # 2.5.7: 0x40 bytes a channel, word 2 is the number of transfers left
 WATCHDOG_CTRL = 0x40058000  # 4.7.6: bit 30 enables
+
+# What the interrupt needs, as addresses and numbers: a global of machine code is an object.
+_SETUP = array("I", [TIMER, ADC_BASE, SIO, PIO0, OUTLET_NORMALLY_OPEN, 1 << PIN_LED, 0, 0])
+_DMA_CHANNEL = const(7)  # its address while a capture runs, else 0
+_BLOCK = bytearray(4 * CAPTURE_N)  # samples of both inputs alternate
+_core = Core()
+_state = _core.state
+_ring = _core.ring
+_times = _core.times
+_box = _core.box
 
 
 @rp2.asm_pio(set_init=rp2.PIO.OUT_LOW)
@@ -88,6 +111,106 @@ def hold_shut():
     label("off")
     set(pins, 0)
     jmp("loop")
+
+
+# Places in the core's state (``core``): constants of this file become part of the machine code.
+_NOW = const(0)
+_NOW_LOW = const(1)
+_NOW_HIGH = const(2)
+_READING = const(3)
+_PROX = const(4)
+_INLET_US = const(5)
+_VENT_US = const(6)
+_LED = const(7)
+_DT = const(9)
+_STEP_WORST = const(110)
+_DT_LONGEST = const(111)
+_DT_SHORTEST = const(112)
+_REPLY_LOW = const(116)
+_REPLY_HIGH = const(117)
+_SILENCE = const(20000)  # DRIVE_SILENCE_US
+_LAST_SAMPLE = const(1600)  # 2 * CAPTURE_N
+_TIME_MASK = const(0x3FFFFFFF)
+
+
+@micropython.viper
+def _interrupt(source):
+    """One step of the safety core: convert, check, drive, then record."""
+    setup = ptr32(_SETUP)
+    s = ptr32(_state)
+    timer = ptr32(setup[0])
+    adc = ptr32(setup[1])
+    sio = ptr32(setup[2])
+    now = timer[10]
+    reading = -1
+    channel = setup[_DMA_CHANNEL]
+    if channel:
+        dma = ptr32(channel)
+        done = _LAST_SAMPLE - dma[2]
+        if done >= _LAST_SAMPLE:
+            adc[0] = 1  # end of the capture
+            adc[2] = 0
+            setup[_DMA_CHANNEL] = 0
+            channel = 0
+        elif done >= 2:
+            block = ptr8(_BLOCK)
+            at = ((done - 2) >> 1) * 4
+            reading = block[at] | (block[at + 1] & 15) << 8
+    if channel == 0:
+        adc[0] = 5  # one conversion of input 0, 2 us
+        tries = 100
+        while tries:
+            tries -= 1
+            if adc[0] & 256:
+                reading = adc[1] & 4095
+                tries = 0
+    s[_NOW] = now & _TIME_MASK
+    s[_NOW_LOW] = now & 65535
+    s[_NOW_HIGH] = (now >> 16) & 65535
+    s[_READING] = reading
+    s[_PROX] = ((sio[1] >> 6) & 3) ^ 3
+    decide(_state)
+    pio = ptr32(setup[3])
+    inlet = s[_INLET_US]
+    if inlet > _SILENCE:
+        inlet = _SILENCE
+    pio[4] = inlet
+    vent = s[_VENT_US]
+    if setup[4] == 0:
+        if vent > _SILENCE:
+            vent = _SILENCE
+        pio[5] = vent
+    elif vent >= _SILENCE:
+        pio[5] = 0
+    elif vent > 0:
+        pio[5] = 0
+        pio[5] = _SILENCE + vent
+    else:
+        pio[5] = _SILENCE
+    if s[_LED]:
+        sio[5] = setup[5]
+    else:
+        sio[6] = setup[5]
+    note(_state, _ring, _times, _box)
+    took = timer[10] - now
+    if took > s[_STEP_WORST]:
+        s[_STEP_WORST] = took
+    dt = s[_DT]
+    if dt > s[_DT_LONGEST]:
+        s[_DT_LONGEST] = dt
+    if dt < s[_DT_SHORTEST]:
+        s[_DT_SHORTEST] = dt
+
+
+@micropython.viper
+def _stamp():
+    """Device time for a reply."""
+    setup = ptr32(_SETUP)
+    s = ptr32(_state)
+    timer = ptr32(setup[0])
+    now = timer[10]
+    s[_REPLY_LOW] = now & 65535
+    s[_REPLY_HIGH] = (now >> 16) & 65535
 
 
 class RP2040(Board):
@@ -136,27 +259,31 @@ class RP2040(Board):
             timeout=0,
         )
         self._queued = 0
-        self._queued_at_us = self.ticks_us()
+        self._queued_at_us = time.ticks_us()
         self._watchdog = None
         self._dma = None
-        self._block = bytearray(4 * CAPTURE_N)  # samples of both inputs alternate
+        self._timer = None
         self._source = 0
+        # Between steps ``adc[0] = 5`` only selects input 0 again: the other was set up above.
+        self._pressure.read_u16()
+
+    def start(self) -> None:
+        """Run the safety core each millisecond from now on."""
+        self._timer = machine.Timer(
+            -1, freq=1000, mode=machine.Timer.PERIODIC, callback=_interrupt, hard=True
+        )
+
+    def stop(self) -> None:
+        """No more steps; de-energise both coils."""
+        if self._timer is not None:
+            self._timer.deinit()
+        self.let_go()
 
     def ticks_us(self) -> int:
-        return machine.mem32[TIMER_RAW_LOW] & 0xFFFFFFFF
+        return machine.mem32[TIMER + 0x28] & 0xFFFFFFFF
 
-    def adc(self) -> int:
-        """One conversion, 2 us; during a capture the newest sample."""
-        dma = self._dma
-        if dma is not None:
-            done = 2 * CAPTURE_N - dma.count
-            if done < 2:
-                return -1
-            if done < 2 * CAPTURE_N:
-                at = ((done - 2) & ~1) * 2
-                return self._block[at] | (self._block[at + 1] & 0x0F) << 8
-            self._end_capture()
-        return self._pressure.read_u16() >> 4
+    def stamp(self, state) -> None:
+        _stamp()
 
     def drive(self, inlet_us: int, vent_us: int) -> None:
         """Words for the state machines, limited to the board's time-out."""
@@ -176,27 +303,31 @@ class RP2040(Board):
         if self._regulator is not None:
             self._regulator.duty_u16(counts_x16)
 
-    def led(self, on: int) -> None:
-        self._led.value(on)
-
-    def prox(self) -> int:
-        return (1 - self._prox_a.value()) | (1 - self._prox_b.value()) << 1
-
-    def rx(self) -> bytes:
+    def rx(self, inbox) -> int:
         # A request for more bytes than available would wait 1 to 2 ms for the rest.
         held = self._uart.any()
-        return self._uart.read(held if held < RX_BYTES else RX_BYTES) or b"" if held else b""
+        if not held:
+            return 0
+        return self._uart.readinto(inbox, held if held < len(inbox) else len(inbox)) or 0
 
-    def tx(self, data: bytes) -> None:
-        """Write to the UART buffer; drop ``data`` as a whole if it does not fit."""
-        now_us = self.ticks_us()
-        sent = ((now_us - self._queued_at_us) & 0xFFFFFFFF) * (BAUD // 100) // 100000
-        if sent:
+    def tx(self, data, n: int) -> None:
+        """Write to the UART buffer; drop all if it does not fit."""
+        now_us = time.ticks_us()
+        past_us = time.ticks_diff(now_us, self._queued_at_us)
+        if not 0 <= past_us < TX_FORGET_US:
+            self._queued = 0
             self._queued_at_us = now_us
-            self._queued = self._queued - sent if self._queued > sent else 0
-        if self._queued + len(data) <= TX_BYTES - 64:
-            self._uart.write(data)
-            self._queued += len(data)
+        else:
+            sent = past_us * (BAUD // 100) // 100000
+            if sent:
+                self._queued_at_us = now_us
+                self._queued = self._queued - sent if self._queued > sent else 0
+        if self._queued + n <= TX_BYTES - 64:
+            self._uart.write(data, n)
+            self._queued += n
+
+    def tidy(self) -> None:
+        gc.collect()
 
     def wdt_feed(self) -> None:
         """The first call starts the watchdog; from then on only regular ticks prevent a reset."""
@@ -210,39 +341,35 @@ class RP2040(Board):
 
     def capture(self, source: int) -> bool:
         """Sample both inputs alternately by DMA; pressure readings continue."""
+        if self._dma is not None:
+            self._dma.close()
         self._source = source
-        machine.mem32[ADC_CS] = 1
-        machine.mem32[ADC_FCS] = 1 << 24 | 1 << 3 | 1  # request at one sample, to the DMA
+        dma = self._dma = rp2.DMA()
+        dma.config(
+            read=ADC_FIFO,
+            write=_BLOCK,
+            count=2 * CAPTURE_N,
+            ctrl=dma.pack_ctrl(size=1, inc_read=False, treq_sel=DREQ_ADC),
+        )
         machine.mem32[ADC_DIV] = (ADC_HZ * CAPTURE_US // 2000000 - 1) << 8
         while machine.mem32[ADC_FCS] >> 16 & 0x0F:
             _ = machine.mem32[ADC_FIFO]
-        dma = rp2.DMA()
-        dma.config(
-            read=ADC_FIFO,
-            write=self._block,
-            count=2 * CAPTURE_N,
-            ctrl=dma.pack_ctrl(size=1, inc_read=False, treq_sel=DREQ_ADC),
-            trigger=True,
-        )
-        self._dma = dma
+        masked = machine.disable_irq()
+        dma.active(1)
+        machine.mem32[ADC_FCS] = 1 << 24 | 1 << 3 | 1  # request at one sample, to the DMA
         machine.mem32[ADC_CS] = 0b11 << 16 | 1 << 3 | 1  # inputs 0 and 1, free running
+        _SETUP[_DMA_CHANNEL] = DMA + 0x40 * dma.channel
+        machine.enable_irq(masked)
         return True
-
-    def _end_capture(self) -> None:
-        machine.mem32[ADC_CS] = 1
-        machine.mem32[ADC_FCS] = 0
-        self._dma.close()
-        self._dma = None
 
     def captured(self) -> bytes:
         """Every second sample."""
-        if self._dma is not None:
+        if self._dma is None or _SETUP[_DMA_CHANNEL]:
             return b""
-        block = self._block
         out = bytearray(2 * CAPTURE_N)
         for k in range(CAPTURE_N):
-            out[2 * k] = block[4 * k + 2 * self._source]
-            out[2 * k + 1] = block[4 * k + 2 * self._source + 1] & 0x0F
+            out[2 * k] = _BLOCK[4 * k + 2 * self._source]
+            out[2 * k + 1] = _BLOCK[4 * k + 2 * self._source + 1] & 0x0F
         return bytes(out)
 
     def let_go(self) -> None:
@@ -256,23 +383,22 @@ class RP2040(Board):
 
 
 def run() -> None:
-    """Tick every millisecond; de-energise the valves on any exception."""
-    machine.freq(CPU_HZ)
+    """The loop around the safety core; de-energise the valves on any exception."""
+    if sys.implementation.version < MICROPYTHON:
+        raise RuntimeError("valvefw needs MicroPython %d.%d or newer" % MICROPYTHON)
+    if machine.freq() != CPU_HZ:
+        machine.freq(CPU_HZ)
     board = RP2040()
     try:
-        controller = Controller(board)
-        due_us = time.ticks_us()
+        controller = Controller(board, _core)
+        board.start()
         while True:
-            now_us = time.ticks_us()
-            late_us = time.ticks_diff(now_us, due_us)
-            if late_us >= 0:
-                # An unlimited delay would exceed the range of ticks_diff and stop the ticks.
-                due_us = time.ticks_add(due_us if late_us < MAKE_UP_US else now_us, TICK_US)
-                controller.tick()
+            if not controller.loop():
+                machine.idle()
     except KeyboardInterrupt:
-        board.let_go()
+        board.stop()
         board.stop_watchdog()
         raise
     except BaseException:
-        board.let_go()
+        board.stop()
         machine.reset()

@@ -6,6 +6,7 @@ is measured.
 """
 
 from valvefw.board import Board
+from valvefw.core import CAPTURE_LEAD, CAPTURE_SINCE, CAPTURE_WAITS, TIME_MASK, Core
 from valvefw.wire import CAPTURE_N
 
 UNKNOWN = -1
@@ -14,26 +15,25 @@ UNKNOWN = -1
 class Capture:
     """The last block, and the start time of its pulse."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Board, core: Core) -> None:
         self._board = board
-        self._started_us = 0
-        self.waiting = False
-        self.lead_us = UNKNOWN
+        self._state = core.state
+        self._state[CAPTURE_LEAD] = UNKNOWN
+
+    @property
+    def lead_us(self) -> int:
+        """Time from the first reading to the pulse; negative before it."""
+        return self._state[CAPTURE_LEAD]
 
     def begin(self, source: int) -> bool:
         """Start sampling now; False if this board has no capture."""
         if not self._board.capture(source):
             return False
-        self._started_us = self._board.ticks_us()
-        self.waiting = True
-        self.lead_us = UNKNOWN
+        s = self._state
+        s[CAPTURE_SINCE] = self._board.ticks_us() & TIME_MASK
+        s[CAPTURE_LEAD] = UNKNOWN
+        s[CAPTURE_WAITS] = 1
         return True
-
-    def on_drive(self, inlet_us: int, vent_us: int) -> None:
-        """Called after each drive while ``waiting``: the first pulse determines the lead time."""
-        if inlet_us or vent_us:
-            self.waiting = False
-            self.lead_us = (self._board.ticks_us() - self._started_us) & 0xFFFFFFFF
 
     def part(self, first: int, n: int) -> str:
         """Readings of three hexadecimal digits each; empty until the block is complete."""

@@ -4,6 +4,7 @@ Invalid arguments are refused, never clipped. All verbs: docs/reference/wire-for
 """
 
 from valvefw import config
+from valvefw.core import COUNTS
 from valvefw.wire import (
     CAPTURE_LEAD_US,
     CAPTURE_N,
@@ -163,10 +164,10 @@ class Commands:
             state,
             c.scheme.name if c.scheme is not None else "idle",
             c.setpoint_x16,
-            c.counts,
+            c.core.state[COUNTS],
             c.board.ticks_us(),
-            c.decoder.bad_frames,
-            c.decoder.lost_bytes,
+            c.receiver.bad_frames,
+            c.receiver.lost_bytes,
         )
 
     def _conf(self, args: list[str]) -> str:
@@ -219,6 +220,7 @@ class Commands:
         reason = config.problem(c.values)
         if reason:
             raise Refused("conf", reason)
+        c.board.tidy()  # not needed again for minutes
         c.safety.arm(c.values)
         return ""
 
@@ -285,8 +287,8 @@ class Commands:
         if not c.capture.begin(source):
             raise Refused("board", "this board cannot capture from source %d" % source)
         rest = c.values["inlet_rest_ms"] * 1000
-        # The step of the current tick already counts down one tick.
-        c.openloop.begin(inlet, width, 1, width + rest, CAPTURE_LEAD_US + TICK_US)
+        # A request takes effect one tick after its step.
+        c.openloop.begin(inlet, width, 1, width + rest, CAPTURE_LEAD_US - TICK_US)
         return "n=%d period_us=%d" % (CAPTURE_N, CAPTURE_US)
 
     def _block(self, args: list[str]) -> str:
@@ -307,7 +309,7 @@ class Commands:
 
     def _faults(self, args: list[str]) -> str:
         safety = self._c.safety
-        text = "n=%d samples=%d" % (len(safety.faults), len(safety.black_box) // SAMPLE_SIZE)
+        text = "n=%d samples=%d" % (len(safety.faults), len(self._c.telemetry.black_box()) // SAMPLE_SIZE)
         at = 1
         for fault in safety.faults:
             text += " f%d=%s t%d=%d" % (at, fault[0], at, fault[1])
@@ -315,7 +317,7 @@ class Commands:
         return text
 
     def _blackbox(self, args: list[str]) -> str:
-        box = self._c.safety.black_box
+        box = self._c.telemetry.black_box()
         rows = len(box) // SAMPLE_SIZE
         if not rows:
             raise Refused("range", "no fault is latched")
@@ -329,7 +331,7 @@ class Commands:
 
     def _clear(self, args: list[str]) -> str:
         c = self._c
-        reason = c.safety.clear(c.counts)
+        reason = c.safety.clear(c.core.state[COUNTS])
         if reason:
             raise Refused("pressure", reason)
         return ""
@@ -341,12 +343,12 @@ class Commands:
                 raise Refused("syntax", "led sync takes seed and bit_ms")
             seed = _number(args[1], 1, 65535, "seed")
             bit_ms = _number(args[2], 2, 1000, "bit_ms")
-            c.led_pattern(seed, bit_ms)
+            at_us = c.led_pattern(seed, bit_ms)
         elif len(args) == 1:
-            c.led_steady(_number(args[0], 0, 1, "led"))
+            at_us = c.led_steady(_number(args[0], 0, 1, "led"))
         else:
             raise Refused("syntax", "led takes 0, 1 or sync seed bit_ms")
-        return "t=%d" % c.board.ticks_us()
+        return "t=%d" % at_us
 
     def _telemetry(self, args: list[str]) -> str:
         c = self._c

@@ -1,13 +1,60 @@
-"""The controller: one ``tick`` per millisecond runs safety checks, requests, scheme and telemetry.
+"""The controller: a safety core each millisecond, and a loop around it.
 
-States: disarmed or fault (always vented), or armed with a scheme (``idle`` is vented too). Only
-``tick`` drives the valves, except for a fault.
+``step`` reads, checks, drives and records (``core``). ``loop`` runs the scheme once after each
+step, then sends one telemetry frame or answers one request. What a scheme requests takes effect
+at the next step, so the time from a reading to its command is one millisecond however long the
+loop takes. A loop that is late misses readings; the core then continues the last request.
+
+States: disarmed or fault (always vented), or armed with a scheme (``idle`` is vented too).
 """
+
+from array import array
 
 from valvefw import VERSION, config
 from valvefw.board import Board
 from valvefw.capture import Capture
 from valvefw.commands import Commands
+from valvefw.core import (
+    ARMED,
+    COUNTS,
+    FAULT_N,
+    FAULTS,
+    HAS_RUN,
+    INLET_US,
+    LAST,
+    LED,
+    LED_BIT,
+    LED_LEFT,
+    LED_STATE,
+    LOOP,
+    LOOP_LEFT,
+    NOW,
+    NOW_HIGH,
+    NOW_LOW,
+    PROX,
+    READING,
+    RENEWS,
+    REPLY_HIGH,
+    REPLY_LOW,
+    REQUESTED,
+    RUNNING,
+    TICK,
+    TICKS,
+    TIME_MASK,
+    VENT_US,
+    VENTED_HIGH,
+    VENTED_LOW,
+    VENTED_MS,
+    VENTED_NEWS,
+    WANT_INLET,
+    WANT_VENT,
+    Core,
+    begin_run,
+    decide,
+    note,
+)
+from valvefw.receiver import Receiver, split
+from valvefw.replies import put_number, put_text
 from valvefw.safety import Safety
 from valvefw.schemes.bothduty import BothDuty
 from valvefw.schemes.burst import Burst
@@ -20,11 +67,12 @@ from valvefw.schemes.scheme import Scheme
 from valvefw.schemes.sliding import Sliding
 from valvefw.schemes.twoposition import TwoPosition
 from valvefw.schemes.valves import VENT_HOLD_US, Valves
-from valvefw.sensorwatch import SensorWatch
 from valvefw.telemetry import Telemetry
-from valvefw.wire import EVENT, REPLY, REQUEST, TICK_US, Decoder, encode_frame, lfsr_next
+from valvefw.wire import EVENT, ONE_BLOCK, REPLY, REQUEST, encode_frame, seal
 
-VENTED_READINGS = 8  # consecutive readings below the threshold that confirm a vent
+_HB = b" ok hb="
+_SP = b" ok sp="
+_T = b" t="
 
 
 class Controller:
@@ -32,19 +80,22 @@ class Controller:
 
     Args:
         board: the hardware, real or simulated; it is vented first.
+        core: the safety core, where the board has made it for its interrupt.
     """
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Board, core: Core | None = None) -> None:
         board.drive(0, VENT_HOLD_US)
         self.board = board
         self.version = VERSION
         self.values = config.defaults()
         self.checksum = config.Checksum()
         self.checksum.of(self.values)
-        self.safety = Safety(self.values)
+        self.core = Core() if core is None else core
+        self._state = s = self.core.state
+        self.safety = Safety(self.core, self.values)
         self.valves = Valves()
         boot_id = board.random16() & 0xFFFF
-        self.telemetry = Telemetry(boot_id or 1)
+        self.telemetry = Telemetry(self.core, boot_id or 1)
         self.openloop = OpenLoop()
         self.regulated = Regulated()
         self.schemes: dict[str, Scheme] = {"open": self.openloop, "reg": self.regulated}
@@ -52,157 +103,171 @@ class Controller:
             self.schemes[kind.name] = kind()
         self.scheme: Scheme | None = None  # None: vented
         self.setpoint_x16 = 0
-        self.counts = 0
-        self.decoder = Decoder()
-        self.capture = Capture(board)
+        self.receiver = Receiver(board)
+        self.capture = Capture(board, self.core)
         self._commands = Commands(self)
-        self._black_box_due = False
+        self._words = array("i", [0] * 9)
+        self._reply = bytearray(ONE_BLOCK)
         self._regulator = 0
-        self._vented_run = self._lost_run = self._vent_left_us = self._vent_lost_at = 0
-        self._led = self._led_state = self._led_bit_us = self._led_left_us = 0
-        self._watch = SensorWatch()
-        self._driven_inlet_us = self._driven_vent_us = 0
-        self._last_us = board.ticks_us()
-        self._confirm_vent()
+        self._reported = 0
+        self._ticks = 0
+        self._led = 0
+        s[LAST] = self._now = board.ticks_us() & TIME_MASK
+        s[HAS_RUN] = 1  # a vent whose success is watched
         board.regulator(0)
         board.led(0)
         boot = (self.telemetry.boot_id, board.reset_cause, VERSION)
         self.event("boot id=%d cause=%s fw=%s" % boot)
 
     def tick(self) -> None:
-        """One control step: read, check, handle requests, drive, send telemetry."""
-        board = self.board
-        now_us = board.ticks_us()
-        dt_us = (now_us - self._last_us) & 0xFFFFFFFF
-        self._last_us = now_us
-        counts = board.adc()
-        safety = self.safety
-        if counts < 0:  # no reading: continue with the last one
-            counts = self.counts
-            cause = safety.check_silent(dt_us)
-        else:
-            self.counts = counts
-            cause = safety.check(counts, dt_us)
-        scheme = self.scheme
-        if scheme is not None and not cause:
-            cause = self._watch.check(
-                counts, dt_us, self._driven_inlet_us, self._driven_vent_us, scheme.renews
-            )
-        if cause:
-            self.trip(cause)
-        data = board.rx()
-        if data:
-            self.decoder.push(data)
-            self._handle_requests()
-        scheme = self.scheme
-        prox = board.prox()
-        if scheme is not None:
-            valves = self.valves
-            valves.prox = prox
-            inlet_us = valves.inlet_us
-            if inlet_us:
-                valves.inlet_us = inlet_us - dt_us if inlet_us > dt_us else 0
-            vent_us = valves.vent_us
-            if vent_us:
-                valves.vent_us = vent_us - dt_us if vent_us > dt_us else 0
-            scheme.step(counts, self.setpoint_x16, dt_us, valves)
-            inlet_us = valves.inlet_us
-            vent_us = valves.vent_us
-            if scheme.renews:
-                safety.renewed_inlet()
-            else:
-                inlet_us = safety.bound_inlet(inlet_us, TICK_US)
-                if inlet_us < 0:
-                    self.trip("inlet_bound")
-                    inlet_us = 0
-                    vent_us = VENT_HOLD_US
-        else:
-            inlet_us = 0
-            vent_us = VENT_HOLD_US
-            if safety.inlet_run_us:
-                safety.bound_inlet(0, TICK_US)
-            if self._vent_left_us:
-                self._watch_vent(counts, dt_us)
-            elif counts >= self._vent_lost_at:
-                self._watch_vented()
-            elif self._lost_run:
-                self._lost_run = 0
-        self._driven_inlet_us = inlet_us
-        self._driven_vent_us = vent_us
-        board.drive(inlet_us, vent_us)
-        if self.capture.waiting:
-            self.capture.on_drive(inlet_us, vent_us)
-        if self._led_bit_us:
-            self._blink(dt_us)
-        flags = (
-            (1 if inlet_us else 0)
-            | (2 if vent_us else 0)
-            | (4 if safety.armed else 0)
-            | (8 if safety.faults else 0)
-            | (16 if self._led else 0)
-            | (32 if safety.heartbeat_seen else 0)
-            | (prox << 6)
-        )
-        telemetry = self.telemetry
-        if telemetry.add(
-            now_us,
-            dt_us,
-            counts,
-            flags,
-            200 if inlet_us >= 1000 else inlet_us // 5,
-            200 if vent_us >= 1000 else vent_us // 5,
-        ):
-            board.tx(telemetry.frame(self.setpoint_x16))
-        if self._black_box_due:
-            self._black_box_due = False
-            safety.black_box = telemetry.black_box()
-        board.wdt_feed()
+        """One millisecond of a board without an interrupt: a step, then the loop until it is idle."""
+        self.step()
+        while self.loop():
+            pass
 
-    def _handle_requests(self) -> None:
-        while True:
-            payload = self.decoder.next()
-            if payload is None:
-                return
-            if payload[0] == REQUEST:
-                reply = self._commands.answer(payload[1:])
-                self.board.tx(encode_frame(bytes((REPLY,)) + reply.encode()))
+    def step(self) -> None:
+        """One step of the safety core; on the chip the interrupt does the same in machine code."""
+        board = self.board
+        core = self.core
+        s = core.state
+        now_us = board.ticks_us()
+        s[NOW] = now_us & TIME_MASK
+        s[NOW_LOW] = now_us & 0xFFFF
+        s[NOW_HIGH] = now_us >> 16
+        s[READING] = board.adc()
+        s[PROX] = board.prox()
+        decide(s)
+        board.drive(s[INLET_US], s[VENT_US])
+        if s[LED] != self._led:
+            self._led = s[LED]
+            board.led(s[LED])
+        note(s, core.ring, core.times, core.box)
+
+    def loop(self) -> bool:
+        """One pass of the loop; True if there may be more to do before the next step."""
+        s = self._state
+        s[LOOP_LEFT] = LOOP
+        if s[FAULT_N] != self._reported or s[VENTED_NEWS]:
+            self._report()
+        ticks = s[TICKS]
+        if ticks != self._ticks:
+            self._ticks = ticks
+            self.board.wdt_feed()
+            now = s[NOW]
+            dt_us = (now - self._now) & TIME_MASK
+            self._now = now
+            scheme = self.scheme
+            if scheme is not None:
+                valves = self.valves
+                valves.prox = s[PROX]
+                inlet_us = valves.inlet_us
+                if inlet_us:
+                    valves.inlet_us = inlet_us - dt_us if inlet_us > dt_us else 0
+                vent_us = valves.vent_us
+                if vent_us:
+                    valves.vent_us = vent_us - dt_us if vent_us > dt_us else 0
+                scheme.step(s[COUNTS], self.setpoint_x16, dt_us, valves)
+                s[WANT_INLET] = valves.inlet_us
+                s[WANT_VENT] = valves.vent_us
+                s[REQUESTED] = 1
+            if self.telemetry.full():
+                self.send_held()
+            return True
+        size = self.receiver.next()
+        if not size:
+            return False
+        if self.receiver.frame[1] == REQUEST and not self._answered(size):
+            request = bytes(self.receiver.frame[2 : size + 1])
+            self._send(REPLY, self._commands.answer(request))
+        return True
+
+    def _answered(self, size: int) -> bool:
+        """Answer a heartbeat or set-point without allocating; False if it is another request.
+
+        What is refused also counts as another request: ``commands`` states the reason.
+        """
+        frame = self.receiver.frame
+        words = self._words
+        if split(frame, size, words) != 3 or words[1] > 5 or words[4] != 2:
+            return False
+        request_id = words[2]
+        value = words[8]
+        if not 0 <= request_id <= 65535 or value < 0:
+            return False
+        verb = frame[words[3]] << 8 | frame[words[3] + 1]
+        scheme = self.scheme
+        s = self._state
+        out = self._reply
+        out[1] = REPLY
+        at = put_number(out, 2, request_id, 0)
+        if verb == 0x6862:  # hb
+            if value > 65535 or not self.safety.heartbeat(value):
+                return False
+            if scheme is not None:
+                scheme.renew()
+            at = put_text(out, at, _HB, 7)
+            at = put_number(out, at, value, 0)
+            at = put_text(out, at, _T, 3)
+            self.board.stamp(s)
+            at = put_number(out, at, s[REPLY_LOW], s[REPLY_HIGH])
+        elif verb == 0x7370:  # sp
+            if value > self.values["sp_max"] * 16 or s[FAULTS] or not s[ARMED]:
+                return False
+            if scheme is None or scheme is self.openloop:
+                return False
+            self.set_setpoint(value)
+            scheme.renew()
+            at = put_text(out, at, _SP, 7)
+            at = put_number(out, at, value, 0)
+        else:
+            return False
+        self.board.tx(out, seal(out, at - 1))
+        return True
 
     def event(self, text: str) -> None:
         """Send an unsolicited message."""
-        self.board.tx(encode_frame(bytes((EVENT,)) + text.encode()))
+        self._send(EVENT, text)
 
-    def trip(self, cause: str) -> None:
-        """Vent, latch a fault and report it; on the chip the report takes longest."""
-        self.board.drive(0, VENT_HOLD_US)
-        known = len(self.safety.faults)
-        if self.safety.latch(cause, self._last_us):
-            self._black_box_due = True
-        if len(self.safety.faults) > known:
-            self.event("fault cause=%s t=%d counts=%d" % (cause, self._last_us, self.counts))
-        self.vent()
+    def _send(self, kind: int, text: str) -> None:
+        frame = encode_frame(bytes((kind,)) + text.encode())
+        self.board.tx(frame, len(frame))
+
+    def _report(self) -> None:
+        """Report new faults and a confirmed vent; the core has already vented."""
+        s = self._state
+        while self._reported < s[FAULT_N]:
+            self.event("fault cause=%s t=%d counts=%d" % self.safety.fault(self._reported))
+            self._reported += 1
+        self._reported = s[FAULT_N]
+        if s[VENTED_NEWS]:
+            s[VENTED_NEWS] = 0
+            at_us = s[VENTED_LOW] | s[VENTED_HIGH] << 16
+            self.event("vented t=%d ms=%d" % (at_us, s[VENTED_MS]))
+        if s[FAULT_N]:
+            self.vent()
 
     def disarm(self) -> None:
         """Vent and stop the heartbeat check."""
-        self.safety.armed = False
+        self.safety.disarm()
         self.vent()
 
     def vent(self) -> None:
         """Close the inlet, open the outlet, set-point 0; the pressure must then fall in time."""
+        self._state[RUNNING] = 0
         self.set_setpoint(0)
         if self.scheme is not None:
             self.scheme = None
             self.valves.shut()
-            self._confirm_vent()
 
     def choose(self, name: str) -> None:
-        """Run scheme ``name`` from the next tick; the caller has checked the conditions."""
+        """Run scheme ``name`` from the next step; the caller has checked the conditions."""
         self.set_setpoint(0)
         self.valves.shut()
         scheme = self.schemes[name]
         scheme.start(self.values)
-        self._watch.start(self.values, self.counts)
         self.scheme = scheme
-        self._vent_left_us = 0
+        self._state[RENEWS] = scheme.renews
+        begin_run(self._state)
 
     def set_setpoint(self, setpoint_x16: int) -> None:
         """Change the set-point; first send the samples taken under the old one."""
@@ -215,60 +280,37 @@ class Controller:
             self.board.regulator(regulator)
 
     def send_held(self) -> None:
-        """Send the collected samples as a short frame."""
-        frame = self.telemetry.frame(self.setpoint_x16)
-        if frame:
-            self.board.tx(frame)
+        """Send the samples not yet sent."""
+        telemetry = self.telemetry
+        n = telemetry.frame(self.setpoint_x16)
+        if n:
+            self.board.tx(telemetry.buffer, n)
 
-    def _confirm_vent(self) -> None:
-        self._vent_left_us = self.values["vent_ms"] * 1000
-        self._vent_since_us = self._last_us
-        self._vented_run = self._lost_run = 0
-        self._vent_lost_at = 2 * self.values["vent_below"]
+    def led_steady(self, on: int) -> int:
+        """Switch the sync LED on or off at the next step; returns that step's device time."""
+        s = self._state
+        while True:
+            at = s[NOW]
+            s[LED_BIT] = 0
+            s[LED] = on
+            if at == s[NOW]:
+                return self._next_step_us()
 
-    def _watch_vent(self, counts: int, dt_us: int) -> None:
-        if counts < self.values["vent_below"]:
-            self._vented_run += 1
-            if self._vented_run >= VENTED_READINGS:
-                self._vent_left_us = 0
-                took_ms = ((self._last_us - self._vent_since_us) & 0xFFFFFFFF) // 1000
-                self.event("vented t=%d ms=%d" % (self._last_us, took_ms))
-            return
-        self._vented_run = 0
-        self._vent_left_us -= dt_us
-        if self._vent_left_us <= 0:
-            self._vent_left_us = 0
-            self.trip("vent_failed")
+    def led_pattern(self, seed: int, bit_ms: int) -> int:
+        """Start a pseudo-random pattern on the sync LED (see ``wire.lfsr_next``).
 
-    def _watch_vented(self) -> None:
-        """Check for a high reading after a confirmed or failed vent."""
-        self._lost_run += 1
-        if self._lost_run == VENTED_READINGS:
-            self.trip("vent_lost")
+        Returns the device time of its first bit.
+        """
+        s = self._state
+        while True:  # an interrupt in the middle would start it earlier
+            at = s[NOW]
+            s[LED_BIT] = 0
+            s[LED_STATE] = seed
+            s[LED_LEFT] = -1
+            s[LED_BIT] = bit_ms * 1000
+            if at == s[NOW]:
+                return self._next_step_us()
 
-    def led_steady(self, on: int) -> None:
-        """Switch the sync LED on or off."""
-        self._led_bit_us = 0
-        self._led = on
-        self.board.led(on)
-
-    def led_pattern(self, seed: int, bit_ms: int) -> None:
-        """Start a pseudo-random pattern on the sync LED (see ``wire.lfsr_next``)."""
-        self._led_state = seed
-        self._led_bit_us = bit_ms * 1000
-        self._led_left_us = -1  # bit 0 starts at this tick
-        self._led = seed & 1
-        self.board.led(self._led)
-
-    def _blink(self, dt_us: int) -> None:
-        if self._led_left_us < 0:
-            self._led_left_us = self._led_bit_us
-            return
-        self._led_left_us -= dt_us
-        while self._led_left_us <= 0:
-            self._led_left_us += self._led_bit_us
-            self._led_state = lfsr_next(self._led_state)
-        led = self._led_state & 1
-        if led != self._led:
-            self._led = led
-            self.board.led(led)
+    def _next_step_us(self) -> int:
+        s = self._state
+        return ((s[NOW_LOW] | s[NOW_HIGH] << 16) + TICK) & 0xFFFFFFFF

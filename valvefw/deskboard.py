@@ -14,7 +14,37 @@ VENT_SHARE = 500  # per ms the pressure falls by 1/500, and by one sixteenth of 
 TOP_X16 = 4095 * 16
 
 
-class DeskBoard(Board):
+class BufferedBoard(Board):
+    """A board whose serial line is two buffers in memory."""
+
+    def __init__(self) -> None:
+        self._received = b""
+        self._sent: list[bytes] = []
+
+    def feed(self, data: bytes) -> None:
+        """Bytes from the host arrive."""
+        self._received += data
+
+    def rx(self, inbox: bytearray) -> int:
+        data = self._received
+        if not data:
+            return 0
+        n = min(len(data), len(inbox))
+        inbox[:n] = data[:n]
+        self._received = data[n:]
+        return n
+
+    def tx(self, data: bytes, n: int) -> None:
+        self._sent.append(bytes(data[:n]))
+
+    def take_tx(self) -> bytes:
+        """All bytes sent since the last call."""
+        data = b"".join(self._sent)
+        self._sent.clear()
+        return data
+
+
+class DeskBoard(BufferedBoard):
     """Firmware, chamber and byte buffers; ``run`` advances the virtual time."""
 
     name = "desk"
@@ -31,20 +61,17 @@ class DeskBoard(Board):
         self.override = -1
         self._boot_id = boot_id
         self._block_us = -1
-        self._rx = b""
-        self._tx: list[bytes] = []
+        super().__init__()
         self.controller = Controller(self)
 
     def run(self, ticks: int, data: bytes = b"") -> bytes:
         """Receive ``data``, run ``ticks`` ticks, return all bytes sent."""
-        self._rx += data
+        self.feed(data)
         for _ in range(ticks):
             self.now_us = (self.now_us + TICK_US) & 0xFFFFFFFF
             self.controller.tick()
             self._flow()
-        sent = b"".join(self._tx)
-        self._tx = []
-        return sent
+        return self.take_tx()
 
     def _flow(self) -> None:
         pressure = self.pressure_x16
@@ -75,14 +102,6 @@ class DeskBoard(Board):
 
     def led(self, on: int) -> None:
         self.led_on = on
-
-    def rx(self) -> bytes:
-        data = self._rx
-        self._rx = b""
-        return data
-
-    def tx(self, data: bytes) -> None:
-        self._tx.append(data)
 
     def capture(self, source: int) -> bool:
         """Start a ramp, in which each sample is different."""

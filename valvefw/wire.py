@@ -6,6 +6,9 @@ frame. The host imports this file too; there is no second implementation.
 """
 
 import binascii
+from array import array
+
+from valvefw.native import micropython, ptr8, ptr16
 
 PROTO = 1
 
@@ -40,26 +43,31 @@ MAX_PAYLOAD = 400
 MAX_REQUEST = 96
 
 
-def _crc_table() -> list[int]:
-    table = []
+def _crc_table() -> "array[int]":
+    table = array("H", [0] * 256)
     for high in range(256):
         crc = high << 8
         for _ in range(8):
             crc = ((crc << 1) ^ 0x1021) & 0xFFFF if crc & 0x8000 else (crc << 1) & 0xFFFF
-        table.append(crc)
+        table[high] = crc
     return table
 
 
-def crc16_table(data: bytes, table: list[int], crc: int = 0xFFFF) -> int:
-    """CRC-CCITT, polynomial 0x1021, with a table of 256 entries, starting at ``crc``."""
-    for byte in data:
-        crc = ((crc << 8) & 0xFF00) ^ table[(crc >> 8) ^ byte]
+CRC_TABLE = _crc_table()
+
+
+@micropython.viper
+def crc16_part(data: ptr8, first: int, end: int, crc: int) -> int:
+    """``crc16`` of ``data[first:end]``, starting at ``crc``."""
+    table = ptr16(CRC_TABLE)
+    while first < end:
+        crc = ((crc << 8) & 0xFF00) ^ table[(crc >> 8) ^ data[first]]
+        first += 1
     return crc
 
 
 # MicroPython's binascii has no crc_hqx.
 _crc_hqx = getattr(binascii, "crc_hqx", None)
-_TABLE = _crc_table() if _crc_hqx is None else []
 
 
 def crc16(data: bytes, crc: int = 0xFFFF) -> int:
@@ -67,7 +75,7 @@ def crc16(data: bytes, crc: int = 0xFFFF) -> int:
     if _crc_hqx is not None:
         after: int = _crc_hqx(data, crc)
         return after
-    return crc16_table(data, _TABLE, crc)
+    return crc16_part(data, 0, len(data), crc)
 
 
 _CODES = [bytes([code]) for code in range(256)]
@@ -146,6 +154,57 @@ def lfsr_next(state: int) -> int:
     The LED shows the lowest bit; bit k is that of the state after k steps from the seed.
     """
     return (state >> 1) ^ 0xB400 if state & 1 else state >> 1
+
+
+# Frames in a buffer that is made once: the same format, for payloads that fit into one block.
+# The payload stands from byte 1 on, with space for the first code before it and for CRC and
+# final zero behind it.
+ONE_BLOCK = 254  # longest frame without its final zero
+SEALED = 4  # bytes that a frame adds to its payload
+
+
+@micropython.viper
+def seal(frame: ptr8, size: int) -> int:
+    """Make a frame of the ``size`` bytes of payload from byte 1 on; returns its length.
+
+    ``size`` is at most ``ONE_BLOCK - 3``.
+    """
+    crc = int(crc16_part(frame, 1, size + 1, 0xFFFF))
+    frame[size + 1] = crc >> 8
+    frame[size + 2] = crc & 255
+    end = size + 3
+    last = 0
+    at = 1
+    while at < end:
+        if frame[at] == 0:
+            frame[last] = at - last
+            last = at
+        at += 1
+    frame[last] = end - last
+    frame[end] = 0
+    return end + 1
+
+
+@micropython.viper
+def unseal(frame: ptr8, size: int) -> int:
+    """Decode a frame of ``size`` bytes (without its final zero) in place.
+
+    Returns the length of the payload, which then stands from byte 1 on; negative if the frame is
+    damaged. ``size`` is at most ``ONE_BLOCK``.
+    """
+    at = 0
+    while at < size:
+        code = frame[at]
+        if code == 0:
+            return -1
+        frame[at] = 0
+        at += code
+    if at != size or size < 4:
+        return -1
+    crc = frame[size - 2] << 8 | frame[size - 1]
+    if int(crc16_part(frame, 1, size - 2, 0xFFFF)) != crc:
+        return -1
+    return size - 3
 
 
 class Decoder:

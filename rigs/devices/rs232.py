@@ -15,8 +15,9 @@ from collections.abc import Callable
 from typing import Protocol
 
 from daq.clock import NS_PER_S, Clock
-from valvefw.board import DRIVE_SILENCE_US, Board
+from valvefw.board import DRIVE_SILENCE_US
 from valvefw.controller import Controller
+from valvefw.deskboard import BufferedBoard
 from valvefw.wire import TICK_US
 
 
@@ -38,7 +39,7 @@ class Lines(Protocol):
         ...
 
 
-class Rs232Board(Board):
+class Rs232Board(BufferedBoard):
     """A board whose hardware is a serial port; ``run`` lets it live.
 
     Args:
@@ -63,8 +64,7 @@ class Rs232Board(Board):
         self._vent_until_us = 0
         self._driven_us = 0
         self._state = (False, False)
-        self._rx = bytearray()
-        self._tx: list[bytes] = []
+        super().__init__()
         self.controller = Controller(self)
 
     # What the firmware calls.
@@ -93,31 +93,11 @@ class Rs232Board(Board):
         cts, dsr = self._lines.get()
         return int(cts) | int(dsr) << 1
 
-    def rx(self) -> bytes:
-        """Requests from :meth:`feed`."""
-        data = bytes(self._rx)
-        self._rx.clear()
-        return data
-
-    def tx(self, data: bytes) -> None:
-        """Kept for :meth:`take_tx`."""
-        self._tx.append(data)
-
     def random16(self) -> int:
         """Boot id."""
         return int.from_bytes(os.urandom(2), "little")
 
     # What the program around it calls.
-
-    def feed(self, data: bytes) -> None:
-        """Requests as bytes on the wire."""
-        self._rx += data
-
-    def take_tx(self) -> bytes:
-        """All that was sent since the last call."""
-        data = b"".join(self._tx)
-        self._tx.clear()
-        return data
 
     def run(self, seconds: float, period_s: float = TICK_US * 1e-6 / 4) -> None:
         """Tick each millisecond for so long, and end pulses when they are due in between."""

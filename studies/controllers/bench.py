@@ -19,9 +19,9 @@ from plant.finger import FingerSim
 from plant.physics import layout
 from rigs.virtual.board.pressure_sensor import ADC_TOP, PressureSensor
 from rigs.virtual.board.tuning import burst_parameters, safety_parameters
-from valvefw.board import Board
 from valvefw.config import config_crc
 from valvefw.controller import Controller
+from valvefw.deskboard import BufferedBoard
 from valvefw.wire import TICK_US, encode_frame
 
 Array = npt.NDArray[np.float64]
@@ -51,13 +51,14 @@ class Sensing:
     pressure_gain: float = 0.003
 
 
-class MuscleBoard(Board):
+class MuscleBoard(BufferedBoard):
     """The board of one muscle: two valves and one pressure sensor."""
 
     name = "sim"
     outlet_normally_open = True
 
     def __init__(self, serial: str, boot_id: int) -> None:
+        super().__init__()
         self.serial = serial
         self.reset_cause = "power"
         self.now_us = 0
@@ -65,7 +66,6 @@ class MuscleBoard(Board):
         self.inlet_us = 0
         self.vent_us = 0
         self.switchings = 0
-        self.inbox = b""
         self._boot_id = boot_id
         self._was_in = self._was_out = False
         self.controller = Controller(self)
@@ -87,14 +87,7 @@ class MuscleBoard(Board):
         # A pulse shorter than a tick ends before the next tick.
         self._was_in, self._was_out = inlet_us >= TICK_US, vent_us >= TICK_US
 
-    def rx(self) -> bytes:
-        """Bytes received on the line."""
-        data = self.inbox
-        if data:
-            self.inbox = b""
-        return data
-
-    def tx(self, data: bytes) -> None:
+    def tx(self, data: bytes, n: int) -> None:
         """Discard telemetry and replies."""
 
     def random16(self) -> int:
@@ -209,7 +202,7 @@ class FingerBench:
             self._past.append(sim.q_rad)
             while self._outbox and self._outbox[0][0] <= self.ms:
                 _, i, data = self._outbox.popleft()
-                boards[i].inbox += data
+                boards[i].feed(data)
             if self._noise_at >= len(self._noise):
                 self._draw()
             reading = sim.muscles[:, layout.PRESSURE] * self._scale + self._noise[self._noise_at]

@@ -19,7 +19,9 @@ function put(from, to) {
     if (entry.isDirectory() && entry.name !== "__pycache__") {
       put(path.join(from, entry.name), to + "/" + entry.name);
     } else if (entry.name.endsWith(".py")) {
-      mp.FS.writeFile(to + "/" + entry.name, fs.readFileSync(path.join(from, entry.name)));
+      // This interpreter has no machine code and refuses its decorator.
+      const text = fs.readFileSync(path.join(from, entry.name), "utf8");
+      mp.FS.writeFile(to + "/" + entry.name, text.replace(/^@micropython\.viper$/gm, ""));
     }
   }
 }

@@ -3,8 +3,8 @@
 After a reading (both valves closed, mean of a window of samples) the scheme selects one action:
 
 - *Fill* or *vent*: open one valve. Every tick, predict the pressure after the closing delay if
-the command ended now. When the prediction reaches the set-point within the next tick, end the
-command with a resolution of 5 us. The prediction starts from the reading, so a model error
+the command ended at the next step, where a request takes effect. When the prediction reaches the
+set-point within the tick after it, end the command with a resolution of 5 us. The prediction starts from the reading, so a model error
 matters only during the closing delay. - *Pair*, if even the shortest opening of one valve
 overshoots: open both valves, overlapped, each for at least its shortest opening. The error
 determines the additional opening of one of them. Bisection over the model finds it, one trial
@@ -19,6 +19,7 @@ larger than the zone must not cause a limit cycle.
 from valvefw.schemes.gas import Gas
 from valvefw.schemes.scheme import HOLD_US, Scheme
 from valvefw.schemes.valves import VENT_HOLD_US, Valves
+from valvefw.wire import TICK_US
 
 READ = 0
 FILL = 1
@@ -26,6 +27,7 @@ VENT = 2
 PLAN = 3
 PAIR = 4
 
+LAST_US = 6000  # time in which a long fill is ended
 LONGER_US = 80000  # limit of the additional opening in a pair
 ROUGH_TRIALS = 8
 FINE_TRIALS = 14
@@ -58,16 +60,16 @@ class Burst(Scheme):
         self._settle = values["burst_settle_us"]
         self._window = values["burst_window"]
         self._rest = values["inlet_rest_ms"] * 1000
-        self._longest = values["inlet_max_ms"] * 1000 - 3 * HOLD_US
+        self._longest = values["inlet_max_ms"] * 1000 - LAST_US
         self._dead_x16 = values["burst_dead_x16"]
         self._setpoint_x16 = -1
         self._wider = 0
         self._read_after(self._off_out)
 
     def _read_after(self, shut_us: int) -> None:
-        """Read once both valves have closed, the last one in ``shut_us``."""
+        """Read once both valves have closed, the last one ``shut_us`` after the next step."""
         self._phase = READ
-        wait = shut_us + self._settle
+        wait = TICK_US + shut_us + self._settle
         self._wait = wait if wait > self._rest else self._rest
         self._sum = self._n = 0
 
@@ -148,11 +150,14 @@ class Burst(Scheme):
         self._since = since
         gas = self._gas
         p = self._p
-        open_us = since - self._on_in
-        if open_us > 0:
-            p = gas.after_fill(p, open_us if open_us < dt_us else dt_us)
+        open_us = since - self._on_in  # at the next step, where a request takes effect
+        if open_us > TICK_US:
+            before_us = open_us - TICK_US
+            p = gas.after_fill(p, before_us if before_us < dt_us else dt_us)
             p += (((counts + self._atm) << 8) - p) >> 1
             self._p = p
+        if open_us > 0:
+            p = gas.after_fill(p, open_us if open_us < TICK_US else TICK_US)
         left = self._on_in + self._margin - since
         if left >= dt_us:
             return  # the shortest pulse is still running
@@ -179,11 +184,14 @@ class Burst(Scheme):
         self._since = since
         gas = self._gas
         p = self._p
-        open_us = since - self._delay
-        if open_us > 0:
-            p = gas.after_vent(p, open_us if open_us < dt_us else dt_us)
+        open_us = since - self._delay  # at the next step, where a request takes effect
+        if open_us > TICK_US:
+            before_us = open_us - TICK_US
+            p = gas.after_vent(p, before_us if before_us < dt_us else dt_us)
             p += (((counts + self._atm) << 8) - p) >> 1
             self._p = p
+        if open_us > 0:
+            p = gas.after_vent(p, open_us if open_us < TICK_US else TICK_US)
         left = self._delay + self._margin - since
         if left >= dt_us:
             return

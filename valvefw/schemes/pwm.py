@@ -14,6 +14,7 @@ zone is wider by half: a correction would disturb a settled pressure more than t
 
 from valvefw.schemes.scheme import Scheme
 from valvefw.schemes.valves import VENT_HOLD_US, Valves
+from valvefw.wire import TICK_US
 
 CALM = 4  # windows inside the dead zone before it widens
 
@@ -35,7 +36,7 @@ class Pwm(Scheme):
         self._lag_out = values["pwm_lag_out_us"]
         self._max_in = values["pwm_max_in_us"]
         self._max_out = values["pwm_max_out_us"]
-        self._settle = values["pwm_settle_us"]
+        self._settle = values["pwm_settle_us"] + TICK_US  # a request takes effect a tick later
         self._window = values["pwm_window"]
         self._rest = values["pwm_period_ms"] * 1000 - self._window * 1000
         # The outlet was open until now: wait until it has closed.

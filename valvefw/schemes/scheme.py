@@ -3,8 +3,9 @@
 from valvefw.config import defaults
 from valvefw.schemes.valves import Valves
 
-# Opening time of a valve that stays open until a later tick closes it.
-HOLD_US = 2000
+# Opening time of a valve that stays open until a later step closes it. A loop that is late for
+# less does not interrupt the pulse.
+HOLD_US = 20000
 
 
 class Scheme:

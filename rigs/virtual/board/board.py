@@ -19,8 +19,9 @@ from plant.physics.layout import PRESSURE_LAG, PRESSURE_READ
 from rigs.virtual.board.fast_capture import FastCapture
 from rigs.virtual.board.pressure_sensor import ADC_TOP
 from rigs.virtual.board.pressure_sensor import PressureSensor as PressureSensor
-from valvefw.board import DRIVE_SILENCE_US, Board
+from valvefw.board import DRIVE_SILENCE_US
 from valvefw.controller import Controller
+from valvefw.deskboard import BufferedBoard
 from valvefw.schemes.valves import VENT_HOLD_US
 from valvefw.wire import TICK_US
 
@@ -41,7 +42,7 @@ class SimulatedPlant(Protocol):
     params: npt.NDArray[np.float64]
 
 
-class SimBoard(Board):
+class SimBoard(BufferedBoard):
     """A board whose valves, sensor and regulator act on a simulated plant.
 
     Args:
@@ -54,7 +55,7 @@ class SimBoard(Board):
         start_ticks_us: device time at power-on, to test its wrap-around.
         truth_every: ticks between two entries of the true pressure's log; 0 keeps none.
         sink: called as ``sink(bench_us, data)`` for what the firmware sends, at the virtual time
-            of sending; without it ``take_tx`` collects.
+            of sending; without it ``take_timed`` collects.
         advance: the plant's stepping function, by default ``plant.simulator.bench.advance``.
 
     ``bench_us`` counts from power-on of the bench and never jumps back; device time
@@ -82,6 +83,7 @@ class SimBoard(Board):
             from plant.simulator.bench import advance as plant_advance
 
             advance = plant_advance
+        super().__init__()
         self.plant = plant
         self.sensor = sensor or PressureSensor()
         self.name = name
@@ -115,8 +117,7 @@ class SimBoard(Board):
         self._noise: list[float] = []
         self._noise_at = NOISE_BLOCK
         self._fast: FastCapture | None = None
-        self._rx = bytearray()
-        self._tx: list[tuple[int, bytes]] = []
+        self._timed: list[tuple[int, bytes]] = []
         self._inlet_us = 0
         self._vent_us = 0
         self._venting = False
@@ -168,20 +169,13 @@ class SimBoard(Board):
         """Proximity inputs."""
         return self.prox_bits
 
-    def rx(self) -> bytes:
-        """Bytes from the host."""
-        if not self._rx:
-            return b""
-        data = bytes(self._rx)
-        self._rx.clear()
-        return data
-
-    def tx(self, data: bytes) -> None:
+    def tx(self, data: bytes, n: int) -> None:
         """Bytes to the host."""
+        sent = bytes(data[:n])
         if self.sink is not None:
-            self.sink(self.bench_us, data)
+            self.sink(self.bench_us, sent)
         else:
-            self._tx.append((self.bench_us, data))
+            self._timed.append((self.bench_us, sent))
 
     def capture(self, source: int) -> bool:
         """Fast samples from the present tick on."""
@@ -211,10 +205,6 @@ class SimBoard(Board):
         """Where in the plant's state the transducer reads: behind its lag, where it has one."""
         return PRESSURE_READ if self.plant.params[PRESSURE_LAG] > 0.0 else PRESSURE_SLOT
 
-    def feed(self, data: bytes) -> None:
-        """Bytes from the host arrive."""
-        self._rx += data
-
     @property
     def next_ns(self) -> int | None:
         """Nothing: the firmware ticks each millisecond, wherever :meth:`advance` stops."""
@@ -224,10 +214,10 @@ class SimBoard(Board):
         """Let time pass, in whole ticks."""
         self.run_until_us(to_ns // 1000)
 
-    def take_tx(self) -> list[tuple[int, bytes]]:
+    def take_timed(self) -> list[tuple[int, bytes]]:
         """What the firmware sent since the last call, with bench times."""
-        sent = self._tx
-        self._tx = []
+        sent = self._timed
+        self._timed = []
         return sent
 
     def run_until_us(self, until_us: int) -> None:
@@ -336,7 +326,7 @@ class SimBoard(Board):
         self._halted = False
         self._fast = None
         self._device_us = 0
-        self._rx.clear()
+        self._received = b""
         self.controller = Controller(self)
         self.controller.tick()
 
@@ -345,7 +335,7 @@ class SimBoard(Board):
         self.reset_cause = cause
         self._halted = True
         self._boot_at_us = self.bench_us + boot_us
-        self._rx.clear()
+        self._received = b""
         self.led(0)
         self.plant.state[REGULATOR_SLOT] = 0.0
         self._let_go()

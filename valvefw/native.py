@@ -1,0 +1,31 @@
+"""Machine code where the interpreter can make it; the same source as plain Python elsewhere.
+
+MicroPython's viper emitter knows the decorator and the pointer types by name. Other interpreters
+need the names to exist. There the functions run as they stand: every value in them stays below
+2**30, so integers of any size give the same results.
+"""
+
+try:
+    import micropython as micropython
+    from micropython import const as const
+except ImportError:  # CPython
+
+    def const(value):
+        """A constant, which MicroPython's compiler inserts where it is used."""
+        return value
+
+    class micropython:  # noqa: N801 - the module's name
+        """The decorator without an effect."""
+
+        @staticmethod
+        def viper(function):
+            """Leave the function as it is."""
+            return function
+
+
+def ptr8(memory):
+    """Bytes."""
+    return memory
+
+
+ptr16 = ptr32 = ptr8
