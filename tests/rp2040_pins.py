@@ -109,6 +109,38 @@ class Memory(dict[int, int]):
         return 0
 
 
+class Registers:
+    """What machine code sees at an address: words of the devices that the board's file uses."""
+
+    TIMER = 0x40054000 + 4 * 10
+    ADC_CS = 0x4004C000
+    ADC_RESULT = 0x4004C004
+    GPIO_IN = 0xD0000004
+    PIO0_TX = 0x50200010
+
+    def __init__(self, memory: Memory, address: int) -> None:
+        self.memory = memory
+        self.address = address
+
+    def __getitem__(self, word: int) -> int:
+        address = self.address + 4 * word
+        if address == self.ADC_CS:
+            return 1 << 8  # ready
+        if address == self.ADC_RESULT:
+            return 0x123
+        if address == self.GPIO_IN:
+            return 0b11 << 6  # pulled up
+        return self.memory[address]
+
+    def __setitem__(self, word: int, value: int) -> None:
+        address = self.address + 4 * word
+        machine = (address - self.PIO0_TX) // 4
+        if 0 <= machine < len(StateMachine.made):
+            StateMachine.made[machine].put(value)
+        else:
+            self.memory[address] = value
+
+
 class Fake:
     """Any device that remembers what it was told and answers from ``values``."""
 
@@ -127,8 +159,11 @@ class Fake:
     def any(self) -> int:
         return 0
 
-    def write(self, data: bytes) -> None:
-        self.told.append(data)
+    def write(self, data: bytes, n: int) -> None:
+        self.told.append(bytes(data[:n]))
+
+    def deinit(self) -> None:
+        self.told.append("off")
 
     def feed(self) -> None:
         self.told.append("fed")
@@ -138,8 +173,9 @@ def load() -> tuple[ModuleType, ModuleType]:
     """The board's file, loaded anew, and its ``machine``."""
     machine = ModuleType("machine")
     machine.mem32 = Memory()  # type: ignore[attr-defined]
-    for name in ("ADC", "UART", "WDT", "PWM", "Pin"):
-        setattr(machine, name, type(name, (Fake,), {"OUT": 1, "IN": 0, "PULL_UP": 1}))
+    for name in ("ADC", "UART", "WDT", "PWM", "Pin", "Timer"):
+        constants = {"OUT": 1, "IN": 0, "PULL_UP": 1, "PERIODIC": 1}
+        setattr(machine, name, type(name, (Fake,), constants))
     machine.WDT_RESET = 3  # type: ignore[attr-defined]
     machine.reset_cause = lambda: 3  # type: ignore[attr-defined]
     machine.unique_id = lambda: b"\xe6\x61\x01\x02"  # type: ignore[attr-defined]
@@ -149,13 +185,26 @@ def load() -> tuple[ModuleType, ModuleType]:
     rp2.PIO = type("PIO", (), {"OUT_LOW": 0})  # type: ignore[attr-defined]
     rp2.StateMachine = StateMachine  # type: ignore[attr-defined]
     StateMachine.made.clear()
-    kept = {n: sys.modules.get(n) for n in ("machine", "rp2")}
-    sys.modules.update({"machine": machine, "rp2": rp2})
+    micropython = ModuleType("micropython")
+    micropython.viper = lambda function: function  # type: ignore[attr-defined]
+    micropython.const = lambda value: value  # type: ignore[attr-defined]
+    clock = ModuleType("time")
+    timer = Registers.TIMER
+    clock.ticks_us = lambda: machine.mem32[timer] % 2**30  # type: ignore[attr-defined]
+    clock.ticks_diff = lambda a, b: (a - b + 2**29) % 2**30 - 2**29  # type: ignore[attr-defined]
+    fakes = {"machine": machine, "rp2": rp2, "micropython": micropython, "time": clock}
+    kept = {name: sys.modules.get(name) for name in fakes}
+    sys.modules.update(fakes)
     try:
         spec = importlib.util.spec_from_file_location("board_rp2040_under_test", SOURCE)
         assert spec is not None
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
+
+        def pointer(to: Any) -> Any:
+            return Registers(machine.mem32, to) if isinstance(to, int) else to
+
+        module.__dict__.update(ptr8=pointer, ptr32=pointer)
         spec.loader.exec_module(module)
     finally:
         for name, old in kept.items():

@@ -9,7 +9,21 @@ import pytest
 import rp2040_pins
 from rp2040_pins import StateMachine
 from valvefw.board import DRIVE_SILENCE_US
+from valvefw.config import defaults
 from valvefw.controller import Controller
+from valvefw.core import (
+    ARMED,
+    COUNTS,
+    HEARTBEAT_LEFT,
+    LOOP_LEFT,
+    PROX,
+    RENEWS,
+    REQUESTED,
+    RUNNING,
+    WANT_INLET,
+    WANT_VENT,
+)
+from valvefw.safety import Safety
 from valvefw.schemes.valves import VENT_HOLD_US
 from valvefw.wire import TICK_US
 
@@ -20,18 +34,29 @@ class Pico:
     def __init__(self, normally_open: bool = True) -> None:
         self.module, self.machine = rp2040_pins.load()
         self.module.OUTLET_NORMALLY_OPEN = normally_open  # type: ignore[attr-defined]
+        self.module._SETUP[4] = normally_open  # type: ignore[attr-defined]
         self.board: Any = self.module.RP2040()
+        self.core = self.module._core
+        values = defaults()
+        values.update(stuck_ms=0, rise_ms=0, leak_counts=0, jump=4095)
+        self.safety = Safety(self.core, values)
         self.inlet, self.outlet = StateMachine.made
         self.normally_open = normally_open
 
     def run_us(self, us: float) -> None:
         self.inlet.run_us(us)
         self.outlet.run_us(us)
-        timer = self.module.TIMER_RAW_LOW
+        timer = rp2040_pins.Registers.TIMER
         self.machine.mem32[timer] = (self.machine.mem32[timer] + round(us)) & 0xFFFFFFFF
 
     def tick(self, inlet_us: int, vent_us: int) -> None:
-        self.board.drive(inlet_us, vent_us)
+        """One interrupt with a request of an armed scheme, whose inlet may stay open."""
+        s = self.core.state
+        s[ARMED] = s[RUNNING] = s[RENEWS] = s[REQUESTED] = 1
+        s[HEARTBEAT_LEFT] = s[LOOP_LEFT] = 10**6
+        s[WANT_INLET], s[WANT_VENT] = inlet_us, vent_us
+        self.module._interrupt(None)
+        assert self.safety.faults == []
         self.run_us(1000)
 
     @property
@@ -104,27 +129,97 @@ def test_reset_leaves_the_coils_without_current() -> None:
 
 def test_the_controller_runs_on_it_vented_and_feeds_the_watchdog() -> None:
     pico = Pico()
-    controller = Controller(pico.board)
+    controller = Controller(pico.board, pico.core)
     for _ in range(200):
-        controller.tick()
+        pico.module._interrupt(None)
+        while controller.loop():
+            pass
         pico.run_us(TICK_US)
     assert pico.inlet.edges == []
     assert pico.venting
     assert len(pico.board._watchdog.told) == 200
+    assert pico.core.state[COUNTS] == 0x123
+    assert pico.core.state[PROX] == 0
     assert pico.board.serial == "e6610102"
     assert pico.board.reset_cause == "watchdog"
     assert any(b"boot id=" in sent for sent in pico.board._uart.told)
+
+
+def test_a_loop_that_hangs_does_not_feed_the_watchdog_and_is_vented() -> None:
+    pico = Pico()
+    controller = Controller(pico.board, pico.core)
+    controller.values["stuck_ms"] = 0
+    pico.module._interrupt(None)
+    pico.run_us(TICK_US)
+    controller.safety.arm(controller.values)
+    controller.choose("open")
+    for _ in range(40):
+        pico.module._interrupt(None)
+        pico.run_us(TICK_US)
+    assert not pico.venting
+    assert controller.safety.armed
+    for _ in range(11):
+        pico.module._interrupt(None)
+        pico.run_us(TICK_US)
+    assert pico.venting
+    assert [cause for cause, _ in controller.safety.faults] == ["loop_stalled"]
+    assert pico.board._watchdog is None
+
+
+def test_an_interrupt_that_stops_starves_the_watchdog() -> None:
+    pico = Pico()
+    controller = Controller(pico.board, pico.core)
+    pico.module._interrupt(None)
+    for _ in range(500):
+        controller.loop()
+    assert len(pico.board._watchdog.told) == 1
+
+
+def test_run_starts_a_hard_timer_of_1_khz_and_stops_it_when_interrupted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    module, machine = rp2040_pins.load()
+    pico: Any = module
+    fake: Any = machine
+    timers: list[Any] = []
+
+    class Timer(rp2040_pins.Fake):
+        PERIODIC = 1
+
+        def __init__(self, *args: Any, **options: Any) -> None:
+            super().__init__(*args, **options)
+            timers.append(self)
+
+    def idle() -> None:
+        raise KeyboardInterrupt
+
+    fake.Timer, fake.idle = Timer, idle
+    fake.freq = lambda *hz: 125_000_000
+    with pytest.raises(KeyboardInterrupt):
+        pico.run()
+    (timer,) = timers
+    assert timer.options["freq"] == 1000
+    assert timer.options["hard"]
+    assert timer.told == ["off"]
+    assert [sm.fifo[-1] for sm in StateMachine.made] == [0, 0]
+
+
+def test_an_older_micropython_is_refused_at_boot(monkeypatch: pytest.MonkeyPatch) -> None:
+    module: Any = rp2040_pins.load()[0]
+    module.MICROPYTHON = (99, 0)
+    with pytest.raises(RuntimeError, match=r"needs MicroPython 99\.0"):
+        module.run()
 
 
 def test_what_the_uart_cannot_hold_is_dropped_whole() -> None:
     pico = Pico()
     frame = bytes(100)
     for _ in range(100):
-        pico.board.tx(frame)
+        pico.board.tx(frame, 100)
     kept = len(pico.board._uart.told)
     assert kept == (pico.module.TX_BYTES - 64) // 100
     assert all(len(sent) == 100 for sent in pico.board._uart.told)
     pico.run_us(100_000)  # 115200 baud: 1152 bytes
     for _ in range(100):
-        pico.board.tx(frame)
+        pico.board.tx(frame, 100)
     assert len(pico.board._uart.told) - kept == pytest.approx(11.5, abs=1)

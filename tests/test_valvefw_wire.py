@@ -13,9 +13,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valvefw import wire
+from valvefw import safety, wire
 from valvefw.config import PARAMETERS, config_crc, defaults
-from valvefw.deskboard import DeskBoard
+from valvefw.core import (
+    CAUSES,
+    COUNTS,
+    DT,
+    NOW_HIGH,
+    NOW_LOW,
+    TICKS,
+    VENT_US,
+    Core,
+    keep,
+    record,
+)
+from valvefw.deskboard import BufferedBoard, DeskBoard
+from valvefw.receiver import Receiver
 from valvefw.telemetry import Telemetry
 
 DOC = Path(__file__).parent.parent / "docs" / "reference" / "wire-format.md"
@@ -55,8 +68,27 @@ def test_cobs_examples_from_the_paper() -> None:
 
 
 @given(st.binary(max_size=300))
-def test_table_crc_for_micropython_equals_the_fast_one(data: bytes) -> None:
-    assert wire.crc16_table(data, wire._crc_table()) == binascii.crc_hqx(data, 0xFFFF)
+def test_the_crc_loop_for_micropython_equals_the_fast_one(data: bytes) -> None:
+    assert wire.crc16_loop(data, 0, len(data), 0xFFFF) == binascii.crc_hqx(data, 0xFFFF)
+
+
+@given(st.binary(min_size=1, max_size=wire.ONE_BLOCK - 3))
+def test_a_frame_made_in_a_buffer_is_the_same_frame(payload: bytes) -> None:
+    buffer = bytearray(wire.ONE_BLOCK + 1)
+    buffer[1 : len(payload) + 1] = payload
+    size = wire.seal(buffer, len(payload))
+    assert bytes(buffer[:size]) == wire.encode_frame(payload)
+    assert wire.unseal(buffer, size - 1) == len(payload)
+    assert bytes(buffer[1 : len(payload) + 1]) == payload
+
+
+@given(st.binary(max_size=60) | st.builds(wire.encode_frame, st.binary(min_size=1, max_size=60)))
+def test_both_decoders_agree_on_any_bytes(data: bytes) -> None:
+    frame = data.rstrip(b"\x00")
+    buffer = bytearray(frame + bytes(4))
+    size = wire.unseal(buffer, len(frame))
+    expected = wire.decode_frame(frame)
+    assert (bytes(buffer[1 : size + 1]) if size > 0 else None) == expected
 
 
 def test_crc_check_value() -> None:
@@ -71,12 +103,19 @@ def _flip(frame: bytes, *bits: int) -> bytes:
 
 
 def _payloads(data: bytes) -> list[bytes]:
-    decoder = wire.Decoder(limit=10_000)
-    decoder.push(data)
+    return _received(data)[1]
+
+
+def _received(*chunks: bytes) -> tuple[Receiver, list[bytes]]:
+    """What the firmware's receiver makes of these bytes."""
+    board = BufferedBoard()
+    receiver = Receiver(board)
     found = []
-    while (payload := decoder.next()) is not None:
-        found.append(payload)
-    return found
+    for chunk in chunks:
+        board.feed(chunk)
+        while size := receiver.next():
+            found.append(bytes(receiver.frame[1 : size + 1]))
+    return receiver, found
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -119,22 +158,17 @@ def test_garbage_costs_no_frame_after_the_next_zero(payloads: list[bytes], junk:
 def test_frames_arrive_whatever_the_chunks(data: st.DataObject) -> None:
     stream = b"".join(FRAMES)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=8)))
-    decoder = wire.Decoder()
-    got = []
-    for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True):
-        decoder.push(stream[a:b])
-        while (payload := decoder.next()) is not None:
-            got.append(payload)
+    receiver, got = _received(
+        *(stream[a:b] for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True))
+    )
     assert got == [wire.decode_frame(f[:-1]) for f in FRAMES]
-    assert decoder.bad_frames == 0
+    assert receiver.bad_frames == 0
 
 
 def test_a_flood_is_bounded_and_counted() -> None:
-    decoder = wire.Decoder(limit=100)
-    decoder.push(b"x" * 1000)
-    decoder.push(b"\x00" + FRAMES[0])
-    assert decoder.lost_bytes >= 900
-    assert decoder.next() == b"Q17 arm 1a2b 4660"
+    receiver, got = _received(b"x" * 1000, b"\x00" + FRAMES[0])
+    assert receiver.lost_bytes == 1000
+    assert got == [b"Q17 arm 1a2b 4660"]
 
 
 def test_sync_pattern_has_the_full_period() -> None:
@@ -148,12 +182,18 @@ def test_sync_pattern_has_the_full_period() -> None:
 
 
 def test_telemetry_frame_layout_across_the_ring_border() -> None:
-    telemetry = Telemetry(0x1234)
-    telemetry.samples_per_frame = 10
+    core = Core()
+    s = core.state
+    telemetry = Telemetry(core, 0x1234)
     seen = []
     for i in range(130):
-        if telemetry.add(i * 1000, 1000, i, 4, i % 201, 0):
-            payload = wire.decode_frame(telemetry.frame(777)[:-1])
+        s[NOW_LOW], s[NOW_HIGH] = i * 1000 & 0xFFFF, i * 1000 >> 16
+        s[DT], s[COUNTS], s[VENT_US] = 1000, i, 5 * (i % 201)
+        s[TICKS] += 1
+        record(s, core.ring, core.times)
+        if telemetry.full():
+            size = telemetry.frame(777)
+            payload = wire.decode_frame(bytes(telemetry.buffer[: size - 1]))
             assert payload is not None
             kind, boot, setpoint, seq0, t0_us, n = struct.unpack_from("<BHHIIB", payload)
             assert (kind, boot, setpoint, n) == (ord("T"), 0x1234, 777, 10)
@@ -162,10 +202,30 @@ def test_telemetry_frame_layout_across_the_ring_border() -> None:
             assert t0_us == seq0 * 1000
             seen += rows
     assert [row[1] for row in seen] == list(range(130))
+    assert [row[4] for row in seen] == [i % 201 for i in range(130)]
     assert seen[0][0] == 65535  # nothing before the first sample
     assert {row[0] for row in seen[1:]} == {1000}
+    keep(s, core.ring, core.box)
     box = telemetry.black_box()
     assert [struct.unpack_from("<HHBBB", box, 7 * k)[1] for k in range(64)] == list(range(66, 130))
+
+
+def test_a_loop_that_is_late_loses_the_oldest_samples_and_the_numbers_show_it() -> None:
+    core = Core()
+    telemetry = Telemetry(core, 1)
+    for i in range(200):
+        core.state[COUNTS] = i
+        core.state[TICKS] += 1
+        record(core.state, core.ring, core.times)
+    first = []
+    while size := telemetry.frame(0):
+        payload = wire.decode_frame(bytes(telemetry.buffer[: size - 1]))
+        assert payload is not None
+        seq0, _, n = struct.unpack_from("<IIB", payload, 5)
+        rows = [struct.unpack_from("<HHBBB", payload, 14 + 7 * k) for k in range(n)]
+        assert [row[1] for row in rows] == list(range(seq0, seq0 + n))
+        first.append((seq0, n))
+    assert first == [(136, 32), (168, 32)]
 
 
 def _doc_hex(label: str) -> bytes:
@@ -177,10 +237,10 @@ def _doc_hex(label: str) -> bytes:
 def test_examples_in_the_document_are_what_the_firmware_makes() -> None:
     assert _doc_hex("Request `7 hb 42`") == wire.encode_frame(b"Q7 hb 42")
     board = DeskBoard(boot_id=4660)
-    sent = board.run(3, wire.encode_frame(b"Q6 telemetry 2") + wire.encode_frame(b"Q7 hb 42"))
+    sent = board.run(4, wire.encode_frame(b"Q6 telemetry 2") + wire.encode_frame(b"Q7 hb 42"))
     frames = [f + b"\x00" for f in sent.split(b"\x00")[:-1]]
     assert _doc_hex("Its reply on the desk board, first tick") in frames
-    assert _doc_hex("Telemetry, the first two samples after boot") in frames
+    assert _doc_hex("Telemetry, the second and third sample after boot") in frames
 
 
 def test_the_document_lists_every_verb_parameter_and_cause() -> None:
@@ -190,7 +250,9 @@ def test_the_document_lists_every_verb_parameter_and_cause() -> None:
         assert f"| `{verb}" in text, verb
     for key, default, low, high, _ in PARAMETERS:
         assert f"| `{key}` | {default} | {low} | {high} |" in text, key
-    source = Path(wire.__file__).with_name("safety.py").read_text()
-    for cause in re.findall(r"^    (\w+)  +\w", source.split('"""')[1], re.M):
-        assert f"| `{cause}`" in text, cause
+    source = (safety.__doc__ or "").split("Its causes are")[1]
+    assert re.findall(r"^    (\w+)  +\w", source, re.M) == list(CAUSES)
+    listed = " ".join(line.split("|")[1] for line in text.splitlines() if line[:3] == "| `")
+    for cause in CAUSES:
+        assert f"`{cause}`" in listed, cause
     assert f"`{config_crc(defaults()):04x}`" in text

@@ -69,7 +69,7 @@ DMA = 0x50000000  # 2.5.7: 0x40 bytes a channel, word 2 is the number of transfe
 WATCHDOG_CTRL = 0x40058000  # 4.7.6: bit 30 enables
 
 # What the interrupt needs, as addresses and numbers: a global of machine code is an object.
-_SETUP = array("I", [TIMER, ADC_BASE, SIO, PIO0, OUTLET_NORMALLY_OPEN, 1 << PIN_LED, 0, 0])
+_SETUP = array("I", [TIMER, ADC_BASE, SIO, PIO0, int(OUTLET_NORMALLY_OPEN), 1 << PIN_LED, 0, 0])
 _DMA_CHANNEL = const(7)  # its address while a capture runs, else 0
 _BLOCK = bytearray(4 * CAPTURE_N)  # samples of both inputs alternate
 _core = Core()
@@ -122,10 +122,7 @@ _PROX = const(4)
 _INLET_US = const(5)
 _VENT_US = const(6)
 _LED = const(7)
-_DT = const(9)
 _STEP_WORST = const(110)
-_DT_LONGEST = const(111)
-_DT_SHORTEST = const(112)
 _REPLY_LOW = const(116)
 _REPLY_HIGH = const(117)
 _SILENCE = const(20000)  # DRIVE_SILENCE_US
@@ -195,11 +192,6 @@ def _interrupt(source):
     took = timer[10] - now
     if took > s[_STEP_WORST]:
         s[_STEP_WORST] = took
-    dt = s[_DT]
-    if dt > s[_DT_LONGEST]:
-        s[_DT_LONGEST] = dt
-    if dt < s[_DT_SHORTEST]:
-        s[_DT_SHORTEST] = dt
 
 
 @micropython.viper
@@ -241,11 +233,11 @@ class RP2040(Board):
         self.serial = "".join(["%02x" % byte for byte in machine.unique_id()])
         cause = machine.reset_cause()
         self.reset_cause = "watchdog" if cause == machine.WDT_RESET else "power"
-        self._led = machine.Pin(PIN_LED, machine.Pin.OUT, value=0)
-        self._prox_a = machine.Pin(PIN_PROX_A, machine.Pin.IN, machine.Pin.PULL_UP)
-        self._prox_b = machine.Pin(PIN_PROX_B, machine.Pin.IN, machine.Pin.PULL_UP)
-        self._pressure = machine.ADC(PIN_PRESSURE)
-        self._second = machine.ADC(PIN_SECOND)
+        machine.Pin(PIN_LED, machine.Pin.OUT, value=0)
+        machine.Pin(PIN_PROX_A, machine.Pin.IN, machine.Pin.PULL_UP)
+        machine.Pin(PIN_PROX_B, machine.Pin.IN, machine.Pin.PULL_UP)
+        machine.ADC(PIN_PRESSURE)
+        machine.ADC(PIN_SECOND)
         self._regulator = None
         if HAS_REGULATOR:
             self._regulator = machine.PWM(machine.Pin(PIN_REGULATOR), freq=REGULATOR_HZ, duty_u16=0)
@@ -264,8 +256,6 @@ class RP2040(Board):
         self._dma = None
         self._timer = None
         self._source = 0
-        # Between steps ``adc[0] = 5`` only selects input 0 again: the other was set up above.
-        self._pressure.read_u16()
 
     def start(self) -> None:
         """Run the safety core each millisecond from now on."""
@@ -286,18 +276,9 @@ class RP2040(Board):
         _stamp()
 
     def drive(self, inlet_us: int, vent_us: int) -> None:
-        """Words for the state machines, limited to the board's time-out."""
-        self._inlet.put(inlet_us if inlet_us < DRIVE_SILENCE_US else DRIVE_SILENCE_US)
-        outlet = self._outlet
-        if not OUTLET_NORMALLY_OPEN:
-            outlet.put(vent_us if vent_us < DRIVE_SILENCE_US else DRIVE_SILENCE_US)
-        elif vent_us >= DRIVE_SILENCE_US:
-            outlet.put(0)
-        elif vent_us > 0:
-            outlet.put(0)
-            outlet.put(DRIVE_SILENCE_US + vent_us)
-        else:
-            outlet.put(DRIVE_SILENCE_US)
+        """Vent, for the time until the interrupt drives."""
+        self._inlet.put(0)
+        self._outlet.put(0 if OUTLET_NORMALLY_OPEN else DRIVE_SILENCE_US)
 
     def regulator(self, counts_x16: int) -> None:
         if self._regulator is not None:

@@ -81,6 +81,7 @@ class Commands:
             "clear": (0, 0, self._clear),
             "led": (1, 3, self._led),
             "telemetry": (1, 1, self._telemetry),
+            "timing": (0, 0, self._timing),
         }
 
     def answer(self, request: bytes) -> str:
@@ -356,3 +357,7 @@ class Commands:
         c.send_held()
         c.telemetry.samples_per_frame = n
         return ""
+
+    def _timing(self, args: list[str]) -> str:
+        text = "step_us=%d dt_min_us=%d dt_max_us=%d loop_ms=%d missed=%d"
+        return text % self._c.core.timing()

@@ -1,7 +1,7 @@
 """The controller: a safety core each millisecond, and a loop around it.
 
 ``step`` reads, checks, drives and records (``core``). ``loop`` runs the scheme once after each
-step, then sends one telemetry frame or answers one request. What a scheme requests takes effect
+step, then sends a telemetry frame and answers a request. What a scheme requests takes effect
 at the next step, so the time from a reading to its command is one millisecond however long the
 loop takes. A loop that is late misses readings; the core then continues the last request.
 
@@ -28,6 +28,8 @@ from valvefw.core import (
     LED_STATE,
     LOOP,
     LOOP_LEFT,
+    LOOP_WORST,
+    MISSED,
     NOW,
     NOW_HIGH,
     NOW_LOW,
@@ -144,13 +146,18 @@ class Controller:
         note(s, core.ring, core.times, core.box)
 
     def loop(self) -> bool:
-        """One pass of the loop; True if there may be more to do before the next step."""
+        """One pass of the loop; True if it answered a request: there may be another one."""
         s = self._state
         s[LOOP_LEFT] = LOOP
         if s[FAULT_N] != self._reported or s[VENTED_NEWS]:
             self._report()
         ticks = s[TICKS]
         if ticks != self._ticks:
+            late = (ticks - self._ticks) & TIME_MASK
+            if late > 1:
+                s[MISSED] += late - 1
+                if late > s[LOOP_WORST]:
+                    s[LOOP_WORST] = late
             self._ticks = ticks
             self.board.wdt_feed()
             now = s[NOW]
@@ -172,7 +179,6 @@ class Controller:
                 s[REQUESTED] = 1
             if self.telemetry.full():
                 self.send_held()
-            return True
         size = self.receiver.next()
         if not size:
             return False

@@ -17,7 +17,7 @@ Faults latch here: with a fault, or disarmed, the inlet stays closed whatever th
 
 from array import array
 
-from valvefw.native import const, micropython, ptr8, ptr16, ptr32
+from valvefw.native import const, micropython, ptr8, ptr16, ptr32, words
 
 # Written by the interrupt before each step.
 NOW = const(0)  # device time, us, 30 bits
@@ -110,7 +110,8 @@ LED_LEFT = const(106)
 CAPTURE_WAITS = const(107)
 CAPTURE_SINCE = const(108)
 CAPTURE_LEAD = const(109)
-# Measured by the board: the longest step and the longest and shortest distance of two steps, us.
+# Timing since it was last read: the longest step (measured by the board), the longest and the
+# shortest time between two steps, us.
 STEP_WORST = const(110)
 DT_LONGEST = const(111)
 DT_SHORTEST = const(112)
@@ -122,7 +123,10 @@ SETPOINT = const(115)  # counts x16
 REPLY_LOW = const(116)
 REPLY_HIGH = const(117)
 HAS_RUN = const(118)  # a scheme ran at the step before
-WORDS = const(119)
+# More timing, written by the loop: most steps between two of its passes, and steps it missed.
+LOOP_WORST = const(119)
+MISSED = const(120)
+WORDS = const(121)
 
 CAUSES = (
     "host_silent",
@@ -554,6 +558,11 @@ def decide(s: ptr32):
 def note(s: ptr32, ring: ptr8, times: ptr16, box: ptr8):
     """Record the sample; keep the ring when a first fault has latched."""
     record(s, ring, times)
+    dt = s[DT]
+    if dt > s[DT_LONGEST]:
+        s[DT_LONGEST] = dt
+    if dt < s[DT_SHORTEST]:
+        s[DT_SHORTEST] = dt
     if s[FAULTS] and s[BOX_N] == 0:
         keep(s, ring, box)
 
@@ -621,8 +630,22 @@ class Core:
     """The state, its sample memory, and one step for boards that are written in Python."""
 
     def __init__(self) -> None:
-        self.state = array("i", [0] * WORDS)
-        self.state[DT_SHORTEST] = TIME_MASK
+        self.state = words(WORDS)
+        self.timing()
         self.ring = bytearray(RING * SAMPLE_BYTES)
         self.times = array("H", [0] * (2 * RING))
         self.box = bytearray(RING * SAMPLE_BYTES)
+
+    def timing(self) -> "tuple[int, int, int, int, int]":
+        """Timing since the last call.
+
+        Returns:
+            longest step, shortest and longest time between two steps, us; most steps between two
+            passes of the loop; steps without one.
+        """
+        s = self.state
+        read = s[STEP_WORST], s[DT_SHORTEST], s[DT_LONGEST], s[LOOP_WORST], s[MISSED]
+        s[STEP_WORST] = s[DT_LONGEST] = s[MISSED] = 0
+        s[LOOP_WORST] = 1
+        s[DT_SHORTEST] = TIME_MASK
+        return read

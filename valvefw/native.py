@@ -5,10 +5,21 @@ need the names to exist. There the functions run as they stand: every value in t
 2**30, so integers of any size give the same results.
 """
 
+from array import array
+
 try:
     import micropython as micropython
     from micropython import const as const
+
+    def words(n):
+        """Memory of ``n`` 32-bit integers, 0."""
+        return array("i", [0] * n)
+
 except ImportError:  # CPython
+
+    def words(n):
+        """A list: CPython reads it faster than an array."""
+        return [0] * n
 
     def const(value):
         """A constant, which MicroPython's compiler inserts where it is used."""

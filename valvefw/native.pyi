@@ -1,4 +1,4 @@
-from collections.abc import Callable
+from collections.abc import Callable, MutableSequence
 from typing import TypeVar
 
 _F = TypeVar("_F", bound=Callable[..., object])
@@ -12,6 +12,7 @@ ptr8 = _Memory
 ptr16 = _Memory
 ptr32 = _Memory
 
+def words(n: int) -> MutableSequence[int]: ...
 def const(value: int) -> int: ...
 
 class micropython:

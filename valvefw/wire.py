@@ -68,6 +68,12 @@ def crc16_part(data: ptr8, first: int, end: int, crc: int) -> int:
 
 # MicroPython's binascii has no crc_hqx.
 _crc_hqx = getattr(binascii, "crc_hqx", None)
+crc16_loop = crc16_part
+if _crc_hqx is not None:
+
+    def crc16_part(data, first, end, crc):  # type: ignore[no-untyped-def]
+        """The loop above, by CPython's library."""
+        return _crc_hqx(data[first:end], crc)
 
 
 def crc16(data: bytes, crc: int = 0xFFFF) -> int:
@@ -205,36 +211,3 @@ def unseal(frame: ptr8, size: int) -> int:
     if int(crc16_part(frame, 1, size - 2, 0xFFFF)) != crc:
         return -1
     return size - 3
-
-
-class Decoder:
-    """Decodes received bytes to payloads; bounded, and counts dropped data."""
-
-    def __init__(self, limit: int = 2 * MAX_PAYLOAD) -> None:
-        self._limit = limit
-        self._held = b""
-        self.bad_frames = 0
-        self.lost_bytes = 0
-
-    def push(self, data: bytes) -> None:
-        """Add received bytes; on overflow only the newest ``limit`` bytes are kept."""
-        held = self._held + data if self._held else data
-        if len(held) > self._limit:
-            self.lost_bytes += len(held) - self._limit
-            held = held[len(held) - self._limit :]
-        self._held = held
-
-    def next(self) -> bytes | None:
-        """The next valid payload, or None if there is no complete frame."""
-        while True:
-            end = self._held.find(b"\x00")
-            if end < 0:
-                return None
-            frame = self._held[:end]
-            self._held = self._held[end + 1 :]
-            if not end:
-                continue  # empty frame: a host may send zeros to resynchronise
-            payload = decode_frame(frame)
-            if payload is not None:
-                return payload
-            self.bad_frames += 1

@@ -26,9 +26,9 @@ FOLDERS = ("schemes",)
 NOT_ON_BOARD = ("deskboard.py",)
 # As source: the version must be readable whatever else is wrong.
 AS_SOURCE = ("__init__.py",)
-# As bytecode: run seldom, or (the board's own file) must stay open to Ctrl-C at the prompt. All
-# else is run each millisecond and becomes machine code, two to three times as fast.
-AS_BYTECODE = ("board.py", "board_rp2040.py", "commands.py", "config.py", "capture.py")
+# As bytecode: run seldom, or machine code already where it counts (`valvefw/native.py`). The
+# controller's loop and the schemes run each millisecond and become machine code.
+AS_MACHINE_CODE = ("controller.py", "schemes")
 MAIN = "from valvefw.board_rp2040 import run\n\nrun()\n"
 SECONDS = 120.0
 
@@ -158,7 +158,8 @@ def board_files() -> dict[str, bytes]:
 
 
 def _compile(path: Path) -> bytes:
-    emit = "bytecode" if path.name in AS_BYTECODE else "native"
+    native = path.name in AS_MACHINE_CODE or path.parent.name in AS_MACHINE_CODE
+    emit = "native" if native else "bytecode"
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mpy"
         options = ["-march=armv6m", "-O2", "-X", f"emit={emit}", "-s", path.name, "-o", str(out)]
