@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from valvefw.sensorwatch import SensorWatch
 
 from daq.clock import VirtualClock
 from daq.errors import LinkLost
@@ -25,7 +26,6 @@ from rigs.virtual.bench import VirtualBench
 from rigs.virtual.board.tuning import burst_parameters, safety_parameters
 from test_valvefw_safety import Bench, thesis, virtual
 from valvefw.config import PARAMETERS
-from valvefw.sensorwatch import SensorWatch
 from valvefw.wire import encode_frame
 
 COMMANDED_US = 350_000

@@ -14,8 +14,7 @@ from valvefw import config, wire
 from valvefw.config import PARAMETERS, config_crc
 from valvefw.deskboard import DeskBoard
 from valvefw.schemes.valves import VENT_HOLD_US
-from valvefw.wire import EVENT, TICK_US, crc16, decode_frame, encode_frame, seal
-
+from valvefw.wire import EVENT, crc16, decode_frame, encode_frame, seal
 
 INTERPRETED = ("config.py", "commands.py", "controller.py", "safety.py")
 

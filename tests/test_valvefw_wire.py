@@ -76,7 +76,7 @@ def test_the_crc_loop_for_micropython_equals_the_fast_one(data: bytes) -> None:
 def test_a_frame_made_in_a_buffer_is_the_same_frame(payload: bytes) -> None:
     buffer = bytearray(wire.ONE_BLOCK + 1)
     buffer[1 : len(payload) + 1] = payload
-    size = wire.seal(buffer, len(payload))
+    size = wire.seal_loop(buffer, len(payload))
     assert bytes(buffer[:size]) == wire.encode_frame(payload)
     assert wire.unseal(buffer, size - 1) == len(payload)
     assert bytes(buffer[1 : len(payload) + 1]) == payload

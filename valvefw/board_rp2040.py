@@ -24,10 +24,10 @@ import time
 from array import array
 
 import machine
-import micropython
 import rp2
-from micropython import const
 
+import micropython
+from micropython import const
 from valvefw.board import DRIVE_SILENCE_US, Board
 from valvefw.controller import Controller
 from valvefw.core import Core, decide, note

@@ -310,7 +310,10 @@ class Commands:
 
     def _faults(self, args: list[str]) -> str:
         safety = self._c.safety
-        text = "n=%d samples=%d" % (len(safety.faults), len(self._c.telemetry.black_box()) // SAMPLE_SIZE)
+        text = "n=%d samples=%d" % (
+            len(safety.faults),
+            len(self._c.telemetry.black_box()) // SAMPLE_SIZE,
+        )
         at = 1
         for fault in safety.faults:
             text += " f%d=%s t%d=%d" % (at, fault[0], at, fault[1])

@@ -55,8 +55,9 @@ from valvefw.core import (
     decide,
     note,
 )
+from valvefw.native import copy
 from valvefw.receiver import Receiver, split
-from valvefw.replies import put_number, put_text
+from valvefw.replies import put_number
 from valvefw.safety import Safety
 from valvefw.schemes.bothduty import BothDuty
 from valvefw.schemes.burst import Burst
@@ -211,9 +212,11 @@ class Controller:
                 return False
             if scheme is not None:
                 scheme.renew()
-            at = put_text(out, at, _HB, 7)
+            copy(out, at, _HB, 0, 7)
+            at += 7
             at = put_number(out, at, value, 0)
-            at = put_text(out, at, _T, 3)
+            copy(out, at, _T, 0, 3)
+            at += 3
             self.board.stamp(s)
             at = put_number(out, at, s[REPLY_LOW], s[REPLY_HIGH])
         elif verb == 0x7370:  # sp
@@ -223,7 +226,8 @@ class Controller:
                 return False
             self.set_setpoint(value)
             scheme.renew()
-            at = put_text(out, at, _SP, 7)
+            copy(out, at, _SP, 0, 7)
+            at += 7
             at = put_number(out, at, value, 0)
         else:
             return False

@@ -17,7 +17,7 @@ Faults latch here: with a fault, or disarmed, the inlet stays closed whatever th
 
 from array import array
 
-from valvefw.native import const, micropython, ptr8, ptr16, ptr32, words
+from valvefw.native import const, copy, micropython, ptr8, ptr16, ptr32, words
 
 # Written by the interrupt before each step.
 NOW = const(0)  # device time, us, 30 bits
@@ -443,10 +443,7 @@ def record(s: ptr32, ring: ptr8, times: ptr16):
 @micropython.viper
 def keep(s: ptr32, ring: ptr8, box: ptr8):
     """Copy the ring to the black box."""
-    n = 0
-    while n < RING * SAMPLE_BYTES:
-        box[n] = ring[n]
-        n += 1
+    copy(box, 0, ring, 0, RING * SAMPLE_BYTES)
     s[BOX_AT] = s[AT]
     n = RING
     if s[SEQ_HIGH] == 0 and s[SEQ_LOW] < RING:
@@ -611,18 +608,14 @@ def gather(s: ptr32, ring: ptr8, times: ptr16, out: ptr8) -> int:
     out[12] = times[2 * at + 1] & 255
     out[13] = times[2 * at + 1] >> 8
     out[14] = n
-    to = 15
-    while n:
-        n -= 1
-        byte = at * SAMPLE_BYTES
-        end = byte + SAMPLE_BYTES
-        while byte < end:
-            out[to] = ring[byte]
-            to += 1
-            byte += 1
-        at += 1
-        if at == RING:
-            at = 0
+    first = at + n - RING
+    if first > 0:  # over the border of the ring
+        n -= first
+    copy(out, 15, ring, at * SAMPLE_BYTES, n * SAMPLE_BYTES)
+    to = 15 + n * SAMPLE_BYTES
+    if first > 0:
+        copy(out, to, ring, 0, first * SAMPLE_BYTES)
+        to += first * SAMPLE_BYTES
     return to - 1
 
 

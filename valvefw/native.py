@@ -15,17 +15,23 @@ try:
         """Memory of ``n`` 32-bit integers, 0."""
         return array("i", [0] * n)
 
+    from valvefw.copying import copy as copy
+
 except ImportError:  # CPython
 
     def words(n):
         """A list: CPython reads it faster than an array."""
         return [0] * n
 
+    def copy(to, at, source, first, n):
+        """Copy ``n`` bytes of ``source`` from ``first`` on to ``to`` from ``at`` on."""
+        to[at : at + n] = source[first : first + n]
+
     def const(value):
         """A constant, which MicroPython's compiler inserts where it is used."""
         return value
 
-    class micropython:  # noqa: N801 - the module's name
+    class micropython:
         """The decorator without an effect."""
 
         @staticmethod

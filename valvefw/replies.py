@@ -1,16 +1,6 @@
 """Text of replies, written into a buffer that is made once."""
 
-from valvefw.native import micropython, ptr8
-
-
-@micropython.viper
-def put_text(out: ptr8, at: int, text: ptr8, n: int) -> int:
-    """Copy ``n`` bytes of ``text``; returns the place behind them."""
-    k = 0
-    while k < n:
-        out[at + k] = text[k]
-        k += 1
-    return at + n
+from valvefw.native import copy, micropython, ptr8
 
 
 @micropython.viper
@@ -27,9 +17,5 @@ def put_number(out: ptr8, at: int, low: int, high: int) -> int:
         if high == 0 and low == 0:
             break
     n = end - k
-    if k != at:
-        j = 0
-        while j < n:
-            out[at + j] = out[k + j]
-            j += 1
+    copy(out, at, out, k, n)
     return at + n

@@ -191,6 +191,16 @@ def seal(frame: ptr8, size: int) -> int:
     return end + 1
 
 
+seal_loop = seal
+if _crc_hqx is not None:
+
+    def seal(frame, size):  # type: ignore[no-untyped-def]
+        """The loop above, by CPython's library."""
+        done = encode_frame(frame[1 : size + 1])
+        frame[: len(done)] = done
+        return len(done)
+
+
 @micropython.viper
 def unseal(frame: ptr8, size: int) -> int:
     """Decode a frame of ``size`` bytes (without its final zero) in place.
