@@ -18,8 +18,6 @@ called.
 If ``tick`` raises, the board closes the inlet, opens the outlet and resets itself.
 """
 
-from array import array
-
 from valvefw.core import REPLY_HIGH, REPLY_LOW
 
 DRIVE_SILENCE_US = 20000
@@ -64,11 +62,11 @@ class Board:
         """Copy received bytes to ``inbox``; returns how many there were. Must not wait."""
         return 0
 
-    def tx(self, data: bytes, n: int) -> None:
+    def tx(self, data: bytes | bytearray, n: int) -> None:
         """Send the first ``n`` bytes without waiting; drop all if there is no space."""
 
-    def stamp(self, state: "array[int]") -> None:
-        """Write the device time to ``core.REPLY_LOW`` and ``core.REPLY_HIGH``."""
+    def stamp(self, state) -> None:  # type: ignore[no-untyped-def]
+        """Write the device time to ``REPLY_LOW`` and ``REPLY_HIGH`` of the core's state."""
         now_us = self.ticks_us()
         state[REPLY_LOW] = now_us & 0xFFFF
         state[REPLY_HIGH] = now_us >> 16

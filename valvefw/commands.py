@@ -310,10 +310,8 @@ class Commands:
 
     def _faults(self, args: list[str]) -> str:
         safety = self._c.safety
-        text = "n=%d samples=%d" % (
-            len(safety.faults),
-            len(self._c.telemetry.black_box()) // SAMPLE_SIZE,
-        )
+        samples = len(self._c.telemetry.black_box()) // SAMPLE_SIZE
+        text = "n=%d samples=%d" % (len(safety.faults), samples)
         at = 1
         for fault in safety.faults:
             text += " f%d=%s t%d=%d" % (at, fault[0], at, fault[1])
@@ -363,4 +361,5 @@ class Commands:
 
     def _timing(self, args: list[str]) -> str:
         text = "step_us=%d dt_min_us=%d dt_max_us=%d loop_ms=%d missed=%d"
-        return text % self._c.core.timing()
+        out: str = text % self._c.core.timing()
+        return out

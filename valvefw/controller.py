@@ -123,7 +123,7 @@ class Controller:
         self.event("boot id=%d cause=%s fw=%s" % boot)
 
     def tick(self) -> None:
-        """One millisecond of a board without an interrupt: a step, then the loop until it is idle."""
+        """One millisecond of a board without an interrupt: a step, then the loop until idle."""
         self.step()
         while self.loop():
             pass

@@ -1,3 +1,4 @@
+# mypy: ignore-errors
 """Copying of bytes as machine code; CPython has a faster way (``native.copy``)."""
 
 import micropython

@@ -1,3 +1,4 @@
+# mypy: disable-error-code="no-untyped-def"
 """The safety core: one ``step`` per millisecond that nothing else on the board can delay.
 
 On the chip ``step`` runs in a hard interrupt, as machine code (see ``native``). It allocates

@@ -34,7 +34,7 @@ class BufferedBoard(Board):
         self._received = data[n:]
         return n
 
-    def tx(self, data: bytes, n: int) -> None:
+    def tx(self, data: bytes | bytearray, n: int) -> None:
         self._sent.append(bytes(data[:n]))
 
     def take_tx(self) -> bytes:

@@ -59,7 +59,7 @@ CRC_TABLE = _crc_table()
 @micropython.viper
 def crc16_part(data: ptr8, first: int, end: int, crc: int) -> int:
     """``crc16`` of ``data[first:end]``, starting at ``crc``."""
-    table = ptr16(CRC_TABLE)
+    table = ptr16(CRC_TABLE)  # type: ignore[misc,call-arg]
     while first < end:
         crc = ((crc << 8) & 0xFF00) ^ table[(crc >> 8) ^ data[first]]
         first += 1
@@ -73,7 +73,7 @@ if _crc_hqx is not None:
 
     def crc16_part(data, first, end, crc):  # type: ignore[no-untyped-def]
         """The loop above, by CPython's library."""
-        return _crc_hqx(data[first:end], crc)
+        return crc16(data[first:end], crc)
 
 
 def crc16(data: bytes, crc: int = 0xFFFF) -> int:
@@ -81,7 +81,7 @@ def crc16(data: bytes, crc: int = 0xFFFF) -> int:
     if _crc_hqx is not None:
         after: int = _crc_hqx(data, crc)
         return after
-    return crc16_part(data, 0, len(data), crc)
+    return crc16_part(data, 0, len(data), crc)  # type: ignore[arg-type,no-any-return,unused-ignore]
 
 
 _CODES = [bytes([code]) for code in range(256)]

@@ -87,7 +87,7 @@ class MuscleBoard(BufferedBoard):
         # A pulse shorter than a tick ends before the next tick.
         self._was_in, self._was_out = inlet_us >= TICK_US, vent_us >= TICK_US
 
-    def tx(self, data: bytes, n: int) -> None:
+    def tx(self, data: bytes | bytearray, n: int) -> None:
         """Discard telemetry and replies."""
 
     def random16(self) -> int:

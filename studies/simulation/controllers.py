@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from daq.clock import VirtualClock
 from daq.link.codec import decode_event, decode_reply
+from daq.link.framer import CobsFramer
 from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS, TelemetryStream
 from daq.record.writer import RecordWriter
 from studies.simulation.scenario import Scenario
@@ -23,7 +24,7 @@ class Controllers:
         ]
         self._names = [m.name for m in scenario.muscles]
         self.refused = ""
-        self._decoders = [wire.Decoder() for _ in self.streams]
+        self._framers = [CobsFramer() for _ in self.streams]
         self.telemetry = [
             TelemetryStream(lambda batch, name=name: record.append(name, batch))  # type: ignore[misc]
             for name in self.streams
@@ -37,9 +38,7 @@ class Controllers:
         def take(bench_us: int, data: bytes) -> None:
             host_ns = bench_us * 1000
             self._clock.set_now_ns(host_ns)
-            decoder = self._decoders[unit]
-            decoder.push(data)
-            while (payload := decoder.next()) is not None:
+            for payload in self._framers[unit].feed(data):
                 self._payload(unit, payload, host_ns)
 
         return take

@@ -3,13 +3,13 @@
 After a reading (both valves closed, mean of a window of samples) the scheme selects one action:
 
 - *Fill* or *vent*: open one valve. Every tick, predict the pressure after the closing delay if
-the command ended at the next step, where a request takes effect. When the prediction reaches the
-set-point within the tick after it, end the command with a resolution of 5 us. The prediction starts from the reading, so a model error
-matters only during the closing delay. - *Pair*, if even the shortest opening of one valve
-overshoots: open both valves, overlapped, each for at least its shortest opening. The error
-determines the additional opening of one of them. Bisection over the model finds it, one trial
-per tick. The shorter opening lies in the middle of the longer one, so that the excursion is
-equal on both sides.
+  the command ended at the next step, where a request takes effect. When the prediction reaches
+  the set-point within the tick after it, end the command with a resolution of 5 us. The
+  prediction starts from the reading, so a model error matters only during the closing delay.
+- *Pair*, if even the shortest opening of one valve overshoots: open both valves, overlapped, each
+  for at least its shortest opening. The error determines the additional opening of one of them.
+  Bisection over the model finds it, one trial per tick. The shorter opening lies in the middle of
+  the longer one, so that the excursion is equal on both sides.
 
 Within the dead zone nothing moves; once inside, the zone is wider by half, so that noise at its
 border causes no action. Each pair that ends outside widens the zone by a quarter: a model error

@@ -169,7 +169,7 @@ class SimBoard(BufferedBoard):
         """Proximity inputs."""
         return self.prox_bits
 
-    def tx(self, data: bytes, n: int) -> None:
+    def tx(self, data: bytes | bytearray, n: int) -> None:
         """Bytes to the host."""
         sent = bytes(data[:n])
         if self.sink is not None:
