@@ -6,15 +6,13 @@ what the PIO programs do, to 0.2 us.
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import sys
 from collections import deque
 from collections.abc import Callable
-from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar
 
-SOURCE = Path(__file__).parent.parent / "valvefw" / "board_rp2040.py"
 Program = list[tuple[str, tuple[Any, ...]]]
 
 
@@ -169,8 +167,8 @@ class Fake:
         self.told.append("fed")
 
 
-def load() -> tuple[ModuleType, ModuleType]:
-    """The board's file, loaded anew, and its ``machine``."""
+def load(chip_name: str = "rp2040") -> tuple[ModuleType, ModuleType]:
+    """The boards' file, loaded anew, with its ``chip``; and its ``machine``."""
     machine = ModuleType("machine")
     machine.mem32 = Memory()  # type: ignore[attr-defined]
     for name in ("ADC", "UART", "WDT", "PWM", "Pin", "Timer"):
@@ -193,23 +191,21 @@ def load() -> tuple[ModuleType, ModuleType]:
     clock.ticks_us = lambda: machine.mem32[timer] % 2**30  # type: ignore[attr-defined]
     clock.ticks_diff = lambda a, b: (a - b + 2**29) % 2**30 - 2**29  # type: ignore[attr-defined]
     fakes = {"machine": machine, "rp2": rp2, "micropython": micropython, "time": clock}
-    kept = {name: sys.modules.get(name) for name in fakes}
+    ours = ("valvefw.boards.pico", f"valvefw.boards.{chip_name}")
+    kept = {name: sys.modules.get(name) for name in fakes} | dict.fromkeys(ours)
     sys.modules.update(fakes)
     try:
-        spec = importlib.util.spec_from_file_location("board_rp2040_under_test", SOURCE)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-
-        def pointer(to: Any) -> Any:
-            return Registers(machine.mem32, to) if isinstance(to, int) else to
-
-        module.__dict__.update(ptr8=pointer, ptr32=pointer)
-        spec.loader.exec_module(module)
+        module = importlib.import_module("valvefw.boards.pico")
+        chip = importlib.import_module(f"valvefw.boards.{chip_name}")
     finally:
         for name, old in kept.items():
             if old is None:
                 del sys.modules[name]
             else:
                 sys.modules[name] = old
+
+    def pointer(to: Any) -> Any:
+        return Registers(machine.mem32, to) if isinstance(to, int) else to
+
+    module.__dict__.update(ptr8=pointer, ptr32=pointer, chip=chip)
     return module, machine

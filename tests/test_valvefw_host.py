@@ -66,6 +66,7 @@ class Board:
         self.files: dict[str, bytes] = {"boot.py": b"", "valvefw/old.py": b"stale"}
         self.said: list[str] = []
         self.pulled = False
+        self.chip = "RP2040"
 
     def run(self, words: Sequence[str]) -> str:
         assert words[:2] == ("connect", "/dev/pico")
@@ -80,6 +81,8 @@ class Board:
             self.files = {n: c for n, c in self.files.items() if not n.startswith("valvefw/")}
         elif words[2] == "exec" and "main.py" in words[3] and "remove" in words[3]:
             self.files.pop("main.py", None)
+        elif words[2] == "exec" and "_machine" in words[3]:
+            return f"Raspberry Pi Pico with {self.chip}\r\n"
         elif words[2] == "exec":
             return self.listing()
         return ""
@@ -91,6 +94,7 @@ class Board:
         try:
             interpreter.run(
                 "import os, sys, binascii\nos.mkdir('/board')\nos.mkdir('/board/valvefw')\n"
+                "os.mkdir('/board/valvefw/boards')\n"
                 "os.mkdir('/board/valvefw/schemes')\nos.chdir('/board')\nsys.path[:] = ['']\n"
             )
             for name, content in files.items():
@@ -108,11 +112,32 @@ def test_install_puts_every_file_there_and_checks_it() -> None:
     found = firmware.install("/dev/pico", board.run)
     assert found.equal
     assert found.version_there == VERSION
-    assert board.files["main.py"].startswith(b"from valvefw.board_rp2040 import run")
+    assert board.files["main.py"].startswith(b"from valvefw.boards.rp2040 import run")
     assert "valvefw/old.py" not in board.files
     assert not any("deskboard" in name for name in board.files)
     assert sum(len(content) for content in board.files.values()) < 100_000  # of 264 kB
     assert board.said[-1] == "reset"
+
+
+def test_a_pico_2_gets_its_own_board_file_and_machine_code() -> None:
+    board = Board()
+    firmware.install("/dev/pico", board.run)
+    first = dict(board.files)
+    board.chip = "RP2350"
+    assert firmware.install("/dev/pico", board.run).equal
+    assert board.files["main.py"].startswith(b"from valvefw.boards.rp2350 import run")
+    assert "valvefw/boards/rp2040.mpy" not in board.files
+    assert board.files["valvefw/core.mpy"] != first["valvefw/core.mpy"]
+
+
+@pytest.mark.parametrize("chip", ["ESP32", "RP2350-RISCV"])
+def test_another_chip_is_refused_before_anything_is_written(chip: str) -> None:
+    board = Board()
+    board.chip = chip
+    before = dict(board.files)
+    with pytest.raises(DeviceError, match="RP2040 or RP2350"):
+        firmware.install("/dev/pico", board.run)
+    assert board.files == before
 
 
 def test_check_names_what_differs() -> None:

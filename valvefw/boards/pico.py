@@ -1,20 +1,21 @@
 # ruff: noqa: F821
 # mypy: ignore-errors
-"""The RP2040 board; the only firmware file that accesses hardware.
+"""The boards of the Raspberry Pi Pico family; the only firmware file that accesses hardware.
 
-A Raspberry Pi Pico or a clone. The link uses UART0 and a USB adapter, not the Pico's own USB:
-its driver may wait half a second for a host that does not read. USB is used for installation.
-Wiring
-and pneumatics: docs/reference/wiring.md.
+A Pico, a Pico 2 or a clone; what differs stands in the chip's own file (``rp2040``, ``rp2350``).
+The link uses UART0 and a USB adapter, not the Pico's own USB: its driver may wait half a second
+for a host that does not read. USB is used for installation. Wiring and pneumatics:
+docs/reference/wiring.md.
 
 The safety core (``core``) runs in a hard interrupt each millisecond, the rest in the loop of
-``run``. The clock is the 125 MHz that MicroPython starts with: neither core voltage nor flash
-clock have to be changed for it.
+``run``. The clock is the one that MicroPython starts with: neither core voltage nor flash clock
+have to be changed for it.
 
 The PIO times the valve pulses to 1 us, with one state machine per valve. A state machine counts
-its last value down and switches off at the end. If the processor fails, both coils are
-therefore de-energised within 20 ms. The hardware watchdog resets the chip after
-``WATCHDOG_MS``; it is fed by the loop, and only while the interrupt runs.
+its last value down and switches off at the end. If the processor fails, both coils are therefore
+de-energised within 20 ms. The hardware watchdog resets the chip after ``WATCHDOG_MS``; it is fed
+by the loop, and only while the interrupt runs. Nothing writes files while the firmware runs: that
+would hold up the interrupt for 45 ms or more.
 """
 
 import gc
@@ -48,29 +49,29 @@ OUTLET_NORMALLY_OPEN = True
 HAS_REGULATOR = False
 BAUD = 115200
 WATCHDOG_MS = 200
-CPU_HZ = 125000000
-MICROPYTHON = (1, 26)  # the first with hard timer interrupts on this chip
+MICROPYTHON = (1, 28)  # the oldest that was tried; hard timer interrupts on these chips are recent
 TX_BYTES = 2048
 TX_FORGET_US = 200000  # by then the UART has sent them all
 REGULATOR_HZ = 10000
 
 PIO_HZ = 5000000  # five instructions per loop: 1 us
-ADC_BASE = 0x4004C000  # RP2040 data sheet 4.9.6
-ADC_CS = ADC_BASE
-ADC_FCS = ADC_BASE + 0x08
-ADC_FIFO = ADC_BASE + 0x0C
-ADC_DIV = ADC_BASE + 0x10
 ADC_HZ = 48000000
-DREQ_ADC = 36
-TIMER = 0x40054000  # 4.6.5: word 10 is the time in microseconds, 32 bits
-SIO = 0xD0000000  # 2.3.1.7: words 1, 5, 6 are GPIO_IN, GPIO_OUT_SET, GPIO_OUT_CLR
-PIO0 = 0x50200000  # 3.7: words 4 and 5 are the transmit FIFOs of state machines 0 and 1
-DMA = 0x50000000  # 2.5.7: 0x40 bytes a channel, word 2 is the number of transfers left
-WATCHDOG_CTRL = 0x40058000  # 4.7.6: bit 30 enables
+SIO = 0xD0000000
+PIO0 = 0x50200000  # words 4 and 5 are the transmit FIFOs of state machines 0 and 1
+DMA = 0x50000000  # 0x40 bytes a channel, word 2 is the number of transfers left
 
-# What the interrupt needs, as addresses and numbers: a global of machine code is an object.
-_SETUP = array("I", [TIMER, ADC_BASE, SIO, PIO0, int(OUTLET_NORMALLY_OPEN), 1 << PIN_LED, 0, 0])
-_DMA_CHANNEL = const(7)  # its address while a capture runs, else 0
+# What the interrupt needs, as addresses and numbers: a global of machine code is an object. The
+# chip's file adds the addresses that differ.
+_SETUP = array("I", [0, 0, SIO, PIO0, int(OUTLET_NORMALLY_OPEN), 1 << PIN_LED, 0, 0, 0])
+_TIMER = const(0)  # word 10 is the time in microseconds, 32 bits
+_ADC = const(1)  # words 0 to 4 are CS, RESULT, FCS, FIFO, DIV
+_GPIO = const(2)  # word 1 is GPIO_IN
+_PIO = const(3)
+_NORMALLY_OPEN = const(4)
+_LED_BIT = const(5)
+_LED_SET = const(7)
+_LED_CLEAR = const(8)
+_DMA_CHANNEL = const(6)  # its address while a capture runs, else 0
 _BLOCK = bytearray(4 * CAPTURE_N)  # samples of both inputs alternate
 _core = Core()
 _state = _core.state
@@ -135,9 +136,8 @@ def _interrupt(source):
     """One step of the safety core: convert, check, drive, then record."""
     setup = ptr32(_SETUP)
     s = ptr32(_state)
-    timer = ptr32(setup[0])
-    adc = ptr32(setup[1])
-    sio = ptr32(setup[2])
+    timer = ptr32(setup[_TIMER])
+    adc = ptr32(setup[_ADC])
     now = timer[10]
     reading = -1
     channel = setup[_DMA_CHANNEL]
@@ -165,15 +165,16 @@ def _interrupt(source):
     s[_NOW_LOW] = now & 65535
     s[_NOW_HIGH] = (now >> 16) & 65535
     s[_READING] = reading
-    s[_PROX] = ((sio[1] >> 6) & 3) ^ 3
+    gpio = ptr32(setup[_GPIO])
+    s[_PROX] = ((gpio[1] >> 6) & 3) ^ 3
     decide(_state)
-    pio = ptr32(setup[3])
+    pio = ptr32(setup[_PIO])
     inlet = s[_INLET_US]
     if inlet > _SILENCE:
         inlet = _SILENCE
     pio[4] = inlet
     vent = s[_VENT_US]
-    if setup[4] == 0:
+    if setup[_NORMALLY_OPEN] == 0:
         if vent > _SILENCE:
             vent = _SILENCE
         pio[5] = vent
@@ -185,9 +186,11 @@ def _interrupt(source):
     else:
         pio[5] = _SILENCE
     if s[_LED]:
-        sio[5] = setup[5]
+        led = ptr32(setup[_LED_SET])
+        led[0] = setup[_LED_BIT]
     else:
-        sio[6] = setup[5]
+        led = ptr32(setup[_LED_CLEAR])
+        led[0] = setup[_LED_BIT]
     note(_state, _ring, _times, _box)
     took = timer[10] - now
     if took > s[_STEP_WORST]:
@@ -199,20 +202,26 @@ def _stamp():
     """Device time for a reply."""
     setup = ptr32(_SETUP)
     s = ptr32(_state)
-    timer = ptr32(setup[0])
+    timer = ptr32(setup[_TIMER])
     now = timer[10]
     s[_REPLY_LOW] = now & 65535
     s[_REPLY_HIGH] = (now >> 16) & 65535
 
 
-class RP2040(Board):
+class Pico(Board):
     """A Pico with two valves, a pressure sensor and the options of the constants above."""
 
-    name = "rp2040"
     outlet_normally_open = OUTLET_NORMALLY_OPEN
     has_regulator = HAS_REGULATOR
 
-    def __init__(self) -> None:
+    def __init__(self, chip) -> None:
+        self.name = chip.NAME
+        self._dreq = chip.DREQ_ADC
+        self._watchdog_ctrl = chip.WATCHDOG_CTRL
+        _SETUP[_TIMER] = chip.TIMER
+        _SETUP[_ADC] = chip.ADC
+        _SETUP[_LED_SET] = chip.GPIO_SET
+        _SETUP[_LED_CLEAR] = chip.GPIO_CLEAR
         self._inlet = rp2.StateMachine(
             0, pulse, freq=PIO_HZ, set_base=machine.Pin(PIN_INLET, machine.Pin.OUT, value=0)
         )
@@ -270,7 +279,7 @@ class RP2040(Board):
         self.let_go()
 
     def ticks_us(self) -> int:
-        return machine.mem32[TIMER + 0x28] & 0xFFFFFFFF
+        return machine.mem32[_SETUP[_TIMER] + 0x28] & 0xFFFFFFFF
 
     def stamp(self, state) -> None:
         _stamp()
@@ -327,18 +336,19 @@ class RP2040(Board):
         self._source = source
         dma = self._dma = rp2.DMA()
         dma.config(
-            read=ADC_FIFO,
+            read=_SETUP[_ADC] + 0x0C,
             write=_BLOCK,
             count=2 * CAPTURE_N,
-            ctrl=dma.pack_ctrl(size=1, inc_read=False, treq_sel=DREQ_ADC),
+            ctrl=dma.pack_ctrl(size=1, inc_read=False, treq_sel=self._dreq),
         )
-        machine.mem32[ADC_DIV] = (ADC_HZ * CAPTURE_US // 2000000 - 1) << 8
-        while machine.mem32[ADC_FCS] >> 16 & 0x0F:
-            _ = machine.mem32[ADC_FIFO]
+        adc = _SETUP[_ADC]
+        machine.mem32[adc + 0x10] = (ADC_HZ * CAPTURE_US // 2000000 - 1) << 8
+        while machine.mem32[adc + 8] >> 16 & 0x0F:
+            _ = machine.mem32[adc + 0x0C]
         masked = machine.disable_irq()
         dma.active(1)
-        machine.mem32[ADC_FCS] = 1 << 24 | 1 << 3 | 1  # request at one sample, to the DMA
-        machine.mem32[ADC_CS] = 0b11 << 16 | 1 << 3 | 1  # inputs 0 and 1, free running
+        machine.mem32[adc + 8] = 1 << 24 | 1 << 3 | 1  # request at one sample, to the DMA
+        machine.mem32[adc] = 0b11 << 16 | 1 << 3 | 1  # inputs 0 and 1, free running
         _SETUP[_DMA_CHANNEL] = DMA + 0x40 * dma.channel
         machine.enable_irq(masked)
         return True
@@ -360,16 +370,17 @@ class RP2040(Board):
 
     def stop_watchdog(self) -> None:
         """For use at the prompt, with de-energised coils."""
-        machine.mem32[WATCHDOG_CTRL] = machine.mem32[WATCHDOG_CTRL] & ~(1 << 30)
+        ctrl = self._watchdog_ctrl
+        machine.mem32[ctrl] = machine.mem32[ctrl] & ~(1 << 30)  # bit 30 enables
 
 
-def run() -> None:
+def run(chip) -> None:
     """The loop around the safety core; de-energise the valves on any exception."""
     if sys.implementation.version < MICROPYTHON:
         raise RuntimeError("valvefw needs MicroPython %d.%d or newer" % MICROPYTHON)
-    if machine.freq() != CPU_HZ:
-        machine.freq(CPU_HZ)
-    board = RP2040()
+    if machine.freq() != chip.CPU_HZ:
+        machine.freq(chip.CPU_HZ)
+    board = Pico(chip)
     try:
         controller = Controller(board, _core)
         board.start()
