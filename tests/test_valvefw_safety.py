@@ -70,8 +70,11 @@ class Bench:
     def ask(self, text: str) -> str:
         self.number += 1
         self.board.feed(encode_frame(f"Q{self.number} {text}".encode()))
-        self.board.run_until_us(self.board.bench_us + 1000)
-        self.listen()
+        for _ in range(100):  # the loop may be busy with the request before
+            self.board.run_until_us(self.board.bench_us + 1000)
+            self.listen()
+            if self.number in self.replies:
+                break
         return self.replies.pop(self.number)
 
     def arm(self, scheme: str = "pwm") -> None:

@@ -73,6 +73,10 @@ from valvefw.schemes.valves import VENT_HOLD_US, Valves
 from valvefw.telemetry import Telemetry
 from valvefw.wire import EVENT, ONE_BLOCK, REPLY, REQUEST, encode_frame, seal
 
+IDLE = 0
+QUICK = 1
+SLOW = 2
+
 _HB = b" ok hb="
 _SP = b" ok sp="
 _T = b" t="
@@ -146,8 +150,8 @@ class Controller:
             board.led(s[LED])
         note(s, core.ring, core.times, core.box)
 
-    def loop(self) -> bool:
-        """One pass of the loop; True if it answered a request: there may be another one."""
+    def loop(self) -> int:
+        """One pass of the loop: ``QUICK`` or ``SLOW`` after a request, else ``IDLE``."""
         s = self._state
         s[LOOP_LEFT] = LOOP
         if s[FAULT_N] != self._reported or s[VENTED_NEWS]:
@@ -182,11 +186,12 @@ class Controller:
                 self.send_held()
         size = self.receiver.next()
         if not size:
-            return False
-        if self.receiver.frame[1] == REQUEST and not self._answered(size):
-            request = bytes(self.receiver.frame[2 : size + 1])
-            self._send(REPLY, self._commands.answer(request))
-        return True
+            return IDLE
+        if self.receiver.frame[1] != REQUEST or self._answered(size):
+            return QUICK
+        request = bytes(self.receiver.frame[2 : size + 1])
+        self._send(REPLY, self._commands.answer(request))
+        return SLOW
 
     def _answered(self, size: int) -> bool:
         """Answer a heartbeat or set-point without allocating; False if it is another request.

@@ -91,7 +91,7 @@ VENT_TIME = const(89)  # us left to be vented; 0: not watched
 VENT_FOR = const(90)  # us since the vent began
 VENTED_RUN = const(91)
 LOST_RUN = const(92)
-LOST_AT = const(93)
+LOST_AT = const(93)  # counts
 VENTED_NEWS = const(94)  # 1: the vent was confirmed; its time and duration below
 VENTED_LOW = const(95)
 VENTED_HIGH = const(96)
@@ -462,7 +462,6 @@ def begin_vent(s: ptr32):
     s[VENT_FOR] = 0
     s[VENTED_RUN] = 0
     s[LOST_RUN] = 0
-    s[LOST_AT] = 2 * s[VENT_BELOW]
 
 
 @micropython.viper

@@ -37,6 +37,7 @@ from valvefw.core import (
     LEAK,
     LOOP,
     LOOP_LEFT,
+    LOST_AT,
     OFF_IN,
     ON_IN,
     OVER,
@@ -92,6 +93,7 @@ class Safety:
         s = self._state
         for key, place, factor in _LIMITS:
             s[place] = values[key] * factor
+        s[LOST_AT] = 2 * values["vent_below"]
         s[TRIP_MASK] = (1 << values["trip_m"]) - 1
         self._hb_us = values["hb_ms"] * 1000
         self._clear_below = values["clear_below"]

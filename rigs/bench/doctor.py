@@ -15,9 +15,16 @@ from daq.errors import PamrigError
 from rigs.bench.rig import Rig, open_rig
 from rigs.devices.valve_controller import ALIVE_S
 from rigs.rigfile.config import RigConfig, load_rig
+from valvefw.board import DRIVE_SILENCE_US
+from valvefw.core import LOOP
+from valvefw.wire import TICK_US
 
 MARKS = {"ok": "ok  ", "warn": "WARN", "stop": "STOP"}
 LISTEN_S = 2.0
+EVEN_US = 100
+"""Samples further from an even millisecond than this are worth a warning."""
+STEP_US = 300
+"""A step of the safety core that takes longer leaves the loop too little time."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +101,9 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         words = ", ".join(f"{k} {x}" for k, x in rig.identities[name].items())
         yield Finding(name, "ok", words)
     rig.valve.progress(LISTEN_S + ALIVE_S)
+    rig.valve.request("timing")  # begins anew with each request
     rig.pump.for_seconds(LISTEN_S)
+    yield _timing(rig.valve.request("timing"))
     counts = rig.valve.recent_counts(1000)
     if len(counts) < 500:
         yield Finding("telemetry", "stop", f"only {len(counts)} samples in {LISTEN_S:g} s")
@@ -130,6 +139,30 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         yield Finding(
             "fault", "warn", f"latched: {', '.join(rig.valve.faults) or 'see pamrig vent'}"
         )
+
+
+def _timing(answer: dict[str, str]) -> Finding:
+    """How evenly the controller has sampled, and how late its loop was, during the listen."""
+    step, low, high, loop, missed = (
+        int(answer[key]) for key in ("step_us", "dt_min_us", "dt_max_us", "loop_ms", "missed")
+    )
+    away = max(high - TICK_US, TICK_US - low)
+    detail = f"samples every {low} to {high} us, loop at most {loop} ms apart"
+    if step:
+        detail += f", longest safety step {step} us"
+    if missed:
+        detail += f", {missed} ms without a pass of the loop"
+    if high >= DRIVE_SILENCE_US or loop * TICK_US >= LOOP:
+        mark = "stop"
+        detail += ": an armed controller would latch loop_stalled; install the firmware again"
+    elif away > EVEN_US or step > STEP_US:
+        mark = "warn"
+        detail += (
+            ": slower than a Pico with this firmware; is it the MicroPython named in the docs?"
+        )
+    else:
+        mark = "ok"
+    return Finding("controller timing", mark, detail)
 
 
 def _instruments(rig: Rig) -> Iterator[Finding]:

@@ -58,6 +58,7 @@ PIO_HZ = 5000000  # five instructions per loop: 1 us
 ADC_HZ = 48000000
 SIO = 0xD0000000
 PIO0 = 0x50200000  # words 4 and 5 are the transmit FIFOs of state machines 0 and 1
+NVIC_IPR0 = 0xE000E400  # priorities of interrupts 0 to 3
 DMA = 0x50000000  # 0x40 bytes a channel, word 2 is the number of transfers left
 
 # What the interrupt needs, as addresses and numbers: a global of machine code is an object. The
@@ -271,6 +272,8 @@ class Pico(Board):
         self._timer = machine.Timer(
             -1, freq=1000, mode=machine.Timer.PERIODIC, callback=_interrupt, hard=True
         )
+        # Timer 3, byte 3: before the UART's interrupt, which would delay a step by up to 40 us.
+        machine.mem32[NVIC_IPR0] = machine.mem32[NVIC_IPR0] & 0x00FFFFFF
 
     def stop(self) -> None:
         """No more steps; de-energise both coils."""

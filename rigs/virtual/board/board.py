@@ -19,6 +19,7 @@ from plant.physics.layout import PRESSURE_LAG, PRESSURE_READ
 from rigs.virtual.board.fast_capture import FastCapture
 from rigs.virtual.board.pressure_sensor import ADC_TOP
 from rigs.virtual.board.pressure_sensor import PressureSensor as PressureSensor
+from rigs.virtual.board.timing import LoopTiming
 from valvefw.board import DRIVE_SILENCE_US
 from valvefw.controller import Controller
 from valvefw.deskboard import BufferedBoard
@@ -32,6 +33,7 @@ WATCHDOG_US = 200_000
 PRESSURE_SLOT = 1
 REGULATOR_SLOT = 6
 
+MEASURED = LoopTiming()
 Advance = Callable[[npt.NDArray[np.float64], npt.NDArray[np.float64], float, float, float], object]
 
 
@@ -57,6 +59,7 @@ class SimBoard(BufferedBoard):
         sink: called as ``sink(bench_us, data)`` for what the firmware sends, at the virtual time
             of sending; without it ``take_timed`` collects.
         advance: the plant's stepping function, by default ``plant.simulator.bench.advance``.
+        timing: how long requests keep the firmware's loop from its scheme.
 
     ``bench_us`` counts from power-on of the bench and never jumps back; device time
     (``ticks_us``) restarts with each reset and wraps.
@@ -78,6 +81,7 @@ class SimBoard(BufferedBoard):
         truth_every: int = 10,
         sink: Callable[[int, bytes], None] | None = None,
         advance: Advance | None = None,
+        timing: LoopTiming = MEASURED,
     ) -> None:
         if advance is None:
             from plant.simulator.bench import advance as plant_advance
@@ -92,6 +96,8 @@ class SimBoard(BufferedBoard):
         self.has_regulator = has_regulator
         self.reset_cause = "power"
         self.sink = sink
+        self.timing = timing
+        self._loop_busy_us = 0
         self.bench_us = 0
         self.led_on = False
         self.led_toggles_us = array("q")
@@ -129,7 +135,7 @@ class SimBoard(BufferedBoard):
         self._boot_at_us: int | None = None
         self._sample()
         self.controller = Controller(self)
-        self.controller.tick()
+        self._tick()
 
     # What the firmware calls.
 
@@ -186,6 +192,10 @@ class SimBoard(BufferedBoard):
         """The last block, once complete."""
         return self._fast.block if self._fast is not None else b""
 
+    def tidy(self) -> None:
+        """Collecting garbage takes the chip this long."""
+        self._loop_busy_us += self.timing.collect_us
+
     def wdt_feed(self) -> None:
         """Nothing to do: while the firmware ticks it also feeds."""
 
@@ -234,7 +244,7 @@ class SimBoard(BufferedBoard):
         state = self.plant.state
         params = self.plant.params
         read = state.item
-        tick = self.controller.tick
+        tick = self._tick
         per_pa = self._counts_per_pa
         seen = self.pressure_slot
         now_us = self.bench_us
@@ -279,6 +289,18 @@ class SimBoard(BufferedBoard):
         else:
             self._driven_us = self._fed_us = now_us
         self._noise_at, self._truth_left = at, left
+
+    def _tick(self) -> None:
+        """A step of the safety core, then the loop unless it is still busy with a request."""
+        controller = self.controller
+        controller.step()
+        if self._loop_busy_us >= TICK_US:
+            self._loop_busy_us -= TICK_US
+            return
+        while work := controller.loop():
+            self._loop_busy_us += self.timing.busy_us(work)
+            if self._loop_busy_us >= TICK_US:
+                return
 
     def _step_halted(self) -> None:
         """One tick without firmware: pulses run out, then the board lets go, then it resets."""
@@ -328,7 +350,8 @@ class SimBoard(BufferedBoard):
         self._device_us = 0
         self._received = b""
         self.controller = Controller(self)
-        self.controller.tick()
+        self._loop_busy_us = 0
+        self._tick()
 
     def reset(self, cause: str = "reset", boot_us: int = BOOT_US) -> None:
         """Reset the chip now; the firmware runs again after ``boot_us``."""
