@@ -62,7 +62,7 @@ def test_delays_are_recovered_within_a_tenth_of_a_millisecond(name: str, valve: 
     solenoid = "inlet" if valve == "inlet" else "outlet"
     for kpa in (50, 100, 200, 300, 400, 500, 600):
         block = bench.block(valve, kpa)
-        assert block.lead_us == CAPTURE_LEAD_US
+        assert 0 <= block.lead_us - CAPTURE_LEAD_US <= 2000  # measured; the loop may be busy
         assert len(block.counts) == CAPTURE_N
         found = switching_times(block)
         assert found.on_ms == pytest.approx(on_delay_s(solenoid, kpa * 1e3, c) * 1e3, abs=0.1)
