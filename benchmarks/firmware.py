@@ -51,7 +51,7 @@ while k < len(took):
     c.tick()
     took[k] = now() - begin
     board._flow()
-    board._tx.clear()
+    board._sent.clear()
     k += 1
 assert not c.safety.faults, c.safety.faults
 if NAME != 'idle':
@@ -93,9 +93,9 @@ while k < n:
         c.set_setpoint(16000 if k %% 2000 < 1000 else 9000)
     c.tick()
     board._flow()
-    if board._tx:
-        frames += board._tx
-        board._tx.clear()
+    if board._sent:
+        frames += board._sent
+        board._sent.clear()
     k += 1
 took = now() - start
 samples = 0

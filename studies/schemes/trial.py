@@ -159,11 +159,11 @@ def run_trial(
         pressure, length = np.empty(ticks), np.empty(ticks)
         inlet, vent = np.zeros(ticks, np.bool_), np.zeros(ticks, np.bool_)
         for tick in range(ticks):
+            # As the firmware: what was requested at the reading before takes effect now.
             inlet_us, vent_us = valves.inlet_us, valves.vent_us
             valves.inlet_us = inlet_us - TICK_US if inlet_us > TICK_US else 0
             valves.vent_us = vent_us - TICK_US if vent_us > TICK_US else 0
             step(counts, goal_x16, TICK_US, valves)
-            inlet_us, vent_us = valves.inlet_us, valves.vent_us
             inlet[tick], vent[tick] = inlet_us > 0, vent_us > 0
             advance(
                 state,
