@@ -129,10 +129,10 @@ def test_halving_the_step_changes_no_figure_of_a_lift() -> None:
     ("load", "scheme"),
     [("held", "duty_in"), ("hung", "slide"), ("hung", "burst"), ("hung", "slide_as_printed")],
 )
-def test_halving_the_step_changes_no_figure_of_a_scheme(load: str, scheme: str) -> None:
+def test_a_quarter_of_the_step_changes_no_figure_of_a_scheme(load: str, scheme: str) -> None:
     """In a closed loop, converter and noise included."""
     found = []
-    for share in (FINE_STEP_SHARE, FINE_STEP_SHARE / 2):
+    for share in (FINE_STEP_SHARE, FINE_STEP_SHARE / 4):
         bench = Bench(C, load, step_share=share)
         found.append(summary(run_trial(bench, scheme, (0.25, 0.55, 0.4))))
     for key, (mean, _, count) in found[0].items():
