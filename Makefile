@@ -6,6 +6,8 @@ RUNS   ?= out/demo
 READY  := $(VENV)/.ready
 SMALL  := not campaign and not look
 WAITING = $(shell grep -l realtime tests/test_*.py)
+# The tests start many programs, each of which would translate all libraries anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test golden lint types bench campaign faults fuzz soak audit look wheel lock clean
 
@@ -13,13 +15,15 @@ $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pamrig needs Python 3.11 or newer")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --no-compile -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-compile --no-deps -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	@touch $@
 
 demo: $(READY)   ## an isometric test on the virtual bench, then the thesis's measured table
 	@$(BIN)/python -m cli.demo $(RUNS)
 
+# Tests run side by side, each on a processor of its own.
+test: export OPENBLAS_NUM_THREADS = 1
 test: $(READY)   ## all tests at their small sizes: those that compute, then those that wait
 	@$(BIN)/python -m tests.compiling
 	@$(BIN)/python -m pytest -m "$(SMALL) and not realtime" -n logical --dist worksteal; \

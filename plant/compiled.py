@@ -16,8 +16,13 @@ Slots = MutableSequence[float]
 """A state or parameter array in compiled code: float64, contiguous."""
 
 # Functions below an entry point do not allocate, so they need no reference counting of arrays.
-# With counting, views of rows took more than half of the time of a scene.
-_LEAN: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+# With counting, views of rows took more than half of the time of a scene. Nor does C call them:
+# what would let it costs a tenth of the time to compile.
+_LEAN: dict[str, Any] = {
+    "error_model": "numpy",
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+}
 
 _ALWAYS = ("compiled.py", "constants.py", "effects", "physics")
 

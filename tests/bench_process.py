@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import re
@@ -52,6 +53,22 @@ def run_pamrig(
         check=False,
         **options,
     )
+
+
+def call_pamrig(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run the command line to its end without a process of its own: seconds less of starting."""
+    from cli.main import main
+
+    out, err, status = io.StringIO(), io.StringIO(), 0
+    given = ["pamrig", *map(str, words)]
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(sys, "argv", given)
+                main()
+        except SystemExit as ended:
+            status = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    return subprocess.CompletedProcess(given, status, out.getvalue(), err.getvalue())
 
 
 @dataclass

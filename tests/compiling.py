@@ -13,14 +13,25 @@ from concurrent.futures import ThreadPoolExecutor
 
 # Longest first. Parts that import each other stand together: what one has compiled is there.
 PARTS = (
-    "import plant.simulator.kernel, plant.scene.kernel",
+    "import plant.scene.kernel",
+    "import plant.simulator.kernel, plant.finger.kernel",
     """
 import numpy as np
 from analysis.reduction.pictures import measure_stored
 from rigs.virtual.emulators.camera import render
 measure_stored(render(60.0, np.random.default_rng(0)), {})
 """,
-    "import plant.links.kernel, plant.links.integrate, plant.finger.kernel",
+    """
+import numpy as np
+from blind.physics.bench import Trial, no_effect, nominal
+from blind.physics.readings import read_trial
+at = np.arange(0.0, 0.1, 0.01)
+edges = np.array([(0.01, 0, 1.0), (0.02, 0, 0.0)])
+free = ("t", "s", "free", 1, 1, 40, 0.1)
+one = Trial(*free, temperature_c=21.0, camera_hz=50.0, held_mm=60.0, edges=edges)
+read_trial(one, nominal(), no_effect(), at, at, at)
+""",
+    "import plant.links.integrate, gap.model.pressure",
 )
 
 

@@ -293,7 +293,7 @@ def make(folder: Path, names: list[str], jobs: int) -> int:
 
     def one(name: str) -> str:
         began = time.monotonic()
-        desk = folder / "desk" / name
+        desk = (folder / "desk" / name).resolve()  # commands run in it
         shutil.rmtree(desk, ignore_errors=True)
         desk.mkdir(parents=True)
         try:

@@ -16,6 +16,7 @@ from bench_process import (
     LIMIT_S,
     BenchProcess,
     bench_process,
+    call_pamrig,
     gave_up,
     pamrig,
     run_pamrig,
@@ -38,7 +39,7 @@ def rig_with(tmp_path: Path, *changes: tuple[str, str], base: str = "virtual") -
 
 def refused(*words: str | Path, expect: tuple[str, ...]) -> str:
     """The command ends with status 2 and one line that says all of ``expect``."""
-    done = run_pamrig(*words)
+    done = call_pamrig(*words)
     assert done.returncode == 2, (done.returncode, done.stdout, done.stderr)
     assert done.stderr.count("\n") == 1, done.stderr
     for word in expect:

@@ -24,6 +24,7 @@ from gap.selection.candidate_fits import Hypothesis, keys_of_shifted_constants
 from gap.selection.search import SearchResult, search_effects
 from gap.verdict import Status
 from gap_bench import write_set
+from gap_sets import settled_set
 
 
 @pytest.fixture(scope="module")
@@ -113,9 +114,10 @@ def test_a_rival_that_needs_another_size_is_a_mimic_at_that_size() -> None:
     assert nearest.share == pytest.approx(0.997)
 
 
-def test_the_command_prints_one_object_and_no_more(nominal_set: Path) -> None:
+def test_the_command_prints_one_object_and_no_more(tmp_path: Path) -> None:
+    settled_set(tmp_path / "set", {})
     done = subprocess.run(
-        [sys.executable, "-m", "cli.main", "gap", "diagnose", str(nominal_set), "--json"],
+        [sys.executable, "-m", "cli.main", "gap", "diagnose", str(tmp_path / "set"), "--json"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -87,6 +87,7 @@ class ConfounderSearch:
         good &= (signs[None, :] == 0) | (second > 0.0)
         ids = np.array([s.id for s in self.problem.candidates])
         good &= ids[:, None] != ids[None, :]
+        good &= np.triu(np.ones_like(good))  # a pair in one order, not in that of its last digit
         share = np.where(good, first * b[:, None] + second * b[None, :], 0.0)
         at = np.unravel_index(int(np.argmax(share)), share.shape)
         if share[at] <= 0.0:

@@ -20,8 +20,8 @@ from plant.compiled import called, entry_point, fingerprint
 from plant.finger.stepping import integrate, pull_of
 from plant.links.kernel import WORK
 from plant.physics import layout as at
-from plant.simulator.kernel import SAME_INSTANT_S, _act, _command, _due
 from plant.simulator.rates import chamber, power
+from plant.simulator.valves import SAME_INSTANT_S, act, command, due_at
 
 Array = npt.NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def _run_until(
         which = 0
         for i in range(m):
             for valve in range(2):
-                this = _due(muscles[i], valve)
+                this = due_at(muscles[i], valve)
                 if this < due:
                     due = this
                     which = 2 * i + valve
@@ -59,7 +59,7 @@ def _run_until(
                 muscles[i, at.TIME] = end if last else due
         if last:
             return fine
-        _act(muscles[which // 2], which % 2)
+        act(muscles[which // 2], which % 2)
 
 
 @called
@@ -81,7 +81,7 @@ def _tick(
     fine = True
     for i in range(m):
         for valve in range(2):
-            _command(muscles[i], params[i], valve, 1.0 if on_s[i, valve] > 0.0 else 0.0)
+            command(muscles[i], params[i], valve, 1.0 if on_s[i, valve] > 0.0 else 0.0)
     done = 0.0
     while True:
         following = dt
@@ -99,7 +99,7 @@ def _tick(
         for i in range(m):
             for valve in range(2):
                 if on_s[i, valve] == done:
-                    _command(muscles[i], params[i], valve, 0.0)
+                    command(muscles[i], params[i], valve, 0.0)
 
 
 @called

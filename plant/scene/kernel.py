@@ -1,6 +1,6 @@
 """Compiled simulation of a scene: valve commands of all units, their delays, and the mechanism.
 
-The valves are those of the single bench (`plant.simulator.kernel`), one per row, with the same
+The valves are those of the single bench (`plant.simulator.valves`), one per row, with the same
 queue and delays. Importing this module loads numba; the first import after an installation
 compiles.
 """
@@ -20,9 +20,9 @@ from plant.scene.events import first_event, log, log_switches, settle
 from plant.scene.layout import Array, Ints, World
 from plant.scene.rates import gas_volume, remember, unit_force
 from plant.scene.stepping import length_at, substep, touches, trial
-from plant.simulator.kernel import SAME_INSTANT_S, _act, _command, _due
 from plant.simulator.rates import lagged, lasting, power
 from plant.simulator.stepping import _accept, _book_regulated, _remember
+from plant.simulator.valves import SAME_INSTANT_S, act, command, due_at
 
 _TRIES = 12
 _SHORTEST = 1e-9
@@ -106,7 +106,7 @@ def _run_until(w: World, end: float) -> None:
         unit = solenoid = 0
         for k in range(w.units.shape[0]):
             for which in range(2):
-                own = _due(w.units[k], which)
+                own = due_at(w.units[k], which)
                 if own < due:
                     due, unit, solenoid = own, k, which
         # An edge due exactly at `end` waits, because a command at `end` can still cancel it.
@@ -119,7 +119,7 @@ def _run_until(w: World, end: float) -> None:
                 w.units[k, at.TIME] = until
         if not acts:
             break
-        _act(w.units[unit], solenoid)
+        act(w.units[unit], solenoid)
         opened = w.units[unit, at.INLET_OPEN + solenoid]
         log(w, due, float(sc.LOG_INLET + solenoid), float(unit), opened)
 
@@ -142,8 +142,8 @@ def _tick(w: World, dt_s: float, inlet_on_s: Array, vent_on_s: Array) -> None:
     units = w.units.shape[0]
     begin = w.units[0, at.TIME]
     for k in range(units):
-        _command(w.units[k], w.params[k], 0, 1.0 if inlet_on_s[k] > 0.0 else 0.0)
-        _command(w.units[k], w.params[k], 1, 1.0 if vent_on_s[k] > 0.0 else 0.0)
+        command(w.units[k], w.params[k], 0, 1.0 if inlet_on_s[k] > 0.0 else 0.0)
+        command(w.units[k], w.params[k], 1, 1.0 if vent_on_s[k] > 0.0 else 0.0)
     last = 0.0
     while True:
         ends = math.inf
@@ -156,9 +156,9 @@ def _tick(w: World, dt_s: float, inlet_on_s: Array, vent_on_s: Array) -> None:
         _run_until(w, begin + ends)
         for k in range(units):
             if inlet_on_s[k] == ends:
-                _command(w.units[k], w.params[k], 0, 0.0)
+                command(w.units[k], w.params[k], 0, 0.0)
             if vent_on_s[k] == ends:
-                _command(w.units[k], w.params[k], 1, 0.0)
+                command(w.units[k], w.params[k], 1, 0.0)
         last = ends
     _run_until(w, begin + dt_s)
     _measure(w)
@@ -180,7 +180,7 @@ def _replay(
             _run_until(w, event_s[event])
             k = unit[event]
             if channel[event] <= at.CHANNEL_OUTLET:
-                _command(w.units[k], w.params[k], channel[event], value[event])
+                command(w.units[k], w.params[k], channel[event], value[event])
             elif channel[event] == at.CHANNEL_REGULATOR:
                 w.units[k, at.REGULATOR_SET] = value[event]
             elif channel[event] == at.CHANNEL_SUPPLY:

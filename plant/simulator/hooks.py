@@ -7,6 +7,7 @@ it, in the order of the catalogue. An effect that is off leaves its argument as 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 from plant.compiled import inlined
@@ -27,10 +28,7 @@ def _chained(hook: str) -> Compiled:
     def unchanged(value: Any, *at: Any) -> Any:
         return value
 
-    whole = inlined(unchanged)
-    for function in functions(hook):
-        whole = _after(whole, inlined(function))
-    return whole
+    return reduce(_after, map(inlined, functions(hook) or [unchanged]))
 
 
 def _after(first: Compiled, then: Compiled) -> Compiled:
@@ -47,10 +45,7 @@ def _in_turn(hook: str) -> Compiled:
     def nothing(*at: Any) -> None:
         pass
 
-    whole = inlined(nothing)
-    for function in functions(hook):
-        whole = _and(whole, inlined(function))
-    return whole
+    return reduce(_and, map(inlined, functions(hook) or [nothing]))
 
 
 def _and(first: Compiled, then: Compiled) -> Compiled:

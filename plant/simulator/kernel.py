@@ -5,7 +5,6 @@ Importing this module loads numba and, the first time after an installation, com
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -13,67 +12,17 @@ from plant.compiled import Slots, called, entry_point, fingerprint, inlined
 from plant.physics import layout as at
 from plant.simulator.rates import tension
 from plant.simulator.stepping import integrate
-
-SAME_INSTANT_S = 1e-9
-"""A command withdrawn within this time of the valve acting on it is withdrawn in time."""
+from plant.simulator.valves import SAME_INSTANT_S, act, command, due_at
 
 _STATE = "float64[::1]"
-
-
-@called
-def _command(state: Slots, params: Slots, which: int, value: float) -> None:
-    """Give solenoid `which` (0 inlet, 1 outlet) a command at the present time.
-
-    The delay is taken from the pressure upstream of that solenoid at this moment.
-    """
-    if state[at.INLET_COMMAND + which] == value:
-        return
-    state[at.INLET_COMMAND + which] = value
-    count = int(state[at.QUEUE_COUNT + which])
-    if params[at.DELAY_MODE] == 0.0 and count > 0:
-        # Inertial: the valve had not yet acted on the command that is now withdrawn.
-        state[at.QUEUE_COUNT + which] = 0.0
-        return
-    if count == at.QUEUE_LENGTH:
-        state[at.QUEUE_COUNT + which] = count - 1.0
-        state[at.EDGES_MERGED] += 1.0
-        return
-    upstream = state[at.SUPPLY] if which == 0 else state[at.PRESSURE]
-    edge = 2 * which + (0 if value > 0.0 else 1)
-    delay = params[at.DELAY + edge] + params[at.DELAY_SLOPE + edge] * upstream
-    due = state[at.TIME] + max(0.0, delay)
-    ring = at.QUEUE + which * at.QUEUE_LENGTH
-    head = int(state[at.QUEUE_HEAD + which])
-    if count > 0:
-        # Edges act in the order they were given; one never overtakes the edge before it.
-        due = max(due, state[ring + (head + count - 1) % at.QUEUE_LENGTH])
-    state[ring + (head + count) % at.QUEUE_LENGTH] = due
-    state[at.QUEUE_COUNT + which] = count + 1.0
-
-
-@inlined
-def _due(state: Slots, which: int) -> float:
-    """Time at which the oldest pending edge of a solenoid acts; inf if none is pending."""
-    if state[at.QUEUE_COUNT + which] == 0.0:
-        return math.inf
-    head = int(state[at.QUEUE_HEAD + which])
-    return state[at.QUEUE + which * at.QUEUE_LENGTH + head]
-
-
-@inlined
-def _act(state: Slots, which: int) -> None:
-    """Let the oldest pending edge of a solenoid act: edges alternate, so the valve toggles."""
-    state[at.INLET_OPEN + which] = 1.0 - state[at.INLET_OPEN + which]
-    state[at.QUEUE_HEAD + which] = (int(state[at.QUEUE_HEAD + which]) + 1) % at.QUEUE_LENGTH
-    state[at.QUEUE_COUNT + which] -= 1.0
 
 
 @called
 def _run_until(state: Slots, params: Slots, end: float) -> None:
     """Advance to time `end` with no new command; pending valve edges act exactly when due."""
     while True:
-        inlet_due = _due(state, 0)
-        outlet_due = _due(state, 1)
+        inlet_due = due_at(state, 0)
+        outlet_due = due_at(state, 1)
         due = min(inlet_due, outlet_due)
         # An edge due at `end` itself waits: a command given there may still withdraw it.
         if due >= end - SAME_INSTANT_S:
@@ -81,7 +30,7 @@ def _run_until(state: Slots, params: Slots, end: float) -> None:
         if due > state[at.TIME]:
             integrate(state, params, due - state[at.TIME])
             state[at.TIME] = due
-        _act(state, 0 if inlet_due <= outlet_due else 1)
+        act(state, 0 if inlet_due <= outlet_due else 1)
     if end > state[at.TIME]:
         integrate(state, params, end - state[at.TIME])
         state[at.TIME] = end
@@ -97,16 +46,16 @@ def _measure(state: Slots, params: Slots) -> None:
 def _tick(state: Slots, params: Slots, dt_s: float, inlet_on_s: float, vent_on_s: float) -> None:
     """One control tick; see `plant.simulator.bench.advance`."""
     begin = state[at.TIME]
-    _command(state, params, 0, 1.0 if inlet_on_s > 0.0 else 0.0)
-    _command(state, params, 1, 1.0 if vent_on_s > 0.0 else 0.0)
+    command(state, params, 0, 1.0 if inlet_on_s > 0.0 else 0.0)
+    command(state, params, 1, 1.0 if vent_on_s > 0.0 else 0.0)
     for turn in range(2):
         on_s = min(inlet_on_s, vent_on_s) if turn == 0 else max(inlet_on_s, vent_on_s)
         if 0.0 < on_s < dt_s - SAME_INSTANT_S:
             _run_until(state, params, begin + on_s)
             if inlet_on_s == on_s:
-                _command(state, params, 0, 0.0)
+                command(state, params, 0, 0.0)
             if vent_on_s == on_s:
-                _command(state, params, 1, 0.0)
+                command(state, params, 1, 0.0)
     _run_until(state, params, begin + dt_s)
     _measure(state, params)
 
@@ -121,7 +70,7 @@ def _replay(
         while event < event_s.shape[0] and event_s[event] <= sample_s[row]:
             _run_until(state, params, event_s[event])
             if channel[event] <= at.CHANNEL_OUTLET:
-                _command(state, params, channel[event], value[event])
+                command(state, params, channel[event], value[event])
             elif channel[event] == at.CHANNEL_LENGTH_RATE:
                 state[at.LENGTH_RATE] = value[event]
             elif channel[event] == at.CHANNEL_REGULATOR:

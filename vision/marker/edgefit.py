@@ -140,7 +140,7 @@ def refine(view, line, least_scale, may_bend, resid, keep, out):  # type: ignore
         scale = least_scale
         coarse = 0
     fine = 0
-    free = False
+    free = bool(0)  # for the constant False `sweep` would be compiled a second time
     dropped = 0
     pruned = False
     da = 0.0
