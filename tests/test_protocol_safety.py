@@ -19,7 +19,7 @@ from analysis.reduction.pictures import measure_stored
 from bench_process import LIMIT_S, STARVED_MS, run_in_real_time
 from daq.interrupt import StopFlag
 from daq.store.run import open_run
-from daq.store.store import verify
+from daq.store.verify import verify
 from plant.physics.layout import PRESSURE
 from protocol_runs import events, run_short
 from rigs.execution.control import RunControl

@@ -15,7 +15,7 @@ import pytest
 from analysis.findings.hysteresis import cycles_of
 from analysis.findings.isothermal import temperature_growth, temperature_lines
 from analysis.reduction.setpoint import at_set_pressure
-from daq.store.store import verify
+from daq.store.verify import verify
 from plant.constants import nominal
 from plant.effects.effects import Effects
 from plant.simulator.bench import BenchSim

@@ -68,11 +68,14 @@ def timeline_figure(run: Run) -> Figure | None:
     return figure
 
 
-def min_max(x: Floats, y: Floats, bins: int = 1200) -> tuple[Floats, Floats]:
-    """The min/max envelope: minimum, then maximum of each of ``bins`` equal ranges of samples."""
-    if len(x) <= 2 * bins:
+ENVELOPE_BINS = 1200
+
+
+def min_max(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """The min/max envelope: minimum, then maximum of each of 1200 equal ranges of samples."""
+    if len(x) <= 2 * ENVELOPE_BINS:
         return x, y
-    edges = np.linspace(0, len(x), bins + 1).astype(int)[:-1]
+    edges = np.linspace(0, len(x), ENVELOPE_BINS + 1).astype(int)[:-1]
     low, high = np.minimum.reduceat(y, edges), np.maximum.reduceat(y, edges)
     return np.repeat(x[edges], 2), np.column_stack([low, high]).ravel()
 

@@ -238,6 +238,3 @@ def draw(entry: Entry, rng: Rng, c: np.ndarray, form: int | None = None) -> Hidd
     if entry.id == "wear":
         sign = -1.0 if rng.random() < 0.7 else 1.0
     return Hidden(entry.id, chosen, sign * entry.usual, shape, variant)
-
-
-__all__ = ["CATALOGUE", "ENTRIES", "OUTSIDE", "Entry", "Hidden", "draw", "scaled"]

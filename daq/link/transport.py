@@ -137,12 +137,10 @@ class MemoryLink:
             peer.unplug()
 
 
-def memory_pair(
-    clock: Clock, name: str, limit_bytes: int = BUFFER_BYTES
-) -> tuple[MemoryLink, MemoryLink]:
+def memory_pair(clock: Clock, name: str) -> tuple[MemoryLink, MemoryLink]:
     """Two connected ends, ``(host_end, device_end)``."""
-    host = MemoryLink(name, clock, limit_bytes)
-    device = MemoryLink(f"{name} (device end)", clock, limit_bytes)
+    host = MemoryLink(name, clock, BUFFER_BYTES)
+    device = MemoryLink(f"{name} (device end)", clock, BUFFER_BYTES)
     host._peer, device._peer = device, host
     return host, device
 

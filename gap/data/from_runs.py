@@ -24,7 +24,6 @@ from plant.constants import CHOICES, KEYS
 
 COLUMNS = ("trial", "slot", "replicate", "protocol", "mounting", "order", "held_length_mm",
            "load_kg", "temperature_c", "start_s", "tare_length_mm", "note")  # fmt: skip
-FORMS = ("time", "points")
 
 
 @dataclass(frozen=True)

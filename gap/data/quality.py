@@ -1,6 +1,6 @@
 """Whether the data are fit to be diagnosed: gaps, saturation, stuck or starved channels.
 
-Clock offsets and two-sided smoothing are suspects in the search itself (`gap.effects.candidates`),
+Clock offsets and two-sided smoothing are candidates of the search (`gap.effects.candidates`),
 because only against the other channels do they show; what a channel shows alone is checked here.
 """
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import gather, projected
-from gap.model.sensitivities import suspect_columns
+from gap.model.sensitivities import candidate_columns
 
 Array = npt.NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class ConfounderSearch:
         self.problem = problem
         c = problem.constants(problem.base.shift)
         self._columns = np.nan_to_num(
-            suspect_columns(
+            candidate_columns(
                 problem.model,
                 c,
                 problem.active_effects(problem.base.shift, (), np.empty(0)),

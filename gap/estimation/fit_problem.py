@@ -16,21 +16,21 @@ import numpy.typing as npt
 from gap.data.dataset import DataSet
 from gap.data.duplicates import without_duplicates
 from gap.effects.candidates import CANDIDATES, Candidate
+from gap.effects.terms import Active
 from gap.estimation.information import Evidence, gather, tolerance
 from gap.estimation.noise import Noise, learn_noise, usual_noise
 from gap.estimation.non_identical import non_identical, unexplainable
 from gap.estimation.normal_equations import covariance, damped_step
 from gap.model.features import Rows
-from gap.model.force import Active
 from gap.model.grid import Grid, make_grid
 from gap.model.residuals import Model
 from gap.model.sensitivities import (
     calibration_columns,
+    candidate_columns,
     constant_columns,
     miscalibrated,
     mounted,
     mounting_columns,
-    suspect_columns,
 )
 from plant.constants import KEYS, PlantConstants
 from plant.effects.catalogue import CATALOGUE
@@ -432,7 +432,7 @@ class FitProblem:
             or not set(map(id, self.candidates)) <= kept[1].keys()
         ):
             active = self.active_effects(fit.shift, fit.candidates, fit.amounts)
-            columns = suspect_columns(
+            columns = candidate_columns(
                 self.model, self.constants(fit.shift), active, self.candidates
             )
             place = {id(candidate): j for j, candidate in enumerate(self.candidates)}

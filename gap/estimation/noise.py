@@ -20,8 +20,8 @@ from gap.model.residuals import Model
 from gap.model.sensitivities import (
     UNSEEN_GAS,
     TrialEffect,
+    candidate_columns,
     slow_columns,
-    suspect_columns,
     trial_columns,
 )
 from plant.constants import PlantConstants
@@ -289,7 +289,7 @@ def _trend(
 ) -> tuple[float, Array]:
     """The slow change over trials that replicates show best, one entry a row, and its z."""
     wear = [candidate for candidate in CANDIDATES if candidate.id == "wear"]
-    columns = suspect_columns(model, c, [], wear)
+    columns = candidate_columns(model, c, [], wear)
     best = (0.0, np.zeros(len(columns)))
     for j in range(columns.shape[1]):
         products = np.array([pair.products(noise, columns[:, j]) for pair in pairs])

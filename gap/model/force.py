@@ -10,11 +10,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gap.effects.terms import Active as Active
-from gap.effects.terms import Context as Context
-from gap.effects.terms import Term, terms
-from gap.model.features import Points
+from gap.effects.terms import Active, Term, terms
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
+from plant.effects.arguments import Context, Points
 
 Array = npt.NDArray[np.float64]
 

@@ -4,7 +4,7 @@ The physics is that of docs/reference/plant.md; what differs from the simulator 
 it follows the measurement from afar: the prediction is drawn towards the reading with a time
 constant of seconds, so that one cause early in a trial does not drown what comes after it, while
 everything quicker, and every steady drift, stays in the residual. Whole data sets run in one
-compiled call, which is what lets the diagnosis try a hundred suspects in a second.
+compiled call, which is what lets the diagnosis try a hundred candidate effects in a second.
 
 `replay` runs free of the measurement instead. What the real gas did beyond the model is kept as one
 small step of pressure for each node: what the reading gains over the model sent off from the

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from gap.effects.terms import Active, Context, terms
+from gap.effects.terms import Active, terms
 from gap.model import force as laws
 from gap.model import pressure as chamber
-from gap.model.features import BLOCKS, Points
+from gap.model.features import BLOCKS
 from gap.model.grid import Grid
 from plant.constants import KEYS, PlantConstants
+from plant.effects.arguments import Context, Points
 
 Array = npt.NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Signatures: what each constant, each trial effect and each suspect would do to the features."""
+"""Signatures: what each constant, trial effect and candidate effect does to the features."""
 
 from __future__ import annotations
 
@@ -206,27 +206,26 @@ def slow_columns(model: Model, trial_rows: npt.NDArray[np.int64]) -> tuple[Array
     return np.stack(columns, axis=1), groups
 
 
-def suspect_columns(
+def candidate_columns(
     model: Model,
     c: PlantConstants,
     active: Active,
-    suspects: Sequence[Candidate],
-    amounts: Sequence[float] | None = None,
+    candidates: Sequence[Candidate],
 ) -> Array:
-    """Change of measured-minus-predicted explained by one unit of each suspect, (rows, suspects).
+    """Change of measured-minus-predicted explained by one unit of each, (rows, candidates).
 
     The column is minus the change of the residual, so that a true amount a leaves a residual of
-    a times the column. `amounts` are where secants are taken, else the suspects' own steps.
+    a times the column.
     """
     base = model.residual(c, active)
-    columns = np.zeros((len(model.grid.rows), len(suspects)))
-    for j, suspect in enumerate(suspects):
-        there = [block for block in suspect.blocks if block in model.grid.points]
+    columns = np.zeros((len(model.grid.rows), len(candidates)))
+    for j, candidate in enumerate(candidates):
+        there = [block for block in candidate.blocks if block in model.grid.points]
         if not there:
             continue
-        amount = suspect.step if amounts is None else amounts[j]
+        amount = candidate.step
         moved = model.residual(
-            c, [*active, (suspect.id, suspect.option, amount, suspect.shape)], there
+            c, [*active, (candidate.id, candidate.option, amount, candidate.shape)], there
         )
         columns[:, j] = model.stacked({b: (base[b] - moved[b]) / amount for b in there})
     return columns

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 
 from gap.estimation.fit_problem import FitProblem
-from gap.model.features import Points
 from gap.selection.config import SELECTION, SelectionConfig
+from plant.effects.arguments import Points
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[Array, Array, bool]

@@ -22,13 +22,14 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.effects.candidates import Candidate
+from gap.effects.terms import Active
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model import force as laws
 from gap.model import pressure as chamber
-from gap.model.features import BLOCKS, Points
-from gap.model.force import Active, Context
+from gap.model.features import BLOCKS
 from gap.model.residuals import SCALE
 from plant.constants import PlantConstants
+from plant.effects.arguments import Context, Points
 from plant.effects.catalogue import CATALOGUE
 
 Array = npt.NDArray[np.float64]

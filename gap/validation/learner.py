@@ -42,11 +42,9 @@ class Learnt:
     inputs: dict[str, int]
 
 
-def generic(
-    problem: FitProblem, freedom: int, of_trial: npt.NDArray[np.int64] | None = None
-) -> Learnt:
-    """Learn the residual of every block without a name; units are slots by default."""
-    units = problem.units if of_trial is None else of_trial
+def generic(problem: FitProblem, freedom: int) -> Learnt:
+    """Learn the residual of every block without a name; units are slots."""
+    units = problem.units
     fold = left_out(problem, problem.base, units).change
     alike: dict[str, Array] = {}
     large: dict[str, Array] = {}

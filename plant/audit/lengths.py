@@ -22,9 +22,9 @@ def lines_by_length(points: Points, region: tuple[float, float], temperature: fl
     return _lines(points.length_m * 1e3, points.pressure_pa / 1e3, points, region, temperature)
 
 
-def lines_by_pressure(points: Points, temperature: float = 21.0) -> Pairs:
+def lines_by_pressure(points: Points) -> Pairs:
     """Gradient (N/mm) and intercept (N) of force against length at each pressure (4-42)."""
-    return _lines(points.pressure_pa / 1e3, points.length_m * 1e3, points, HIGH, temperature)
+    return _lines(points.pressure_pa / 1e3, points.length_m * 1e3, points, HIGH, 21.0)
 
 
 def _lines(

@@ -65,10 +65,6 @@ class Effects:
         """The effects in force that have a headline parameter, with its value."""
         return [(e, float(v[e.headline])) for e, v in self.active() if e.headline is not None]
 
-    def as_config(self) -> dict[str, dict[str, float | str]]:
-        """The tables that `from_config` would read back to equal effects."""
-        return {name: dict(table) for name, table in self.values.items()}
-
 
 NONE = Effects()
 """The nominal plant."""

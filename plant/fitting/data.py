@@ -12,7 +12,6 @@ import numpy.typing as npt
 from plant.errors import PlantError
 from plant.models.law import Array, History
 
-QUANTITIES = ("pressure", "length", "force")
 Labels = npt.NDArray[np.str_]
 
 

@@ -31,8 +31,6 @@ CUBIC_FOOT_M3 = 0.3048**3
 BAR_PA = 1e5
 WATER_KG_M3 = 1000.0
 """Density against which specific gravity counts in C_v and K_v."""
-WATER_60F_KG_M3 = 999.0
-"""Density of water at 60 degF, which C_v is defined with."""
 UNIVERSAL_DEGREES = 3417.0
 """Constant of the universal gas sizing equation's sine (5-4, 5-5, 5-8), degrees."""
 HEAT_RATIO_AIR = 1.4

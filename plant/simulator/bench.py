@@ -32,28 +32,6 @@ from plant.simulator.effect_slots import effect_slots
 from plant.simulator.kernel import advance as _advance
 from plant.simulator.rates import LEAST_MASS_KG
 
-__all__ = [
-    "FORCE",
-    "INLET_COMMAND",
-    "INLET_OPEN",
-    "LENGTH",
-    "LENGTH_RATE",
-    "OUTLET_COMMAND",
-    "OUTLET_OPEN",
-    "PRESSURE",
-    "REFERENCE_TEMPERATURE_C",
-    "REGULATOR_SET",
-    "STANDARD_GRAVITY_M_S2",
-    "SUPPLY",
-    "TIME",
-    "BenchSim",
-    "Load",
-    "Source",
-    "advance",
-    "build_params",
-    "build_state",
-]
-
 Array = npt.NDArray[np.float64]
 Source = Literal["valve", "regulator"]
 Load = Literal["isometric", "isotonic"]
@@ -83,7 +61,6 @@ def build_params(
     source: Source = "valve",
     load: Load = "isometric",
     mass_kg: float = 1.0,
-    gravity_m_s2: float = STANDARD_GRAVITY_M_S2,
 ) -> Array:
     """Parameter array of the kernel, shape (PARAMS_SIZE,), with the effects in. `PlantError`."""
     if source not in ("valve", "regulator"):
@@ -97,7 +74,7 @@ def build_params(
         layout.SOURCE: 1.0 if source == "regulator" else 0.0,
         layout.LOAD: 1.0 if load == "isotonic" else 0.0,
         layout.MASS: mass_kg,
-        layout.GRAVITY: gravity_m_s2,
+        layout.GRAVITY: STANDARD_GRAVITY_M_S2,
         layout.REGULATOR_LAG: REGULATOR_LAG_S,
         layout.STEP_MAX: STEP_MAX_S,
         layout.STEP_SAFETY: STEP_SAFETY,

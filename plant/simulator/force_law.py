@@ -19,8 +19,9 @@ import numpy.typing as npt
 
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
+from plant.effects.reference import TEMPERATURE_C as REFERENCE_TEMPERATURE_C
 from plant.physics import layout, muscle
-from plant.simulator.bench import REFERENCE_TEMPERATURE_C, build_params
+from plant.simulator.bench import build_params
 
 Array = npt.NDArray[np.float64]
 

@@ -21,21 +21,9 @@ from daq.calibration import Calibration
 from daq.errors import ConfigError
 from plant import tomlfile
 from rigs.calibration.frames import open_frames
-from rigs.rigfile.camera_calibration import (
-    CameraCalibration,
-    load_camera_calibration,
-    save_camera_calibration,
-)
+from rigs.rigfile.camera_calibration import CameraCalibration
 from vision.marker.gap import GapMeasurement
 from vision.marker.lens import Lens
-
-__all__ = [
-    "CameraCalibration",
-    "calibrate_from_board",
-    "calibrate_from_gauges",
-    "load_camera_calibration",
-    "save_camera_calibration",
-]
 
 F64 = npt.NDArray[np.float64]
 
@@ -87,7 +75,6 @@ def calibrate_from_gauges(
     identity: str = "",
     date: str = "",
     distance_mm: float | None = None,
-    u_distance_mm: float = 0.0,
     u_off_plane_mm: float = 0.0,
 ) -> CameraCalibration:
     """Fit offset, scale and, with 5 or more positions, distortion to gauge-block pictures.
@@ -135,7 +122,6 @@ def calibrate_from_gauges(
         identity or f"gauge blocks, {table.name}",
         date,
         distance_mm,
-        u_distance_mm,
         u_off_plane_mm,
     )
 
@@ -173,7 +159,6 @@ def _finish(  # noqa: PLR0913 - what a calibration states, each by name
     identity: str,
     date: str,
     distance_mm: float | None,
-    u_distance_mm: float,
     u_off_plane_mm: float,
 ) -> CameraCalibration:
     design = np.stack([np.ones_like(pixels), pixels], axis=1)
@@ -195,7 +180,6 @@ def _finish(  # noqa: PLR0913 - what a calibration states, each by name
     u_offset = math.sqrt(float(max(at_middle, at_ends.max())))
     u_gain = math.sqrt(float(cov[1, 1])) / abs(scale)
     per_mm = 1.0 / distance_mm if distance_mm else 0.0
-    u_per_mm = u_distance_mm / distance_mm**2 if distance_mm else 0.0
     straight = Calibration(
         quantity="length_mm",
         unit="mm",
@@ -209,7 +193,7 @@ def _finish(  # noqa: PLR0913 - what a calibration states, each by name
         date=date or datetime.now(UTC).date().isoformat(),
         note=f"{len(lengths)} positions, rms residual {math.sqrt(float(np.mean(rest**2))):.5f} mm",
     )
-    return CameraCalibration(straight, lens, per_mm, u_per_mm, u_off_plane_mm)
+    return CameraCalibration(straight, lens, per_mm, 0.0, u_off_plane_mm)
 
 
 def calibrate_from_board(  # noqa: PLR0913 - what a calibration states, each by name
@@ -219,7 +203,6 @@ def calibrate_from_board(  # noqa: PLR0913 - what a calibration states, each by 
     *,
     offset_mm: float = 0.0,
     u_offset_mm: float = 0.0,
-    u_square_mm: float = 0.0,
     domain: tuple[float, float] = (-math.inf, math.inf),
     nearer: Path | None = None,
     nearer_mm: float = 0.0,
@@ -252,7 +235,7 @@ def calibrate_from_board(  # noqa: PLR0913 - what a calibration states, each by 
         offset=offset_mm,
         scale=scale,
         u_offset=u_offset_mm,
-        u_gain=math.hypot(u_scale / scale, u_square_mm / square_mm),
+        u_gain=abs(u_scale / scale),
         domain=domain,
         id=identity or f"board, {picture.name}",
         date=date or datetime.now(UTC).date().isoformat(),

@@ -26,7 +26,7 @@ from rigs.calibration.run import (
 )
 from rigs.devices.balance import Balance
 from rigs.devices.instruments.load_cell import LoadCell
-from rigs.devices.operator import Operator, Request, ask
+from rigs.devices.operator import Request, ask
 from rigs.execution.runner import Watch
 from rigs.rigfile.config import RigConfig
 
@@ -34,7 +34,7 @@ TARES = 6
 """So many tares after the weights tell what a tare leaves."""
 
 
-def calibrate_force(  # noqa: PLR0913 - what a calibration states, each by name
+def calibrate_force(
     config: RigConfig,
     masses_kg: Sequence[float],
     root: Path,
@@ -42,7 +42,6 @@ def calibrate_force(  # noqa: PLR0913 - what a calibration states, each by name
     weights: Reference,
     seconds: float = 4.0,
     who: str = "",
-    operator: Operator | None = None,
     stop: StopFlag | None = None,
     watch: Watch | None = None,
 ) -> Calibrated:
@@ -55,7 +54,7 @@ def calibrate_force(  # noqa: PLR0913 - what a calibration states, each by name
         weights: the set's identity; ``u_gain`` its relative uncertainty (class of the
             weights, local g), ``u_each`` of a single one in N.
         seconds: how long each weight is measured, after it has come to rest.
-        who, operator, stop, watch: as for the pressure.
+        who, stop, watch: as for the pressure.
 
     Raises:
         ConfigError: too few weights, or one beyond the rig's limit.
@@ -76,7 +75,7 @@ def calibrate_force(  # noqa: PLR0913 - what a calibration states, each by name
             )
     stop, watch = stop or StopFlag(), watch or Watch()
     parameters = {"masses_kg": list(masses_kg), "seconds": seconds, "gravity_m_s2": gravity}
-    with open_rig(config, operator=operator) as rig:
+    with open_rig(config) as rig:
         record = open_record(rig, root, "calibrate-force", weights, parameters, who)
         points: list[Point] = []
         zeros: list[float] = []

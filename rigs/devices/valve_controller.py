@@ -218,7 +218,7 @@ class ValveController:
 
     # ---- what a bench does ----------------------------------------------------------
 
-    def connect(self, serial: str, firmware: str, seconds: float = 3.0) -> dict[str, str]:
+    def connect(self, serial: str, firmware: str) -> dict[str, str]:
         """Ask for the identity until it comes, and check it.
 
         Raises:
@@ -226,7 +226,7 @@ class ValveController:
         """
         for attempt in range(6):
             try:
-                self.identity = self.request("id", seconds / 6)
+                self.identity = self.request("id", 0.5)
                 break
             except DeviceTimeout:
                 if attempt == 5:

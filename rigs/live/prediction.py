@@ -22,7 +22,8 @@ from daq.record.writer import RecordWriter
 from daq.store.derive import scaled
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
-from plant.simulator.bench import PRESSURE, BenchSim
+from plant.physics.layout import PRESSURE
+from plant.simulator.bench import BenchSim
 from rigs.bench.rig import Rig
 from rigs.execution.runner import Runner, Watch
 from rigs.live.stage_share import LiveShare

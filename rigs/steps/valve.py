@@ -38,18 +38,6 @@ class Release(CustomStep):
         release(runner)
 
 
-@dataclass(frozen=True)
-class Supply(CustomStep):
-    """Have the pressure of the supply set by hand; a rig without that axis keeps its own."""
-
-    pressure_kpa: float
-    seconds = 6.0
-
-    def perform(self, runner: StepContext) -> float:
-        """Returns what was read, in kPa."""
-        return set_supply(runner, self.pressure_kpa)
-
-
 def set_supply(runner: StepContext, pressure_kpa: float) -> float:
     """Have the supply's regulator turned to a pressure, unless it is there; returns the reading.
 

@@ -13,8 +13,8 @@ import numpy as np
 from daq.calibration import Calibration
 from daq.clock import Clock
 from plant.constants import GAS_CONSTANT_J_KG_K
-from plant.physics.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MASS_OUT
-from plant.simulator.bench import PRESSURE, BenchSim
+from plant.physics.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MASS_OUT, PRESSURE
+from plant.simulator.bench import BenchSim
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.instruments import TextDevice
 from rigs.rigfile.pressure_source import MODULES

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from daq.errors import ConfigError
-from plant.constants import PlantConstants
+from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects.effects import Effects
 from plant.errors import PlantError
 from plant.links.arm import Arm
@@ -16,7 +16,6 @@ from plant.links.errors import LinkError
 from plant.links.reader import load_arm
 from plant.scene.ram import RamConstants
 from plant.scene.scene import Coordinate, Switch
-from plant.simulator.bench import STANDARD_GRAVITY_M_S2
 from rigs.rigfile.toml_reader import Table
 
 KINDS = ("held", "hung", "joint", "ram")

@@ -16,7 +16,7 @@ import numpy as np
 
 from gap.data.reader import read_dataset
 from gap.estimation.fit_problem import FitProblem
-from gap.model.sensitivities import suspect_columns
+from gap.model.sensitivities import candidate_columns
 from plant.effects.catalogue import CATALOGUE
 
 Floats = np.ndarray
@@ -43,7 +43,7 @@ def features(folder: Path, without: Sequence[str]) -> Features:
     """Read a folder into rows; what the diagnosis itself compares, before any weighting."""
     problem = FitProblem.of(read_dataset(folder))
     allowed = [s for s in problem.candidates if not s.defect and s.id not in without]
-    columns = suspect_columns(
+    columns = candidate_columns(
         problem.model, problem.data.constants, problem.stated_effects, allowed
     )
     residual, constants = problem.stated_residual.copy(), problem.columns.copy()

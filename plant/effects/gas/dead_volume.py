@@ -23,7 +23,7 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
         params[stage.LINE] = max(amount, 0.0) * 1e-6
         params[stage.LINE_TIME] = shape["line_s"]
     else:
-        params[stage.DEAD_VOLUME] += amount * 1e-6
+        params[layout.DEAD_VOLUME] += amount * 1e-6
 
 
 DEAD_VOLUME = Effect(

@@ -14,7 +14,7 @@ def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
 
 
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
-    params[stage.EXPONENT] += amount
+    params[layout.EXPONENT] += amount
     params[stage.HEAT_RATE] = 1.0 / shape["heat_s"] if "heat_s" in shape else 0.0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from plant.constants import PlantConstants
-from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Params, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.effects.valve.edges import EDGE, EDGES, constant_of
@@ -17,7 +16,7 @@ def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
 
 
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
-    params[stage.DELAY_SLOPE + EDGES.index(option)] += amount * 1e-6
+    params[layout.DELAY_SLOPE + EDGES.index(option)] += amount * 1e-6
 
 
 VALVE_DELAY_PRESSURE = Effect(

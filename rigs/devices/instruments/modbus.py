@@ -58,7 +58,6 @@ class ModbusInstrument(PortInstrument):
         self._silence_ns = round(max(3.5 * 11 / baud, 0.01) * NS_PER_S)
         self._buffer = b""
         self._heard_ns = 0
-        self._question: Any = None
 
     def _query(self) -> bytes:
         return self._codec.read(self.form)
