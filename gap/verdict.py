@@ -144,12 +144,12 @@ class Verdict:
     effects: tuple[Explanation, ...]
     probability_none: float
     probability_unknown: float
-    gap: Gap | None
-    stages: tuple[Share, ...]
-    contrasts: tuple[Contrast, ...]
-    limits: Mapping[str, float]
-    next_experiment: Experiment | None
-    why_not: Mapping[str, WhyNot]
+    gap: Gap | None = None
+    stages: tuple[Share, ...] = ()
+    contrasts: tuple[Contrast, ...] = ()
+    limits: Mapping[str, float] = field(default_factory=dict)
+    next_experiment: Experiment | None = None
+    why_not: Mapping[str, WhyNot] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     evidence: Mapping[str, Any] = field(default_factory=dict)
 

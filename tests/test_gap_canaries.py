@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gap.data.dataset import Array, Channel, DataSet, Trial
+from gap.data.dataset import Channel, DataSet, Trial
 from gap.data.reader import read_dataset
 from gap.decision.diagnose import diagnose
 from gap_bench import write_set
+from plant.arrays import Array
 
 
 @pytest.fixture(scope="module")

@@ -39,6 +39,7 @@ from analysis.reporting.derived import derive_all
 from analysis.run_table import reduce_run
 from cli.main import main
 from cli.model.links import links
+from conftest import PACKAGES
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, PamrigError, RecordError
 from daq.record.sealed import seal_file, seal_line
@@ -713,19 +714,6 @@ def test_everything_listens_on_loopback_and_bears_what_comes(tmp_path: Path) -> 
     assert {address for address, _ in mine} == {"127.0.0.1"}
 
 
-PACKAGES = (
-    "valvefw",
-    "plant",
-    "vision",
-    "blind",
-    "daq",
-    "analysis",
-    "rigs",
-    "gap",
-    "studies",
-    "cli",
-    "pamrig",
-)
 RUNS_CODE = {"eval", "exec", "compile", "__import__"}
 RUNS_TEXT = {"lambdify", "sympify", "parse_expr", "run_path", "run_module", "exec_module"}
 LOADS_CODE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml", "code"}

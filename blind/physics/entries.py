@@ -210,6 +210,16 @@ class Hidden:
             out[self.entry.variant_key] = self.variant
         return out
 
+    def as_dict(self) -> dict[str, object]:
+        """The effect as plain JSON values."""
+        return {
+            "id": self.id,
+            "family": self.entry.family,
+            "stage": self.entry.stage,
+            "form": self.form,
+            "parameters": self.parameters,
+        }
+
     def put(self, e: np.ndarray) -> None:
         """Switch it on in an effect matrix."""
         row = ROW[self.id]

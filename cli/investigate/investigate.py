@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.reporting.derived import try_derive
 from cli.investigate.survey import FIRST_DIAGNOSIS_AFTER, Test, battery, protocol_text
@@ -37,6 +36,7 @@ from gap.selection.search import SearchResult
 from gap.validation.config import VALIDATION
 from gap.validation.prediction import families, margins, predict_trials, rivals_of
 from gap.verdict import Status, Verdict
+from plant.arrays import Array
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig
@@ -50,7 +50,6 @@ NEARLY_CERTAIN = 0.7
 """Reliability of one family from which it is tested before anything else is looked at."""
 FAILED = 2
 """Tests that did not come out as predicted after which no more are made for that."""
-Array = npt.NDArray[np.float64]
 Report = Callable[[str], None]
 
 

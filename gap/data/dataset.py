@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
-
-Array = npt.NDArray[np.float64]
 
 CHANNELS = ("supply_kpa", "pressure_kpa", "length_mm", "force_n", "temperature_c")
 """Measured channels, in the units of their names."""

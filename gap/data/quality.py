@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gap.data.dataset import Array, Channel, DataSet
+from gap.data.dataset import Channel, DataSet
+from plant.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from daq.errors import PamrigError
 from daq.store.tablefile import LARGEST_HEAD, check_csv, read_parquet
 from gap.errors import GapError
+from plant.arrays import Array
 from plant.constants import PlantConstants
-
-Array = npt.NDArray[np.float64]
 
 # A column that begins like one of ours but ends otherwise is most likely another unit.
 _QUANTITIES: tuple[str, ...] = (

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import gather, projected
 from gap.model.sensitivities import candidate_columns
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 
 @dataclass(frozen=True)

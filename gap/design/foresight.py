@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.design.library import LibraryExperiment, as_data
 from gap.estimation.fit_problem import FitProblem, FitResult
@@ -23,8 +22,8 @@ from gap.model.features import BLOCKS
 from gap.model.grid import make_grid
 from gap.model.residuals import Model
 from gap.model.sensitivities import TRIAL_EFFECTS, trial_columns
+from plant.arrays import Array
 
-Array = npt.NDArray[np.float64]
 _BENDS = 12
 
 

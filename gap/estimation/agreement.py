@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import gather
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 _TRUST = 4.0
 """Replicates that the noise's model is worth beside what the replicates show of the amount."""

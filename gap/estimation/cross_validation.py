@@ -18,8 +18,7 @@ from gap.estimation.information import gather, tolerance
 from gap.estimation.normal_equations import damped_step
 from gap.model.features import BLOCKS, UNITS
 from gap.verdict import Gap
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,10 @@ from gap.model.sensitivities import (
     mounted,
     mounting_columns,
 )
+from plant.arrays import Array
 from plant.constants import KEYS, PlantConstants
 from plant.effects.catalogue import CATALOGUE
 
-Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
 _ROUNDS = 12

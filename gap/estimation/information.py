@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from gap.estimation.noise import Noise
 from gap.model.features import BLOCKS
+from plant.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
 

@@ -24,9 +24,9 @@ from gap.model.sensitivities import (
     slow_columns,
     trial_columns,
 )
+from plant.arrays import Array
 from plant.constants import PlantConstants
 
-Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
 _PRIOR_WEIGHT = 4.0

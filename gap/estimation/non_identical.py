@@ -8,12 +8,10 @@ no constant and no candidate effect can make.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.data.dataset import COMMANDS, Channel, DataSet
 from gap.estimation.noise import Noise
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 _SAME_S = 2e-3
 _RIDGE = 1e-6

@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import Evidence
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 DRAWS = 1000
 _PRIOR_DRAWS = 4.0

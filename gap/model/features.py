@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gap.data.dataset import Array
+from plant.arrays import Array
 from plant.effects.arguments import Whole
 
 BLOCKS = ("pressure", "force", "load", "camera")

@@ -8,13 +8,11 @@ fed the model too much pressure.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.effects.terms import Active, Term, terms
+from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects.arguments import Context, Points
-
-Array = npt.NDArray[np.float64]
 
 _INVERTED = 5
 _LEAST_SLOPE = 0.25

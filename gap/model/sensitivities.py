@@ -13,9 +13,8 @@ from gap.effects.candidates import Candidate
 from gap.effects.terms import Active
 from gap.model.features import BLOCKS
 from gap.model.residuals import Model, shifted
+from plant.arrays import Array
 from plant.constants import PlantConstants
-
-Array = npt.NDArray[np.float64]
 
 CONSTANTS: dict[str, tuple[str, ...]] = {
     "supply_kpa": ("pressure",),

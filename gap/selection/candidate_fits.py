@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.data.dataset import CALIBRATION
 from gap.effects.candidates import Candidate
@@ -14,10 +13,9 @@ from gap.estimation.information import SLACK, projected
 from gap.estimation.shape_fit import fit_shapes
 from gap.selection.config import SELECTION, SelectionConfig
 from gap.selection.inclusion import excess_chi2
+from plant.arrays import Array
 from plant.constants import KEYS
 from plant.effects.catalogue import CATALOGUE
-
-Array = npt.NDArray[np.float64]
 
 EDGES = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
 MOUNTINGS = "mountings"

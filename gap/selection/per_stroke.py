@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import tolerance
@@ -19,8 +18,7 @@ from gap.selection.candidate_fits import EDGES
 from gap.selection.config import SELECTION, SelectionConfig
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 _STEP_S = 1e-4
 

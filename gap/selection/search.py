@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.effects.candidates import Candidate
 from gap.estimation.agreement import replicate_inflation
@@ -40,8 +39,8 @@ from gap.selection.inclusion import (
     step_statistics,
 )
 from gap.verdict import Rejection, WhyNot
+from plant.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Steps = tuple[tuple[str, float], ...]
 
 

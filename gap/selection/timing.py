@@ -11,14 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import lfilter
 
 from gap.estimation.fit_problem import FitProblem
 from gap.selection.config import SELECTION, SelectionConfig
+from plant.arrays import Array
 from plant.effects.arguments import Points
 
-Array = npt.NDArray[np.float64]
 Pair = tuple[Array, Array, bool]
 
 _STEP_S = 0.01

@@ -18,13 +18,13 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.stats import wilcoxon
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import Effects
 from plant.errors import PlantError
 from plant.simulator.force_law import ForceLaw
 from plant.simulator.readings import read_force
 
-Array = npt.NDArray[np.float64]
 Values = dict[str, dict[str, float]]
 
 LEAST_SHARE = 0.03

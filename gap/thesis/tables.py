@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.data.dataset import DataSet
 from gap.thesis.data import G_M_S2, thesis_set
 from gap.thesis.static_ladder import Fit, Ladder, Step, Table
+from plant.arrays import Array
 from plant.constants import nominal
-
-Array = npt.NDArray[np.float64]
 
 THESIS_BRAID_MM = 78.3
 THESIS_TURNS = 2.34

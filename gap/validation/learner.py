@@ -18,8 +18,7 @@ from gap.estimation.cross_validation import left_out
 from gap.estimation.fit_problem import FitProblem
 from gap.model.features import BLOCKS
 from gap.validation.where import pressure_rise
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 _KNOTS = 6
 _CROSS = 4

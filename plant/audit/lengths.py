@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from plant.arrays import Array
 from plant.audit.printed import Row, listing, printed_rows, same, unit_in_last_place, verdict
 from plant.fitting.data import Points
 from plant.fitting.table43 import coefficients
 from plant.fitting.tables import full_regression
 from plant.fitting.thesis_points import thesis_points
-from plant.models.law import Array
 
 HIGH, LOW = (150.0, 600.0), (0.0, 125.0)
 Pairs = dict[float, tuple[float, float]]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
 from plant.errors import PlantError
@@ -16,8 +17,6 @@ from plant.links.dynamics import total_energy
 from plant.physics import layout
 from plant.physics.muscle import braid_volume
 from plant.simulator.bench import build_params, build_state
-
-Array = npt.NDArray[np.float64]
 
 STEP_MAX_S = 1e-3
 SUPPORTED_EFFECTS = (

@@ -14,10 +14,10 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.errors import PlantError
 from plant.fitting.data import Points
 from plant.fitting.fit import fit
-from plant.models.law import Array
 from plant.models.model import Model
 
 LEAST_GROUP = 2.0

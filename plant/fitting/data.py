@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.errors import PlantError
-from plant.models.law import Array, History
+from plant.models.law import History
 
 Labels = npt.NDArray[np.str_]
 

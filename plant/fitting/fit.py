@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from plant.arrays import Array
 from plant.errors import PlantError
 from plant.fitting.data import Points
 from plant.fitting.identify import Identifiability, examine
-from plant.models.law import Array
 from plant.models.model import Domain, Model
 
 MAX_ROUNDS = 8

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from plant.arrays import Array
 from plant.models.braid import ChouHannaford
-from plant.models.law import Array, Law, Past, SeparableLaw, Slopes
+from plant.models.law import Law, Past, SeparableLaw, Slopes
 
 _BRAID = ChouHannaford()
 

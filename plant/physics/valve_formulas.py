@@ -13,6 +13,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import (
     GAS_CONSTANT_J_KG_K,
     REFERENCE_DENSITY_KG_M3,
@@ -21,8 +22,6 @@ from plant.constants import (
 from plant.errors import PlantError
 from plant.physics.flow import mass_flow_kg_s
 from plant.thesis import load
-
-Array = npt.NDArray[np.float64]
 
 GALLON_M3 = 231.0 * 0.0254**3
 PSI_PA = 0.45359237 * 9.80665 / 0.0254**2

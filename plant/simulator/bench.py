@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects.effects import NONE, Effects
 from plant.effects.reference import TEMPERATURE_C as REFERENCE_TEMPERATURE_C
@@ -32,7 +32,6 @@ from plant.simulator.effect_slots import effect_slots
 from plant.simulator.kernel import advance as _advance
 from plant.simulator.rates import LEAST_MASS_KG
 
-Array = npt.NDArray[np.float64]
 Source = Literal["valve", "regulator"]
 Load = Literal["isometric", "isotonic"]
 

@@ -15,17 +15,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.calibration import Calibration
 from daq.errors import ConfigError
 from plant import tomlfile
+from plant.arrays import Array
 from rigs.calibration.frames import open_frames
 from rigs.rigfile.camera_calibration import CameraCalibration
 from vision.marker.gap import GapMeasurement
 from vision.marker.lens import Lens
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -126,18 +124,18 @@ def calibrate_from_gauges(
     )
 
 
-def _fit_lens(gaps: list[GapMeasurement], lengths: F64, start: Lens) -> Lens | None:
+def _fit_lens(gaps: list[GapMeasurement], lengths: Array, start: Lens) -> Lens | None:
     """Distortion k1 that makes the lengths straight; None where it is not significant."""
     from scipy.optimize import least_squares
 
     u = np.array([max(g.u_pixels, 1e-4) for g in gaps])
 
-    def rest(k1: F64) -> F64:
+    def rest(k1: Array) -> Array:
         lens = replace(start, k1=float(k1[0]))
         pixels = np.array([lens.gap(g)[0] for g in gaps])
         design = np.stack([np.ones_like(pixels), pixels], axis=1)
         fit, *_ = np.linalg.lstsq(design / u[:, None], lengths / u, rcond=None)
-        value: F64 = (lengths - design @ fit) / (u * abs(fit[1]))
+        value: Array = (lengths - design @ fit) / (u * abs(fit[1]))
         return value
 
     found = least_squares(rest, np.zeros(1), diff_step=1e-4, x_scale=1e-3)
@@ -151,10 +149,10 @@ def _fit_lens(gaps: list[GapMeasurement], lengths: F64, start: Lens) -> Lens | N
 
 
 def _finish(  # noqa: PLR0913 - what a calibration states, each by name
-    pixels: F64,
-    u_px: F64,
-    lengths: F64,
-    u_mm: F64,
+    pixels: Array,
+    u_px: Array,
+    lengths: Array,
+    u_mm: Array,
     lens: Lens | None,
     identity: str,
     date: str,
@@ -273,11 +271,11 @@ def _board(
         [*seen.mean(axis=0), turn[0, 0], turn[0, 1], turn[1, 0], turn[1, 1], 0, 0, 0.0]
     )
 
-    def rest(p: F64) -> F64:
+    def rest(p: Array) -> Array:
         lens = replace(start, k1=float(p[8]))
         true = np.array([lens.true(x, y) for x, y in seen])
         plane = board @ p[2:6].reshape(2, 2) / (1 + board @ p[6:8])[:, None] + p[:2]
-        value: F64 = (true - plane).ravel()
+        value: Array = (true - plane).ravel()
         return value
 
     fit = least_squares(rest, first, x_scale=np.maximum(np.abs(first), 1e-4))

@@ -13,9 +13,8 @@ import math
 from collections import deque
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 KEEP_S = 10.0
 MEMORY_S = 120.0

@@ -7,12 +7,13 @@ is recorded at 1 kHz and judged from the record alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from analysis.findings.step import STEP
 from rigs.execution.procedure import Procedure
+from rigs.protocols.parts.method import Parameters
 from rigs.protocols.parts.trials import BREATH_KPA, BREATH_S
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import CustomStep, Steps
@@ -27,7 +28,7 @@ SCHEMES = ("two", "duty_in", "duty", "slide", "burst", "pwm")
 
 
 @dataclass(frozen=True)
-class Step:
+class Step(Parameters):
     """Parameters of a step test, as read from its protocol file."""
 
     name: str
@@ -42,10 +43,6 @@ class Step:
     mounting: str
     source: str = ""
     frames: int = 0
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for run.json."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
 
     def steps(self) -> Steps:
         """The method: for each scheme, from vented, one set-point after another."""

@@ -14,19 +14,18 @@ from typing import TYPE_CHECKING, Any
 from analysis.findings.switching import SWITCHING_VOLTAGE
 from analysis.reduction.valve import open_in
 from rigs.execution.procedure import Procedure
+from rigs.protocols.parts.method import Parameters
+from rigs.protocols.parts.valves import VALVES, each_valve, need_supply_axis
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.context import RunFault
 from rigs.steps.custom_step import Steps
-from rigs.steps.schedule import arrange
-from rigs.steps.steps import EndTrial, State, Trial
-from rigs.steps.valve import ValvePoint, has_supply_axis, pressure_now, release
+from rigs.steps.valve import ValvePoint, pressure_now, release
 
 if TYPE_CHECKING:
     from rigs.devices.instruments.supply import Supply
     from rigs.rigfile.config import RigConfig
     from rigs.steps.context import StepContext
 
-VALVES = ("inlet", "outlet")
 ON_MS = 80
 """Length of the command while a voltage to turn on is tried."""
 HOLD_MS = 500
@@ -40,7 +39,7 @@ MOST_AGAIN = 6
 
 
 @dataclass(frozen=True)
-class SwitchingVoltage:
+class SwitchingVoltage(Parameters):
     """Parameters of a switching-voltage test, as read from its protocol file."""
 
     name: str
@@ -61,29 +60,11 @@ class SwitchingVoltage:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for run.json."""
-        values = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
-        return {**values, "result_axis": ["voltage (V)", 6.0]}
+        return {**super().as_dict(), "result_axis": ["voltage (V)", 6.0]}
 
     def steps(self) -> Steps:
         """The method: at each pressure both voltages of a valve."""
-        trial = 0
-        for valve in self.valves:
-            places = arrange(
-                self.pressures_kpa, self.order, self.repeats, self.mountings, self.seed
-            )
-            for place, pressure in places:
-                trial += 1
-                slot = f"{valve} {pressure:g}"
-                yield State(f"{valve} at {pressure:g} kPa, replicate {place.replicate}")
-                yield Trial(
-                    trial, slot, place.replicate, trial, place.mounting, "switching-voltage",
-                    (("held_pressure_kpa", pressure),),
-                )  # fmt: skip
-                yield VoltagePoint(
-                    trial, slot, place.replicate, trial, place.mounting, valve, pressure, self
-                )
-                yield EndTrial(trial)
-        yield State("done")
+        return each_valve(self, "switching-voltage", VoltagePoint)
 
 
 @dataclass(frozen=True)
@@ -230,12 +211,7 @@ def read(name: str, config: RigConfig) -> SwitchingVoltage:
         seed=t.integer("seed", 0, 2**63 - 1, 1),
         source=t.source,
     )
-    if "inlet" in plan.valves and not has_supply_axis(config):
-        raise t.fail(
-            "valves",
-            f"the inlet's pressure is the supply's, and {config.source} has no [manual.supply]",
-            'add that table to the rig, or set valves = ["outlet"]',
-        )
+    need_supply_axis(t, plan.valves, config)
     t.finish()
     return plan
 

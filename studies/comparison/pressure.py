@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.finger.reader import load_valve
 from plant.simulator.bench import FINE_STEP_SHARE, BenchSim
@@ -27,8 +27,6 @@ from studies.controllers.pid import Gains, ziegler_nichols
 from studies.controllers.tuning import Critical, critical_gain
 from valvefw.config import config_crc
 from valvefw.wire import encode_frame
-
-Array = npt.NDArray[np.float64]
 
 LENGTH_M = 0.062
 LATE_MS = 4

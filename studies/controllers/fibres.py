@@ -8,14 +8,12 @@ that of the catalogue of effects; the law estimates the magnitude of the frictio
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.effects.catalogue import CATALOGUE
 from plant.physics.friction import REFERENCE_PRESSURE_PA
 from plant.physics.layout import SLIP_ELEMENTS
 from studies.controllers.muscles import Pairs
-
-Array = npt.NDArray[np.float64]
 
 
 class Fibres:

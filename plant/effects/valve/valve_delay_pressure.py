@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-from plant.constants import PlantConstants
-from plant.effects.arguments import Params, Shape, Values
-from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
-from plant.effects.valve.edges import EDGE, EDGES, constant_of
+from plant.effects.effect import Effect, Parameter, Search
+from plant.effects.valve.edges import EDGE, EDGES, added
 from plant.physics import layout
 
-
-def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
-    edge = str(values["edge"])
-    slope = constant_of(c, edge, "s_per_pa") + float(values["slope_ms_per_kpa"]) * 1e-6
-    return {layout.DELAY_SLOPE + EDGES.index(edge): slope}
-
-
-def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
-    params[layout.DELAY_SLOPE + EDGES.index(option)] += amount * 1e-6
-
+_IN_PLANT, _IN_DIAGNOSIS = added(layout.DELAY_SLOPE, "slope_ms_per_kpa", "s_per_pa", 1e-6)
 
 VALVE_DELAY_PRESSURE = Effect(
     "valve_delay_pressure",
@@ -32,7 +21,7 @@ VALVE_DELAY_PRESSURE = Effect(
     source="Nominal plant, delay of the valve; Tables D-1 to D-3",
     standard="a fast pressure sensor right at the valve",
     constants=tuple(f"{edge}_ms_per_kpa" for edge in EDGES),
-    plant=InPlant(slots=_slots),
-    diagnosis=InDiagnosis(gas=_gas),
+    plant=_IN_PLANT,
+    diagnosis=_IN_DIAGNOSIS,
     search=Search(step=0.001, sign=0, blocks=("pressure",)),
 )

@@ -17,7 +17,8 @@ from daq.errors import DeviceError, DeviceTimeout, LinkLost, PamrigError
 from daq.link.transport import Chunk, Link
 from rigs.devices.event_loop import Pump
 from rigs.devices.instruments.readings import Readings
-from rigs.rigfile.form import Parsed
+from rigs.rigfile.form import Parsed, TextForm
+from rigs.rigfile.modbus_form import ModbusForm
 
 HOLD_S = 0.05
 """An answer is held this long (or half a period, if less) in case a second one comes."""
@@ -36,31 +37,28 @@ class PortInstrument(Readings):
         link: bytes to and from it.
         pump: the bench's waiting place; add :meth:`poll` to it.
         name: its name in the rig file.
-        quantity: what it measures, with unit.
-        unit: unit of its readings as they come.
-        rate_hz: readings a second.
-        timeout_s: how long an answer may take.
+        form: its description: quantity, unit of its readings, rate and time-out.
         polled: True when it must be asked.
+        rate_hz: readings a second, instead of the description's.
         calibration: turns readings into ``quantity``; None takes them as they are.
         reopen: opens the port anew after the link was lost. Without it the loss is an error:
             so it must be for an instrument that a test cannot do without.
     """
 
-    def __init__(  # noqa: PLR0913 - an instrument has that many named settings
+    def __init__(
         self,
         link: Link,
         pump: Pump,
         name: str,
+        form: ModbusForm | TextForm,
         *,
-        quantity: str,
-        unit: str,
-        rate_hz: float,
-        timeout_s: float,
         polled: bool,
+        rate_hz: float = 0.0,
         calibration: Calibration | None = None,
         reopen: Callable[[], Link] | None = None,
     ) -> None:
-        super().__init__(quantity, unit, calibration)
+        super().__init__(form.quantity, form.unit, calibration)
+        rate_hz = rate_hz or form.rate_hz
         self._link: Link | None = link
         self._pump = pump
         self._port = link.name
@@ -72,7 +70,7 @@ class PortInstrument(Readings):
         self._reopen = reopen
         self._polled = polled
         self._period_ns = round(NS_PER_S / rate_hz)
-        self._timeout_ns = round(timeout_s * NS_PER_S)
+        self._timeout_ns = round(form.timeout_s * NS_PER_S)
         self._hold_ns = min(round(HOLD_S * NS_PER_S), self._period_ns // 2)
         self._state = "idle"  # idle, waiting, holding, drain
         self._until_ns = 0

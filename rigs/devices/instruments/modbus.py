@@ -41,16 +41,7 @@ class ModbusInstrument(PortInstrument):
         reopen: Callable[[], Link] | None = None,
     ) -> None:
         super().__init__(
-            link,
-            pump,
-            name,
-            quantity=form.quantity,
-            unit=form.unit,
-            rate_hz=form.rate_hz,
-            timeout_s=form.timeout_s,
-            polled=True,
-            calibration=calibration,
-            reopen=reopen,
+            link, pump, name, form, polled=True, calibration=calibration, reopen=reopen
         )
         self.form = form
         self._codec = modbus_codec()

@@ -38,17 +38,9 @@ class TextInstrument(PortInstrument):
         reopen: Callable[[], Link] | None = None,
     ) -> None:
         super().__init__(
-            link,
-            pump,
-            name,
-            quantity=form.quantity,
-            unit=form.unit,
-            rate_hz=rate_hz or form.rate_hz,
-            timeout_s=form.timeout_s,
-            polled=bool(form.query),
-            calibration=calibration,
-            reopen=reopen,
-        )
+            link, pump, name, form, polled=bool(form.query), rate_hz=rate_hz,
+            calibration=calibration, reopen=reopen,
+        )  # fmt: skip
         self.form = form
         self._framer = LineFramer(form.end[-1:])
         self._heard_ns = 0

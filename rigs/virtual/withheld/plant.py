@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE
 from plant.physics.layout import (
@@ -31,7 +29,6 @@ from plant.physics.layout import (
 from plant.simulator.bench import BenchSim, build_params, build_state
 from rigs.virtual.emulators.sensor_error import FRESH_KPA, USED_KPA, Misreading
 
-Array = npt.NDArray[np.float64]
 SHORTEST_S = 1e-7
 HAND_MM = 0.5
 HAND_MM_S = 10.0
