@@ -22,6 +22,7 @@ from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.output import toml_value
 from gap.verdict import Experiment
 from plant.effects.catalogue import CATALOGUE
+from plant.effects.standards import Standard
 from plant.errors import PlantError
 
 ENOUGH = 3.3
@@ -30,37 +31,8 @@ LEAST_REPEATS = 2
 BEGIN_MIN = 3.0
 
 
-@dataclass(frozen=True)
-class Standard:
-    """A reference standard: what is done with it, and how long that takes."""
-
-    name: str
-    what: str
-    minutes: float
-
-
-VENT = Standard("vent", "vent to the atmosphere and read the pressure", 2.0)
-GAUGE = Standard("gauge", "read a reference gauge beside the sensor at three pressures", 6.0)
-WEIGHTS = Standard("dead weights", "hang known weights on the force sensor, and none", 6.0)
-BLOCK = Standard("gauge block", "hold a gauge block before the camera at three places", 6.0)
-HOLDERS = Standard("gauge block", "set a gauge block between the holders", 6.0)
-LAMP = Standard("sync lamp", "show the camera a lamp that the controller switches", 4.0)
-SCALES = Standard("scales", "weigh the load", 2.0)
-LOCKED = Standard("locked decay", "shut both valves at pressure and watch for a minute", 4.0)
-SYRINGE = Standard("bypass volume", "connect a known volume and fill once more", 10.0)
-
 REFERENCES: dict[str, tuple[Standard, float]] = {
-    "pressure_zero": (VENT, 0.15),
-    "pressure_gain": (GAUGE, 0.15),
-    "force_zero": (WEIGHTS, 0.05),
-    "force_gain": (WEIGHTS, 0.1),
-    "length_label": (HOLDERS, 0.05),
-    "camera_scale": (BLOCK, 0.05),
-    "camera_distortion": (BLOCK, 0.02),
-    "camera_delay": (LAMP, 0.5),
-    "payload": (SCALES, 0.005),
-    "leak": (LOCKED, 2e-13),
-    "dead_volume": (SYRINGE, 0.05),
+    effect.id: effect.reference for effect in CATALOGUE.values() if effect.reference is not None
 }
 """For an effect its standard, and how well that gives the headline parameter (one sd, its unit)."""
 

@@ -120,7 +120,7 @@ class FitProblem:
         data = without_duplicates(data)
         # A table of settled points has no time in it, so nothing in it can be out of time.
         timed = not data.settled
-        usable = tuple(s for s in candidates if timed or not (s.defect or s.id == "camera_delay"))
+        usable = tuple(s for s in candidates if timed or not (s.defect or s.search.scan == "clock"))
         model = Model(make_grid(data))
         stated = _stated_effects(data)
         residual = _stacked_residual(model, data.constants, stated)
@@ -383,7 +383,7 @@ class FitProblem:
         for j, candidate in enumerate(candidates):
             there = [block for block in candidate.blocks if block in self.grid.points]
             step = max(0.3 * candidate.step, 0.02 * abs(amounts[j]))
-            if candidate.id == "transport_delay":
+            if candidate.switch:
                 step = 1.0
             low = [*active]
             high = [*active]
@@ -489,10 +489,5 @@ def _stated_effects(data: DataSet) -> Active:
         entry = CATALOGUE[name]
         shape = next(s.shape for s in CANDIDATES if s.id == name)
         option = next((str(v) for v in table.values() if isinstance(v, str)), "")
-        amount = float(table[entry.headline]) if entry.headline else 1.0
-        if name in ("flow_area", "polytropic"):
-            amount -= 1.0
-        elif name == "critical_ratio":
-            amount -= data.constants.critical_ratio
-        made.append((name, option, amount, shape))
+        made.append((name, option, entry.amount(table, data.constants), shape))
     return made

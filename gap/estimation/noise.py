@@ -288,7 +288,7 @@ def _trend(
     model: Model, c: PlantConstants, noise: Noise, pairs: list[_Pair]
 ) -> tuple[float, Array]:
     """The slow change over trials that replicates show best, one entry a row, and its z."""
-    wear = [candidate for candidate in CANDIDATES if candidate.id == "wear"]
+    wear = [candidate for candidate in CANDIDATES if candidate.family == "drift"]
     columns = candidate_columns(model, c, [], wear)
     best = (0.0, np.zeros(len(columns)))
     for j in range(columns.shape[1]):

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.data.dataset import CALIBRATION
 from gap.effects.candidates import Candidate
+from gap.effects.recording import CALIBRATION, EACH_TRIAL
 from gap.effects.terms import Active
 from gap.model.features import BLOCKS
 from gap.model.residuals import Model, shifted
@@ -49,24 +49,20 @@ class TrialEffect:
     blocks: tuple[str, ...]
 
 
-# Zeros and gains of the sensors (docs/reference/plant.md), and random errors of hand and clock.
-TRIAL_EFFECTS: tuple[TrialEffect, ...] = (
-    TrialEffect(
-        "pressure zero", 0.3, [("pressure_zero", "", 1.0, {})], ("pressure", "force", "load")
-    ),
-    TrialEffect(
-        "pressure gain", 0.3, [("pressure_gain", "", 1.0, {})], ("pressure", "force", "load")
-    ),
-    TrialEffect("force zero", 0.2, [("force_zero", "", 1.0, {})], ("force", "load")),
-    TrialEffect("force gain", 0.3, [("force_gain", "", 1.0, {})], ("force", "load")),
-    TrialEffect("length zero", 0.02, [("camera_zero", "", 1.0, {})], ("force", "load", "camera")),
-    TrialEffect("length gain", 0.05, [("camera_scale", "", 1.0, {})], ("force", "load", "camera")),
-    TrialEffect(
-        "held length", 0.02, [("length_label", "", 1.0, {})], ("pressure", "force", "camera")
-    ),
-    TrialEffect("inlet timing", 0.03, [("valve_delay", "inlet_on", 1.0, {})], ("pressure",)),
-    TrialEffect("outlet timing", 0.03, [("valve_delay", "outlet_on", 1.0, {})], ("pressure",)),
-)
+def _trial_effect(kind: str) -> TrialEffect:
+    name, each = EACH_TRIAL[kind]
+    return TrialEffect(kind, each.sd, [(name, each.option, 1.0, {})], each.blocks)
+
+
+TRIAL_EFFECTS: tuple[TrialEffect, ...] = tuple(
+    _trial_effect(kind)
+    for kind in (
+        "pressure zero", "pressure gain", "force zero", "force gain", "length zero", "length gain",
+        "held length", "inlet timing", "outlet timing",
+    )
+)  # fmt: skip
+"""Zeros and gains of the sensors (docs/reference/plant.md), and random errors of hand and clock, in
+the order of the noise model's columns."""
 
 SLOW_WAVES = 14
 """Cosines over a trial that carry slow noise of each block."""

@@ -288,7 +288,7 @@ def _scan_clocks(problem: FitProblem, config: SelectionConfig) -> dict[str, tupl
     """Gain and amount of whole clock offsets, too large for a sensitivity to show."""
     found: dict[str, tuple[float, float]] = {}
     for candidate in problem.candidates:
-        if candidate.id not in ("force_clock", "pressure_clock", "camera_delay"):
+        if candidate.search.scan != "clock":
             continue
         best = (0.0, 0.0)
         for start in (problem.base.shift, np.zeros(len(problem.names))):
@@ -313,7 +313,7 @@ def _scan_delays(problem: FitProblem, config: SelectionConfig) -> dict[str, tupl
     """
     found = {}
     for candidate in problem.candidates:
-        if candidate.id == "valve_delay":
+        if candidate.search.scan == "delay":
             tried = [
                 _gain_of(problem, problem.base.shift, candidate, size)
                 for size in config.scan_delays_ms

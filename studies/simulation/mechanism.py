@@ -133,7 +133,7 @@ def _mass(load: Table, key: str, low: float, high: float, default: float | None 
 
 def _hung(load: Table, c: PlantConstants, effects: Effects) -> Mechanism:
     stated = _mass(load, "mass_kg", 0.001, 1000)
-    mass = stated + effects.get("payload", "mass_kg")
+    mass = stated + effects.carried_kg
     low, high = c.length_min_m * 1e3, c.length_max_m * 1e3
     start = load.number("start_mm", low, high, high, unit="mm") * 1e-3
     spring = load.number("spring_n_mm", 0, 1e3, 0.0, unit="N/mm") * 1e3
@@ -197,7 +197,7 @@ def _joint(load: Table, effects: Effects) -> Mechanism:
     try:
         arm = load_arm(given)
         payload = _mass(load, "payload_g", 0, 1e5, 0.0) * 1e-3
-        arm = arm.with_payload(payload + effects.get("payload", "mass_kg"))
+        arm = arm.with_payload(payload + effects.carried_kg)
     except LinkError as error:
         where = f"{load.source}: load.arm"
         text = str(error).removeprefix("arm table: ").removeprefix("arm table, ")

@@ -143,7 +143,8 @@ def stage_of(name: str) -> str:
 
 def baseline_verdicts(folder: Path, without: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Verdicts of all baselines on one folder; empty where the features cannot be had."""
-    always = verdict_of([("braid_friction", "friction")])
+    friction = next(e for e in CATALOGUE.values() if e.family == "friction")
+    always = verdict_of([(friction.id, friction.family)])
     try:
         f = features(folder, without)
     except Exception:  # a baseline that cannot read the data has nothing to say

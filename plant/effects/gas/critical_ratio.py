@@ -34,6 +34,7 @@ CRITICAL_RATIO = Effect(
     standard="a flow meter in the line, at several pressure ratios",
     constants=("critical_ratio",),
     neutral="critical_ratio",
+    own_constant="critical_ratio",
     plant=InPlant(slots=_slots),
     diagnosis=InDiagnosis(gas=_gas),
     search=Search(

@@ -46,6 +46,8 @@ FLOW_AREA = Effect(
     standard="a flow meter in the line",
     constants=("inlet_conductance_m3_s_pa", "outlet_conductance_m3_s_pa"),
     neutral=1.0,
+    own_constant="{option}_conductance_m3_s_pa",
+    ratio=True,
     plant=InPlant(slots=_slots),
     diagnosis=InDiagnosis(gas=_gas),
     search=Search(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from plant.constants import PlantConstants
 from plant.effects.arguments import Params, Shape, Values
 from plant.effects.effect import InDiagnosis, InPlant, Parameter
@@ -11,7 +13,9 @@ EDGES = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
 EDGE = Parameter("edge", "", "which of the four delays", choices=EDGES)
 
 
-def added(first: int, key: str, unit: str, to_si: float) -> tuple[InPlant, InDiagnosis]:
+def added(
+    first: int, key: str, unit: str, to_si: float, late: Callable[[float, PlantConstants], float]
+) -> tuple[InPlant, InDiagnosis]:
     """How an effect acts that adds to the delay of one edge.
 
     Args:
@@ -19,6 +23,7 @@ def added(first: int, key: str, unit: str, to_si: float) -> tuple[InPlant, InDia
         key: of the headline parameter.
         unit: how the edge's constant goes on: "s" for its delay, "s_per_pa" for the slope.
         to_si: factor of the headline parameter.
+        late: see `InDiagnosis`.
     """
 
     def slots(values: Values, c: PlantConstants) -> dict[int, float]:
@@ -29,4 +34,4 @@ def added(first: int, key: str, unit: str, to_si: float) -> tuple[InPlant, InDia
     def gas(params: Params, amount: float, option: str, shape: Shape) -> None:
         params[first + EDGES.index(option)] += amount * to_si
 
-    return InPlant(slots=slots), InDiagnosis(gas=gas)
+    return InPlant(slots=slots), InDiagnosis(gas=gas, late=late)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from plant.effects.effect import Effect, Parameter, Search
+from plant.constants import PlantConstants
+from plant.effects.effect import EachTrial, Effect, Parameter, Search
 from plant.effects.valve.edges import EDGE, EDGES, added
 from plant.physics import layout
 
-_IN_PLANT, _IN_DIAGNOSIS = added(layout.DELAY, "delay_ms", "s", 1e-3)
+
+def _late(amount: float, c: PlantConstants) -> float:
+    return abs(amount) * 1e-3
+
+
+_IN_PLANT, _IN_DIAGNOSIS = added(layout.DELAY, "delay_ms", "s", 1e-3, _late)
 
 VALVE_DELAY = Effect(
     "valve_delay",
@@ -21,7 +27,12 @@ VALVE_DELAY = Effect(
     source="Nominal plant, delay of the valve; Tables D-1 to D-3",
     standard="a fast pressure sensor right at the valve",
     constants=tuple(f"{edge}_ms" for edge in EDGES),
+    own_constant="{option}_ms",
+    each_trial=(
+        EachTrial("inlet timing", 0.03, ("pressure",), "inlet_on"),
+        EachTrial("outlet timing", 0.03, ("pressure",), "outlet_on"),
+    ),
     plant=_IN_PLANT,
     diagnosis=_IN_DIAGNOSIS,
-    search=Search(step=0.3, sign=0, blocks=("pressure",)),
+    search=Search(step=0.3, sign=0, blocks=("pressure",), scan="delay"),
 )
