@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from gap.reason import Reason
+
 
 class Status(StrEnum):
     """What a diagnosis comes to."""
@@ -139,7 +141,7 @@ class Verdict:
     """What a diagnosis found. `as_dict` gives the object of the dataset format."""
 
     status: Status
-    reason: str
+    reason: Reason
     stage: str | None
     effects: tuple[Explanation, ...]
     probability_none: float
@@ -158,7 +160,7 @@ class Verdict:
         return {
             "schema": 1,
             "status": str(self.status),
-            "reason": self.reason,
+            "reason": str(self.reason),
             "stage": self.stage,
             "effects": [_explanation(effect) for effect in self.effects],
             "probability_none": _number(self.probability_none),

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from gap.design.config import DESIGN
 from gap.design.foresight import Products, by_trial, on_experiment, products, separation, sum_of
 from gap.design.library import LibraryExperiment, library_experiments
 from gap.estimation.fit_problem import FitProblem, FitResult
@@ -24,12 +25,6 @@ from gap.verdict import Experiment
 from plant.effects.catalogue import CATALOGUE
 from plant.effects.standards import Standard
 from plant.errors import PlantError
-
-ENOUGH = 3.3
-MOST_TRIALS = 24
-LEAST_REPEATS = 2
-BEGIN_MIN = 3.0
-
 
 REFERENCES: dict[str, tuple[Standard, float]] = {
     effect.id: effect.reference for effect in CATALOGUE.values() if effect.reference is not None
@@ -48,7 +43,7 @@ class _Plan:
     @property
     def minutes(self) -> float:
         """Bench time with what it takes to begin a run."""
-        return BEGIN_MIN + self.repeats * self.option.minutes
+        return DESIGN.begin_min + self.repeats * self.option.minutes
 
 
 def advise(
@@ -65,7 +60,9 @@ def advise(
     between = ("+".join(best.ids), "+".join(rival.ids))
     # Where forms that are never exact have kept two apart in name only, it takes an experiment
     # that would be enough by itself.
-    enough = ENOUGH if now < ENOUGH else float(np.hypot(now, ENOUGH))
+    enough = DESIGN.enough_sd
+    if now >= enough:
+        enough = float(np.hypot(now, enough))
     plans = [
         plan
         for plan in (
@@ -107,7 +104,7 @@ def _plan(
 ) -> _Plan | None:
     """Repeats that an experiment needs; None where it would take too many."""
     one = products(on_experiment(problem, option), best, rival)
-    for repeats in range(LEAST_REPEATS, MOST_TRIALS // len(option.trials) + 1):
+    for repeats in range(DESIGN.least_repeats, DESIGN.most_trials // len(option.trials) + 1):
         after = separation(present + one.times(repeats), best, rival)
         if after >= enough:
             return _Plan(option, repeats, after)
@@ -128,7 +125,7 @@ def _same_again(
     found: tuple[int, float, int] | None = None
     for slot, members in enumerate(problem.data.slots.values()):
         one = sum_of([parts[t] for t in members]).times(1)
-        for rounds in range(1, MOST_TRIALS // len(members) + 1):
+        for rounds in range(1, DESIGN.most_trials // len(members) + 1):
             after = separation(present + one.times(rounds), best, rival)
             if after >= enough:
                 count = rounds * len(members)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import projected
 from gap.estimation.normal_equations import covariance, damped_step
@@ -13,8 +14,6 @@ from gap.verdict import Estimate
 from plant.effects.catalogue import CATALOGUE
 
 _Z95 = 1.96
-_FORM = 0.1
-"""Error of the form of an effect for which none is stated."""
 
 
 def undamped_step(problem: FitProblem, fit: FitResult) -> FitResult:
@@ -77,7 +76,9 @@ def headline_estimates(
         if whole:
             taken = _share_of_constant(problem, fit, name, fit.candidates[at[0]].option)
             amount, sd = amount + taken, float(np.hypot(sd, 0.5 * taken))
-        low, high = interval(amount, _Z95 * sd, _Z95 * (form_error or {}).get(name, _FORM))
+        low, high = interval(
+            amount, _Z95 * sd, _Z95 * (form_error or {}).get(name, ESTIMATION.form_error)
+        )
         shift = entry.neutral_in(problem.data.constants)
         key = entry.headline if entry.headline not in made else f"{name}_{entry.headline}"
         made[key] = Estimate(amount + shift, low + shift, high + shift)
@@ -99,10 +100,6 @@ def interval(amount: float, noise: float, form: float) -> tuple[float, float]:
     return float(amount - np.hypot(noise, low)), float(amount + np.hypot(noise, high))
 
 
-BEYOND = 2.0
-"""Shift of a constant, in sd, that its tolerance hardly explains."""
-
-
 def _share_of_constant(problem: FitProblem, fit: FitResult, name: str, option: str) -> float:
     """What the constant of an effect's own meaning took of it, in the headline's unit."""
     entry = CATALOGUE[name]
@@ -110,7 +107,7 @@ def _share_of_constant(problem: FitProblem, fit: FitResult, name: str, option: s
     if key not in problem.names:
         return 0.0
     shift = float(fit.shift[problem.names.index(key)])
-    if abs(shift) <= BEYOND:
+    if abs(shift) <= ESTIMATION.taken_over_sd:
         return 0.0
     stated, moved = problem.data.constants.value(key), problem.constants(fit.shift).value(key)
     if entry.ratio:

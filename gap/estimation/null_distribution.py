@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import Evidence
 from plant.arrays import Array
 
 DRAWS = 1000
-_PRIOR_DRAWS = 4.0
-"""Draws that the stated size of a noise is worth, as in `gap.estimation.noise`."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def simulated_null(problem: FitProblem) -> Null:
     whole = whole * unit * unit[:, None]
     size, turn = np.linalg.eigh(whole - load.T @ load)
     root = turn * np.sqrt(np.maximum(size, 0.0))
-    known = _PRIOR_DRAWS + problem.noise.freedom
+    known = ESTIMATION.prior_weight + problem.noise.freedom
     names = sorted(set(kinds))
     at = np.array([names.index(kind) for kind in kinds], dtype=np.int64)
     scale = np.sqrt(known / rng.chisquare(known, (DRAWS, len(names))))

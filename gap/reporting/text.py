@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from gap.design.advise import ENOUGH
+from gap.design.config import DESIGN
 from gap.verdict import Estimate, Experiment, Explanation, Verdict
 from plant.effects.catalogue import CATALOGUE
 
@@ -36,7 +36,7 @@ class Rival:
 def headline(verdict: Verdict) -> str:
     """The verdict in one sentence."""
     if not verdict.effects:
-        return sentence(verdict.reason)
+        return sentence(str(verdict.reason))
     best = verdict.effects[0]
     what = " and ".join(f"{name} ({CATALOGUE[name].summary})" for name in best.ids)
     values = ", ".join(parameter_text(name, e) for name, e in best.parameters.items())
@@ -51,7 +51,7 @@ def headline(verdict: Verdict) -> str:
             )
     others = ", ".join(" + ".join(effect.ids) for effect in verdict.effects[1:4])
     if not others:
-        return sentence(verdict.reason)
+        return sentence(str(verdict.reason))
     return sentence(f"It is {what}, or {others}: these data fit all of them")
 
 
@@ -137,13 +137,13 @@ def experiment_sentence(experiment: Experiment) -> str:
     count = f"{experiment.trials} trial{'s' if experiment.trials != 1 else ''} of {what}"
     already = (
         "These data tell them apart already, as far as the forms of the catalogue go. To be surer: "
-        if experiment.separation_now >= ENOUGH
+        if experiment.separation_now >= DESIGN.enough_sd
         else ""
     )
     return already + sentence(
         f"{count}: the separation{between} would rise from {experiment.separation_now:.1f} to "
-        f"{experiment.separation_after:.1f} standard deviations ({ENOUGH:g} are right 95 times in "
-        "100)"
+        f"{experiment.separation_after:.1f} standard deviations ({DESIGN.enough_sd:g} are right 95 "
+        "times in 100)"
     )
 
 

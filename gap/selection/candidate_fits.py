@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gap.effects.candidates import Candidate
+from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import SLACK, projected
+from gap.estimation.information import projected
 from gap.estimation.shape_fit import fit_shapes
 from gap.selection.config import SELECTION, SelectionConfig
 from gap.selection.inclusion import excess_chi2
@@ -150,7 +151,7 @@ def _exchanged(
 
 
 def keys_of_shifted_constants(
-    problem: FitProblem, fit: FitResult, beyond: float = SLACK
+    problem: FitProblem, fit: FitResult, beyond: float = ESTIMATION.tolerance_sd
 ) -> list[str]:
     """Keys of effects in whose place a constant has moved more than `beyond` sd; four at most.
 
