@@ -226,7 +226,7 @@ def test_a_bench_goes_on_from_one_test_to_the_next(tmp_path: Path) -> None:
     for _ in range(2):
         with open_rig(config, bench=bench) as rig:
             assert rig.bench is bench
-            rig.pump.for_seconds(0.2)
+            rig.event_loop.for_seconds(0.2)
             assert rig.valve.seq_end > 0
             assert rig.balance.rows > 0
             times.append(bench.time_s)

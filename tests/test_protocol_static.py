@@ -210,7 +210,7 @@ def test_isothermal_trials_wait_for_the_thermometer(tmp_path: Path) -> None:
             last[0] = clock.now_ns()
             extras.temperature_c += (target[0] - extras.temperature_c) * min(step, 1.0)
 
-        runner.rig.pump.add(lag)
+        runner.rig.event_loop.add(lag)
 
     config = load_rig("virtual-instruments", 3)
     plan = plan_of("isothermal", config)

@@ -66,7 +66,7 @@ from rigs.rigfile.camera_calibration import load_camera_calibration
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.virtual.server import open_server
-from rigs.virtual.withheld.bench import ENVELOPE, ask
+from rigs.virtual.withheld.bench import ENVELOPE, request_answer
 from vision.marker.preview import draw
 
 HOUSE = Path(__file__).parent.parent
@@ -651,7 +651,7 @@ def test_the_note_of_a_withheld_bench_unpacks_to_no_more_than_a_note(tmp_path: P
     (tmp_path / ENVELOPE).write_bytes(base64.b85encode(packed))
     (tmp_path / "withheld.json").write_text(json.dumps({"seal": "0" * 64, "port": 1}))
     with pytest.raises(PamrigError):
-        ask(tmp_path)
+        request_answer(tmp_path)
 
 
 # ---- what is shown, who listens, what is run ---------------------------------------------

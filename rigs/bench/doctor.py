@@ -94,7 +94,7 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         words = ", ".join(f"{k} {x}" for k, x in rig.identities[name].items())
         yield Finding(name, "ok", words)
     rig.valve.progress(LISTEN_S + ALIVE_S)
-    rig.pump.for_seconds(LISTEN_S)
+    rig.event_loop.for_seconds(LISTEN_S)
     counts = rig.valve.recent_counts(1000)
     if len(counts) < 500:
         yield Finding("telemetry", "stop", f"only {len(counts)} samples in {LISTEN_S:g} s")

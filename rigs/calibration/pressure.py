@@ -29,7 +29,7 @@ from rigs.calibration.run import (
     open_record,
     up_and_down,
 )
-from rigs.devices.operator import Request, ask_number
+from rigs.devices.operator import Request, request_number
 from rigs.execution.runner import Runner, Watch
 from rigs.rigfile.config import RigConfig, camera_values
 from rigs.steps.custom_step import Steps
@@ -89,8 +89,8 @@ def calibrate_pressure(
 
             def read() -> float:
                 text = f"read {known.name} in kPa, type it, then press Enter"
-                return ask_number(
-                    rig.operator, rig.pump, Request("reference pressure", nan, "kPa", text)
+                return request_number(
+                    rig.operator, rig.event_loop, Request("reference pressure", nan, "kPa", text)
                 )
 
         record = open_record(rig, root, "calibrate-pressure", known, parameters, who)

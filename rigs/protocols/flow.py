@@ -84,9 +84,9 @@ class FlowPoint(ValvePoint):
         meter = rig.instruments["flow"]
         first, row = rig.valve.seq_end, meter.rows
         rig.valve.request(f"pulse vent {p.open_ms * 1000}")
-        rig.pump.for_seconds(p.open_ms * 1e-3 / 2)
+        rig.event_loop.for_seconds(p.open_ms * 1e-3 / 2)
         kpa, speed = pressure_now(runner), meter.mean(1)
-        rig.pump.for_seconds(p.open_ms * 1e-3 / 2 + 0.1)
+        rig.event_loop.for_seconds(p.open_ms * 1e-3 / 2 + 0.1)
         runner.watch.result(kpa, speed, "measured")
         line = Meter(p.bore_mm)
         share = float(flow_share(np.array([kpa]), 0.5, line.atmosphere_kpa)[0])

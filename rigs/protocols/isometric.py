@@ -109,7 +109,7 @@ def load_isometric(name: str, limits: Limits) -> Isometric:
 def steps(p: Isometric) -> Steps:
     """The method.
 
-    Leak check where one is asked for; precondition; then for each trial: slacken, breathe, vent,
+    Leak check where the file has one; precondition; then for each trial: slacken, breathe, vent,
     tare, hold the length, read the vented zero, step the pressures (each settled, then measured),
     vent, read zero again. Between two mountings the muscle is taken off and put back.
     """

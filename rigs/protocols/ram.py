@@ -87,7 +87,7 @@ class Move(CustomStep):
 
     def perform(self, runner: StepContext) -> None:
         """Ask, wait for the switch, hold."""
-        valve, pump = runner.rig.valve, runner.rig.pump
+        valve, event_loop = runner.rig.valve, runner.rig.event_loop
         take = runner.steering.take
         if self.first:
             valve.request("scheme ram")
@@ -102,10 +102,10 @@ class Move(CustomStep):
         flag = SWITCHES[self.switch]
         # The switch that it stands at is left first, if it is the same.
         if valve.flags & flag:
-            pump.until(lambda: not valve.flags & flag, self.reach_s)
-        reached = pump.until(lambda: bool(valve.flags & flag), self.reach_s)
+            event_loop.until(lambda: not valve.flags & flag, self.reach_s)
+        reached = event_loop.until(lambda: bool(valve.flags & flag), self.reach_s)
         took_s = (runner.rig.clock.now_ns() - begin_ns) / NS_PER_S
-        pump.for_seconds(self.hold_s)
+        event_loop.for_seconds(self.hold_s)
         if reached:
             runner.watch.result(runner.rig.pressure_kpa, took_s, f"{self.way} to {self.switch}")
         else:

@@ -83,8 +83,8 @@ class CapturePoint(ValvePoint):
         supply, came = self.upstream(runner, p.tolerance_kpa, p.supply_kpa)
         valve = runner.rig.valve
         first = valve.seq_end
-        block = capture_block(valve, runner.rig.pump, self.command, p.width_us)
-        runner.rig.pump.for_seconds(0.05)
+        block = capture_block(valve, runner.rig.event_loop, self.command, p.width_us)
+        runner.rig.event_loop.for_seconds(0.05)
         take = runner.steering.take
         n = len(block.counts)
         runner.record.stream("capture", CAPTURE)

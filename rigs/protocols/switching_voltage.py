@@ -1,9 +1,9 @@
 """The switching-voltage test (thesis 5.11, Table D-4, Figure 5-17).
 
-The solenoids hang on a bench supply. For the voltage that turns a valve on, the valve is told to
-open at ever other voltages, halving what lies between one that opened it and one that did not; for
-the voltage at which it lets go, it is opened at the normal voltage, which is then lowered while it
-is told to stay open. Whether it was open shows in the pressure.
+The solenoids hang on a bench supply. For the voltage that turns a valve on, the valve is commanded
+to open at ever other voltages, halving what lies between one that opened it and one that did not;
+for the voltage at which it turns off, it is opened at the normal voltage, which is then lowered
+while it is commanded to stay open. Whether it was open shows in the pressure.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 ON_MS = 80
 """Length of the command while a voltage to turn on is tried."""
 HOLD_MS = 500
-"""And while one to let go is tried: the voltage is lowered within it."""
+"""And while one to turn off is tried: the voltage is lowered within it."""
 TAIL = 90
 """Samples at the command's end in which the pressure must move if the valve is still open."""
 LATEST_MS = HOLD_MS - TAIL - 40
@@ -75,7 +75,7 @@ class VoltagePoint(ValvePoint):
     seconds = 25.0
 
     def perform(self, runner: StepContext) -> None:
-        """Halve the interval for turning on, then that for letting go."""
+        """Halve the interval for turning on, then that for turning off."""
         supply = runner.rig.supply
         assert supply is not None
         read_kpa, came = self.upstream(runner, self.plan.tolerance_kpa, self.plan.supply_kpa)
@@ -129,20 +129,22 @@ class VoltagePoint(ValvePoint):
             supply_row = supply.rows
             supply.measure()
             first = valve.seq_end
-            rig.pump.for_seconds(0.05)
+            rig.event_loop.for_seconds(0.05)
             valve.request(f"pulse {self.command} {ON_MS * 1000}")
-            rig.pump.for_seconds(ON_MS * 1e-3 + 0.08)
+            rig.event_loop.for_seconds(ON_MS * 1e-3 + 0.08)
         else:
             first = valve.seq_end
             valve.request(f"pulse {self.command} {HOLD_MS * 1000}")
             begin_ns = rig.clock.now_ns()
-            rig.pump.for_seconds(0.04)
+            rig.event_loop.for_seconds(0.04)
             supply.set_voltage(volts)
             late = (rig.clock.now_ns() - begin_ns) / 1e6 > LATEST_MS
             supply_row = supply.rows
-            rig.pump.for_seconds(max(0.0, HOLD_MS * 1e-3 - (rig.clock.now_ns() - begin_ns) * 1e-9))
+            rig.event_loop.for_seconds(
+                max(0.0, HOLD_MS * 1e-3 - (rig.clock.now_ns() - begin_ns) * 1e-9)
+            )
             supply.measure()
-            rig.pump.for_seconds(0.05)
+            rig.event_loop.for_seconds(0.05)
             if late:
                 runner.record.event("late", order=self.order, edge=edge, set_v=volts)
                 return self._try(runner, supply, edge, volts, number, again + 1)

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.reduction.switching import Block
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.valve_controller import ValveController
 
 
 def capture_block(
-    controller: ValveController, pump: Pump, valve: str, width_us: int, source: int = 1
+    controller: ValveController, event_loop: EventLoop, valve: str, width_us: int, source: int = 1
 ) -> Block:
     """One pulse on an armed controller in scheme ``open``, with the samples around it.
 
     Args:
         controller: the valve controller.
-        pump: what waits.
+        event_loop: of the bench.
         valve: "inlet" or "vent".
         width_us: length of the command, at most 30000, a multiple of 5.
         source: 0 the pressure sensor, 1 the second sensor.
@@ -26,7 +26,7 @@ def capture_block(
     """
     answer = controller.request(f"capture {valve} {width_us} {source}")
     n, period_us = int(answer["n"]), int(answer["period_us"])
-    pump.for_seconds(n * period_us * 1e-6 + 0.02)
+    event_loop.for_seconds(n * period_us * 1e-6 + 0.02)
     samples: list[int] = []
     lead_us = 0
     while len(samples) < n:

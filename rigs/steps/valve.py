@@ -1,4 +1,4 @@
-"""What the valve tests ask of a bench: a supply turned, a vessel filled, both valves shut.
+"""What the valve tests do on a bench: a supply turned, a vessel filled, both valves shut.
 
 Every point of these tests makes its own setting, so that it can be repeated by itself. After
 :func:`fill` and :func:`release` the controller is in scheme ``open`` with both valves shut.
@@ -48,7 +48,7 @@ def set_supply(runner: StepContext, pressure_kpa: float) -> float:
         return 0.0
     if axis.settings and axis.settings[-1].asked == pressure_kpa:
         return axis.settings[-1].read
-    runner.say(f"supply to {pressure_kpa:g} kPa")
+    runner.report_state(f"supply to {pressure_kpa:g} kPa")
     return axis.set(pressure_kpa).read
 
 
@@ -78,7 +78,7 @@ def fill(
             f"set-point {pressure_kpa:g} kPa is above limits.pressure_kpa = {limit:g} kPa",
             "correct the protocol or the limit",
         )
-    valve, pump = runner.rig.valve, runner.rig.pump
+    valve, event_loop = runner.rig.valve, runner.rig.event_loop
     runner.watch.set_point("pressure", pressure_kpa)
     counts = float(runner.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
     runner.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
@@ -90,9 +90,9 @@ def fill(
         near = abs(pressure_now(runner) - pressure_kpa) <= tolerance_kpa
         return near and valve.seq_end > begin + LOOK
 
-    came = pump.until(there, timeout_s)
+    came = event_loop.until(there, timeout_s)
     valve.request("scheme open")
-    pump.for_seconds(QUIET_S)
+    event_loop.for_seconds(QUIET_S)
     return came
 
 
@@ -105,7 +105,7 @@ def release(runner: StepContext) -> None:
     valve = runner.rig.valve
     runner.watch.set_point("pressure", 0.0)
     valve.request("vent")
-    if not runner.rig.pump.until(lambda: pressure_now(runner, 50) < RELEASED_KPA, RELEASE_S):
+    if not runner.rig.event_loop.until(lambda: pressure_now(runner, 50) < RELEASED_KPA, RELEASE_S):
         raise RunFault(
             valve.name,
             f"told to vent, pressure still reads {pressure_now(runner):.0f} kPa"
@@ -113,7 +113,7 @@ def release(runner: StepContext) -> None:
             "shut the supply by hand; check the outlet and the pressure zero",
         )
     valve.request("scheme open")
-    runner.rig.pump.for_seconds(QUIET_S)
+    runner.rig.event_loop.for_seconds(QUIET_S)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ PATIENCE_S = 3.0
 
 
 def warm_up(
-    config: RigConfig, tell: Callable[[str], object], patience_s: float = PATIENCE_S
+    config: RigConfig, report: Callable[[str], object], patience_s: float = PATIENCE_S
 ) -> None:
     """Run a bench like this one for a moment, so that the real one never stands still to compile.
 
@@ -22,13 +22,13 @@ def warm_up(
 
     Args:
         config: a rig with a [virtual] table.
-        tell: told what is being waited for, once it takes longer than ``patience_s``.
+        report: takes what is being waited for, once it takes longer than ``patience_s``.
 
     Raises:
         ConfigError: the plant refuses a constant or an effect of the rig file.
     """
     slow = threading.Timer(
-        patience_s, tell, ("compiling the simulation; only the first start takes so long",)
+        patience_s, report, ("compiling the simulation; only the first start takes so long",)
     )
     slow.daemon = True
     slow.start()

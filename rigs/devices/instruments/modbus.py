@@ -14,7 +14,7 @@ from daq.calibration import Calibration
 from daq.clock import NS_PER_S
 from daq.errors import ConfigError
 from daq.link.transport import Chunk, Link
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.instrument import PortInstrument
 from rigs.rigfile.form import Parsed
 from rigs.rigfile.modbus_form import ModbusForm
@@ -23,7 +23,7 @@ LOOPBACK = 0x5041
 
 
 class ModbusInstrument(PortInstrument):
-    """A Modbus RTU transmitter, asked at its rate.
+    """A Modbus RTU transmitter, polled at its rate.
 
     Raises:
         ConfigError: pymodbus is not installed.
@@ -32,7 +32,7 @@ class ModbusInstrument(PortInstrument):
     def __init__(
         self,
         link: Link,
-        pump: Pump,
+        event_loop: EventLoop,
         name: str,
         form: ModbusForm,
         *,
@@ -41,7 +41,7 @@ class ModbusInstrument(PortInstrument):
         reopen: Callable[[], Link] | None = None,
     ) -> None:
         super().__init__(
-            link, pump, name, form, polled=True, calibration=calibration, reopen=reopen
+            link, event_loop, name, form, polled=True, calibration=calibration, reopen=reopen
         )
         self.form = form
         self._codec = modbus_codec()

@@ -27,7 +27,7 @@ from plant.physics.layout import (
     TIME,
 )
 from plant.simulator.bench import BenchSim, build_params, build_state
-from rigs.virtual.emulators.sensor_error import FRESH_KPA, USED_KPA, Misreading
+from rigs.virtual.emulators.sensor_error import FRESH_KPA, USED_KPA, SensorError
 
 SHORTEST_S = 1e-7
 HAND_MM = 0.5
@@ -174,7 +174,7 @@ class WithheldPlant(BenchSim):
             )
 
 
-class WithheldReading(Misreading):
+class WithheldReading(SensorError):
     """What the blind bench's own sensors show goes straight to the virtual instruments."""
 
     def __init__(self, plant: WithheldPlant) -> None:
