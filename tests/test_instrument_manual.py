@@ -16,7 +16,7 @@ from daq.store.run import open_run
 from rigs.bench.doctor import examine
 from rigs.bench.rig import open_rig
 from rigs.devices.event_loop import EventLoop
-from rigs.devices.operator import ManualAxis, Request, ask_number
+from rigs.devices.operator import ManualAxis, Request, request_number
 from rigs.execution.runner import Runner
 from rigs.execution.session import run_protocol
 from rigs.protocols.isometric import load_isometric
@@ -81,14 +81,14 @@ class Typist:
 def test_a_number_that_does_not_read_is_asked_again(words: tuple[str, ...]) -> None:
     event_loop = EventLoop(VirtualClock(), 0.02)
     request = Request("gauge", float("nan"), "kPa", "read the gauge")
-    assert ask_number(Typist(*words), event_loop, request) == 12.5
+    assert request_number(Typist(*words), event_loop, request) == 12.5
 
 
 def test_a_decimal_comma_three_times_is_refused() -> None:
     event_loop = EventLoop(VirtualClock(), 0.02)
     request = Request("gauge", float("nan"), "kPa", "read the gauge")
     with pytest.raises(DeviceError, match="'12,5' is no number in kPa"):
-        ask_number(Typist("12,5", "12,5", "12,5"), event_loop, request)
+        request_number(Typist("12,5", "12,5", "12,5"), event_loop, request)
 
 
 def manual_rig(folder: Path) -> str:
