@@ -18,10 +18,10 @@ from gap.check.campaign import (
     read_results,
     run_campaign,
 )
-from gap.check.errors import CheckError
 from gap.check.examine import Task
 from gap.check.ledger import enter, used_before
 from gap.check.page import write_page
+from gap.errors import CheckError
 
 NOMINAL = (0, 1, 5)
 

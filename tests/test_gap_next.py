@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 import advice_campaign
 from cli.main import app
 from daq.store.run import open_run
+from gap.data.from_runs import open_data
 from gap.data.run_trials import run_trials
-from gap.data.sources import open_data
 from gap.design.advise import REFERENCES, advise, protocol_text
 from gap.design.config import DESIGN
 from gap.design.foresight import Products, on_experiment, products, separation

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cli.main import app
-from gap.data.sources import open_data
+from gap.data.from_runs import open_data
 from gap.reason import Cause, reason
 from gap.reporting.examination import Examination, examine
 from gap.reporting.report import render_report

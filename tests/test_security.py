@@ -55,9 +55,8 @@ from daq.store.verify import verify
 from gap.data.reader import read_dataset
 from gap.errors import GapError
 from plant.constants import load_constants
-from plant.errors import PlantError
+from plant.errors import LinkError, PlantError
 from plant.finger.reader import load_finger
-from plant.links.errors import LinkError
 from plant.links.reader import load_arm
 from plant.links.symbolic.generated import GeneratedDynamics, generated
 from plant.models.catalogue import load as load_model

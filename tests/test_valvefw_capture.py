@@ -15,7 +15,7 @@ from plant.physics.valve import off_delay_s, on_delay_s
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import load_rig
-from rigs.steps.capture import capture_block
+from rigs.steps.valve import capture_block
 from rigs.virtual.bench import VirtualBench
 from test_valvefw_safety import thesis, virtual
 from valvefw.wire import CAPTURE_LEAD_US, CAPTURE_N, CAPTURE_US

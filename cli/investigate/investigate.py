@@ -32,7 +32,7 @@ from gap.decision.diagnose import diagnose_with_search
 from gap.decision.sequential import SequentialVerdict, joint
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
-from gap.reporting.sequential import conclusion_text
+from gap.reporting.text import conclusion_text
 from gap.selection.search import SearchResult
 from gap.validation.config import VALIDATION
 from gap.validation.prediction import families, margins, predict_trials, rivals_of

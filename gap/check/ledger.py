@@ -7,7 +7,7 @@ import datetime
 from collections.abc import Sequence
 from pathlib import Path
 
-from gap.check.errors import CheckError
+from gap.errors import CheckError
 
 COLUMNS = ("date", "version", "first", "last", "sets", "purpose")
 

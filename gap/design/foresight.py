@@ -15,9 +15,8 @@ import numpy as np
 
 from gap.design.library import LibraryExperiment, as_data
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import tolerance
+from gap.estimation.information import damped_step, tolerance
 from gap.estimation.noise import WHITE, Noise, usual
-from gap.estimation.normal_equations import damped_step
 from gap.model.features import BLOCKS
 from gap.model.grid import make_grid
 from gap.model.residuals import Model

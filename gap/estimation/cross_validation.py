@@ -14,8 +14,7 @@ import numpy.typing as npt
 from scipy.stats import t as student
 
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import gather, tolerance
-from gap.estimation.normal_equations import damped_step
+from gap.estimation.information import damped_step, gather, tolerance
 from gap.model.features import BLOCKS, UNITS
 from gap.verdict import Gap
 from plant.arrays import Array

@@ -14,13 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import DataSet
-from gap.data.duplicates import without_duplicates
+from gap.data.quality import without_duplicates
 from gap.effects.candidates import CANDIDATES, Candidate
 from gap.effects.terms import Active
-from gap.estimation.information import Evidence, gather, tolerance
+from gap.estimation.information import Evidence, covariance, damped_step, gather, tolerance
 from gap.estimation.noise import Noise, learn_noise, usual_noise
 from gap.estimation.non_identical import non_identical, unexplainable
-from gap.estimation.normal_equations import covariance, damped_step
 from gap.model.features import Rows
 from gap.model.grid import Grid, make_grid
 from gap.model.residuals import Model

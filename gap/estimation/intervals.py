@@ -8,8 +8,7 @@ import numpy as np
 
 from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import projected
-from gap.estimation.normal_equations import covariance, damped_step
+from gap.estimation.information import covariance, damped_step, projected
 from gap.verdict import Estimate
 from plant.effects.catalogue import CATALOGUE
 

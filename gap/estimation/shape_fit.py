@@ -14,7 +14,7 @@ import numpy as np
 
 from gap.effects.candidates import Candidate
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.normal_equations import damped_step
+from gap.estimation.information import damped_step
 from plant.arrays import Array
 
 _ROUNDS = 8

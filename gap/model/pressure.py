@@ -32,7 +32,7 @@ from plant.constants import (
 from plant.effects import pressure_stage as stage
 from plant.effects.reference import FULL_PRESSURE_PA
 from plant.physics import flow, layout, muscle
-from plant.physics.nominal import nominal_slots
+from plant.physics.layout import nominal_slots
 
 FOLLOW_S = 5.0
 """Time constant with which the prediction is drawn towards the reading."""

@@ -1,12 +1,13 @@
-"""A verdict in sentences: one sentence first, then the reasons."""
+"""A verdict, or the conclusion from several tests, in sentences: one first, then the reasons."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from gap.decision.sequential import SequentialVerdict
 from gap.design.config import DESIGN
-from gap.verdict import Estimate, Experiment, Explanation, Verdict
+from gap.verdict import Estimate, Experiment, Explanation, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
 HEADS = {
@@ -180,3 +181,23 @@ def limits(verdict: Verdict) -> list[tuple[str, str]]:
             unit = f" {entry.unit}" if entry.unit else ""
             rows.append((name, f"{(entry.headline or '').replace('_', ' ')}: {value:.3g}{unit}"))
     return rows
+
+
+def conclusion_text(found: SequentialVerdict) -> str:
+    """Return the reason for `found.conclusion` as one sentence."""
+    assert found.verdict is not None
+    if found.verdict.status == Status.NO_GAP_ABOVE_FLOOR and found.relieving:
+        return sentence(
+            "simulation and measurement agree to within the floor only with a stated constant at "
+            "the end of its tolerance; "
+            f"{' or '.join(found.relieving)} in its place would fit as well"
+        )
+    if found.confirmed is None:
+        return headline(found.verdict)
+    protocol, prediction = found.confirmed
+    ids = [" + ".join(effect.ids) for effect in found.of_family]
+    return sentence(
+        f"It is {' or '.join(ids)}, found on the tests before and confirmed by the {protocol} "
+        f"test: it predicted {100 * prediction.share:.0f} % of the gap there, and no other "
+        "explanation predicted as much"
+    )

@@ -12,8 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import tolerance
-from gap.estimation.normal_equations import damped_step
+from gap.estimation.information import damped_step, tolerance
 from gap.selection.config import SELECTION, SelectionConfig
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult

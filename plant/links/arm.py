@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from plant.arrays import Array
-from plant.links.errors import LinkError
+from plant.errors import LinkError
 from plant.links.inertia import Six, Three, check_inertia, elements, rod_inertia, tensor
 
 

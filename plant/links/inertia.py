@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from plant.arrays import Array
-from plant.links.errors import LinkError
+from plant.errors import LinkError
 
 Three = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]

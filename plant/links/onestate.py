@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from plant.arrays import Array
+from plant.errors import LinkError
 from plant.links import kernel
 from plant.links.arm import Arm
-from plant.links.errors import LinkError
 
 
 class OneState:

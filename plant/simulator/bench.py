@@ -24,11 +24,10 @@ from plant.physics.layout import (
     REGULATOR_SET,
     SUPPLY,
     TIME,
+    nominal_slots,
 )
 from plant.physics.muscle import braid_volume
-from plant.physics.nominal import nominal_slots
 from plant.simulator import hooks
-from plant.simulator.effect_slots import effect_slots
 from plant.simulator.kernel import advance as _advance
 from plant.simulator.rates import LEAST_MASS_KG
 
@@ -283,3 +282,18 @@ def _check_length(length_m: float, constants: PlantConstants) -> None:
             f"length_mm = {length_m * 1e3:g} is outside the braid; allowed above 0 and below "
             f"braid_length_mm = {constants.braid_length_m * 1e3:g}"
         )
+
+
+def effect_slots(c: PlantConstants, effects: Effects) -> dict[int, float]:
+    """Slots of the parameter array that differ from those of the nominal bench `c`.
+
+    Effects on sensors (`plant.simulator.readings`) and on the label of the length leave no mark
+    here, but for the lag of the pressure reading. Raises `PlantError` where an effect cannot be.
+    """
+    slots: dict[int, float] = {}
+    for effect, values in effects.active():
+        if effect.plant.slots is not None:
+            slots.update(effect.plant.slots(values, c))
+        if effect.plant.on_force:
+            slots[layout.FORCE_EFFECTS] = 1.0
+    return slots

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Mapping
 from importlib import import_module
 
-from daq.deadline import Deadline
+from daq.clock import Deadline
 from daq.errors import PamrigError
 from rigs.bench.ports import Ports
 from rigs.devices.event_loop import EventLoop

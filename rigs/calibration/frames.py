@@ -210,8 +210,7 @@ def _virtual(text: str) -> Iterator[SourceFrame]:
 
 
 def _live(text: str, count: int) -> Iterator[SourceFrame]:
-    from daq.clock import RealClock
-    from daq.deadline import Deadline
+    from daq.clock import Deadline, RealClock
     from rigs.devices.uvc import UvcCamera
 
     clock = RealClock()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from daq.deadline import Deadline
+from daq.clock import Deadline
 from daq.errors import DeviceError, DeviceTimeout, LinkLost
 from rigs.devices.event_loop import EventLoop
 from rigs.rigfile.config import CameraDevice

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from daq.clock import Clock
-from daq.deadline import Deadline
+from daq.clock import Clock, Deadline
 
 
 class EventLoop:

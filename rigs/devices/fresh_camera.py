@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.clock import Clock
-from daq.deadline import Deadline
+from daq.clock import Clock, Deadline
 from daq.errors import DeviceError, DeviceTimeout, PamrigError
 from rigs.devices.camera import Camera, Frame, is_lit
 from rigs.devices.faults import Faults

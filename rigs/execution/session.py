@@ -13,7 +13,7 @@ from daq.clock import NS_PER_S
 from daq.errors import DeviceError, PamrigError, RecordError
 from daq.interrupt import StopFlag, Stopped
 from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
-from daq.record.space import check_disk
+from daq.record.disk import check_disk
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig, firmware_parameters, open_rig
 from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS

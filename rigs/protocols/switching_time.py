@@ -28,9 +28,8 @@ from rigs.execution.procedure import Procedure
 from rigs.protocols.parts.method import Parameters
 from rigs.protocols.parts.valves import VALVES, each_valve, need_supply_axis
 from rigs.rigfile.toml_reader import load_toml
-from rigs.steps.capture import capture_block
 from rigs.steps.custom_step import Steps
-from rigs.steps.valve import ValvePoint
+from rigs.steps.valve import ValvePoint, capture_block
 
 if TYPE_CHECKING:
     from rigs.rigfile.config import RigConfig

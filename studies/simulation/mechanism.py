@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from daq.errors import ConfigError
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects.effects import Effects
-from plant.errors import PlantError
+from plant.errors import LinkError, PlantError
 from plant.links.arm import Arm
-from plant.links.errors import LinkError
 from plant.links.reader import load_arm
 from plant.scene.ram import RamConstants
 from plant.scene.scene import Coordinate, Switch

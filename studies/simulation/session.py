@@ -17,7 +17,7 @@ from daq.errors import PamrigError, RecordError
 from daq.interrupt import StopFlag, Stopped
 from daq.link.clockfit import ClockMap
 from daq.link.codec import CodecError
-from daq.record.space import check_disk
+from daq.record.disk import check_disk
 from daq.record.writer import RecordWriter
 from plant.errors import PlantError
 from plant.scene.layout import SUBSTEPS

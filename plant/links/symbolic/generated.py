@@ -22,8 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from plant.arrays import Array
+from plant.errors import LinkError
 from plant.links.arm import Arm
-from plant.links.errors import LinkError
 from plant.links.symbolic.evaluate import equations_of
 
 _DERIVING = ("trigpoly.py", "lagrange.py", "statespace.py", "sourcecode.py", "generated.py")
