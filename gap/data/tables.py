@@ -18,14 +18,8 @@ from plant.constants import PlantConstants
 
 # A column that begins like one of ours but ends otherwise is most likely another unit.
 _QUANTITIES: tuple[str, ...] = (
-    "time",
-    "supply",
-    "pressure",
-    "length",
-    "held_length",
-    "force",
-    "temperature",
-)
+    "time", "supply", "pressure", "length", "held_length", "force", "temperature",
+)  # fmt: skip
 _QUANTITIES += ("load", "start", "mass")
 # Ten times outside the range of the sensor (docs/reference/plant.md, sensors).
 _LIMITS = {

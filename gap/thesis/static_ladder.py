@@ -95,10 +95,11 @@ class Fit:
     squares: float
 
 
+@dataclass
 class Ladder:
     """Steps of one table.
 
-    Args:
+    Attributes:
         table: the points.
         constants: the plant as stated.
         free: whether braid length and turns are fitted too.
@@ -106,20 +107,14 @@ class Ladder:
         floor_n: error that no model of this kind could go below.
     """
 
-    def __init__(
-        self,
-        table: Table,
-        constants: PlantConstants,
-        free: bool,
-        candidates: Sequence[str],
-        floor_n: float,
-    ) -> None:
-        self.table = table
-        self.constants = constants
-        self.free = free
-        self.candidates = tuple(candidates)
-        self.floor_n = floor_n
-        self.settings = np.unique(table.setting)
+    table: Table
+    constants: PlantConstants
+    free: bool
+    candidates: Sequence[str]
+    floor_n: float
+
+    def __post_init__(self) -> None:
+        self.settings = np.unique(self.table.setting)
         self._without: dict[tuple[int, tuple[str, ...]], Fit] = {}
 
     def climb(self, most: int = 3) -> list[Step]:

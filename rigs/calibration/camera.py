@@ -111,54 +111,6 @@ def calibrate_from_gauges(
         lens = _fit_lens(gaps, lengths, Lens(shape[1] / 2, shape[0] / 2, radius))
     pixels = np.array([lens.gap(g)[0] if lens else g.pixels for g in gaps])
     u_px = np.array([g.u_pixels for g in gaps])
-    return _finish(
-        pixels,
-        u_px,
-        lengths,
-        u_mm,
-        lens,
-        identity or f"gauge blocks, {table.name}",
-        date,
-        distance_mm,
-        u_off_plane_mm,
-    )
-
-
-def _fit_lens(gaps: list[GapMeasurement], lengths: Array, start: Lens) -> Lens | None:
-    """Distortion k1 that makes the lengths straight; None where it is not significant."""
-    from scipy.optimize import least_squares
-
-    u = np.array([max(g.u_pixels, 1e-4) for g in gaps])
-
-    def rest(k1: Array) -> Array:
-        lens = replace(start, k1=float(k1[0]))
-        pixels = np.array([lens.gap(g)[0] for g in gaps])
-        design = np.stack([np.ones_like(pixels), pixels], axis=1)
-        fit, *_ = np.linalg.lstsq(design / u[:, None], lengths / u, rcond=None)
-        value: Array = (lengths - design @ fit) / (u * abs(fit[1]))
-        return value
-
-    found = least_squares(rest, np.zeros(1), diff_step=1e-4, x_scale=1e-3)
-    freedom = max(1, len(gaps) - 3)
-    s2 = max(1.0, 2.0 * float(found.cost) / freedom)
-    u_k1 = math.sqrt(s2 / max(1e-12, float((found.jac.T @ found.jac)[0, 0])))
-    k1 = float(found.x[0])
-    if abs(k1) < 2.0 * u_k1:
-        return None
-    return replace(start, k1=k1, u_k1=u_k1)
-
-
-def _finish(  # noqa: PLR0913 - what a calibration states, each by name
-    pixels: Array,
-    u_px: Array,
-    lengths: Array,
-    u_mm: Array,
-    lens: Lens | None,
-    identity: str,
-    date: str,
-    distance_mm: float | None,
-    u_off_plane_mm: float,
-) -> CameraCalibration:
     design = np.stack([np.ones_like(pixels), pixels], axis=1)
     fit, *_ = np.linalg.lstsq(design, lengths, rcond=None)
     scale = float(fit[1])
@@ -187,11 +139,35 @@ def _finish(  # noqa: PLR0913 - what a calibration states, each by name
         u_offset=u_offset,
         u_gain=u_gain,
         domain=(float(lengths.min()), float(lengths.max())),
-        id=identity,
+        id=identity or f"gauge blocks, {table.name}",
         date=date or datetime.now(UTC).date().isoformat(),
         note=f"{len(lengths)} positions, rms residual {math.sqrt(float(np.mean(rest**2))):.5f} mm",
     )
     return CameraCalibration(straight, lens, per_mm, 0.0, u_off_plane_mm)
+
+
+def _fit_lens(gaps: list[GapMeasurement], lengths: Array, start: Lens) -> Lens | None:
+    """Distortion k1 that makes the lengths straight; None where it is not significant."""
+    from scipy.optimize import least_squares
+
+    u = np.array([max(g.u_pixels, 1e-4) for g in gaps])
+
+    def rest(k1: Array) -> Array:
+        lens = replace(start, k1=float(k1[0]))
+        pixels = np.array([lens.gap(g)[0] for g in gaps])
+        design = np.stack([np.ones_like(pixels), pixels], axis=1)
+        fit, *_ = np.linalg.lstsq(design / u[:, None], lengths / u, rcond=None)
+        value: Array = (lengths - design @ fit) / (u * abs(fit[1]))
+        return value
+
+    found = least_squares(rest, np.zeros(1), diff_step=1e-4, x_scale=1e-3)
+    freedom = max(1, len(gaps) - 3)
+    s2 = max(1.0, 2.0 * float(found.cost) / freedom)
+    u_k1 = math.sqrt(s2 / max(1e-12, float((found.jac.T @ found.jac)[0, 0])))
+    k1 = float(found.x[0])
+    if abs(k1) < 2.0 * u_k1:
+        return None
+    return replace(start, k1=k1, u_k1=u_k1)
 
 
 def calibrate_from_board(  # noqa: PLR0913 - what a calibration states, each by name

@@ -37,13 +37,9 @@ STEP_S = 2.0
 LAST_S = 0.5
 BAND_KPA = 5.0
 FIGURES = (
-    "error_mean_kpa",
-    "error_worst_kpa",
-    "ripple_worst_kpa",
-    "overshoot_worst_kpa",
-    "settling_worst_s",
-    "switchings_per_s",
-)
+    "error_mean_kpa", "error_worst_kpa", "ripple_worst_kpa", "overshoot_worst_kpa",
+    "settling_worst_s", "switchings_per_s",
+)  # fmt: skip
 PRESSURE_LAWS = ("two", "duty_in", "duty", "slide", "ram", "burst", "pid")
 
 
