@@ -212,10 +212,6 @@ class _SerialPort:
         self._serial.close()
 
 
-def _open_port(path: str, baud: int) -> _SocketPort | _SerialPort:
-    return _SocketPort(path) if path.startswith("socket://") else _SerialPort(path, baud)
-
-
 def _port_failures() -> tuple[type[Exception], ...]:
     """All exceptions that a lost port can raise."""
     import serial
@@ -248,7 +244,8 @@ class SerialLink:
         self._stop = threading.Event()
         self._closed = False
         try:
-            self._port = _open_port(path, baud)
+            socket_url = path.startswith("socket://")
+            self._port = _SocketPort(path) if socket_url else _SerialPort(path, baud)
         except self._failures as error:
             raise _not_opened(path, error) from error
         except ValueError as error:

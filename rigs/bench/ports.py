@@ -22,7 +22,7 @@ from rigs.devices.interfaces import Instrument
 from rigs.devices.operator import ConsoleOperator, ManualAxis, ManualStage, Operator
 from rigs.devices.operator_port import RemoteOperator
 from rigs.rigfile.config import Device, RigConfig, camera_values
-from rigs.rigfile.instruments import ModbusDevice, TextDevice
+from rigs.rigfile.instruments import TextDevice
 
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench
@@ -126,21 +126,11 @@ def open_readers(ports: Ports, event_loop: EventLoop) -> dict[str, Instrument]:
                 rate_hz=device.rate_hz, calibration=device.calibration, reopen=reopen,
             )  # fmt: skip
         else:
-            out[name] = _modbus(link, event_loop, name, device, reopen)
+            out[name] = ModbusInstrument(
+                link, event_loop, name, device.form,
+                baud=device.baud, calibration=device.calibration, reopen=reopen,
+            )  # fmt: skip
     return out
-
-
-def _modbus(
-    link: Link,
-    event_loop: EventLoop,
-    name: str,
-    device: ModbusDevice,
-    reopen: Callable[[], Link] | None,
-) -> ModbusInstrument:
-    return ModbusInstrument(
-        link, event_loop, name, device.form,
-        baud=device.baud, calibration=device.calibration, reopen=reopen,
-    )  # fmt: skip
 
 
 def default_operator(ports: Ports, bench: VirtualBench | None) -> Operator:
