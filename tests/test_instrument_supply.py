@@ -94,7 +94,7 @@ def test_a_setting_that_did_not_take_is_noticed_by_reading_it_back() -> None:
     desk, supply = desk_of()
     supply.connect("")
     desk.device._set = lambda word, argument: None
-    with pytest.raises(DeviceError, match=r"was told 5.000 V, is set to"):
+    with pytest.raises(DeviceError, match=r"was commanded 5.000 V, is set to"):
         supply.set_voltage(5.0)
     with pytest.raises(DeviceError, match="is 0"):
         supply.output(True)

@@ -114,7 +114,7 @@ def test_a_setting_by_description_is_sent_and_read_back(tmp_path: Path) -> None:
 
 def test_a_setting_by_description_that_did_not_take_is_an_error(tmp_path: Path) -> None:
     device, _ = described(tmp_path, stuck=True)
-    with pytest.raises(DeviceError, match=r"was told 2\.50 bar, is set to 0\.00 bar"):
+    with pytest.raises(DeviceError, match=r"was commanded 2\.50 bar, is set to 0\.00 bar"):
         device.set("pressure_bar", 2.5)
     assert device.faults.counts == {"unset": 1}
 

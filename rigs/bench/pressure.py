@@ -57,7 +57,7 @@ def vent(source: PressureSource, event_loop: EventLoop, supply: Supply | None = 
 
     def feed() -> None:
         if supply is not None:
-            with contextlib.suppress(PamrigError):  # the valve is told to vent in any case
+            with contextlib.suppress(PamrigError):  # the valve is commanded to vent in any case
                 supply.safe()
 
     try:

@@ -75,7 +75,7 @@ class Rig:
 
 
 def firmware_parameters(config: RigConfig) -> dict[str, int]:
-    """What the firmware is told before arming: the rig's own, and the limits in raw counts."""
+    """What is set in the firmware before arming: the rig's own, and the limits in raw counts."""
     pressure = config.calibrations["pressure_kpa"]
     return {
         "trip": int(pressure.raw(config.limits.trip_kpa)),

@@ -33,7 +33,7 @@ def vent_rig(config: RigConfig) -> float:
         if not pressure < SAFE_KPA:
             raise DeviceError(
                 valve.name,
-                f"was told to vent, pressure still reads {pressure:.0f} kPa",
+                f"was commanded to vent, pressure still reads {pressure:.0f} kPa",
                 "shut the supply by hand, open the relief, check the valve",
             )
         return pressure

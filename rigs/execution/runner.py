@@ -260,7 +260,7 @@ class Runner:
         if not self.rig.event_loop.until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
             raise RunFault(
                 self.rig.pressure_source.name,
-                f"told to vent, pressure still reads {self.rig.pressure_kpa:.0f} kPa after 10 s",
+                f"commanded to vent, pressure reads {self.rig.pressure_kpa:.0f} kPa after 10 s",
                 "shut the supply by hand; check the outlet and the pressure zero",
             )
         self.rig.event_loop.for_seconds(0.3)

@@ -65,7 +65,7 @@ class Steering:
             return
         if word == "stop":
             runner.record.event("control", asked=word)
-            runner.stop.set("stop asked for")
+            runner.stop.set("stop requested")
             return
         runner.record.event("control", asked=word, order=self._order())
         if word in ("pause", "resume"):
@@ -75,7 +75,7 @@ class Steering:
             self.skip = True
         elif word == "repeat":
             self._again = True
-        runner.watch.log(f"asked for: {word}")
+        runner.watch.log(f"request: {word}")
 
     def _order(self) -> int | None:
         last = self._last[2] if self._last is not None else None

@@ -111,7 +111,7 @@ def release(runner: StepContext) -> None:
     if not runner.rig.event_loop.until(lambda: pressure_now(runner, 50) < RELEASED_KPA, RELEASE_S):
         raise RunFault(
             valve.name,
-            f"told to vent, pressure still reads {pressure_now(runner):.0f} kPa"
+            f"commanded to vent, pressure still reads {pressure_now(runner):.0f} kPa"
             f" after {RELEASE_S:g} s",
             "shut the supply by hand; check the outlet and the pressure zero",
         )

@@ -121,10 +121,10 @@ class CommandedInstrument(LineDevice):
         got = self._in_range(form.read_back, form.read(answer))
         if abs(got - value) > form.tolerance:
             wanted, found = form.shown(value), answer if form.words else form.shown(got)
-            self.faults.add("unset", f"told {wanted}, says {found}")
+            self.faults.add("unset", f"commanded {wanted}, reports {found}")
             raise DeviceError(
                 self.name,
-                f"was told {wanted}, is {'' if form.words else 'set to '}{found}",
+                f"was commanded {wanted}, is {'' if form.words else 'set to '}{found}",
                 form.remedy,
             )
         return got

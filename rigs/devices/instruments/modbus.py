@@ -143,7 +143,7 @@ class _Codec:
         return bytes(self._framer.buildFrame(request))
 
     def size(self, message: bytes) -> int:
-        """Length of the frame that begins here, 0 when that cannot be told."""
+        """Length of the frame that begins here, 0 when that is not known yet."""
         if len(message) < 5:
             return 0
         if message[1] & 0x80:

@@ -79,7 +79,7 @@ class Supply(CommandedInstrument):
         """Switch the output, and read back that it is.
 
         Raises:
-            DeviceError: the output is not as it was told to be.
+            DeviceError: the output is not as it was set.
         """
         self.is_on = bool(self.set("output", float(on)))
 
@@ -101,7 +101,7 @@ class Supply(CommandedInstrument):
         return volts, amps
 
     def safe(self) -> None:
-        """Back to the solenoids' normal voltage, on: so that they do what they are told.
+        """Back to the solenoids' normal voltage, on: so that they follow their commands.
 
         It is switched on even where it does not confirm its voltage.
         """
