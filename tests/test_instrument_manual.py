@@ -170,7 +170,7 @@ def test_a_regulator_turned_the_wrong_way_is_asked_for_again_and_then_ends_the_t
         person, bench = runner.rig.operator, runner.rig.bench
         assert isinstance(person, VirtualOperator)
         assert bench is not None
-        person._acts["pressure"] = lambda _: bench.plant.set_regulator(0.0)  # the wrong way
+        person._steps["pressure"] = lambda _: bench.plant.set_regulator(0.0)  # the wrong way
 
     result = run_isometric(config, plan, tmp_path / "runs", on_start=shut, derive=False)
     assert result.outcome == "faulted"
