@@ -149,6 +149,3 @@ def draw_design(rng: Rng, needs: list[str], changed: bool, table: bool, small: b
         supply_channel=bool(rng.random() < 0.5) and not table,
         temperature_channel=warm or bool(rng.random() < 0.3), changed=changed,
     )  # fmt: skip
-
-
-__all__ = ["Design", "draw_design"]

@@ -62,16 +62,7 @@ class Secret:
         return {
             "schema": 1,
             "kind": "live",
-            "effects": [
-                {
-                    "id": h.id,
-                    "family": h.entry.family,
-                    "stage": h.entry.stage,
-                    "form": h.form,
-                    "parameters": h.parameters,
-                }
-                for h in self.hidden
-            ],
+            "effects": [h.as_dict() for h in self.hidden],
             "measured": self.measured,
         }
 

@@ -191,17 +191,7 @@ def answer(one: BlindSet) -> dict[str, object]:
         "changed": one.design.changed,
         "table": one.design.table,
         "trials": len(one.design.trials),
-        "effects": [
-            {
-                "id": h.id,
-                "family": h.entry.family,
-                "stage": h.entry.stage,
-                "form": h.form,
-                "parameters": h.parameters,
-                "shape": list(h.shape),
-            }
-            for h in one.hidden
-        ],
+        "effects": [{**h.as_dict(), "shape": list(h.shape)} for h in one.hidden],
         "stage": stages.pop() if len(stages) == 1 else None,
         "defect": one.defect,
         "aim": one.aim,

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from gap.reason import Reason
+
 
 class Status(StrEnum):
     """What a diagnosis comes to."""
@@ -139,17 +141,17 @@ class Verdict:
     """What a diagnosis found. `as_dict` gives the object of the dataset format."""
 
     status: Status
-    reason: str
+    reason: Reason
     stage: str | None
     effects: tuple[Explanation, ...]
     probability_none: float
     probability_unknown: float
-    gap: Gap | None
-    stages: tuple[Share, ...]
-    contrasts: tuple[Contrast, ...]
-    limits: Mapping[str, float]
-    next_experiment: Experiment | None
-    why_not: Mapping[str, WhyNot]
+    gap: Gap | None = None
+    stages: tuple[Share, ...] = ()
+    contrasts: tuple[Contrast, ...] = ()
+    limits: Mapping[str, float] = field(default_factory=dict)
+    next_experiment: Experiment | None = None
+    why_not: Mapping[str, WhyNot] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
@@ -158,7 +160,7 @@ class Verdict:
         return {
             "schema": 1,
             "status": str(self.status),
-            "reason": self.reason,
+            "reason": str(self.reason),
             "stage": self.stage,
             "effects": [_explanation(effect) for effect in self.effects],
             "probability_none": _number(self.probability_none),

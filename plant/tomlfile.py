@@ -27,14 +27,14 @@ _PARTS = re.compile(r"[=,\[\]{}\n]")
 _WHOLE = 2**63
 
 
-def read_text(path: Path | str, at_most: int = LARGEST) -> str:
+def read_text(path: Path | str) -> str:
     """The text of a regular file.
 
     Raises:
-        OSError: it cannot be read, is not a regular file, or has more than ``at_most`` bytes.
+        OSError: it cannot be read, is not a regular file, or has more than ``LARGEST`` bytes.
         UnicodeDecodeError: it is not UTF-8.
     """
-    return read_bytes(path, at_most).decode("utf-8").replace("\r\n", "\n")
+    return read_bytes(path, LARGEST).decode("utf-8").replace("\r\n", "\n")
 
 
 def read_bytes(path: Path | str, at_most: int) -> bytes:

@@ -30,7 +30,8 @@ from blind.sets import BlindSet, blind_set
 from gap.check.scoring.statistics import share
 from gap.data.dataset import Trial
 from gap.data.reader import read_dataset
-from gap.design.advise import ENOUGH, advise
+from gap.design.advise import advise
+from gap.design.config import DESIGN
 from gap.design.foresight import products, separation
 from gap.design.library import LibraryExperiment, library_experiments
 from gap.estimation.fit_problem import FitProblem, FitResult
@@ -129,7 +130,7 @@ def one(number: int, folder: Path) -> Row | None:
         return None
     right, wrong = pair[at[0]].fit, pair[1 - at[0]].fit
     now = separation(products(problem, right, wrong), right, wrong)
-    if now > 2.0 * ENOUGH:
+    if now > 2.0 * DESIGN.enough_sd:
         return None
     row: Row = {
         "number": number,
@@ -178,7 +179,10 @@ def told(rows: Sequence[Row]) -> list[str]:
         ("within 25 %", np.abs(ratio - 1.0) <= 0.25),
         ("right one preferred before", [r["now_achieved"] > 0.0 for r in tried]),
         ("right one preferred after", [r["achieved"] > 0.0 for r in tried]),
-        (f"achieved {ENOUGH} or more", [r["achieved"] >= ENOUGH for r in tried]),
+        (
+            f"achieved {DESIGN.enough_sd} or more",
+            [r["achieved"] >= DESIGN.enough_sd for r in tried],
+        ),
     ):
         found = share([bool(flag) for flag in flags])
         a, b = found.interval

@@ -164,7 +164,7 @@ def starved(status: int, said: str, bench_late_ms: float) -> bool:
 def check_ended_well(runs: Path) -> None:
     """What holds of every starved run: it says so, its record is whole, the muscle was vented."""
     from daq.store.run import open_run
-    from daq.store.store import verify
+    from daq.store.verify import verify
 
     for folder in runs.glob("*/run.json"):
         run = open_run(folder.parent)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import pytest
 
+HOUSE = Path(__file__).resolve().parent.parent
+_PYPROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text(encoding="utf-8"))
+PACKAGES: list[str] = _PYPROJECT["tool"]["importlinter"]["root_packages"]
 SLOW = Path(__file__).with_name("slow.txt")
 
 

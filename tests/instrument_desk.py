@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from daq.clock import VirtualClock
 from daq.errors import LinkLost, PortError
 from daq.link.transport import Link, MemoryLink, memory_pair
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 
 
 class Device(Protocol):
@@ -29,7 +29,7 @@ class Desk:
 
     def __init__(self, make: Callable[[Callable[[], float], Callable[[bytes], None]], Any]) -> None:
         self.clock = VirtualClock()
-        self.pump = Pump(self.clock, 0.005)
+        self.event_loop = EventLoop(self.clock, 0.005)
         self.plugged = True
         self._end: Link | None = None
         self.host: MemoryLink = self._make_link()

@@ -12,8 +12,9 @@ import mujoco
 import numpy as np
 import pinocchio
 
+from plant.arrays import Array
 from plant.links import Arm, Link
-from plant.links.inertia import Array, tensor
+from plant.links.inertia import tensor
 
 
 def spatial_arm(degrees: int, seed: int) -> Arm:

@@ -56,7 +56,7 @@ def soak(hours: float, folder: Path, config: RigConfig, tell: bool = True) -> di
         rig.balance.on_rows.append(lambda batch: record.append("balance", batch))
         if not virtual:
             rig.valve.telemetry.on_ahead = lambda frame: record.write_ahead("valve", frame)
-        rig.pump.add(lambda: rig.valve.progress(1.0))
+        rig.event_loop.add(lambda: rig.valve.progress(1.0))
         _begin(rig)
         for minute in range(max(1, round(hours * 60))):
             try:
@@ -98,7 +98,7 @@ def soak(hours: float, folder: Path, config: RigConfig, tell: bool = True) -> di
 
 
 def _begin(rig: Rig) -> None:
-    rig.pump.for_seconds(0.5)
+    rig.event_loop.for_seconds(0.5)
     rig.valve.arm()
     rig.valve.request("scheme burst")
 
@@ -117,7 +117,7 @@ def _begin_again(rig: Rig) -> None:
 def _minute(rig: Rig, config: RigConfig, pressure_kpa: float) -> None:
     """One set-point held for a minute."""
     rig.valve.set_point(float(config.calibrations["pressure_kpa"].raw(pressure_kpa)))
-    rig.pump.for_seconds(60.0)
+    rig.event_loop.for_seconds(60.0)
     if rig.valve.fault_latched:
         raise DeviceError(rig.valve.name, "latched a fault")
 

@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 
 from analysis.layouts.layouts import edge_lines, profile_lines
+from analysis.reduction.columns import COLUMNS
 from analysis.reduction.pictures import measure_stored
-from analysis.reduction.points import COLUMNS, reduce_isometric, write_table
+from analysis.reduction.points import reduce_isometric, write_table
 from analysis.regression.force_lines import against_length, per_length
 from analysis_bench import CALIBRATIONS, force_n, write_run
 from daq.store.run import open_run

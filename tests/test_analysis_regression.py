@@ -12,7 +12,8 @@ import pytest
 
 from analysis.findings.thesis_check import compare_c9
 from analysis.formats.importer import import_thesis
-from analysis.reduction.points import COLUMNS, reduce_isometric
+from analysis.reduction.columns import COLUMNS
+from analysis.reduction.points import reduce_isometric
 from analysis.regression.force_lines import against_length, fit_line, per_length
 from daq.clock import VirtualClock
 from daq.store.run import open_run

@@ -10,7 +10,7 @@ import pytest
 
 from bench_runs import run_isometric
 from daq.store.run import open_run
-from daq.store.store import verify
+from daq.store.verify import verify
 from rigs.protocols.isometric import load_isometric
 from rigs.rigfile.config import load_rig
 

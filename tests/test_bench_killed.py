@@ -22,7 +22,7 @@ from bench_process import (
     worst_late_ms,
 )
 from daq.store.run import open_run
-from daq.store.store import verify
+from daq.store.verify import verify
 
 pytestmark = pytest.mark.realtime
 LOST_S = 0.1

@@ -216,7 +216,7 @@ def test_too_little_room_is_told_before_the_start(
     import shutil
 
     from daq.errors import RecordError
-    from daq.record.space import check_disk
+    from daq.record.disk import check_disk
 
     monkeypatch.setattr(
         shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 10**6)

@@ -9,7 +9,7 @@ import pytest
 from bench_process import run_in_real_time
 from daq.store.run import open_run
 from rigs.rigfile.config import load_rig
-from rigs.virtual.warmup import warm_up
+from rigs.virtual.server import warm_up
 
 
 @pytest.mark.realtime

@@ -24,7 +24,7 @@ from bench_process import (
     worst_late_ms,
 )
 from daq.store.run import open_run
-from daq.store.store import verify
+from daq.store.verify import verify
 
 pytestmark = pytest.mark.realtime
 # A bench in a laboratory has its computer to itself; a test machine need not.

@@ -15,7 +15,7 @@ from daq.clock import RealClock, VirtualClock
 from daq.errors import DeviceError, DeviceTimeout
 from protocol_runs import run_short
 from rigs.devices.camera import CallCamera, TriggeredUvc
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.fresh_camera import AGAIN_S, FreshCamera
 from rigs.devices.uvc import UvcCamera, UvcFrame
 from rigs.virtual.emulators.camera import render
@@ -106,12 +106,12 @@ def test_a_driver_that_hands_its_buffer_out_twice_is_waited_for(sensor: Sensor) 
             gray = self.old if old else self.old + 1
             return UvcFrame(self.asked, sensor.clock.now_ns() + 1, gray, repeated=old)
 
-    pump = Pump(sensor.clock, 0.02)
-    frame = TriggeredUvc(Repeating(5), "uvc:0", pump).trigger()  # type: ignore[arg-type]
+    event_loop = EventLoop(sensor.clock, 0.02)
+    frame = TriggeredUvc(Repeating(5), "uvc:0", event_loop).trigger()  # type: ignore[arg-type]
     assert frame.gray[0, 0] == 1
-    camera = FreshCamera(TriggeredUvc(Repeating(10**6), "uvc:0", pump), sensor.clock)  # type: ignore[arg-type]
+    camera = FreshCamera(TriggeredUvc(Repeating(10**6), "uvc:0", event_loop), sensor.clock)  # type: ignore[arg-type]
     beats: list[int] = []
-    pump.add(lambda: beats.append(sensor.clock.now_ns()))
+    event_loop.add(lambda: beats.append(sensor.clock.now_ns()))
     with pytest.raises(DeviceTimeout, match="no new frame"):
         camera.trigger()
     assert camera.counters() == {"frames": 0, "no_answer": 1}
@@ -145,7 +145,7 @@ def grabber() -> Grabber:
 def usb_camera(grabber: Grabber) -> FreshCamera:
     clock = RealClock()
     uvc = UvcCamera(0, clock, grabber)
-    return FreshCamera(TriggeredUvc(uvc, "uvc:0", Pump(clock, 0.005)), clock)
+    return FreshCamera(TriggeredUvc(uvc, "uvc:0", EventLoop(clock, 0.005)), clock)
 
 
 def pictures(camera: FreshCamera) -> None:
@@ -260,7 +260,7 @@ def test_a_usb_camera_that_hangs_drops_no_load(tmp_path: Path) -> None:
 
     def hang(runner: Any) -> None:
         event = runner.record.event
-        hung = TriggeredUvc(Hung(), "uvc:0", runner.rig.pump)  # type: ignore[arg-type]
+        hung = TriggeredUvc(Hung(), "uvc:0", runner.rig.event_loop)  # type: ignore[arg-type]
 
         def noted(kind: str, **fields: Any) -> Any:
             if kind == "point":

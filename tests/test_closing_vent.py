@@ -34,7 +34,7 @@ def filled(kpa: float, dead_ml: float = 250.0) -> Iterator[tuple[Rig, Any]]:
         rig.valve.arm()
         rig.valve.request("scheme pwm")
         rig.valve.set_point(float(config.calibrations["pressure_kpa"].raw(kpa)))
-        assert rig.pump.until(lambda: abs(rig.pressure_kpa - kpa) < 8.0, 60.0)
+        assert rig.event_loop.until(lambda: abs(rig.pressure_kpa - kpa) < 8.0, 60.0)
         rig.valve.request("scheme open")
         yield rig, rig.bench
 

@@ -19,7 +19,7 @@ from daq.record import disk
 from daq.record.ahead import SLOTS
 from daq.record.writer import RecordWriter
 from daq.store.run import open_run
-from daq.store.store import verify
+from daq.store.verify import verify
 from daq_records import begin, valve_batch
 from test_daq_telemetry import frame
 

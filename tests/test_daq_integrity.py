@@ -14,7 +14,8 @@ from daq.record.sealed import open_file, seal_file
 from daq.record.segments import BatchEncoder
 from daq.store.derive import derive
 from daq.store.run import Run, open_run
-from daq.store.store import list_runs, show, verify
+from daq.store.store import list_runs, show
+from daq.store.verify import verify
 from daq_records import begin, content, fill, valve_batch
 
 

@@ -28,7 +28,7 @@ from daq.record.sealed import SealError, open_file, open_line, seal_file, seal_l
 from daq.record.segments import BatchDecoder, BatchEncoder, StreamSchema
 from daq.record.writer import RecordWriter
 from daq.store.run import open_run
-from daq.store.store import verify
+from daq.store.verify import verify
 from daq_records import (
     MANIFEST,
     balance_batch,

@@ -16,7 +16,8 @@ from daq.link.clockfit import ClockFit
 from daq.record.writer import RecordWriter
 from daq.store.derive import derive
 from daq.store.run import Run, open_run
-from daq.store.store import find_run, list_runs, show, verify
+from daq.store.store import find_run, list_runs, show
+from daq.store.verify import verify
 from daq_records import FORCE, MANIFEST, PRESSURE, begin, fill, valve_batch
 
 

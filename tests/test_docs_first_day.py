@@ -15,7 +15,8 @@ import pytest
 
 from analysis.run_table import reduce_run
 from daq.store.run import Run, open_run
-from daq.store.store import list_runs, verify
+from daq.store.store import list_runs
+from daq.store.verify import verify
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig

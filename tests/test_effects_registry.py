@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections import Counter
 from functools import cache
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from conftest import HOUSE
 from gap.data.dataset import Channel, DataSet, Trial
 from gap.effects.recording import RECORDING
 from gap.effects.terms import Active
@@ -186,3 +188,18 @@ def test_no_code_beside_the_effects_asks_which_effect_it_is() -> None:
     for room in ("plant/simulator", "gap/model", "gap/effects"):
         for file in (ROOMS.parent.parent / room).glob("*.py"):
             assert not asked.search(file.read_text(encoding="utf-8")), file.name
+
+
+def test_no_other_file_of_the_diagnosis_names_an_effect() -> None:
+    """What is particular to an effect stands in its file; the study of the thesis's tables may."""
+    # A constant of the plant file and a key of run.json have the names of effects.
+    ids = set(CATALOGUE) - {"critical_ratio", "leak"}
+    found = [
+        f"{path.relative_to(HOUSE)}:{node.lineno}: {node.value}"
+        for package in ("gap", "cli", "analysis")
+        for path in sorted((HOUSE / package).rglob("*.py"))
+        if "thesis" not in path.parts
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and node.value in ids
+    ]
+    assert not found, found

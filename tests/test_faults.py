@@ -315,8 +315,8 @@ def test_a_step_in_which_the_program_stood_still_is_judged_to_its_end(tmp_path: 
     """The controller vents meanwhile; the samples that had come by then would call it settled."""
 
     def hang(runner: Any) -> None:
-        pump, steps = runner.rig.pump, []
-        wait = pump.for_seconds
+        event_loop, steps = runner.rig.event_loop, []
+        wait = event_loop.for_seconds
 
         def for_seconds(seconds: float) -> None:
             steps.append(seconds >= 1.0)
@@ -325,7 +325,7 @@ def test_a_step_in_which_the_program_stood_still_is_judged_to_its_end(tmp_path: 
             wait(0.6 * seconds)
             return runner.rig.clock.sleep(1.2)
 
-        pump.for_seconds = for_seconds
+        event_loop.for_seconds = for_seconds
 
     result, run, _ = run_short("step", tmp_path, begin=hang)
     assert result.outcome == "faulted"
@@ -460,7 +460,7 @@ def test_a_line_that_is_on_its_way_at_the_very_end_is_not_half(tmp_path: Path) -
                 send("balance", rest.pop(0)[1])
 
         bench._send = begin
-        runner.rig.pump.add(go_on)
+        runner.rig.event_loop.add(go_on)
 
     _, run, _ = run_short("step", tmp_path, begin=in_two)
     when = {e["kind"]: e["t_ns"] for e in run.events}

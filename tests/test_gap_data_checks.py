@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from gap.data.dataset import Channel, DataSet
-from gap.data.duplicates import without_duplicates
-from gap.data.quality import unfit_channels
+from gap.data.quality import unfit_channels, without_duplicates
 from gap.data.reader import read_dataset
 from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem

@@ -13,9 +13,10 @@ from typer.testing import CliRunner
 import advice_campaign
 from cli.main import app
 from daq.store.run import open_run
+from gap.data.from_runs import open_data
 from gap.data.run_trials import run_trials
-from gap.data.sources import open_data
-from gap.design.advise import ENOUGH, REFERENCES, advise, protocol_text
+from gap.design.advise import REFERENCES, advise, protocol_text
+from gap.design.config import DESIGN
 from gap.design.foresight import Products, on_experiment, products, separation
 from gap.design.library import LibraryExperiment, library_experiments
 from gap.effects.candidates import CANDIDATES
@@ -120,7 +121,7 @@ def test_what_a_standard_settles_at_once_is_advised_before_hours_of_trials(
     assert advised is not None
     assert advised.protocol == "reference"
     assert advised.settings["standard"] == "vent"
-    assert advised.separation_after > max(ENOUGH, advised.separation_now)
+    assert advised.separation_after > max(DESIGN.enough_sd, advised.separation_now)
     assert set(advised.between) == {"liner_threshold", "pressure_zero"}
 
 
@@ -135,7 +136,7 @@ def test_two_muscle_effects_get_an_experiment_of_the_library(tmp_path: Path) -> 
     assert advised is not None
     assert advised.protocol in {"isometric", "isobaric", "isotonic", "hysteresis", "step"}
     assert advised.trials >= 2
-    assert advised.separation_after >= ENOUGH
+    assert advised.separation_after >= DESIGN.enough_sd
 
 
 def test_every_standard_is_for_an_effect_of_the_catalogue() -> None:
@@ -201,5 +202,5 @@ def test_on_practice_sets_the_advised_experiment_separates_the_pair(tmp_path: Pa
     tried = [row for row in rows if row is not None and row.get("achieved") is not None]
     print("\n".join(advice_campaign.told(tried)))
     assert len(tried) >= 5
-    apart = sum(row["achieved"] > 0.7 * ENOUGH for row in tried)
+    apart = sum(row["achieved"] > 0.7 * DESIGN.enough_sd for row in tried)
     assert apart >= 0.9 * len(tried), tried

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gap.check.errors import CheckError
 from gap.check.learn import LEAF, Samples, fit, learnable
 from gap.check.ledger import enter
 from gap.decision.reliability import FEATURES, OUTCOMES, Forest, features, shipped_reliability
 from gap.decision.traits import at_an_end
 from gap.effects.candidates import CANDIDATES
+from gap.errors import CheckError
 
 TRAITS = {
     "rows": 3000.0, "excess": 30_000.0, "left": 0.0, "repeated": 30_000.0, "repeated_left": 0.0,

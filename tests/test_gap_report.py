@@ -11,7 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cli.main import app
-from gap.data.sources import open_data
+from gap.data.from_runs import open_data
+from gap.reason import Cause, reason
 from gap.reporting.examination import Examination, examine
 from gap.reporting.report import render_report
 from gap.reporting.text import experiment_sentence, headline, parameter_text, rivals
@@ -31,7 +32,7 @@ from gap_sets import settled_set
 
 PLAIN = Verdict(
     status=Status.NAMED,
-    reason="liner_threshold explains the gap",
+    reason=reason(Cause.EXPLAINED, names="liner_threshold"),
     stage="muscle",
     effects=(
         Explanation(
@@ -93,7 +94,9 @@ def test_what_came_from_data_is_escaped(liner: Examination) -> None:
     examined = dataclasses.replace(
         liner,
         data=data,
-        verdict=dataclasses.replace(PLAIN, status="unknown", reason=evil, effects=()),
+        verdict=dataclasses.replace(
+            PLAIN, status="unknown", reason=reason(Cause.DEFECT, meaning=evil), effects=()
+        ),
     )
     page = render_report(examined)
     assert evil not in page
@@ -110,7 +113,13 @@ def test_what_came_from_data_is_escaped(liner: Examination) -> None:
     ],
 )
 def test_every_kind_of_verdict_has_its_letter(liner: Examination, status: str, told: str) -> None:
-    examined = with_verdict(liner, status=status, effects=(), gap=None, reason="because of this")
+    examined = with_verdict(
+        liner,
+        status=status,
+        effects=(),
+        gap=None,
+        reason=reason(Cause.DEFECT, meaning="because of this"),
+    )
     page = render_report(dataclasses.replace(examined, field=None, ladder=()))
     assert told in page
     assert "Because of this." in page

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from gap.decision.sequential import SequentialVerdict, joint
-from gap.reporting.sequential import conclusion_text
+from gap.reporting.text import conclusion_text
 from gap.validation.prediction import Prediction, families
 from gap.verdict import Explanation, Gap, Verdict
 from plant.effects.catalogue import CATALOGUE

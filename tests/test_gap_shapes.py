@@ -15,10 +15,10 @@ from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.shape_fit import fit_shapes
 from gap.model import force as laws
-from gap.model.features import Points
 from gap.model.force import Context
 from gap_bench import write_set
 from plant.constants import nominal
+from plant.effects.arguments import Points
 
 C = nominal()
 
@@ -95,7 +95,7 @@ def tube(tmp_path_factory: pytest.TempPathFactory) -> FitProblem:
     return FitProblem.of(read_dataset(write_set(folder, effect, seed=4)))
 
 
-def test_a_shape_between_two_suspects_is_found_from_either_side(tube: FitProblem) -> None:
+def test_a_shape_between_two_candidates_is_found_from_either_side(tube: FitProblem) -> None:
     rests = []
     for share in (0.57, 0.82):
         candidate = next(s for s in CANDIDATES if dict(s.shape) == {"rest": share})

@@ -13,7 +13,7 @@ from blind.noise import draw_noise
 from cli.main import app
 from daq.store.run import open_run
 from gap.check.scoring.closed import silent
-from gap.data.sources import open_data
+from gap.data.from_runs import open_data
 from gap.estimation.cross_validation import HeldOut, held_out, left_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.intervals import undamped_step

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from cli.main import app
-from gap.data.sources import open_data
+from gap.data.from_runs import open_data
 from gap.estimation.cross_validation import held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.validation.chain import Chain

@@ -9,22 +9,9 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from conftest import slow_tests
+from conftest import PACKAGES, slow_tests
 
 HOUSE = Path(__file__).resolve().parent.parent
-PACKAGES = (
-    "valvefw",
-    "plant",
-    "vision",
-    "blind",
-    "daq",
-    "analysis",
-    "rigs",
-    "gap",
-    "studies",
-    "cli",
-    "pamrig",
-)
 MOST_FILES = 15
 # Where each of these may be imported, and nowhere else.
 ONLY_IN = {

@@ -1,4 +1,4 @@
-"""The MT-SICS balance under mishaps: each counted, none of them a wrong weight."""
+"""The MT-SICS balance under injected faults: each counted, none of them a wrong weight."""
 
 from __future__ import annotations
 
@@ -31,32 +31,32 @@ def scales() -> tuple[Scales, Balance]:
 
     desk = Scales(make)
     desk.device._tare_g = 0.0
-    balance = Balance(desk.host, desk.pump)
-    desk.pump.add(balance.poll)
+    balance = Balance(desk.host, desk.event_loop)
+    desk.event_loop.add(balance.poll)
     desk.watch(balance, "grams")
     balance.connect("BAL-1")
-    desk.pump.for_seconds(1.0)
+    desk.event_loop.for_seconds(1.0)
     return desk, balance
 
 
 def test_readings_are_right_and_nothing_is_counted() -> None:
     desk, balance = scales()
-    desk.pump.for_seconds(5.0)
+    desk.event_loop.for_seconds(5.0)
     assert len(desk.rows) == pytest.approx(59, abs=3)
     assert balance.faults.counts == {}
     assert desk.worst() < 0.001
 
 
 @pytest.mark.parametrize(
-    ("mishap", "kinds"),
+    ("fault", "kinds"),
     [("half", {"damaged"}), ("double", {"stale"}), ("stale", {"stale"}), ("late", {"stale"}),
      ("garbage", {"damaged"})],
 )  # fmt: skip
-def test_a_mishap_on_the_wire(mishap: str, kinds: set[str]) -> None:
+def test_an_injected_fault(fault: str, kinds: set[str]) -> None:
     desk, balance = scales()
     for _ in range(5):
-        desk.device.wire.arrange(mishap)
-        desk.pump.for_seconds(2.0)
+        desk.device.wire.arrange(fault)
+        desk.event_loop.for_seconds(2.0)
     assert balance.faults.total >= 5
     assert set(balance.faults.counts) <= kinds
     assert desk.worst() < 0.001
@@ -75,7 +75,7 @@ def test_a_line_that_is_not_as_the_standard_has_it_is_no_reading(line: str) -> N
     balance._release()
     assert balance.rows <= rows + 1  # one was held already
     assert balance.faults.total == 1
-    desk.pump.for_seconds(0.1)
+    desk.event_loop.for_seconds(0.1)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_keypad_and_flags(change: dict[str, object], kind: str) -> None:
     for key, value in change.items():
         setattr(desk.device, key, value)
     rows = balance.rows
-    desk.pump.for_seconds(2.0)
+    desk.event_loop.for_seconds(2.0)
     assert balance.rows <= rows + 1
     assert balance.faults.counts[kind] >= 18
     assert desk.worst() < 0.001
@@ -98,12 +98,12 @@ def test_unplugged_it_says_so_once_and_the_bench_goes_on() -> None:
     desk, balance = scales()
     desk.unplug()
     with pytest.raises(LinkLost):
-        desk.pump.for_seconds(1.0)
-    desk.pump.for_seconds(1.0)
+        desk.event_loop.for_seconds(1.0)
+    desk.event_loop.for_seconds(1.0)
     assert balance.faults.counts["unplugged"] == 1
     desk.replug()
-    again = Balance(desk.reopen(), desk.pump)
-    desk.pump.add(again.poll)
+    again = Balance(desk.reopen(), desk.event_loop)
+    desk.event_loop.add(again.poll)
     assert again.connect("BAL-1")["serial"] == "BAL-1"
-    desk.pump.for_seconds(1.0)
+    desk.event_loop.for_seconds(1.0)
     assert again.rows >= 8

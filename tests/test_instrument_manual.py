@@ -15,8 +15,8 @@ from daq.errors import DeviceError
 from daq.store.run import open_run
 from rigs.bench.doctor import examine
 from rigs.bench.rig import open_rig
-from rigs.devices.event_loop import Pump
-from rigs.devices.operator import ManualAxis, Request, ask_number
+from rigs.devices.event_loop import EventLoop
+from rigs.devices.operator import ManualAxis, Request, request_number
 from rigs.execution.runner import Runner
 from rigs.execution.session import run_protocol
 from rigs.protocols.isometric import load_isometric
@@ -29,7 +29,7 @@ from rigs.virtual.emulators.operator import VirtualOperator
 class Desk:
     def __init__(self, spread: float = 0.0) -> None:
         self.clock = VirtualClock()
-        self.pump = Pump(self.clock, 0.02)
+        self.event_loop = EventLoop(self.clock, 0.02)
         self.at = 0.0
         self.person = VirtualOperator(
             self.clock, {"mass": self.put}, {"gauge": lambda: 12.5},
@@ -42,7 +42,7 @@ class Desk:
 
 def test_it_asks_waits_checks_and_tells_what_was_read() -> None:
     desk = Desk(spread=0.01)
-    axis = ManualAxis("mass", "kg", desk.person, desk.pump, lambda: desk.at, "load_cell", 0.1)
+    axis = ManualAxis("mass", "kg", desk.person, desk.event_loop, lambda: desk.at, "load_cell", 0.1)
     heard = []
     axis.on_setting.append(heard.append)
     setting = axis.set(2.0)
@@ -50,18 +50,18 @@ def test_it_asks_waits_checks_and_tells_what_was_read() -> None:
     assert setting.checked_by == "load_cell"
     assert setting.waited_s == pytest.approx(5.0, abs=0.05)
     assert heard == [setting]
-    assert desk.person.asked[0].text == (
+    assert desk.person.requests[0].text == (
         "hang 2 kg on the muscle and let it come to rest, then press Enter"
     )
 
 
 def test_what_the_sensor_does_not_see_is_asked_again_and_then_refused() -> None:
     desk = Desk()
-    axis = ManualAxis("mass", "kg", desk.person, desk.pump, lambda: 1.5, "load_cell", 0.1)
+    axis = ManualAxis("mass", "kg", desk.person, desk.event_loop, lambda: 1.5, "load_cell", 0.1)
     with pytest.raises(DeviceError, match=r"asked for 2 kg, load_cell reads 1.5 after 3 tries"):
         axis.set(2.0)
-    assert len(desk.person.asked) == 3
-    assert "load_cell reads 1.5 kg" in desk.person.asked[1].text
+    assert len(desk.person.requests) == 3
+    assert "load_cell reads 1.5 kg" in desk.person.requests[1].text
 
 
 class Typist:
@@ -79,16 +79,16 @@ class Typist:
 
 @pytest.mark.parametrize("words", [("12.5",), ("twelve", "12.5 kPa"), ("12,5", "1_2", "12.5kPa")])
 def test_a_number_that_does_not_read_is_asked_again(words: tuple[str, ...]) -> None:
-    pump = Pump(VirtualClock(), 0.02)
+    event_loop = EventLoop(VirtualClock(), 0.02)
     request = Request("gauge", float("nan"), "kPa", "read the gauge")
-    assert ask_number(Typist(*words), pump, request) == 12.5
+    assert request_number(Typist(*words), event_loop, request) == 12.5
 
 
 def test_a_decimal_comma_three_times_is_refused() -> None:
-    pump = Pump(VirtualClock(), 0.02)
+    event_loop = EventLoop(VirtualClock(), 0.02)
     request = Request("gauge", float("nan"), "kPa", "read the gauge")
     with pytest.raises(DeviceError, match="'12,5' is no number in kPa"):
-        ask_number(Typist("12,5", "12,5", "12,5"), pump, request)
+        request_number(Typist("12,5", "12,5", "12,5"), event_loop, request)
 
 
 def manual_rig(folder: Path) -> str:
@@ -170,7 +170,7 @@ def test_a_regulator_turned_the_wrong_way_is_asked_for_again_and_then_ends_the_t
         person, bench = runner.rig.operator, runner.rig.bench
         assert isinstance(person, VirtualOperator)
         assert bench is not None
-        person._acts["pressure"] = lambda _: bench.plant.set_regulator(0.0)  # the wrong way
+        person._steps["pressure"] = lambda _: bench.plant.set_regulator(0.0)  # the wrong way
 
     result = run_isometric(config, plan, tmp_path / "runs", on_start=shut, derive=False)
     assert result.outcome == "faulted"
@@ -193,7 +193,7 @@ class Forgetful(VirtualOperator):
     """Says that it was done, but hangs nothing the first time."""
 
     def perform(self, request: Request) -> str:
-        if request.axis == "mass" and sum(r.axis == "mass" for r in self.asked) == 1:
+        if request.axis == "mass" and sum(r.axis == "mass" for r in self.requests) == 1:
             return ""
         return super().perform(request)
 
@@ -208,13 +208,13 @@ def test_a_weight_that_the_load_cell_does_not_see_is_asked_for_again() -> None:
         assert setting.tries == 2
         assert setting.taken == 1.154
         assert setting.read == pytest.approx(1.154, abs=0.15)
-        assert "load_cell reads" in rig.operator.asked[-1].text  # type: ignore[attr-defined]
+        assert "load_cell reads" in rig.operator.requests[-1].text  # type: ignore[attr-defined]
 
 
 def test_another_weight_than_asked_for_is_typed_and_confirmed() -> None:
-    pump = Pump(VirtualClock(), 0.02)
+    event_loop = EventLoop(VirtualClock(), 0.02)
     axis = ManualAxis(
-        "mass", "kg", Typist("1.5"), pump, lambda: 1.46, "load_cell", 0.1, marked=True
+        "mass", "kg", Typist("1.5"), event_loop, lambda: 1.46, "load_cell", 0.1, marked=True
     )
     setting = axis.set(1.154)
     assert (setting.asked, setting.taken, setting.read) == (1.154, 1.5, 1.46)
@@ -231,7 +231,7 @@ def test_a_load_is_given_a_catch_and_the_record_says_so_when_it_was_needed(tmp_p
                 assert runner.rig.bench is not None
                 runner.rig.bench.board.sensor_override = 4000
 
-        runner.rig.pump.add(look)
+        runner.rig.event_loop.add(look)
 
     result = run_protocol(
         kind, config, kind.read("isotonic-short", config), tmp_path, on_start=fail

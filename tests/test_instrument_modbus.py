@@ -1,4 +1,4 @@
-"""The Modbus transmitter: byte pairs, mishaps, and pymodbus's own server at the other end."""
+"""The Modbus transmitter: byte pairs, injected faults, and pymodbus's own server."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bench_process import BUSY
 from daq.clock import RealClock, VirtualClock
 from daq.link.transport import SerialLink, memory_pair
 from instrument_desk import Desk
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.modbus import ModbusInstrument
 from rigs.rigfile.modbus_form import KINDS, ORDERS, ModbusForm
 from rigs.virtual.emulators.modbus import VirtualModbus, crc16
@@ -43,7 +43,7 @@ FORM = ModbusForm(
 def desk_of(form: ModbusForm = FORM) -> tuple[Desk, ModbusInstrument]:
     desk = Desk(lambda read, send: VirtualModbus(form, read, send))
     driver = ModbusInstrument(
-        desk.host, desk.pump, "pressure_transmitter", form, reopen=desk.reopen
+        desk.host, desk.event_loop, "pressure_transmitter", form, reopen=desk.reopen
     )
     desk.watch(driver)
     return desk, driver
@@ -56,15 +56,15 @@ def test_the_question_and_the_answer_byte_by_byte() -> None:
     """Device 1, holding registers 0 and 1, 550.25 kPa as float32 ABCD = 44 09 90 00."""
     clock = VirtualClock()
     host, end = memory_pair(clock, "line")
-    pump = Pump(clock, 0.005)
+    event_loop = EventLoop(clock, 0.005)
     form = ModbusForm("pressure_kpa", "kPa", 1, 0, loopback=False)
-    driver = ModbusInstrument(host, pump, "pressure_transmitter", form)
-    pump.add(driver.poll)
-    pump.step()
+    driver = ModbusInstrument(host, event_loop, "pressure_transmitter", form)
+    event_loop.add(driver.poll)
+    event_loop.step()
     assert end.read()[0].data == bytes.fromhex("01 03 00 00 00 02 c4 0b")
     body = bytes.fromhex("01 03 04 44 09 90 00")
     end.write(body + crc16(body))
-    pump.for_seconds(0.15)
+    event_loop.for_seconds(0.15)
     assert driver.recent(1)[0].tolist() == [550.25]
 
 
@@ -109,13 +109,13 @@ def test_not_a_number_is_a_flag() -> None:
     assert form.parse(form.words(math.nan)).fault == "overload"
 
 
-# ---- mishaps --------------------------------------------------------------------------
+# ---- injected faults --------------------------------------------------------------------------
 
 
 def test_readings_come_and_are_right() -> None:
     desk, driver = desk_of()
     driver.connect("")
-    desk.pump.for_seconds(10.0)
+    desk.event_loop.for_seconds(10.0)
     assert len(desk.rows) == pytest.approx(50, abs=3)
     assert driver.faults.counts == {}
     # The registers were read when the answer was made: some ms before it was all here.
@@ -123,7 +123,7 @@ def test_readings_come_and_are_right() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mishap", "kinds"),
+    ("fault", "kinds"),
     [
         ("half", {"half"}),
         ("double", {"stale"}),
@@ -134,19 +134,17 @@ def test_readings_come_and_are_right() -> None:
         ("drop", {"no_answer"}),
     ],
 )
-def test_a_mishap_on_the_wire_is_counted_and_never_a_wrong_value(
-    mishap: str, kinds: set[str]
-) -> None:
+def test_an_injected_fault_is_counted_and_never_a_wrong_value(fault: str, kinds: set[str]) -> None:
     desk, driver = desk_of()
     driver.connect("")
     for _ in range(5):
-        desk.device.wire.arrange(mishap)
-        desk.pump.for_seconds(3.0)
+        desk.device.wire.arrange(fault)
+        desk.event_loop.for_seconds(3.0)
     assert driver.faults.total >= 5
     assert set(driver.faults.counts) <= kinds
     assert desk.worst() < 0.002
     before = driver.rows
-    desk.pump.for_seconds(2.0)
+    desk.event_loop.for_seconds(2.0)
     assert driver.rows >= before + 8
 
 
@@ -158,11 +156,11 @@ def test_a_mishap_on_the_wire_is_counted_and_never_a_wrong_value(
 def test_keypad_and_flags_are_faults(change: dict[str, object], fault: str) -> None:
     desk, driver = desk_of()
     driver.connect("")
-    desk.pump.for_seconds(1.0)
+    desk.event_loop.for_seconds(1.0)
     for key, value in change.items():
         setattr(desk.device, key, value)
     rows = driver.rows
-    desk.pump.for_seconds(2.0)
+    desk.event_loop.for_seconds(2.0)
     assert driver.rows <= rows + 1
     assert driver.faults.counts[fault] >= 8
     assert desk.worst() < 0.002
@@ -172,10 +170,10 @@ def test_unplugged_and_plugged_in_again() -> None:
     desk, driver = desk_of()
     driver.connect("")
     desk.unplug()
-    desk.pump.for_seconds(3.0)
+    desk.event_loop.for_seconds(3.0)
     rows = driver.rows
     desk.replug()
-    desk.pump.for_seconds(3.0)
+    desk.event_loop.for_seconds(3.0)
     assert driver.rows > rows + 5
     assert (driver.faults.counts["unplugged"], driver.faults.counts["replugged"]) == (1, 1)
     assert desk.worst() < 0.002
@@ -185,7 +183,7 @@ def test_a_refusal_is_told_by_its_number() -> None:
     desk, driver = desk_of(dataclasses.replace(FORM, function="input", unit_register=-1))
     driver.connect("")
     desk.device._form = FORM  # now it has holding registers only
-    desk.pump.for_seconds(1.0)
+    desk.event_loop.for_seconds(1.0)
     assert driver.faults.counts["refused"] >= 3
     assert "Modbus exception 1" in driver.faults.last
 
@@ -263,12 +261,12 @@ def server_port(tmp_path: Path) -> Iterator[str]:
 def test_it_talks_to_pymodbus_own_server(server_port: str) -> None:
     clock = RealClock()
     link = SerialLink(server_port, 19200, clock)
-    pump = Pump(clock, 0.005)
+    event_loop = EventLoop(clock, 0.005)
     form = dataclasses.replace(FORM, timeout_s=0.5, rate_hz=20.0)
-    driver = ModbusInstrument(link, pump, "pressure_transmitter", form, baud=19200)
+    driver = ModbusInstrument(link, event_loop, "pressure_transmitter", form, baud=19200)
     try:
         driver.connect("")
-        assert pump.until(lambda: driver.rows >= 5, 60.0)
+        assert event_loop.until(lambda: driver.rows >= 5, 60.0)
     finally:
         link.close()
     assert set(driver.recent(100)[0].tolist()) == {550.25}

@@ -52,7 +52,7 @@ def run(
         del record
         bench = runner.rig.bench
         if during is not None:
-            runner.rig.pump.add(lambda: during(bench, runner.rig.clock.now_ns()))
+            runner.rig.event_loop.add(lambda: during(bench, runner.rig.clock.now_ns()))
 
     values: dict[str, Any] = {"lengths_mm": (60.0,), "pressures_kpa": (200.0, 400.0), **changes}
     result = run_isometric(
@@ -172,10 +172,10 @@ def test_without_voltage_the_inlet_stays_shut_and_with_it_the_muscle_fills() -> 
                 rig.valve.request("clear")
             if not rig.valve.armed:
                 rig.valve.arm()
-                assert rig.pump.until(lambda: rig.valve.armed, 2.0)
+                assert rig.event_loop.until(lambda: rig.valve.armed, 2.0)
             rig.valve.request("scheme pwm")
             rig.valve.set_point(float(rig.config.calibrations["pressure_kpa"].raw(300.0)))
-            rig.pump.for_seconds(2.0)
+            rig.event_loop.for_seconds(2.0)
             assert rig.bench is not None
             reached[volts] = rig.bench.plant.pressure_kpa
         assert reached[3.0] < 1.0
@@ -255,10 +255,10 @@ def test_the_same_bytes_over_ports_in_real_time(tmp_path: Path) -> None:
         try:
             with open_rig(load_rig(str(server.rig_file))) as rig:
                 rig.valve.progress(10.0)
-                rig.pump.for_seconds(2.0)
+                rig.event_loop.for_seconds(2.0)
                 late = time.monotonic() + 30.0
                 while time.monotonic() < late and any(i.rows < 2 for i in rig.instruments.values()):
-                    rig.pump.for_seconds(0.5)
+                    rig.event_loop.for_seconds(0.5)
                 assert rig.supply is not None
                 assert rig.supply.measure()[0] == pytest.approx(12.0, abs=0.02)
                 for name, instrument in rig.instruments.items():

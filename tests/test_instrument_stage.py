@@ -1,4 +1,4 @@
-"""The GRBL stage: mishaps are asked about again, and it never believes to be where it is not."""
+"""The GRBL stage: after an injected fault it asks again, and it never believes a wrong place."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from daq.errors import DeviceError, LinkLost
 from instrument_desk import Desk
 from rigs.devices.stage import Stage
-from rigs.virtual.emulators.injected_fault import MISHAPS
+from rigs.virtual.emulators.injected_fault import INJECTED_FAULTS
 from rigs.virtual.emulators.stage import VirtualStage
 
 
@@ -28,8 +28,8 @@ def stage_of() -> tuple[Desk, Stage, dict[str, float]]:
     desk._end = None
     desk.plugged = False
     Desk.__init__(desk, make)
-    stage = Stage(desk.host, desk.pump, 10.0)
-    desk.pump.add(stage.poll)
+    stage = Stage(desk.host, desk.event_loop, 10.0)
+    desk.event_loop.add(stage.poll)
     return desk, stage, at
 
 
@@ -41,14 +41,14 @@ def test_it_goes_where_it_is_sent() -> None:
     assert stage.faults.counts == {}
 
 
-@pytest.mark.parametrize("mishap", MISHAPS)
+@pytest.mark.parametrize("fault", INJECTED_FAULTS)
 @pytest.mark.parametrize("after", [1, 2, 4])
-def test_a_mishap_while_it_moves_does_not_leave_it_elsewhere(mishap: str, after: int) -> None:
+def test_a_fault_while_it_moves_does_not_leave_it_elsewhere(fault: str, after: int) -> None:
     desk, stage, at = stage_of()
     stage.connect("")
     for k in range(4):
         # The first answers of a move are a report and the "ok" that takes the command.
-        desk.device.wire.arrange(*[""] * (after + 1), mishap)
+        desk.device.wire.arrange(*[""] * (after + 1), fault)
         target = 60.0 + (k % 2) * 5.0 + 1.0
         assert stage.move(target) == pytest.approx(target, abs=0.01)
         assert at["mm"] == pytest.approx(target)
@@ -72,7 +72,7 @@ def test_a_restart_in_mid_run_is_an_error_because_the_position_is_lost() -> None
     desk, stage, _ = stage_of()
     stage.connect("")
     desk.device.restart()
-    desk.pump.for_seconds(0.1)
+    desk.event_loop.for_seconds(0.1)
     with pytest.raises(DeviceError, match=r"it restarted \(Grbl 1.1h"):
         stage.move(65.0)
     assert stage.faults.counts["restarted"] == 1
@@ -85,10 +85,10 @@ def test_an_alarm_in_mid_move_ends_it_by_name() -> None:
     def hit() -> None:
         if desk.clock.now_ns() > 1.5e9 and not stage._stopped:
             desk.device._halt()
-            desk.device._say("ALARM:1")
+            desk.device._send_line("ALARM:1")
 
-    desk.pump.add(hit)
-    desk.pump.for_seconds(1.0 - desk.clock.now_ns() * 1e-9)
+    desk.event_loop.add(hit)
+    desk.event_loop.for_seconds(1.0 - desk.clock.now_ns() * 1e-9)
     with pytest.raises(DeviceError, match="ALARM:1"):
         stage.move(50.0)
 
@@ -128,8 +128,8 @@ def test_plugged_in_again_it_is_found_where_it_stands() -> None:
     with pytest.raises(LinkLost):
         stage.move(61.0)
     desk.replug()
-    again = Stage(desk.reopen(), desk.pump, 10.0)
-    desk.pump.add(again.poll)
+    again = Stage(desk.reopen(), desk.event_loop, 10.0)
+    desk.event_loop.add(again.poll)
     assert again.connect("ST-1")["serial"] == "ST-1"
     assert again.status() == ("Idle", 62.0)
     assert again.move(61.0) == 61.0

@@ -13,7 +13,7 @@ from daq.link.transport import memory_pair
 from instrument_desk import Desk
 from plant.constants import nominal
 from plant.simulator.bench import BenchSim
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.supply import Supply
 from rigs.virtual.board.solenoids import Solenoids
 from rigs.virtual.emulators.supply import VirtualSupply
@@ -21,17 +21,17 @@ from rigs.virtual.emulators.supply import VirtualSupply
 
 def desk_of(reopen: bool = True, serial: str = "PS-1") -> tuple[Desk, Supply]:
     desk = Desk(lambda read, send: VirtualSupply(send, serial))
-    supply = Supply(desk.host, desk.pump, 12.0, 24.0, reopen=desk.reopen if reopen else None)
-    desk.pump.add(supply.poll)
+    supply = Supply(desk.host, desk.event_loop, 12.0, 24.0, reopen=desk.reopen if reopen else None)
+    desk.event_loop.add(supply.poll)
     return desk, supply
 
 
 def test_the_commands_byte_by_byte() -> None:
     clock = VirtualClock()
     host, end = memory_pair(clock, "line")
-    pump = Pump(clock, 0.005)
-    supply = Supply(host, pump, 12.0, 24.0)
-    pump.add(supply.poll)
+    event_loop = EventLoop(clock, 0.005)
+    supply = Supply(host, event_loop, 12.0, 24.0)
+    event_loop.add(supply.poll)
     answers = {
         b"SYST:ERR?\n": b'0,"No error"\r\n',
         b"VOLT?\n": b"+3.500000E+00\n",
@@ -75,17 +75,17 @@ def test_it_sets_confirms_and_measures() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mishap", "kind"),
+    ("fault", "kind"),
     [("half", "half"), ("double", "stale"), ("late", "late"), ("stale", "stale"),
      ("garbage", "no_answer"), ("drop", "no_answer")],
 )  # fmt: skip
-def test_a_mishap_costs_a_question_more_and_never_a_wrong_value(mishap: str, kind: str) -> None:
+def test_a_fault_costs_a_request_more_and_never_a_wrong_value(fault: str, kind: str) -> None:
     desk, supply = desk_of()
     supply.connect("")
     supply.output(True)
     for volts in (2.0, 3.0, 4.0, 5.0):
         supply.set_voltage(volts)
-        desk.device.wire.arrange(mishap)
+        desk.device.wire.arrange(fault)
         assert supply.measure()[0] == volts
     assert supply.faults.counts[kind] >= 4
 
@@ -94,7 +94,7 @@ def test_a_setting_that_did_not_take_is_noticed_by_reading_it_back() -> None:
     desk, supply = desk_of()
     supply.connect("")
     desk.device._set = lambda word, argument: None
-    with pytest.raises(DeviceError, match=r"was told 5.000 V, is set to"):
+    with pytest.raises(DeviceError, match=r"was commanded 5.000 V, is set to"):
         supply.set_voltage(5.0)
     with pytest.raises(DeviceError, match="is 0"):
         supply.output(True)
@@ -124,7 +124,7 @@ def test_unplugged_and_plugged_in_again_in_mid_test() -> None:
     supply.connect("PS-1")
     supply.output(True)
     desk.unplug()
-    desk.pump.for_seconds(0.5)
+    desk.event_loop.for_seconds(0.5)
     desk.replug()
     supply.set_voltage(4.0)
     assert supply.measure()[0] == 4.0
@@ -143,7 +143,7 @@ def test_another_supply_in_its_place_is_refused() -> None:
     desk, supply = desk_of()
     supply.connect("")
     desk.unplug()
-    desk.pump.for_seconds(0.1)
+    desk.event_loop.for_seconds(0.1)
     desk.device._serial = "PS-2"
     desk.replug()
     with pytest.raises(DeviceError, match="expected PS-1, got PS-2"):

@@ -1,4 +1,4 @@
-"""Line-based instruments: bytes in, readings out, and every mishap counted, never measured."""
+"""Line-based instruments: bytes in, readings out, every injected fault counted, never measured."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TOLERANCE = {"thermometer": 0.006, "air-velocity": 0.006, "hygrometer": 0.051}
 def desk_of(name: str, serial: str = "T-1") -> tuple[Desk, TextInstrument, TextForm]:
     form = load_form(name)
     desk = Desk(lambda read, send: VirtualText(form, read, send, serial))
-    driver = TextInstrument(desk.host, desk.pump, name, form, reopen=desk.reopen)
+    driver = TextInstrument(desk.host, desk.event_loop, name, form, reopen=desk.reopen)
     desk.watch(driver)
     return desk, driver, form
 
@@ -106,14 +106,14 @@ def test_a_line_with_one_character_lost_changed_or_doubled_is_never_another_valu
 def test_readings_come_at_their_rate_and_are_right(name: str) -> None:
     desk, driver, form = desk_of(name)
     driver.connect("")
-    desk.pump.for_seconds(10.0)
+    desk.event_loop.for_seconds(10.0)
     assert len(desk.rows) == pytest.approx(10 * form.rate_hz, abs=3)
     assert driver.faults.counts == {}
     no_wrong_value(desk, name)
 
 
-MISHAPS = {
-    # mishap on the wire: the kinds of fault that tell it, in a stream and when asked
+INJECTED_FAULTS = {
+    # injected fault: the kinds of fault that tell it, in a stream and when asked
     "half": ({"half", "damaged", "checksum"}, {"half"}),
     "double": ({"stale"}, {"stale", "damaged"}),
     "checksum": ({"checksum", "damaged"}, {"checksum", "damaged"}),
@@ -123,26 +123,26 @@ MISHAPS = {
 }
 
 
-@pytest.mark.parametrize("mishap", MISHAPS)
+@pytest.mark.parametrize("fault", INJECTED_FAULTS)
 @pytest.mark.parametrize("name", FORMS)
-def test_a_mishap_on_the_wire_is_counted_and_never_a_wrong_value(name: str, mishap: str) -> None:
+def test_an_injected_fault_is_counted_and_never_a_wrong_value(name: str, fault: str) -> None:
     desk, driver, form = desk_of(name)
-    if mishap == "checksum" and form.checksum == "none":
+    if fault == "checksum" and form.checksum == "none":
         pytest.skip("no checksum, no detection: see docs/reference/instruments.md")
     told: list[str] = []
     driver.faults.on_fault.append(lambda kind, words: told.append(kind))
     driver.connect("")
     for _ in range(5):
-        desk.device.wire.arrange(mishap)
-        desk.pump.for_seconds(max(3.0, 3 / form.rate_hz))
+        desk.device.wire.arrange(fault)
+        desk.event_loop.for_seconds(max(3.0, 3 / form.rate_hz))
     polled = bool(form.query)
     assert driver.faults.total >= 5
-    assert set(driver.faults.counts) <= MISHAPS[mishap][polled]
+    assert set(driver.faults.counts) <= INJECTED_FAULTS[fault][polled]
     assert told == [k for k in told if k in driver.faults.counts]
     assert len(told) == driver.faults.total
     no_wrong_value(desk, name)
     before = driver.rows
-    desk.pump.for_seconds(5.0)
+    desk.event_loop.for_seconds(5.0)
     assert driver.rows > before  # and it goes on
 
 
@@ -164,11 +164,11 @@ def test_what_somebody_does_at_the_keypad_is_a_fault_not_a_reading(
 ) -> None:
     desk, driver, form = desk_of(name)
     driver.connect("")
-    desk.pump.for_seconds(1.0)
+    desk.event_loop.for_seconds(1.0)
     for key, value in change.items():
         setattr(desk.device, key, value if key != "unit" else OTHER_UNIT.get(name, "lb"))
     rows, seconds = driver.rows, max(3.0, 3.0 / form.rate_hz)
-    desk.pump.for_seconds(seconds)
+    desk.event_loop.for_seconds(seconds)
     assert driver.rows <= rows + 1
     assert driver.faults.counts[fault] >= 0.6 * seconds * form.rate_hz
     assert driver.faults.last
@@ -179,15 +179,15 @@ def test_a_bus_held_up_for_a_while_does_not_bring_old_readings_under_new_times()
     """A stream that stops and then comes in a burst: the burst is counted and dropped."""
     desk, driver, _ = desk_of("air-velocity")
     driver.connect("")
-    desk.pump.for_seconds(1.0)
+    desk.event_loop.for_seconds(1.0)
     held: list[bytes] = []
     wire = desk.device.wire
     straight, wire._send = wire._send, held.append
-    desk.pump.for_seconds(0.6)
+    desk.event_loop.for_seconds(0.6)
     wire._send = straight
     for line in held:
         straight(line)
-    desk.pump.for_seconds(2.0)
+    desk.event_loop.for_seconds(2.0)
     assert driver.faults.counts["late"] == len(held)
     no_wrong_value(desk, "air-velocity")
 
@@ -196,14 +196,14 @@ def test_a_bus_held_up_for_a_while_does_not_bring_old_readings_under_new_times()
 def test_unplugged_and_plugged_in_again_it_goes_on_and_says_both(name: str) -> None:
     desk, driver, _ = desk_of(name)
     driver.connect("")
-    desk.pump.for_seconds(2.0)
+    desk.event_loop.for_seconds(2.0)
     desk.unplug()
-    desk.pump.for_seconds(3.0)
+    desk.event_loop.for_seconds(3.0)
     rows = driver.rows
-    desk.pump.for_seconds(2.0)
+    desk.event_loop.for_seconds(2.0)
     assert driver.rows == rows
     desk.replug()
-    desk.pump.for_seconds(6.0)
+    desk.event_loop.for_seconds(6.0)
     assert driver.rows > rows
     assert (driver.faults.counts["unplugged"], driver.faults.counts["replugged"]) == (1, 1)
     no_wrong_value(desk, name)
@@ -213,22 +213,22 @@ def test_another_instrument_on_the_same_port_is_not_read() -> None:
     desk, driver, _ = desk_of("load-cell-polled", serial="LC-7")
     driver.connect("LC-7")
     desk.unplug()
-    desk.pump.for_seconds(1.0)
+    desk.event_loop.for_seconds(1.0)
     desk.device._serial = "LC-8"
     desk.replug()
     rows = driver.rows
-    desk.pump.for_seconds(6.0)
+    desk.event_loop.for_seconds(6.0)
     assert driver.rows == rows
     assert driver.faults.counts["stranger"] >= 1
 
 
 def test_an_instrument_that_a_test_needs_is_lost_for_good() -> None:
     desk, _, form = desk_of("load-cell-stream")
-    driver = TextInstrument(desk.host, desk.pump, "load_cell", form)
+    driver = TextInstrument(desk.host, desk.event_loop, "load_cell", form)
     driver.connect("")
     desk.unplug()
     with pytest.raises(LinkLost, match="load_cell on desk"):
-        desk.pump.for_seconds(1.0)
+        desk.event_loop.for_seconds(1.0)
     assert driver.faults.counts["unplugged"] == 1
 
 
@@ -249,7 +249,7 @@ def test_a_stream_that_falls_silent_is_said_once() -> None:
     desk, driver, _ = desk_of("load-cell-stream")
     driver.connect("")
     desk.device.mute = True
-    desk.pump.for_seconds(10.0)
+    desk.event_loop.for_seconds(10.0)
     assert driver.faults.counts == {"silent": 1}
 
 
@@ -257,7 +257,7 @@ def test_tare_waits_for_readings_at_rest() -> None:
     desk, driver, _ = desk_of("load-cell-polled")
     driver.connect("")
     assert abs(driver.tare()) < 0.06
-    desk.pump.for_seconds(1.0)
+    desk.event_loop.for_seconds(1.0)
     assert driver.mean(1) < 0.5
 
 

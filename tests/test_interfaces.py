@@ -14,7 +14,7 @@ from daq.link.transport import memory_pair
 from gap.data.reader import read_dataset
 from gap.model.simulator import BuiltIn, Simulator
 from gap_sets import settled_set
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.commanded import CommandedInstrument, Setting
 from rigs.devices.interfaces import Actuator
 from rigs.devices.pressure.solenoids import SolenoidPressure
@@ -67,7 +67,7 @@ def test_a_set_point_above_the_limit_is_refused_before_anything_is_sent() -> Non
     config = load_rig("virtual")
     clock = VirtualClock()
     host, end = memory_pair(clock, "valve")
-    source = SolenoidPressure(ValveController(host, clock, Pump(clock, 0.005)), config)
+    source = SolenoidPressure(ValveController(host, clock, EventLoop(clock, 0.005)), config)
     with pytest.raises(DeviceError, match=r"above limits\.pressure_kpa"):
         source.set_pressure(config.limits.pressure_kpa + 1.0)
     assert end.read() == []
@@ -84,9 +84,9 @@ def described(tmp_path: Path, stuck: bool = False) -> tuple[CommandedInstrument,
     path.write_text(REGULATOR)
     clock = VirtualClock()
     host, end = memory_pair(clock, "line")
-    pump = Pump(clock, 0.005)
-    device = CommandedInstrument(host, pump, "regulator", load_command_form(str(path)))
-    pump.add(device.poll)
+    event_loop = EventLoop(clock, 0.005)
+    device = CommandedInstrument(host, event_loop, "regulator", load_command_form(str(path)))
+    event_loop.add(device.poll)
     said: list[bytes] = []
     held = [0.0]
 
@@ -114,7 +114,7 @@ def test_a_setting_by_description_is_sent_and_read_back(tmp_path: Path) -> None:
 
 def test_a_setting_by_description_that_did_not_take_is_an_error(tmp_path: Path) -> None:
     device, _ = described(tmp_path, stuck=True)
-    with pytest.raises(DeviceError, match=r"was told 2\.50 bar, is set to 0\.00 bar"):
+    with pytest.raises(DeviceError, match=r"was commanded 2\.50 bar, is set to 0\.00 bar"):
         device.set("pressure_bar", 2.5)
     assert device.faults.counts == {"unset": 1}
 

@@ -11,13 +11,15 @@ import pandas as pd
 import pytest
 
 import cli.investigate.investigate as loop
+from cli.investigate.config import INVESTIGATION
 from cli.investigate.investigate import investigate
-from cli.investigate.survey import FIRST_DIAGNOSIS_AFTER, REPEATS, Test, battery, protocol_text
+from cli.investigate.survey import Test, battery, protocol_text
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
 from daq.interrupt import StopFlag
 from daq.store.run import open_run
 from gap.data.run_trials import run_trials
+from gap.reason import Cause, Reason
 from gap.verdict import Experiment, Verdict
 from plant.effects.catalogue import CATALOGUE
 from rigs.bench.rig import open_rig
@@ -49,7 +51,7 @@ def test_every_test_of_a_survey_is_one_that_the_rig_can_run(
         path.write_text(protocol_text(test, config))
         plan = procedure(test.protocol).read(str(path), config)
         points, seconds = outline(plan.steps(), config.stage.speed_mm_s or 10.0)
-        assert points >= 2 * REPEATS, test.what
+        assert points >= 2 * INVESTIGATION.repeats, test.what
         assert 0.0 < seconds < 1500.0, test.what
 
 
@@ -96,7 +98,9 @@ def test_what_is_advised_is_run_next_and_otherwise_the_next_of_the_list(
     settings = {"measure": {"seconds": 60.0}} if why.startswith("a minute") else {}
     experiment = Experiment(protocol, settings, 1.0, 4.0, 2, ("a", "b"), why)
     running = loop._Running(load_rig("virtual"), tmp_path, None)
-    running.verdict = Verdict("unknown", "", None, (), 0.0, 1.0, None, (), (), {}, experiment, {})
+    running.verdict = Verdict(
+        "unknown", Reason(Cause.NO_GAP), None, (), 0.0, 1.0, None, (), (), {}, experiment, {}
+    )
     for tests in (left, again) if protocol != "reference" else (left,):
         count = len(tests)
         chosen = running.next(left, again)
@@ -125,7 +129,7 @@ def test_an_effect_of_the_plant_is_named_after_the_first_two_tests(
     told: list[str] = []
     found = investigate(config, tmp_path / "runs", report=told.append, derive=False)
     assert found.conclusion == "named"
-    assert len(found.rounds) == FIRST_DIAGNOSIS_AFTER
+    assert len(found.rounds) == INVESTIGATION.first_diagnosis_after
     assert found.rounds[0].status == ""
     assert found.rounds[-1].effects[0] == "liner_threshold"
     value = found.verdict.effects[0].parameters["threshold_kpa"].value
@@ -222,7 +226,7 @@ def test_a_bench_goes_on_from_one_test_to_the_next(tmp_path: Path) -> None:
     for _ in range(2):
         with open_rig(config, bench=bench) as rig:
             assert rig.bench is bench
-            rig.pump.for_seconds(0.2)
+            rig.event_loop.for_seconds(0.2)
             assert rig.valve.seq_end > 0
             assert rig.balance.rows > 0
             times.append(bench.time_s)

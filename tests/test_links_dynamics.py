@@ -9,9 +9,9 @@ import pinocchio
 import pytest
 
 from links_oracles import mujoco_torque, pinocchio_arm, pinocchio_torque, spatial_arm
+from plant.arrays import Array
 from plant.links import Arm, LinkError, load_arm
 from plant.links import dynamics as dyn
-from plant.links.inertia import Array
 from plant.links.newton_euler import newton_euler
 from plant.links.onestate import OneState
 

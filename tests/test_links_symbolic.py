@@ -15,9 +15,10 @@ import sympy
 from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
 
 from links_oracles import mujoco_torque, pinocchio_torque, spatial_arm
+from plant.arrays import Array
 from plant.links import Arm, LinkError, load_arm
 from plant.links import dynamics as dyn
-from plant.links.inertia import Array, pseudo_inertia
+from plant.links.inertia import pseudo_inertia
 from plant.links.kinematics import link_matrix
 from plant.links.symbolic.generated import generated, generated_source
 from plant.links.symbolic.lagrange import Equations, derive

@@ -234,8 +234,8 @@ def test_bad_effects_are_refused_with_key_and_remedy(config: dict[str, object], 
 
 def test_effects_go_round_through_their_config() -> None:
     some = effects(braid_friction={"friction_n": 2.0})
-    assert Effects.from_config(some.as_config()) == some
-    assert some.as_config()["braid_friction"]["travel_kpa"] == 40.0
+    assert Effects.from_config(some.values) == some
+    assert some.values["braid_friction"]["travel_kpa"] == 40.0
     assert not Effects.from_config(None)
     assert "braid_friction" in some
 

@@ -59,16 +59,16 @@ def events(run: Run, kind: str) -> list[dict[str, Any]]:
 
 def test_a_paused_test_holds_its_pressure_and_goes_on(tmp_path: Path) -> None:
     def pause(control: RunControl, runner: Runner) -> None:
-        control.ask("pause")
+        control.request("pause")
         clock = runner.rig.clock
         until_ns = clock.now_ns() + 20 * NS_PER_S
 
         def wake() -> None:
             if clock.now_ns() >= until_ns:
-                control.ask("resume")
-                runner.rig.pump.remove(wake)
+                control.request("resume")
+                runner.rig.event_loop.remove(wake)
 
-        runner.rig.pump.add(wake)
+        runner.rig.event_loop.add(wake)
 
     run = steered(tmp_path, small(), {3: pause})
     (held,) = events(run, "paused")
@@ -86,7 +86,7 @@ def test_a_paused_test_holds_its_pressure_and_goes_on(tmp_path: Path) -> None:
 
 
 def test_a_skipped_point_leaves_an_event_and_no_row(tmp_path: Path) -> None:
-    run = steered(tmp_path, small(), {2: lambda control, _: control.ask("s")})
+    run = steered(tmp_path, small(), {2: lambda control, _: control.request("s")})
     (skipped,) = events(run, "skipped")
     assert skipped["set_pressure_kpa"] == 400.0
     table = reduce_isometric(run).table
@@ -96,7 +96,7 @@ def test_a_skipped_point_leaves_an_event_and_no_row(tmp_path: Path) -> None:
 
 
 def test_a_repeated_point_is_made_again_and_the_last_take_counts(tmp_path: Path) -> None:
-    run = steered(tmp_path, small(), {2: lambda control, _: control.ask("repeat")})
+    run = steered(tmp_path, small(), {2: lambda control, _: control.request("repeat")})
     points = events(run, "point")
     assert [(p["order"], p.get("take", 1)) for p in points] == [
         (1, 1), (2, 1), (2, 2), (3, 1), (4, 1), (5, 1), (6, 1)
@@ -109,14 +109,14 @@ def test_a_repeated_point_is_made_again_and_the_last_take_counts(tmp_path: Path)
 
 
 def test_a_marker_goes_into_the_record_with_what_was_going_on(tmp_path: Path) -> None:
-    run = steered(tmp_path, small(), {4: lambda control, _: control.ask("m knocked the table")})
+    run = steered(tmp_path, small(), {4: lambda control, _: control.request("m knocked the table")})
     (mark,) = events(run, "marker")
     assert mark["text"] == "knocked the table"
     assert mark["state"].startswith("trial 1")
 
 
 def test_stop_by_the_control_ends_in_good_order(tmp_path: Path) -> None:
-    run = steered(tmp_path, small(), {3: lambda control, _: control.ask("stop")})
+    run = steered(tmp_path, small(), {3: lambda control, _: control.request("stop")})
     assert run.outcome == "stopped"
     assert events(run, "vented")[-1]["confirmed"]
     assert len(reduce_isometric(run).table) == 3

@@ -19,7 +19,7 @@ from analysis.reduction.pictures import measure_stored
 from bench_process import LIMIT_S, STARVED_MS, run_in_real_time
 from daq.interrupt import StopFlag
 from daq.store.run import open_run
-from daq.store.store import verify
+from daq.store.verify import verify
 from plant.physics.layout import PRESSURE
 from protocol_runs import events, run_short
 from rigs.execution.control import RunControl
@@ -42,7 +42,7 @@ class Fall:
         self._clock = runner.rig.clock
         self._last = (self._clock.now_ns(), self._plant.length_mm)
         self.fastest_mm_s = 0.0
-        runner.rig.pump.add(self._look)
+        runner.rig.event_loop.add(self._look)
 
     def _look(self) -> None:
         now = (self._clock.now_ns(), self._plant.length_mm)
@@ -109,7 +109,7 @@ def leaky(kpa_s: float) -> Any:
             last[0] = clock.now_ns()
             state[PRESSURE] = max(0.0, state[PRESSURE] - kpa_s * 1e3 * step_s)
 
-        runner.rig.pump.add(lose)
+        runner.rig.event_loop.add(lose)
 
     return begin
 
@@ -154,15 +154,15 @@ class Meddler:
         def meddle() -> None:
             now_s = (clock.now_ns() - start_ns) * 1e-9
             while self._plan and now_s >= self._plan[0][0]:
-                self.control.ask(self._plan.pop(0)[1])
+                self.control.request(self._plan.pop(0)[1])
                 resume.append(now_s + 2.0)
             if resume and now_s >= resume[0]:
                 resume.clear()
-                self.control.ask("resume")
+                self.control.request("resume")
             if not self.ended and now_s >= self._end[0]:
                 self.ended = self._end[1]
                 if self.ended == "stop":
-                    self.control.ask("stop")
+                    self.control.request("stop")
                 elif self.ended == "signal":
                     self.stop.set("SIGTERM")
                 elif self.ended == "crash":
@@ -170,7 +170,7 @@ class Meddler:
                 else:
                     runner.rig.bench.board.sensor_override = 4000  # type: ignore[union-attr]
 
-        runner.rig.pump.add(meddle)
+        runner.rig.event_loop.add(meddle)
 
 
 @pytest.mark.parametrize("seed", range(75 if FULL else 5))

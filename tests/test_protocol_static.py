@@ -15,7 +15,7 @@ import pytest
 from analysis.findings.hysteresis import cycles_of
 from analysis.findings.isothermal import temperature_growth, temperature_lines
 from analysis.reduction.setpoint import at_set_pressure
-from daq.store.store import verify
+from daq.store.verify import verify
 from plant.constants import nominal
 from plant.effects.effects import Effects
 from plant.simulator.bench import BenchSim
@@ -210,7 +210,7 @@ def test_isothermal_trials_wait_for_the_thermometer(tmp_path: Path) -> None:
             last[0] = clock.now_ns()
             extras.temperature_c += (target[0] - extras.temperature_c) * min(step, 1.0)
 
-        runner.rig.pump.add(lag)
+        runner.rig.event_loop.add(lag)
 
     config = load_rig("virtual-instruments", 3)
     plan = plan_of("isothermal", config)

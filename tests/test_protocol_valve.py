@@ -118,7 +118,7 @@ def test_a_repeated_point_counts_once_by_its_last_take(tmp_path: Path) -> None:
             n = inner(what, **fields)
             if what == "point" and not Once.asked:
                 Once.asked = True
-                control.ask("repeat")
+                control.request("repeat")
             return int(n)
 
         assert point is not None

@@ -296,11 +296,11 @@ def broken_off(folder: Path, how: str, rounds: int, before: Run | None = None) -
                 record.abandon()
                 raise Killed
             elif how == "pause" and left[0] == 0:
-                runner.steering._control.ask("pause")
+                runner.steering._control.request("pause")
             elif how == "pause" and left[0] == -20:
-                runner.steering._control.ask("resume")
+                runner.steering._control.request("resume")
 
-        runner.rig.pump.add(look)
+        runner.rig.event_loop.add(look)
 
     try:
         if before is None:
@@ -521,7 +521,7 @@ def test_a_plan_stopped_in_mid_test_goes_on_there(tmp_path: Path) -> None:
             if left[0] == 0:
                 stop.set("test")
 
-        runner.rig.pump.add(look)
+        runner.rig.event_loop.add(look)
 
     (first,) = run_tests(plan, stop, on_start=start)
     assert first.outcome == "stopped"

@@ -19,7 +19,7 @@ from daq.clock import VirtualClock
 from daq.errors import LinkLost
 from daq.link.transport import MemoryLink
 from plant.constants import PlantConstants
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import load_rig
 from rigs.virtual.bench import VirtualBench
@@ -299,7 +299,7 @@ def test_an_hour_of_standing_pressure_raises_no_alarm(name: str) -> None:
 
 
 class Hosted:
-    """Driver, pump and clock of the host on a whole virtual bench."""
+    """Driver, event loop and clock of the host on a whole virtual bench."""
 
     def __init__(self, name: str) -> None:
         rig = load_rig(RIG[name])
@@ -310,9 +310,9 @@ class Hosted:
         link = self.bench.links["valve"]
         assert isinstance(link, MemoryLink)
         self.link = link
-        self.pump = Pump(self.clock, 0.02)
-        self.valve = ValveController(self.link, self.clock, self.pump)
-        self.pump.add(self.valve.poll)
+        self.event_loop = EventLoop(self.clock, 0.02)
+        self.valve = ValveController(self.link, self.clock, self.event_loop)
+        self.event_loop.add(self.valve.poll)
         self.valve.connect(rig.valve.serial, rig.valve.firmware)
         constants = self.bench.plant.constants
         supply = constants.supply_pa * 1e-3
@@ -321,7 +321,7 @@ class Hosted:
         self.valve.arm()
         self.valve.request("scheme burst")
         self.valve.set_point(0.8 * supply * 4.095)
-        self.pump.for_seconds(2.0)
+        self.event_loop.for_seconds(2.0)
         assert self.bench.board.pressure_kpa == pytest.approx(0.8 * supply, rel=0.05)
 
     def prove(self, name: str, event_us: int) -> None:
@@ -345,7 +345,7 @@ def test_cable_pulled(name: str) -> None:
     event_us = host.bench.board.bench_us
     host.link.unplug()
     with pytest.raises(LinkLost):
-        host.pump.for_seconds(0.5)
+        host.event_loop.for_seconds(0.5)
     host.prove(name, event_us)
 
 
@@ -354,6 +354,6 @@ def test_a_protocol_that_makes_no_progress_stops_the_heartbeat(name: str) -> Non
     host = Hosted(name)
     host.valve.progress(0.2)
     event_us = host.bench.board.bench_us + 200_000
-    host.pump.for_seconds(3.0)
+    host.event_loop.for_seconds(3.0)
     host.prove(name, event_us)
     assert any("host_silent" in text for text in host.valve.faults)

@@ -28,15 +28,15 @@ import sys
 from rigs.rigfile.config import load_rig
 from rigs.bench.rig import open_valve
 config = load_rig(sys.argv[1])
-with open_valve(config) as (valve, pump, _, _bench):
+with open_valve(config) as (valve, event_loop, _, _bench):
     valve.configure(config.valve.parameters)
     valve.progress(60.0)
     valve.arm()
     valve.request("scheme %s")
     valve.set_point(%d)
-    pump.until(lambda: valve.recent_counts(50).mean() > 1800 or valve.faults, 30.0)
+    event_loop.until(lambda: valve.recent_counts(50).mean() > 1800 or valve.faults, 30.0)
     print(*valve.faults or ["ready"], flush=True)
-    pump.for_seconds(60.0)
+    event_loop.for_seconds(60.0)
 """
 
 

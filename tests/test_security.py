@@ -39,6 +39,7 @@ from analysis.reporting.derived import derive_all
 from analysis.run_table import reduce_run
 from cli.main import main
 from cli.model.links import links
+from conftest import PACKAGES
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, PamrigError, RecordError
 from daq.record.sealed import seal_file, seal_line
@@ -54,9 +55,8 @@ from daq.store.verify import verify
 from gap.data.reader import read_dataset
 from gap.errors import GapError
 from plant.constants import load_constants
-from plant.errors import PlantError
+from plant.errors import LinkError, PlantError
 from plant.finger.reader import load_finger
-from plant.links.errors import LinkError
 from plant.links.reader import load_arm
 from plant.links.symbolic.generated import GeneratedDynamics, generated
 from plant.models.catalogue import load as load_model
@@ -65,7 +65,7 @@ from rigs.rigfile.camera_calibration import load_camera_calibration
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.virtual.server import open_server
-from rigs.virtual.withheld.bench import ENVELOPE, ask
+from rigs.virtual.withheld.bench import ENVELOPE, request_answer
 from vision.marker.preview import draw
 
 HOUSE = Path(__file__).parent.parent
@@ -650,7 +650,7 @@ def test_the_note_of_a_withheld_bench_unpacks_to_no_more_than_a_note(tmp_path: P
     (tmp_path / ENVELOPE).write_bytes(base64.b85encode(packed))
     (tmp_path / "withheld.json").write_text(json.dumps({"seal": "0" * 64, "port": 1}))
     with pytest.raises(PamrigError):
-        ask(tmp_path)
+        request_answer(tmp_path)
 
 
 # ---- what is shown, who listens, what is run ---------------------------------------------
@@ -713,19 +713,6 @@ def test_everything_listens_on_loopback_and_bears_what_comes(tmp_path: Path) -> 
     assert {address for address, _ in mine} == {"127.0.0.1"}
 
 
-PACKAGES = (
-    "valvefw",
-    "plant",
-    "vision",
-    "blind",
-    "daq",
-    "analysis",
-    "rigs",
-    "gap",
-    "studies",
-    "cli",
-    "pamrig",
-)
 RUNS_CODE = {"eval", "exec", "compile", "__import__"}
 RUNS_TEXT = {"lambdify", "sympify", "parse_expr", "run_path", "run_module", "exec_module"}
 LOADS_CODE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml", "code"}

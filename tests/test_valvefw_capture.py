@@ -12,10 +12,10 @@ from daq.clock import VirtualClock
 from daq.errors import DeviceError
 from plant.constants import PlantConstants
 from plant.physics.valve import off_delay_s, on_delay_s
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import load_rig
-from rigs.steps.capture import capture_block
+from rigs.steps.valve import capture_block
 from rigs.virtual.bench import VirtualBench
 from test_valvefw_safety import thesis, virtual
 from valvefw.wire import CAPTURE_LEAD_US, CAPTURE_N, CAPTURE_US
@@ -32,9 +32,9 @@ class Set:
         rig = replace(rig, virtual=replace(rig.virtual, source="valve"))
         self.clock = VirtualClock()
         self.bench = VirtualBench(rig, self.clock)
-        self.pump = Pump(self.clock, 0.02)
-        self.valve = ValveController(self.bench.links["valve"], self.clock, self.pump)
-        self.pump.add(self.valve.poll)
+        self.event_loop = EventLoop(self.clock, 0.02)
+        self.valve = ValveController(self.bench.links["valve"], self.clock, self.event_loop)
+        self.event_loop.add(self.valve.poll)
         self.valve.connect(rig.valve.serial, rig.valve.firmware)
         # Pressures are put there at once, which no valve could do.
         self.valve.configure({"jump": 4095, "leak_counts": 0})
@@ -46,10 +46,10 @@ class Set:
         self.valve.request("scheme open")
         self.bench.plant.set_supply(kpa)
         self.bench.plant.set_pressure(kpa if valve == "vent" else 0.0)
-        self.pump.for_seconds(0.002)
-        block = capture_block(self.valve, self.pump, valve, width_us, source)
+        self.event_loop.for_seconds(0.002)
+        block = capture_block(self.valve, self.event_loop, valve, width_us, source)
         self.valve.stop()
-        self.pump.for_seconds(0.2)
+        self.event_loop.for_seconds(0.2)
         return block
 
 

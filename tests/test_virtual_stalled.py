@@ -11,7 +11,7 @@ import pytest
 from daq.clock import RealClock
 from daq.link.codec import encode_request
 from daq.link.transport import SerialLink
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import load_rig
 from rigs.virtual.server import BenchServer, open_server
@@ -22,22 +22,22 @@ STALL_S = 0.7
 
 
 @contextmanager
-def armed_bench(folder: Path) -> Iterator[tuple[BenchServer, ValveController, Pump]]:
-    """A bench on ports and a host that beats, turned over by one pump."""
+def armed_bench(folder: Path) -> Iterator[tuple[BenchServer, ValveController, EventLoop]]:
+    """A bench on ports and a host that beats, run by one event loop."""
     clock = RealClock()
-    pump = Pump(clock, 0.001)
+    event_loop = EventLoop(clock, 0.001)
     with open_server(load_rig("virtual"), folder) as server:
-        pump.add(server.step)
+        event_loop.add(server.step)
         link = SerialLink(server.ports["valve"].address, 115200, clock)
         try:
-            valve = ValveController(link, clock, pump)
-            pump.add(valve.poll)
+            valve = ValveController(link, clock, event_loop)
+            event_loop.add(valve.poll)
             valve.connect("VB-0001", "0.1")
             valve.progress(60.0)
-            pump.for_seconds(0.2)
+            event_loop.for_seconds(0.2)
             valve.arm()
-            pump.for_seconds(0.2)
-            yield server, valve, pump
+            event_loop.for_seconds(0.2)
+            yield server, valve, event_loop
         finally:
             link.close()
 
@@ -50,9 +50,9 @@ def stall(valve: ValveController, clock: RealClock) -> None:
 
 
 def test_a_host_that_beat_meanwhile_is_not_called_silent(tmp_path: Path) -> None:
-    with armed_bench(tmp_path / "bench") as (server, valve, pump):
+    with armed_bench(tmp_path / "bench") as (server, valve, event_loop):
         stall(valve, RealClock())
-        pump.for_seconds(0.3)
+        event_loop.for_seconds(0.3)
         assert list(server.bench.board.controller.safety.faults) == []
         assert valve.armed
         assert server.lateness_ms()["worst"] > 0.9e3 * STALL_S
@@ -61,24 +61,24 @@ def test_a_host_that_beat_meanwhile_is_not_called_silent(tmp_path: Path) -> None
 
 
 def test_a_host_that_was_silent_meanwhile_is(tmp_path: Path) -> None:
-    with armed_bench(tmp_path / "bench") as (server, valve, pump):
+    with armed_bench(tmp_path / "bench") as (server, valve, event_loop):
         valve.still()
         stall(valve, RealClock())
-        pump.for_seconds(0.3)
+        event_loop.for_seconds(0.3)
         (fault,) = server.bench.board.controller.safety.faults
         assert "host_silent" in fault
 
 
 @pytest.mark.parametrize("at", [0, 1, 40])
 def test_a_request_cut_anywhere_is_heard_whole(tmp_path: Path, at: int) -> None:
-    with armed_bench(tmp_path / "bench") as (_, valve, pump):
+    with armed_bench(tmp_path / "bench") as (_, valve, event_loop):
         valve.stop()  # parameters are set while disarmed
         data = encode_request(7, "set slew 91") + encode_request(8, "set slew 92")
         port = valve._link
         port.write(data[:at])
-        pump.for_seconds(0.05)
+        event_loop.for_seconds(0.05)
         RealClock().sleep(0.1)
         port.write(data[at:])
-        pump.for_seconds(0.1)
+        event_loop.for_seconds(0.1)
         assert valve.request("get slew")["slew"] == "92"
         assert valve.counters()["bad_payloads"] == 0

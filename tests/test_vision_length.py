@@ -13,15 +13,14 @@ import pytest
 from cli.data.length import length_report, measure_lengths, parse_box
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, DeviceError, PamrigError
-from rigs.calibration.camera import (
+from rigs.calibration.camera import calibrate_from_board, calibrate_from_gauges
+from rigs.calibration.frames import FramesError, open_frames
+from rigs.devices.uvc import UvcCamera
+from rigs.rigfile.camera_calibration import (
     CameraCalibration,
-    calibrate_from_board,
-    calibrate_from_gauges,
     load_camera_calibration,
     save_camera_calibration,
 )
-from rigs.calibration.frames import FramesError, open_frames
-from rigs.devices.uvc import UvcCamera
 from rigs.virtual.emulators.camera import CameraModel, render
 from vision.marker.edge import measure_gap
 from vision.marker.lens import Lens

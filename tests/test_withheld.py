@@ -22,7 +22,7 @@ from daq.clock import VirtualClock
 from daq.errors import ConfigError, PamrigError
 from plant.effects.catalogue import CATALOGUE
 from rigs.rigfile.config import RigConfig, load_rig
-from rigs.virtual.withheld.bench import Envelope, WithheldBench, ask, draw
+from rigs.virtual.withheld.bench import Envelope, WithheldBench, draw, request_answer
 from vision.marker.edge import measure_gap
 from withheld_campaign import RIG, entropy_of
 
@@ -184,7 +184,7 @@ def asked(folder: Path, envelope: Envelope) -> dict[str, Any]:
     thread = threading.Thread(target=serve)
     thread.start()
     try:
-        return ask(folder)
+        return request_answer(folder)
     finally:
         done.set()
         thread.join()
@@ -199,13 +199,13 @@ def test_the_answer_is_told_when_asked_and_a_changed_one_is_refused(tmp_path: Pa
     assert asked(tmp_path, envelope)["effects"][0]["id"] == "pressure_gain"
     envelope.close()
     assert b"pressure_gain" not in (tmp_path / "withheld.sealed").read_bytes()
-    assert ask(tmp_path)["effects"][0]["id"] == "pressure_gain"
+    assert request_answer(tmp_path)["effects"][0]["id"] == "pressure_gain"
     other, _ = hiding("pressure_gain", 5.0)
     Envelope(tmp_path, bench.digest, other.reveal(), {}).close()
     with pytest.raises(PamrigError, match="does not match its seal"):
-        ask(tmp_path)
+        request_answer(tmp_path)
     with pytest.raises(PamrigError, match="holds no withheld bench"):
-        ask(tmp_path / "elsewhere")
+        request_answer(tmp_path / "elsewhere")
 
 
 def test_a_rig_that_states_an_effect_is_refused() -> None:

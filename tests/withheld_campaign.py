@@ -84,7 +84,7 @@ def told(found: Investigation) -> Row:
         "status": verdict.status,
         "why": found.why,
         "named": found.family,
-        "reason": verdict.reason,
+        "reason": str(verdict.reason),
         "set": [
             {"ids": list(e.ids), "family": e.family, "probability": round(e.probability, 4)}
             for e in verdict.effects

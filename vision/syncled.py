@@ -8,7 +8,6 @@ the pattern that fits the levels best.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -80,11 +79,6 @@ def count_dropped(frame_s: F64, period_s: float) -> int:
     """Number of missing frames in the gaps between the time stamps."""
     steps = np.rint(np.diff(frame_s) / period_s)
     return int(np.sum(np.maximum(steps - 1, 0)))
-
-
-def count_repeated(frames: list[npt.NDArray[Any]]) -> int:
-    """Number of frames identical to the one before; sensor noise never repeats."""
-    return sum(bool(np.array_equal(a, b)) for a, b in itertools.pairwise(frames))
 
 
 def find_delay(  # noqa: PLR0913 - properties of the camera, by keyword

@@ -9,13 +9,12 @@ import numpy.typing as npt
 
 from analysis.figures.drawing import INK, MEASURED, SET, new_figure, style
 from daq.errors import RecordError
+from plant.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from daq.store.run import Run
-
-Floats = npt.NDArray[np.float64]
 
 
 def timeline_figure(run: Run) -> Figure | None:
@@ -68,16 +67,19 @@ def timeline_figure(run: Run) -> Figure | None:
     return figure
 
 
-def min_max(x: Floats, y: Floats, bins: int = 1200) -> tuple[Floats, Floats]:
-    """The min/max envelope: minimum, then maximum of each of ``bins`` equal ranges of samples."""
-    if len(x) <= 2 * bins:
+ENVELOPE_BINS = 1200
+
+
+def min_max(x: Array, y: Array) -> tuple[Array, Array]:
+    """The min/max envelope: minimum, then maximum of each of 1200 equal ranges of samples."""
+    if len(x) <= 2 * ENVELOPE_BINS:
         return x, y
-    edges = np.linspace(0, len(x), bins + 1).astype(int)[:-1]
+    edges = np.linspace(0, len(x), ENVELOPE_BINS + 1).astype(int)[:-1]
     low, high = np.minimum.reduceat(y, edges), np.maximum.reduceat(y, edges)
     return np.repeat(x[edges], 2), np.column_stack([low, high]).ravel()
 
 
-def _point_times(run: Run, seq: npt.NDArray[Any], time_s: Floats) -> Floats:
+def _point_times(run: Run, seq: npt.NDArray[Any], time_s: Array) -> Array:
     """Middle of each settled window in s, on the axis of the figure."""
     middles = []
     for event in run.events:

@@ -29,13 +29,13 @@ def signed(value: float | None, digits: int | str) -> str:
     return f"{'−' if value < 0 else '+'} {abs(value):{form}}"
 
 
-def with_u(value: float | None, u: float | None, k: float = 2.0) -> str:
-    """A value with its expanded uncertainty, both rounded to digits of the uncertainty."""
+def with_u(value: float | None, u: float | None) -> str:
+    """A value with its expanded uncertainty (k = 2), both rounded to digits of the uncertainty."""
     if value is None:
         return "–"
     if u is None or not math.isfinite(u) or u <= 0.0:
         return f"{value:.5g}".replace("-", "−")
-    expanded = k * u
+    expanded = 2.0 * u
     decimals = min(max(1 - math.floor(math.log10(expanded)), 0), 6)
     return f"{value:.{decimals}f} ± {expanded:.{decimals}f}".replace("-", "−")
 

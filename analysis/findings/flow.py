@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.findings.findings import (
     EXPANDED,
@@ -26,6 +25,7 @@ from analysis.findings.thesis_check import printed_rows, to_printed
 from analysis.layouts.valve import valve_layout
 from analysis.reduction.valve import reduce_flow
 from analysis.regression.least_squares import Line, straight_line
+from plant.arrays import Array
 from plant.constants import (
     GAS_CONSTANT_J_KG_K,
     REFERENCE_DENSITY_KG_M3,
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from analysis.reduction.points import Reduction
     from daq.store.run import Run
 
-Floats = npt.NDArray[np.float64]
 ATMOSPHERE_KPA = 101.325
 U_ATMOSPHERE_KPA = 1.0
 U_TEMPERATURE_K = 3.0
@@ -72,7 +71,7 @@ class Meter:
         return REFERENCE_DENSITY_KG_M3 * cooling / (density * area)
 
 
-def flow_share(pressure_kpa: Floats, critical: float, atmosphere_kpa: float) -> Floats:
+def flow_share(pressure_kpa: Array, critical: float, atmosphere_kpa: float) -> Array:
     """Upstream absolute pressure in Pa times the subsonic factor of ISO 6358."""
     upstream = pressure_kpa + atmosphere_kpa
     ratio = atmosphere_kpa / np.maximum(upstream, atmosphere_kpa)
@@ -140,15 +139,13 @@ def fit_iso(
     return IsoFit(float(best[0]), float(best[1]), float(u[0]), float(u[1]), scatter, parts)
 
 
-def _solve(
-    p: Floats, v: Floats, u_p: Floats, u_v: Floats, meter: Meter
-) -> tuple[Floats, Floats, float]:
+def _solve(p: Array, v: Array, u_p: Array, u_v: Array, meter: Meter) -> tuple[Array, Array, float]:
     """(C, critical ratio), their covariance from the scatter, and the scatter in m/s."""
     from scipy.optimize import least_squares
 
     k = meter.velocity_per_conductance
 
-    def model(x: Floats) -> Floats:
+    def model(x: Array) -> Array:
         return np.asarray(x[0] * 1e-9 * k * flow_share(p, float(x[1]), meter.atmosphere_kpa))
 
     top = float(v.max()) / (k * (float(p.max()) + meter.atmosphere_kpa) * 1e3) * 1e9
@@ -218,7 +215,7 @@ def flow_findings(run: Run, reduction: Reduction) -> Findings:
     return Findings(_headline(fanning, iso, len(table)), tuple(sections), data)
 
 
-def _columns(table: pd.DataFrame) -> tuple[Floats, Floats]:
+def _columns(table: pd.DataFrame) -> tuple[Array, Array]:
     """Pressure in kPa and velocity in m/s."""
     pressure, velocity = (
         table[name].to_numpy(dtype=np.float64) for name in ("pressure_kpa", "velocity_m_s")
@@ -226,12 +223,12 @@ def _columns(table: pd.DataFrame) -> tuple[Floats, Floats]:
     return pressure, velocity
 
 
-def _fanning_velocity(line: Line, pressure: Floats) -> Floats:
+def _fanning_velocity(line: Line, pressure: Array) -> Array:
     """Velocity of the Fanning form."""
     return np.asarray(np.sqrt(np.maximum((pressure - line.intercept) / line.slope, 0.0)))
 
 
-def _fanning_rms(line: Line, table: pd.DataFrame, mean: Callable[[Floats], Any]) -> float:
+def _fanning_rms(line: Line, table: pd.DataFrame, mean: Callable[[Array], Any]) -> float:
     """Rms residual of the velocities of the Fanning form, in m/s."""
     pressure, velocity = _columns(table)
     return float(np.sqrt(mean((_fanning_velocity(line, pressure) - velocity) ** 2)))

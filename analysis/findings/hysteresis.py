@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.findings.findings import (
     BARS,
@@ -27,6 +27,7 @@ from analysis.layouts.static import hysteresis_layout
 from analysis.reduction.points import Reduction, reduce_points
 from analysis.reduction.setpoint import at_set_pressure
 from analysis.regression.force_lines import nominal_kpa
+from plant.arrays import Array
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 
     from daq.store.run import Run
 
-Floats = npt.NDArray[np.float64]
 CycleKey = tuple[float, float]
 """Held length (mm) or hung mass (kg), and turning pressure (kPa)."""
 LOWEST_MEAN_KPA = 200.0
@@ -123,10 +123,10 @@ class Cycle:
     held: float
     top_kpa: float
     repeat: int
-    pressure_kpa: Floats
-    difference: Floats
-    u_difference: Floats
-    up: Floats
+    pressure_kpa: Array
+    difference: Array
+    u_difference: Array
+    up: Array
 
     @property
     def name(self) -> str:
@@ -407,10 +407,6 @@ def _figure(table: pd.DataFrame, cycles: list[Cycle], kind: Kind) -> Figure:
     return figure
 
 
-def _reduce(run: Run) -> Reduction:
-    return reduce_points(run, extra=EXTRA)
-
-
 def _findings(run: Run, reduction: Reduction) -> Findings:
     """Findings of both kinds of cycle, each corrected to the set pressures."""
     hung = reduction.table["mass_kg"].notna()
@@ -431,7 +427,7 @@ def _findings(run: Run, reduction: Reduction) -> Findings:
 HYSTERESIS = Analysis(
     "hysteresis",
     "Hysteresis test",
-    _reduce,
+    partial(reduce_points, extra=EXTRA),
     lambda parameters: hysteresis_layout(
         parameters.get("lengths_mm") or (),
         parameters.get("masses_kg") or (),

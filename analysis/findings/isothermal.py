@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -227,14 +228,10 @@ def _figure(table: pd.DataFrame) -> Figure:
     return curves_figure(len(warm), "pressure (kPa gauge)", "force (N)", "length (mm)", draw)
 
 
-def _reduce(run: Run) -> Reduction:
-    return reduce_points(run, extra=EXTRA)
-
-
 ISOTHERMAL = Analysis(
     "isothermal",
     "Isothermal test",
-    _reduce,
+    partial(reduce_points, extra=EXTRA),
     lambda parameters: isothermal_layout(max_pressure_kpa(parameters)),
     isothermal_findings,
 )

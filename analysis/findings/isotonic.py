@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -217,14 +218,10 @@ def _figure(curves: list[LoadCurve]) -> Figure:
     )
 
 
-def _reduce(run: Run) -> Reduction:
-    return reduce_points(run, extra=EXTRA)
-
-
 ISOTONIC = Analysis(
     "isotonic",
     "Isotonic test",
-    _reduce,
+    partial(reduce_points, extra=EXTRA),
     lambda parameters: isotonic_layout(max_pressure_kpa(parameters)),
     isotonic_findings,
 )

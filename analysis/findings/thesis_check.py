@@ -52,21 +52,18 @@ def to_printed(value: float, printed: str) -> str:
     return f"{value:.{decimals}f}"
 
 
-def compare_c9(
-    lines: list[LengthLine], table: pd.DataFrame, printed_table: list[dict[str, str]] | None = None
-) -> dict[str, Any]:
+def compare_c9(lines: list[LengthLine], table: pd.DataFrame) -> dict[str, Any]:
     """Compare the recomputed coefficients with the printed ones.
 
     Args:
         lines: first-stage regressions of Table C-1 at 21 degC over 150 to 600 kPa.
         table: the settled points of these regressions.
-        printed_table: Table C-9 as text; the shipped one if not given.
 
     Returns:
         ``rows`` (one per length), the number of ``matching`` pairs, and ``readings``: the
         equations and sums of squares for both values of the shortest length.
     """
-    printed_table = printed_table or printed_c9()
+    printed_table = printed_c9()
     rows = []
     for line, printed in zip(lines, printed_table, strict=False):
         gradient, intercept = printed["pressure_gradient_coef"], printed["intercept_coef"]

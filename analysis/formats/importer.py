@@ -28,7 +28,6 @@ def import_thesis(
     clock: Clock,
     *,
     include_formula: bool = False,
-    shortest_mm: float = SHORTEST_MM,
 ) -> Path:
     """Import a measured table of the thesis as a run.
 
@@ -40,7 +39,6 @@ def import_thesis(
         root: folder of all runs.
         clock: names the run.
         include_formula: include the columns above 21 degC, labelled as a formula.
-        shortest_mm: the value of the length with heading 51 in Table C-1.
 
     Returns:
         The run folder.
@@ -55,11 +53,11 @@ def import_thesis(
     every = found.rows()
     rows = [r for r in every if include_formula or r.get("temperature_c", 21.0) == 21.0]
     if key == "c01":
-        notes.insert(0, READING_51.format(length=shortest_mm))
+        notes.insert(0, READING_51.format(length=SHORTEST_MM))
         for row in rows:
             if row["length_mm"] == 51:
                 row.update(
-                    length_mm=shortest_mm, set_length_mm=shortest_mm, slot=f"L{shortest_mm:g}"
+                    length_mm=SHORTEST_MM, set_length_mm=SHORTEST_MM, slot=f"L{SHORTEST_MM:g}"
                 )
     if key in ("c01", "c02"):
         if include_formula:
@@ -85,19 +83,18 @@ def import_thesis(
     if key[0] == "c":
         manifest["source"] |= {
             "temperatures": "21 degC and formula" if include_formula else "21 degC",
-            "shortest_mm": shortest_mm,
+            "shortest_mm": SHORTEST_MM,
         }
     return _write(rows, manifest, root, clock, found.columns)
 
 
-def import_points(path: Path | str, root: Path | str, clock: Clock, *, specimen: str = "") -> Path:
+def import_points(path: Path | str, root: Path | str, clock: Clock) -> Path:
     """Import settled points from a CSV file or a folder in the dataset format as a run.
 
     Args:
         path: the file or folder, read by :func:`analysis.formats.points_file.read_points`.
         root: folder of all runs.
         clock: names the run.
-        specimen: name of the muscle; the file's name if empty.
 
     Raises:
         PamrigError: states file, row and column, the value and a remedy.
@@ -105,7 +102,7 @@ def import_points(path: Path | str, root: Path | str, clock: Clock, *, specimen:
     path = Path(path)
     points: PointsFile = read_points(path)
     manifest: dict[str, Any] = {
-        "specimen": specimen or path.stem,
+        "specimen": path.stem,
         "source": {
             "kind": "points",
             "title": f"settled points from {path.name}",

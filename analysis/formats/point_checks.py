@@ -24,18 +24,9 @@ NUMBERS = (
 )
 LABELS = ("trial", "slot", "repeat", "replicate", "mounting", "direction", "order")
 TRIAL_COLUMNS = (
-    "trial",
-    "slot",
-    "replicate",
-    "protocol",
-    "mounting",
-    "order",
-    "held_length_mm",
-    "load_kg",
-    "temperature_c",
-    "start_s",
-    "note",
-)
+    "trial", "slot", "replicate", "protocol", "mounting", "order", "held_length_mm", "load_kg",
+    "temperature_c", "start_s", "note",
+)  # fmt: skip
 DIRECTIONS = ("up", "down", "single", "")
 
 SENSOR_RANGE = {

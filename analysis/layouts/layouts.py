@@ -99,19 +99,12 @@ def pressure_panel(title: str) -> Panel:
     return Panel(title, "series", "pressure", channels, share=1.6)
 
 
-def isometric_layout(
-    pressure_max_kpa: float = 500.0,
-    force_max_n: float = 100.0,
-    window_s: float = 60.0,
-    frame_px: tuple[int, int] = (640, 480),
-) -> LiveLayout:
+def isometric_layout(pressure_max_kpa: float = 500.0, force_max_n: float = 100.0) -> LiveLayout:
     """The layout of an isometric test: curves on the left; points, camera and readings right.
 
     Args:
         pressure_max_kpa: highest pressure of the protocol, for the axis of the points.
         force_max_n: highest expected force; the axis is extended if necessary.
-        window_s: time range of the curves.
-        frame_px: width and height of the camera frames.
     """
     force = Panel(
         "Force (N)",
@@ -142,15 +135,15 @@ def isometric_layout(
         "Camera with measured edges",
         "camera",
         CAMERA,
-        x_axis=Axis("x (px)", 0.0, frame_px[0]),
-        y_axis=Axis("y (px)", 0.0, frame_px[1]),
+        x_axis=Axis("x (px)", 0.0, 640.0),
+        y_axis=Axis("y (px)", 0.0, 480.0),
     )
     left = (pressure_panel("Pressure (kPa)"), force, length, VALVES, STATES)
     return LiveLayout(
         title="Isometric test",
         columns=(left, (points, (camera, NOW), MESSAGES)),
         shares=(1.0, 1.0),
-        window_s=window_s,
+        window_s=60.0,
         feeds=(*PRESSURE_FEEDS, *VALVE_FEEDS, Feed(FORCE, "balance", "force_n")),
         event_feeds=(
             EventFeed(SET_LENGTH, "command", "length_mm"),

@@ -80,6 +80,8 @@ def comparison_text(found: Comparison) -> str:
 
 def fit_json(found: Fit, points: Points) -> dict[str, Any]:
     """The result of a fit as JSON; infinite bounds are null."""
+    from plant.fitting.fit import CONFIDENCE
+
     return {
         "model": model_json(found.model),
         "source": points.source,
@@ -91,7 +93,7 @@ def fit_json(found: Fit, points: Points) -> dict[str, Any]:
         "s_n": found.sd_n,
         "noise_scale": found.noise_scale,
         "robust": found.robust,
-        "confidence": found.confidence,
+        "confidence": CONFIDENCE,
         "condition": found.identifiability.condition,
         "identifiability": found.identifiability.lines(),
     }

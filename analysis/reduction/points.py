@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.reduction.columns import COLUMNS as COLUMNS
 from analysis.reduction.columns import QUANTITIES, number_or_nan, points_frame
 from analysis.reduction.uncertainty import FEW_INDEPENDENT, NO_READINGS, WindowMean, window_mean
 from daq.calibration import Calibration

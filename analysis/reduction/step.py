@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from analysis.reduction.points import Reduction
 from analysis.reduction.valve import ValveRecord
+from plant.arrays import Array
 
 if TYPE_CHECKING:
     from daq.store.run import Run
 
-Floats = npt.NDArray[np.float64]
 SMOOTH = 5
 """Samples (ms) of the running mean before extremes are taken, so that they are not those of the
 noise. No valve here is faster."""
@@ -28,13 +28,13 @@ LABELS = (
 COLUMNS = (*FIGURES, *LABELS, "u_error_kpa", "u_overshoot_kpa", "u_ripple_kpa")
 
 
-def smoothed(kpa: Floats) -> Floats:
+def smoothed(kpa: Array) -> Array:
     """Running mean over ``SMOOTH`` samples."""
     return np.convolve(kpa, np.ones(SMOOTH) / SMOOTH, mode="valid") if len(kpa) >= SMOOTH else kpa
 
 
 def figures_of_merit(
-    kpa: Floats, driven: npt.NDArray[np.bool_], goal: float, before: float, last: int, band: float
+    kpa: Array, driven: npt.NDArray[np.bool_], goal: float, before: float, last: int, band: float
 ) -> dict[str, float]:
     """Figures of merit of one step response.
 

@@ -14,12 +14,12 @@ from analysis.reduction.points import Reduction, point_events, without_excluded
 from analysis.reduction.uncertainty import window_mean
 from analysis.reduction.valve_points import columns_of, imported_points, labels_of, put
 from daq.errors import DeviceError, RecordError
+from plant.arrays import Array
 
 if TYPE_CHECKING:
     from daq.store.run import Run
 
 Samples = dict[str, npt.NDArray[Any]]
-Floats = npt.NDArray[np.float64]
 BEFORE = 20
 """Number of pressure samples before a pulse that give the upstream pressure."""
 AROUND = 3
@@ -98,7 +98,7 @@ class ValveRecord:
         out["counts"] = np.interp(grid, part["seq"], part["counts"])
         return out, np.isin(grid, part["seq"])
 
-    def kpa(self, counts: npt.NDArray[Any]) -> Floats:
+    def kpa(self, counts: npt.NDArray[Any]) -> Array:
         """Counts as pressure."""
         return np.asarray(self.pressure.apply(counts.astype(np.float64)), dtype=np.float64)
 
@@ -246,7 +246,7 @@ def _pairs(
     readings: Mapping[str, npt.NDArray[Any]],
     host_ns: npt.NDArray[Any],
     lead_ns: int,
-) -> Floats:
+) -> Array:
     """(mean pressure in kPa, reading) of each reading within the opening, shape (n, 2)."""
     if not record.valve or "reading" not in readings:
         return np.empty((0, 2))
@@ -323,7 +323,7 @@ def bracket(tries: list[tuple[float, bool]]) -> tuple[float, float]:
     return max(shut, default=math.nan), min(opened, default=math.nan)
 
 
-def open_in(kpa: Floats, event: Mapping[str, Any], part: Mapping[str, npt.NDArray[Any]]) -> bool:
+def open_in(kpa: Array, event: Mapping[str, Any], part: Mapping[str, npt.NDArray[Any]]) -> bool:
     """Whether the valve was open in the window of a try, from the change of pressure.
 
     For switching on: the pressure after the pulse minus that before it. For switching off: the

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.errors import ConfigError
+from plant.arrays import Array
 
-Floats = npt.NDArray[np.float64]
 LEAST_POINTS = 3
 
 
@@ -44,13 +43,13 @@ class LineFit:
     u_offset: float
     u_gain: float
     linearity: float
-    residuals: Floats
+    residuals: Array
 
 
 def fit_line(
-    raw: Sequence[float] | Floats,
-    u_raw: Sequence[float] | Floats,
-    value: Sequence[float] | Floats,
+    raw: Sequence[float] | Array,
+    u_raw: Sequence[float] | Array,
+    value: Sequence[float] | Array,
     reference: Reference,
     where: str = "calibration",
 ) -> LineFit:
@@ -84,7 +83,7 @@ def fit_line(
     scale = float(np.ptp(y) / np.ptp(x))
     design = np.column_stack([np.ones_like(x), x])
     beta = np.zeros(2)
-    normal: Floats = np.eye(2)
+    normal: Array = np.eye(2)
     for _ in range(5):
         variance = reference.u_each**2 + (scale * ux) ** 2
         floor = max(float(variance.max()), (1e-9 * float(np.ptp(y))) ** 2) * 1e-6

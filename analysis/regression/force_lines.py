@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from analysis.regression.least_squares import Line
 from daq.calibration import Calibration
+from plant.arrays import Array
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,8 +27,6 @@ THESIS_REGION_KPA = (150.0, 600.0)
 
 THESIS_DIGITS = 3
 """Significant digits of Table C-9, from which Equations 4-34 and 4-35 were computed."""
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class LengthLaw:
     digits: int | None
 
 
-def fit_line(x: Floats, y: Floats) -> Fit | None:
+def fit_line(x: Array, y: Array) -> Fit | None:
     """Ordinary least squares, shapes (n,); None with fewer than two different x."""
     n = len(x)
     if n < 2 or float(np.ptp(x)) == 0.0:
@@ -210,7 +209,7 @@ def against_length(lines: list[LengthLine], digits: int | None = None) -> Length
     if len(lines) < 3:
         return None
 
-    def column(name: str) -> Floats:
+    def column(name: str) -> Array:
         values = [float(getattr(line, name)) for line in lines]
         if digits is not None and name != "length_mm":
             values = [to_significant(value, digits) for value in values]
@@ -224,8 +223,8 @@ def against_length(lines: list[LengthLine], digits: int | None = None) -> Length
 
 
 def calibration_share(
-    x: Floats,
-    y: Floats,
+    x: Array,
+    y: Array,
     calibrations: Mapping[str, Calibration],
     names: tuple[str, str] = ("pressure_kpa", "force_n"),
 ) -> tuple[float, float]:

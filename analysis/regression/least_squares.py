@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Line:
     ss_error: float
     n: int
 
-    def at(self, x: npt.ArrayLike) -> Floats:
+    def at(self, x: npt.ArrayLike) -> Array:
         """Values of the line."""
         return np.asarray(self.intercept + self.slope * np.asarray(x, dtype=np.float64))
 
@@ -126,7 +126,7 @@ def mean_of_repeats(
     return float(v.mean()), sd / math.sqrt(len(v)) * float(stdtrit(nu, 0.977249868)) / 2.0
 
 
-def pooled(groups: list[Floats]) -> tuple[float, int]:
+def pooled(groups: list[Array]) -> tuple[float, int]:
     """Pooled standard deviation within groups, and its degrees of freedom."""
     ss, dof = 0.0, 0
     for group in groups:

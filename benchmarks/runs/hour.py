@@ -9,7 +9,7 @@ from pathlib import Path
 
 from analysis.reporting.derived import derive_all
 from daq.store.run import open_run
-from daq.store.store import verify
+from daq.store.verify import verify
 from rigs.execution.session import run_protocol
 from rigs.protocols.isometric import load_isometric
 from rigs.protocols.registry import procedure

@@ -23,7 +23,7 @@ def steps(root: Path, rows: int) -> dict[str, float]:
     """Processor seconds of each step with so many samples of the valve's stream."""
     from daq.store.derive import derive
     from daq.store.run import open_run
-    from daq.store.store import verify
+    from daq.store.verify import verify
     from daq_records import begin, valve_batch
 
     batch = valve_batch(0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from blind.physics import numbers as n
 from blind.physics.laws import relaxation
-from blind.physics.stepping import OUT_F, OUT_L, OUT_TAP, OUT_V, run
+from blind.physics.stepping import run
 
 Floats = np.ndarray
 
@@ -169,19 +169,3 @@ def run_trial(trial: Trial, c: Floats, e: Floats, times: Floats, scale: float = 
 def renamed(trial: Trial, **changes: object) -> Trial:
     """A copy of a trial with other fields."""
     return replace(trial, **changes)  # type: ignore[arg-type]
-
-
-__all__ = [
-    "CONSTANTS",
-    "OUT_F",
-    "OUT_L",
-    "OUT_TAP",
-    "OUT_V",
-    "Trial",
-    "no_effect",
-    "nominal",
-    "renamed",
-    "run_trial",
-    "tolerances",
-    "with_keys",
-]

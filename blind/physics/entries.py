@@ -210,6 +210,16 @@ class Hidden:
             out[self.entry.variant_key] = self.variant
         return out
 
+    def as_dict(self) -> dict[str, object]:
+        """The effect as plain JSON values."""
+        return {
+            "id": self.id,
+            "family": self.entry.family,
+            "stage": self.entry.stage,
+            "form": self.form,
+            "parameters": self.parameters,
+        }
+
     def put(self, e: np.ndarray) -> None:
         """Switch it on in an effect matrix."""
         row = ROW[self.id]
@@ -238,6 +248,3 @@ def draw(entry: Entry, rng: Rng, c: np.ndarray, form: int | None = None) -> Hidd
     if entry.id == "wear":
         sign = -1.0 if rng.random() < 0.7 else 1.0
     return Hidden(entry.id, chosen, sign * entry.usual, shape, variant)
-
-
-__all__ = ["CATALOGUE", "ENTRIES", "OUTSIDE", "Entry", "Hidden", "draw", "scaled"]

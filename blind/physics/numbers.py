@@ -35,90 +35,26 @@ CONSTANTS: Final = 27
 
 # Rows of the effect matrix: form (-1 = off), headline value, three shape numbers.
 EFFECT_IDS: Final = (
-    "liner_threshold",
-    "bladder_elasticity",
-    "contraction_limit",
-    "end_cap",
-    "fibre_stretch",
-    "braid_friction",
-    "viscosity",
-    "creep",
-    "temperature_stiffening",
-    "dead_volume",
-    "polytropic",
-    "leak",
-    "flow_area",
-    "critical_ratio",
-    "supply_droop",
-    "valve_delay",
-    "valve_delay_pressure",
-    "transport_delay",
-    "link_friction",
-    "payload",
-    "pressure_zero",
-    "pressure_gain",
-    "pressure_lag",
-    "force_zero",
-    "force_gain",
-    "length_label",
-    "camera_scale",
-    "camera_distortion",
-    "camera_delay",
+    "liner_threshold", "bladder_elasticity", "contraction_limit", "end_cap", "fibre_stretch",
+    "braid_friction", "viscosity", "creep", "temperature_stiffening", "dead_volume", "polytropic",
+    "leak", "flow_area", "critical_ratio", "supply_droop", "valve_delay", "valve_delay_pressure",
+    "transport_delay", "link_friction", "payload", "pressure_zero", "pressure_gain", "pressure_lag",
+    "force_zero", "force_gain", "length_label", "camera_scale", "camera_distortion", "camera_delay",
     "wear",
-)
-LINER: Final = 0
-BLADDER: Final = 1
-LIMIT: Final = 2
-CAP: Final = 3
-FIBRE: Final = 4
-BRAID_FRICTION: Final = 5
-VISCOSITY: Final = 6
-CREEP: Final = 7
-WARMTH: Final = 8
-VOLUME: Final = 9
-POLYTROPIC: Final = 10
-LEAK: Final = 11
-AREA: Final = 12
-CRITICAL: Final = 13
-DROOP: Final = 14
-DELAY: Final = 15
-DELAY_SLOPE: Final = 16
-TRANSPORT: Final = 17
-SLIDE: Final = 18
-PAYLOAD: Final = 19
-P_ZERO: Final = 20
-P_GAIN: Final = 21
-P_LAG: Final = 22
-F_ZERO: Final = 23
-F_GAIN: Final = 24
-LABEL: Final = 25
-SCALE: Final = 26
-DISTORTION: Final = 27
-FRAME_DELAY: Final = 28
-WEAR: Final = 29
+)  # fmt: skip
+(
+    LINER, BLADDER, LIMIT, CAP, FIBRE, BRAID_FRICTION, VISCOSITY, CREEP, WARMTH, VOLUME, POLYTROPIC,
+    LEAK, AREA, CRITICAL, DROOP, DELAY, DELAY_SLOPE, TRANSPORT, SLIDE, PAYLOAD, P_ZERO, P_GAIN,
+    P_LAG, F_ZERO, F_GAIN, LABEL, SCALE, DISTORTION, FRAME_DELAY, WEAR,
+) = range(30)  # fmt: skip
 # What no entry of the catalogue describes.
 OUTSIDE_IDS: Final = (
-    "pressure_ripple",
-    "local_buckle",
-    "slide_stick",
-    "supply_surge",
-    "mains_pickup",
-    "cell_gradient",
-    "mount_backlash",
-    "weeping_valve",
-    "pixel_locking",
-    "coil_heating",
-)
-RIPPLE: Final = 30
-BUCKLE: Final = 31
-STICK: Final = 32
-SURGE: Final = 33
-MAINS: Final = 34
-GRADIENT: Final = 35
-BACKLASH: Final = 36
-WEEP: Final = 37
-PIXELS: Final = 38
-COIL: Final = 39
+    "pressure_ripple", "local_buckle", "slide_stick", "supply_surge", "mains_pickup",
+    "cell_gradient", "mount_backlash", "weeping_valve", "pixel_locking", "coil_heating",
+)  # fmt: skip
+(
+    RIPPLE, BUCKLE, STICK, SURGE, MAINS, GRADIENT, BACKLASH, WEEP, PIXELS, COIL,
+) = range(30, 40)  # fmt: skip
 ROWS: Final = 40
 OFF: Final = -1.0
 

@@ -9,7 +9,6 @@ import numpy as np
 from blind.physics import numbers as n
 from blind.physics.compiled import compiled
 from blind.physics.kernel import (
-    COMMAND,
     GRAVITY,
     VALVE_CELLS,
     command,
@@ -205,6 +204,3 @@ def run(
             set_t, set_v, len_t, len_v, t_out, out, at, scale,
         )  # fmt: skip
     return out
-
-
-__all__ = ["COMMAND", "advance", "at_rest", "run"]

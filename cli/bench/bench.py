@@ -53,9 +53,9 @@ def virtual(
 ) -> None:
     """Run a virtual bench in real time, on ports that any client can open."""
     if reveal:
-        from rigs.virtual.withheld.bench import ask
+        from rigs.virtual.withheld.bench import request_answer
 
-        print_json(ask(folder))
+        print_json(request_answer(folder))
     elif withheld:
         from cli.investigate.withheld_server import serve_withheld
 
@@ -102,7 +102,7 @@ def read(
     config = load_rig(rig)
     with open_rig(config) as opened:
         opened.valve.progress(seconds + 1.0)
-        opened.pump.for_seconds(seconds)
+        opened.event_loop.for_seconds(seconds)
         rows = []
         for name, instrument in opened.instruments.items():
             n = max(1, min(instrument.rows, round(seconds * instrument.rate_hz)))

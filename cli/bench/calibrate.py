@@ -55,6 +55,7 @@ def camera(
 ) -> None:
     """Pixels to millimetres: gauge-block pictures, or a chessboard in the marker plane."""
     from rigs.calibration import camera as cc
+    from rigs.rigfile.camera_calibration import save_camera_calibration
 
     if (gauges is None) == (board is None):
         raise ConfigError("pamrig calibrate camera", "give either --gauges or --board")
@@ -79,7 +80,7 @@ def camera(
             identity=identity,
         )
     with writing(out):
-        cc.save_camera_calibration(out, found)
+        save_camera_calibration(out, found)
     if as_json:
         print_json(found.to_dict())
         return

@@ -89,7 +89,8 @@ def show(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption
 
 def verify(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
     """Check every byte of a record against its checksums; exit status 1 on damage."""
-    from daq.store.store import find_run, verify
+    from daq.store.store import find_run
+    from daq.store.verify import verify
 
     found = find_run(runs, run)
     problems = verify(found)

@@ -11,9 +11,9 @@ from typing import Any
 import typer
 
 from gap.check.campaign import Plan, parse_numbers, run_campaign
-from gap.check.errors import CheckError
 from gap.check.ledger import enter, used_before
 from gap.check.scoring.totals import summary
+from gap.errors import CheckError
 
 STREAMS = ("practice", "reserved", "smoke")
 

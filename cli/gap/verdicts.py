@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from cli.output import print_json
-from gap.data.sources import open_data
+from gap.data.from_runs import open_data
 from gap.decision.diagnose import diagnose, diagnose_with_fit
 from gap.output import check_out, write_text
 from gap.verdict import Verdict, plain

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.reporting.derived import try_derive
-from cli.investigate.survey import FIRST_DIAGNOSIS_AFTER, Test, battery, protocol_text
+from cli.investigate.config import INVESTIGATION
+from cli.investigate.survey import Test, battery, protocol_text
 from daq.errors import PamrigError
 from daq.interrupt import StopFlag
 from daq.store.run import Run, open_run
@@ -32,11 +32,12 @@ from gap.decision.diagnose import diagnose_with_search
 from gap.decision.sequential import SequentialVerdict, joint
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
-from gap.reporting.sequential import conclusion_text
+from gap.reporting.text import conclusion_text
 from gap.selection.search import SearchResult
 from gap.validation.config import VALIDATION
 from gap.validation.prediction import families, margins, predict_trials, rivals_of
 from gap.verdict import Status, Verdict
+from plant.arrays import Array
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig
@@ -46,11 +47,6 @@ if TYPE_CHECKING:
 
 VALVE_TESTS = ("step",)
 """Tests whose valve commands are diagnosed: elsewhere a loop only holds a pressure."""
-NEARLY_CERTAIN = 0.7
-"""Reliability of one family from which it is tested before anything else is looked at."""
-FAILED = 2
-"""Tests that did not come out as predicted after which no more are made for that."""
-Array = npt.NDArray[np.float64]
 Report = Callable[[str], None]
 
 
@@ -130,7 +126,7 @@ def investigate(
         budget_min: bench time; no test is begun once it is used up.
         plant: what is known of the bench's plant, as bench.toml states it.
         stop: set from outside to end in good order: what was measured is diagnosed.
-        tell: takes a line after each step.
+        report: takes a line after each step.
         bench: a virtual bench on a virtual clock; all tests are run on it, one after another. By
             default one is made of a rig that states a virtual bench.
         derive: also make table, figures and report of each run.
@@ -239,7 +235,8 @@ class _Running(SequentialVerdict):
         if self.family is None or self.family in self.predicted or self.verdict is None:
             return False
         reliability = self.verdict.evidence.get("belief", {})
-        return float(reliability.get("right", 0.0) + reliability.get("part", 0.0)) >= NEARLY_CERTAIN
+        right = float(reliability.get("right", 0.0) + reliability.get("part", 0.0))
+        return right >= INVESTIGATION.nearly_certain
 
     def _shows_valves_alone(self, left: list[Test]) -> bool:
         """Whether what was found shows where valves act, and no test left looks there."""
@@ -257,7 +254,8 @@ class _Running(SequentialVerdict):
         """
         if self.search is None or self.problem is None or self.family is None:
             return None
-        if sum(not found.confirmed for _, found in self.predicted.get(self.family, [])) >= FAILED:
+        predicted = self.predicted.get(self.family, [])
+        if sum(not found.confirmed for _, found in predicted) >= INVESTIGATION.most_failed:
             return None
         if self._margins is None:
             others = [self.problem.base, *rivals_of(self.problem, self.search, self._entry_ids)]
@@ -283,7 +281,7 @@ class _Running(SequentialVerdict):
         minutes = float((run.final or {}).get("duration_s") or 0.0) / 60.0
         known: tuple[str, tuple[str, ...], str] = ("", (), "the survey is not whole yet")
         predicted: dict[str, Any] | None = None
-        if len(self.runs) >= FIRST_DIAGNOSIS_AFTER:
+        if len(self.runs) >= INVESTIGATION.first_diagnosis_after:
             predicted = self._diagnose()
             assert self.verdict is not None
             ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)

@@ -12,7 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from blind.live import Secret
-from cli.investigate.survey import FIRST_DIAGNOSIS_AFTER, battery, protocol_text
+from cli.investigate.config import INVESTIGATION
+from cli.investigate.survey import battery, protocol_text
 from daq.clock import VirtualClock
 from daq.errors import ConfigError
 from rigs.execution.session import run_protocol
@@ -49,7 +50,7 @@ def draw_runnable(
 
 def refusal(config: RigConfig, secret: Secret) -> str | None:
     """The error that ends one of the first tests on a bench with this secret; None if they run."""
-    for test in battery(config)[:FIRST_DIAGNOSIS_AFTER]:
+    for test in battery(config)[: INVESTIGATION.first_diagnosis_after]:
         with TemporaryDirectory() as scratch:
             path = Path(scratch) / f"{test.protocol}.toml"
             path.write_text(protocol_text(test, config), encoding="utf-8")

@@ -7,13 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from cli.investigate.config import INVESTIGATION
 from rigs.rigfile.config import RigConfig
-
-REPEATS = 3
-FIRST_DIAGNOSIS_AFTER = 2
-"""Tests before the first diagnosis: muscle and sensors at rest, and the valves. A name given on
-either alone would be one among what that test can show."""
-HOLD_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,7 @@ def battery(config: RigConfig, again: bool = False) -> list[Test]:
     `again` gives the same tests at other pressures, lengths, loads and speeds; that of the valves
     twice, with a short and with a long muscle.
     """
-    at = _AGAIN if again else _FIRST
+    at, repeats = _AGAIN if again else _FIRST, INVESTIGATION.repeats
     low, high = config.limits.length_min_mm, config.limits.length_max_mm
     top = 0.9 * config.limits.pressure_kpa
     pressures = [round(share * top, -1) for share in at.pressures]
@@ -87,7 +82,7 @@ def battery(config: RigConfig, again: bool = False) -> list[Test]:
     made = [
         Test(
             "isometric", "pressures at three lengths",
-            {"lengths_mm": lengths, "pressures_kpa": pressures, "repeats": REPEATS},
+            {"lengths_mm": lengths, "pressures_kpa": pressures, "repeats": repeats},
             also=("hysteresis",),
         )
     ]  # fmt: skip
@@ -99,24 +94,24 @@ def battery(config: RigConfig, again: bool = False) -> list[Test]:
                 "step", "the valves fully open, and in bursts",
                 {"schemes": ["two", "burst"], "pressures_kpa": steps, "step_s": 1.5,
                  "supply_kpa": config.limits.pressure_kpa,
-                 "length_mm": round(low + share * (high - low), 1), "repeats": REPEATS},
+                 "length_mm": round(low + share * (high - low), 1), "repeats": repeats},
             )
             for share in at.stepped
         ]  # fmt: skip
     made += [
         Test(
             "isobaric", "a length that moves",
-            {"pressures_kpa": moved, "lengths_mm": more, "repeats": REPEATS}
+            {"pressures_kpa": moved, "lengths_mm": more, "repeats": repeats}
             | ({} if manual else {"sweeps": sweeps}),
         ),
         Test(
             "isotonic", "pressures under two loads",
-            {"masses_kg": masses, "pressures_kpa": pressures[1:], "repeats": REPEATS},
+            {"masses_kg": masses, "pressures_kpa": pressures[1:], "repeats": repeats},
         ),
         Test(
             "isometric", "a minute at each of two pressures",
-            {"lengths_mm": lengths[1:2], "pressures_kpa": moved, "repeats": REPEATS,
-             "measure": {"seconds": HOLD_S}},
+            {"lengths_mm": lengths[1:2], "pressures_kpa": moved, "repeats": repeats,
+             "measure": {"seconds": INVESTIGATION.hold_s}},
         ),
     ]  # fmt: skip
     if "thermometer" in config.instruments.text:
@@ -124,7 +119,7 @@ def battery(config: RigConfig, again: bool = False) -> list[Test]:
         made.append(Test(
             "isothermal", "the same pressures cold and warm",
             {"temperatures_c": [room, room + at.warmer_k], "lengths_mm": lengths[1:2],
-             "pressures_kpa": pressures[1:], "repeats": REPEATS,
+             "pressures_kpa": pressures[1:], "repeats": repeats,
              "soak": {"soak_s": 30.0, "timeout_s": 3600.0}},
         ))  # fmt: skip
     return made

@@ -14,7 +14,7 @@ def links(
     form: Annotated[str, typer.Option("--print", help="text, latex or python.")] = "text",
 ) -> None:
     """Derive an arm's equations of motion and print them."""
-    from plant.links.errors import LinkError
+    from plant.errors import LinkError
     from plant.links.reader import load_arm
     from plant.links.symbolic.generated import generated_source, require_sympy
 

@@ -16,7 +16,7 @@ def tell_run(run: str, runs: Path, text: str) -> str:
         ConfigError: unknown request.
         RecordError: no such run, or it is not running.
     """
-    RunControl().ask(text)  # raises if the request is unknown
+    RunControl().request(text)  # raises if the request is unknown
     folder = Path(find_run(runs, run).folder)
     path = control_file(folder)
     if not is_heard(path):

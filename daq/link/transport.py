@@ -137,12 +137,10 @@ class MemoryLink:
             peer.unplug()
 
 
-def memory_pair(
-    clock: Clock, name: str, limit_bytes: int = BUFFER_BYTES
-) -> tuple[MemoryLink, MemoryLink]:
+def memory_pair(clock: Clock, name: str) -> tuple[MemoryLink, MemoryLink]:
     """Two connected ends, ``(host_end, device_end)``."""
-    host = MemoryLink(name, clock, limit_bytes)
-    device = MemoryLink(f"{name} (device end)", clock, limit_bytes)
+    host = MemoryLink(name, clock, BUFFER_BYTES)
+    device = MemoryLink(f"{name} (device end)", clock, BUFFER_BYTES)
     host._peer, device._peer = device, host
     return host, device
 
@@ -214,10 +212,6 @@ class _SerialPort:
         self._serial.close()
 
 
-def _open_port(path: str, baud: int) -> _SocketPort | _SerialPort:
-    return _SocketPort(path) if path.startswith("socket://") else _SerialPort(path, baud)
-
-
 def _port_failures() -> tuple[type[Exception], ...]:
     """All exceptions that a lost port can raise."""
     import serial
@@ -250,7 +244,8 @@ class SerialLink:
         self._stop = threading.Event()
         self._closed = False
         try:
-            self._port = _open_port(path, baud)
+            socket_url = path.startswith("socket://")
+            self._port = _SocketPort(path) if socket_url else _SerialPort(path, baud)
         except self._failures as error:
             raise _not_opened(path, error) from error
         except ValueError as error:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.errors import RecordError
 from daq.live.decimate import decimate
@@ -26,7 +25,6 @@ from daq.record.segments import Columns
 from daq.store.derive import Maker, engineering
 from daq.store.run import Run
 
-Floats = npt.NDArray[np.float64]
 Edges = Callable[[bytes], list[Line]]
 
 FILE = "view.rrd"

@@ -25,18 +25,10 @@ LAYOUT = 2
 """Version of the columns below; an index of another version is rebuilt."""
 FILES = ("run.json", "final.json", ANNOTATIONS)
 COLUMNS = (
-    "run_id TEXT PRIMARY KEY",
-    "started_utc TEXT",
-    "protocol TEXT",
-    "specimen TEXT",
-    "outcome TEXT",
-    "duration_s REAL",
-    "operator TEXT",
-    "rig TEXT",
-    "excluded INTEGER",
-    "continues TEXT",
+    "run_id TEXT PRIMARY KEY", "started_utc TEXT", "protocol TEXT", "specimen TEXT", "outcome TEXT",
+    "duration_s REAL", "operator TEXT", "rig TEXT", "excluded INTEGER", "continues TEXT",
     "stamp TEXT",
-)
+)  # fmt: skip
 CREATE = f"CREATE TABLE runs ({', '.join(COLUMNS)})"
 NAMES = tuple(column.split()[0] for column in COLUMNS)
 

@@ -7,14 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import RecordError
-from daq.record.chunks import Problem
 from daq.record.runname import by_start
 from daq.store.index import index_path, update_index
 from daq.store.info import RunInfo, run_info
 from daq.store.run import Run, open_run
-from daq.store.verify import verify
-
-__all__ = ["Problem", "find_run", "list_runs", "show", "verify"]
 
 
 def list_runs(root: Path | str) -> list[RunInfo]:

@@ -16,8 +16,6 @@ from daq.store.annotations import ANNOTATIONS, read_annotations
 from daq.store.run import INTERRUPTED, Run, stream_of
 from daq.store.validate import structure_error
 
-__all__ = ["Problem", "verify"]
-
 
 def verify(run: Run) -> list[Problem]:
     """All damaged, missing, unfinished and unknown data in the run folder.

@@ -16,8 +16,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from gap.check.errors import CheckError
 from gap.check.examine import Task, examine
+from gap.errors import CheckError
 
 ENGINE = "gap.check.engine:verdict_of_folder"
 MOST_DIGITS = 6

@@ -12,7 +12,7 @@ import os
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,6 @@ from blind.seal import opened, seal
 from blind.sets import BlindSet, answer, blind_set
 from gap.check.scoring.closed import closed_fraction
 from gap.check.scoring.score import score
-
-Diagnose = Callable[[Path, Sequence[str]], Mapping[str, Any]]
 
 
 @dataclass(frozen=True)

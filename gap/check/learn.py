@@ -26,11 +26,12 @@ from scipy.stats import t as student
 
 from blind.seal import opened
 from blind.sets import BLOCK
-from gap.check.errors import CheckError
 from gap.check.ledger import used_before
 from gap.check.scoring.score import parameter_row
 from gap.check.scoring.statistics import Z95
-from gap.decision.reliability import FEATURES, LEAST, OUTCOMES, Array, Forest, features
+from gap.decision.reliability import FEATURES, LEAST, OUTCOMES, Forest, features
+from gap.errors import CheckError
+from plant.arrays import Array
 from plant.effects.catalogue import CATALOGUE
 
 FOLDS = 10

@@ -7,7 +7,7 @@ import datetime
 from collections.abc import Sequence
 from pathlib import Path
 
-from gap.check.errors import CheckError
+from gap.errors import CheckError
 
 COLUMNS = ("date", "version", "first", "last", "sets", "purpose")
 
@@ -39,8 +39,3 @@ def enter(path: Path, numbers: Sequence[int], version: str, purpose: str) -> Non
             writer.writerow(COLUMNS)
         today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
         writer.writerow([today, version, min(numbers), max(numbers), len(numbers), purpose])
-
-
-def next_free(path: Path) -> int:
-    """The first reserved number that nobody has used."""
-    return max((int(u["last"]) + 1 for u in uses(path)), default=0)

@@ -8,24 +8,19 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
-
-Array = npt.NDArray[np.float64]
 
 CHANNELS = ("supply_kpa", "pressure_kpa", "length_mm", "force_n", "temperature_c")
 """Measured channels, in the units of their names."""
 COMMANDS = ("inlet_cmd", "outlet_cmd")
 """Commanded channels, 0 or 1, held until the next value."""
-CALIBRATION = {
-    "pressure_zero_kpa": "pressure_zero",
-    "pressure_gain_percent": "pressure_gain",
-    "force_zero_n": "force_zero",
-    "force_gain_percent": "force_gain",
-    "length_zero_mm": "camera_zero",
-    "length_gain_percent": "camera_scale",
-}
-"""Keys of `calibration.toml`, and the change of a reading that each stands for."""
+CALIBRATION = (
+    "pressure_zero_kpa", "pressure_gain_percent", "force_zero_n", "force_gain_percent",
+    "length_zero_mm", "length_gain_percent",
+)  # fmt: skip
+"""Keys of `calibration.toml`."""
 
 
 @dataclass(frozen=True)

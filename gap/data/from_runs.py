@@ -1,10 +1,13 @@
 """Recorded runs as a data set in the dataset format: trials.csv, samples.parquet, bench.toml; and
-calibration.toml, what the sensors may be off by in all trials alike.
+calibration.toml, what the sensors may be off by in all trials alike. A single run can be read the
+same way without leaving files.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import tempfile
 import tomllib
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -14,8 +17,9 @@ from typing import Any
 import pandas as pd
 
 from daq.errors import RecordError
-from daq.store.run import Run
-from gap.data.reader import read_bench
+from daq.store.run import Run, open_run
+from gap.data.dataset import DataSet
+from gap.data.reader import read_bench, read_dataset
 from gap.data.run_tables import table_trials
 from gap.data.run_trials import RunTrial, run_trials, tares
 from gap.errors import GapError
@@ -24,7 +28,6 @@ from plant.constants import CHOICES, KEYS
 
 COLUMNS = ("trial", "slot", "replicate", "protocol", "mounting", "order", "held_length_mm",
            "load_kg", "temperature_c", "start_s", "tare_length_mm", "note")  # fmt: skip
-FORMS = ("time", "points")
 
 
 @dataclass(frozen=True)
@@ -233,3 +236,20 @@ def _toml(value: Any) -> str:
     if isinstance(value, str):
         return f'"{value}"'
     return repr(float(value))
+
+
+def open_data(path: str | Path) -> DataSet:
+    """Read a folder in the dataset format, or a run folder as `pamrig gap export` would write it.
+
+    Raises:
+        GapError: it is neither, or cannot be read.
+        RecordError: the run holds no trial, or is damaged.
+    """
+    folder = Path(path)
+    if not (folder / "run.json").is_file():
+        return read_dataset(folder)
+    with tempfile.TemporaryDirectory(prefix="pamrig-gap-") as scratch:
+        made = Path(scratch) / "data"
+        export_runs([open_run(folder)], made)
+        found = read_dataset(made)
+    return dataclasses.replace(found, origin=str(folder))

@@ -18,10 +18,11 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from gap.data.dataset import CALIBRATION, CHANNELS, COMMANDS, Array, Channel, DataSet, Trial
+from gap.data.dataset import CALIBRATION, CHANNELS, COMMANDS, Channel, DataSet, Trial
 from gap.data.tables import Table, numbers, read_table, unit_check
 from gap.errors import GapError
 from plant import tomlfile
+from plant.arrays import Array
 from plant.constants import PlantConstants, nominal
 from plant.effects.effects import NONE, Effects
 from plant.errors import PlantError

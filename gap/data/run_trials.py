@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from analysis.reduction.points import PointReducer, point_events
@@ -24,8 +23,7 @@ from daq.errors import RecordError
 from daq.store.derive import VALVE_STREAM, engineering
 from daq.store.run import Run
 from plant import tomlfile
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 HELD = ("held_length_mm", "load_kg", "temperature_c")
 FULL = 1.0 - 1e-9

@@ -8,26 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from daq.errors import PamrigError
 from daq.store.tablefile import LARGEST_HEAD, check_csv, read_parquet
 from gap.errors import GapError
+from plant.arrays import Array
 from plant.constants import PlantConstants
-
-Array = npt.NDArray[np.float64]
 
 # A column that begins like one of ours but ends otherwise is most likely another unit.
 _QUANTITIES: tuple[str, ...] = (
-    "time",
-    "supply",
-    "pressure",
-    "length",
-    "held_length",
-    "force",
-    "temperature",
-)
+    "time", "supply", "pressure", "length", "held_length", "force", "temperature",
+)  # fmt: skip
 _QUANTITIES += ("load", "start", "mass")
 # Ten times outside the range of the sensor (docs/reference/plant.md, sensors).
 _LIMITS = {

@@ -18,6 +18,7 @@ from gap.estimation.agreement import shared_chi2
 from gap.estimation.cross_validation import HeldOut, gap_of, held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.intervals import detection_limits, headline_estimates
+from gap.reason import Cause, Reason, reason
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.config import SELECTION
 from gap.selection.per_stroke import with_per_stroke_delays
@@ -101,7 +102,7 @@ class _Finding:
     """Status, reason and probabilities of a verdict, with the explanations that it offers."""
 
     status: Status
-    reason: str
+    reason: Reason
     none: float
     unknown: float
     named: bool = False
@@ -120,11 +121,7 @@ def classify(
     if outcome.defect:
         finding = _defect(case)
     elif outcome.uncertain_defect:
-        finding = _unknown(
-            case, case.search.best.fit, 1.0,
-            "a gap that a fault of the recording would explain better than any effect, but the "
-            "trials do not agree on the fault",
-        )  # fmt: skip
+        finding = _unknown(case, case.search.best.fit, 1.0, Reason(Cause.UNCERTAIN_DEFECT))
     elif case.search.best.keys:
         finding = _explained(case)
     else:
@@ -132,19 +129,20 @@ def classify(
     return _verdict(case, finding), case.search
 
 
-def _unknown(case: _Case, fit: FitResult, unknown: float, reason: str) -> _Finding:
+def _unknown(case: _Case, fit: FitResult, unknown: float, why: Reason) -> _Finding:
     """A gap without a name, at the stage of the nearest candidate."""
     stage = case.nearest_stage(case.block(fit))
-    return _Finding(Status.UNKNOWN, reason, 1.0 - unknown, unknown, stage=stage)
+    return _Finding(Status.UNKNOWN, why, 1.0 - unknown, unknown, stage=stage)
 
 
 def _defect(case: _Case) -> _Finding:
     """A defect of the recording explains the gap."""
     fit = case.search.best.fit
-    name, amount = fit.candidates[0].id, float(fit.amounts[0])
-    more = f" by about {amount:.3g} ms" if name.endswith("clock") else ""
+    candidate, amount = fit.candidates[0], float(fit.amounts[0])
+    name = candidate.id
+    cause = Cause.DEFECT_IN_TIME if candidate.search.scan == "clock" else Cause.DEFECT
     return _Finding(
-        Status.DATA_UNFIT, DEFECTS[name] + more, 0.0, 1.0,
+        Status.DATA_UNFIT, reason(cause, meaning=DEFECTS[name], amount=amount), 0.0, 1.0,
         evidence={"defect": name, "amount": amount},
     )  # fmt: skip
 
@@ -155,8 +153,10 @@ def _unexplained(case: _Case) -> _Finding:
     if case.floor_source is None:
         return _Finding(
             Status.BELOW_RESOLUTION,
-            f"{problem.noise.freedom} replicates beyond the first: too few to tell a gap from "
-            f"noise, {config.needed_replicates} are needed",
+            reason(
+                Cause.TOO_FEW_REPLICATES, freedom=problem.noise.freedom,
+                needed=config.needed_replicates,
+            ),
             0.5, 0.5,
         )  # fmt: skip
     unseen = search.gap
@@ -164,25 +164,19 @@ def _unexplained(case: _Case) -> _Finding:
         # What replicates do not share is noise, whatever the model of the noise states.
         unseen = min(unseen, max(case.shared, 0.0))
     unseen /= max(len(problem.rows), 1)
-    where = None
     if unseen > config.unexplained_per_row:
-        where = f", in the {case.block(problem.base)} residual"
+        why: Reason | None = reason(Cause.UNEXPLAINED, block=case.block(problem.base))
     else:
-        where = _hidden_gap(case)
-    if where is not None:
-        reason = f"a gap that no entry of the catalogue explains{where}"
-        return _unknown(case, problem.base, 0.98, reason)
+        why = _hidden_gap(case)
+    if why is not None:
+        return _unknown(case, problem.base, 0.98, why)
     best = max(search.first_gain.values(), default=0.0)
     unknown = 0.02 + 0.2 * min(unseen / config.unexplained_per_row, 1.0) ** 2
     none = (1.0 - unknown) * (1.0 - 0.15 * min(best / SELECTION.least_gain, 1.0))
-    return _Finding(
-        Status.NO_GAP_ABOVE_FLOOR,
-        "the plant, recalibrated within its tolerances, agrees with the data to within the floor",
-        none, 1.0 - none,
-    )  # fmt: skip
+    return _Finding(Status.NO_GAP_ABOVE_FLOOR, Reason(Cause.NO_GAP), none, 1.0 - none)
 
 
-def _hidden_gap(case: _Case) -> str | None:
+def _hidden_gap(case: _Case) -> Reason | None:
     """What shows a gap although no effect explains it; None where nothing does.
 
     A constant at the end of its tolerance, what replicates share, or a contrast: replicates far
@@ -193,12 +187,12 @@ def _hidden_gap(case: _Case) -> str | None:
     far = shift.max(initial=0.0) > config.at_bound_sd
     if far and case.search.gap > config.at_bound_chance * case.chance:
         constant = problem.names[int(np.argmax(shift))]
-        return f": {constant} is led beyond its tolerance, and more than chance is left"
+        return reason(Cause.CONSTANT_FAR, constant=constant)
     if min(case.shared, case.search.gap) > config.shared_chance * case.chance:
-        return f": replicates share {case.shared / case.chance:.1f} sd more than chance"
+        return reason(Cause.REPLICATES_SHARE, sd=case.shared / case.chance)
     alarm = next((c for c in contrasts_of(problem) if c.alarm), None)
     if alarm is not None:
-        return f": the contrast {alarm.name} stands at {alarm.z:.1f} sd"
+        return reason(Cause.CONTRAST, name=alarm.name, z=alarm.z)
     return None
 
 
@@ -209,8 +203,7 @@ def _explained(case: _Case) -> _Finding:
     if case.floor_source is None:
         return _Finding(
             Status.BELOW_RESOLUTION,
-            f"the data look like {names}, but with {problem.noise.freedom} replicates beyond the "
-            "first nothing can be told from noise",
+            reason(Cause.LOOKS_LIKE, names=names, freedom=problem.noise.freedom),
             0.3, 0.5, named=True,
         )  # fmt: skip
     traits = traits_of(problem, search, case.held)
@@ -219,8 +212,7 @@ def _explained(case: _Case) -> _Finding:
     one, two = _confounders(case)
     finding = _Finding(
         Status.UNKNOWN,
-        f"a gap of which the best entry ({names}) explains {100 * case.share:.0f} %, in a way that "
-        "points to something the catalogue does not hold",
+        reason(Cause.OUTSIDE, names=names, percent=100 * case.share),
         found.none,
         found.unknown,
         named=True,
@@ -246,22 +238,18 @@ def _explained(case: _Case) -> _Finding:
         return replace(
             finding,
             unknown=max(found.unknown, config.drift_unknown),
-            reason=f"a gap of which {names} explains a part and no drift over the trials: the "
-            f"contrast {drift.name} still stands at {drift.z:.1f} sd",
+            reason=reason(Cause.DRIFT_LEFT, names=names, name=drift.name, z=drift.z),
         )
     entries = credible_set(found, config)
-    status, reason = _status(case, entries, nearest_confounder(search, problem.base.cost, one), two)
+    status, why = _status(case, entries, nearest_confounder(search, problem.base.cost, one), two)
     right, partly = reliability["right"], reliability["right"] + reliability["part"]
     several = len(fit.ids) > 1
     least = config.named_several if several else config.named
     if status in NAMED and (partly < least or (several and right < config.named_all)):
         status = Status.INDISTINGUISHABLE
-        reason = (
-            f"{names} fits best, but an explanation that looks like this one is right in "
-            f"{100 * right:.0f} % of cases only"
-        )
+        why = reason(Cause.UNRELIABLE, names=names, percent=100 * right)
     stage = CATALOGUE[fit.ids[0]].stage
-    return replace(finding, status=status, reason=reason, stage=stage, entries=entries)
+    return replace(finding, status=status, reason=why, stage=stage, entries=entries)
 
 
 def _confounders(case: _Case) -> tuple[Confounder | None, Confounder | None]:
@@ -308,30 +296,24 @@ def _status(
     entries: list[tuple[Hypothesis, float]],
     one: Confounder | None,
     two: Confounder | None,
-) -> tuple[Status, str]:
+) -> tuple[Status, Reason]:
     """Status and reason of an explanation that is reliable."""
     names, least = case.names, case.config.confounder_share
     alike = one is not None and one.share >= least
     if alike or len({frozenset(hypothesis.fit.ids) for hypothesis, _ in entries}) > 1:
-        other = f"; {' + '.join(one.ids)} would look alike" if one and alike else ""
-        return (
-            Status.INDISTINGUISHABLE,
-            f"{names} or another entry of the set: these data fit both{other}",
-        )
+        if one is None or not alike:
+            return Status.INDISTINGUISHABLE, reason(Cause.SEVERAL_FIT, names=names)
+        other = " + ".join(one.ids)
+        return Status.INDISTINGUISHABLE, reason(Cause.SEVERAL_ALIKE, names=names, other=other)
     if two is not None and two.share >= least:
-        return Status.MIMICABLE, f"{names}, or {' and '.join(two.ids)} acting together"
+        return Status.MIMICABLE, reason(Cause.PAIR_ALIKE, names=names, other=" and ".join(two.ids))
     if case.share < case.config.form_share:
-        return (
-            Status.NAMED_FORM_INADEQUATE,
-            f"{names} explains {100 * case.share:.0f} % of the gap; its form leaves a pattern",
-        )
+        why = reason(Cause.FORM_LEAVES, names=names, percent=100 * case.share)
+        return Status.NAMED_FORM_INADEQUATE, why
     low = _gap(case, named=True).closed_low
     if low is not None and low <= case.config.closed_share:
-        return (
-            Status.NAMED_FORM_INADEQUATE,
-            f"{names}; held out, the closed fraction is not certain to exceed one half",
-        )
-    return Status.NAMED, f"{names} explains the gap"
+        return Status.NAMED_FORM_INADEQUATE, reason(Cause.FORM_UNCERTAIN, names=names)
+    return Status.NAMED, reason(Cause.EXPLAINED, names=names)
 
 
 def _gap(case: _Case, named: bool) -> Gap:

@@ -9,9 +9,8 @@ import numpy.typing as npt
 
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import gather, projected
-from gap.model.sensitivities import suspect_columns
-
-Array = npt.NDArray[np.float64]
+from gap.model.sensitivities import candidate_columns
+from plant.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -29,7 +28,7 @@ class ConfounderSearch:
         self.problem = problem
         c = problem.constants(problem.base.shift)
         self._columns = np.nan_to_num(
-            suspect_columns(
+            candidate_columns(
                 problem.model,
                 c,
                 problem.active_effects(problem.base.shift, (), np.empty(0)),

@@ -14,6 +14,7 @@ from gap.decision.classify import classify
 from gap.effects.candidates import CANDIDATES
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.reason import Cause, Reason, reason
 from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult, search_effects
@@ -77,17 +78,11 @@ def _unfit(found: list[Unfit]) -> Verdict:
     first = found[0]
     return Verdict(
         status=Status.DATA_UNFIT,
-        reason="; ".join(str(unfit) for unfit in found[:3]),
+        reason=reason(Cause.UNFIT_CHANNELS, defects="; ".join(map(str, found[:3]))),
         stage=None,
         effects=(),
         probability_none=0.0,
         probability_unknown=1.0,
-        gap=None,
-        stages=(),
-        contrasts=(),
-        limits={},
-        next_experiment=None,
-        why_not={},
         evidence={
             "unfit": [{"channel": u.channel, "defect": u.defect} for u in found],
             "first": first.trial,
@@ -99,17 +94,10 @@ def nothing_to_compare(data: DataSet) -> Verdict:
     """The verdict on data without any two channels that the plant relates."""
     return Verdict(
         status=Status.BELOW_RESOLUTION,
-        reason="no trial has channels that the plant relates: pressure with force, pressure with "
-        "valve commands, or pressure with a hung load and its length, each with a length",
+        reason=Reason(Cause.NOTHING_TO_COMPARE),
         stage=None,
         effects=(),
         probability_none=0.5,
         probability_unknown=0.5,
-        gap=None,
-        stages=(),
-        contrasts=(),
-        limits={},
-        next_experiment=None,
-        why_not={},
         notes=data.notes,
     )

@@ -19,7 +19,8 @@ from importlib import resources
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
+
 Indices = npt.NDArray[np.int64]
 
 OUTCOMES = ("right", "part", "other", "unknown")

@@ -16,51 +16,18 @@ from typing import Any
 
 import numpy as np
 
+from gap.design.config import DESIGN
 from gap.design.foresight import Products, by_trial, on_experiment, products, separation, sum_of
 from gap.design.library import LibraryExperiment, library_experiments
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.output import toml_value
 from gap.verdict import Experiment
 from plant.effects.catalogue import CATALOGUE
+from plant.effects.standards import Standard
 from plant.errors import PlantError
 
-ENOUGH = 3.3
-MOST_TRIALS = 24
-LEAST_REPEATS = 2
-BEGIN_MIN = 3.0
-
-
-@dataclass(frozen=True)
-class Standard:
-    """A reference standard: what is done with it, and how long that takes."""
-
-    name: str
-    what: str
-    minutes: float
-
-
-VENT = Standard("vent", "vent to the atmosphere and read the pressure", 2.0)
-GAUGE = Standard("gauge", "read a reference gauge beside the sensor at three pressures", 6.0)
-WEIGHTS = Standard("dead weights", "hang known weights on the force sensor, and none", 6.0)
-BLOCK = Standard("gauge block", "hold a gauge block before the camera at three places", 6.0)
-HOLDERS = Standard("gauge block", "set a gauge block between the holders", 6.0)
-LAMP = Standard("sync lamp", "show the camera a lamp that the controller switches", 4.0)
-SCALES = Standard("scales", "weigh the load", 2.0)
-LOCKED = Standard("locked decay", "shut both valves at pressure and watch for a minute", 4.0)
-SYRINGE = Standard("bypass volume", "connect a known volume and fill once more", 10.0)
-
 REFERENCES: dict[str, tuple[Standard, float]] = {
-    "pressure_zero": (VENT, 0.15),
-    "pressure_gain": (GAUGE, 0.15),
-    "force_zero": (WEIGHTS, 0.05),
-    "force_gain": (WEIGHTS, 0.1),
-    "length_label": (HOLDERS, 0.05),
-    "camera_scale": (BLOCK, 0.05),
-    "camera_distortion": (BLOCK, 0.02),
-    "camera_delay": (LAMP, 0.5),
-    "payload": (SCALES, 0.005),
-    "leak": (LOCKED, 2e-13),
-    "dead_volume": (SYRINGE, 0.05),
+    effect.id: effect.reference for effect in CATALOGUE.values() if effect.reference is not None
 }
 """For an effect its standard, and how well that gives the headline parameter (one sd, its unit)."""
 
@@ -76,7 +43,7 @@ class _Plan:
     @property
     def minutes(self) -> float:
         """Bench time with what it takes to begin a run."""
-        return BEGIN_MIN + self.repeats * self.option.minutes
+        return DESIGN.begin_min + self.repeats * self.option.minutes
 
 
 def advise(
@@ -93,7 +60,9 @@ def advise(
     between = ("+".join(best.ids), "+".join(rival.ids))
     # Where forms that are never exact have kept two apart in name only, it takes an experiment
     # that would be enough by itself.
-    enough = ENOUGH if now < ENOUGH else float(np.hypot(now, ENOUGH))
+    enough = DESIGN.enough_sd
+    if now >= enough:
+        enough = float(np.hypot(now, enough))
     plans = [
         plan
         for plan in (
@@ -135,7 +104,7 @@ def _plan(
 ) -> _Plan | None:
     """Repeats that an experiment needs; None where it would take too many."""
     one = products(on_experiment(problem, option), best, rival)
-    for repeats in range(LEAST_REPEATS, MOST_TRIALS // len(option.trials) + 1):
+    for repeats in range(DESIGN.least_repeats, DESIGN.most_trials // len(option.trials) + 1):
         after = separation(present + one.times(repeats), best, rival)
         if after >= enough:
             return _Plan(option, repeats, after)
@@ -156,7 +125,7 @@ def _same_again(
     found: tuple[int, float, int] | None = None
     for slot, members in enumerate(problem.data.slots.values()):
         one = sum_of([parts[t] for t in members]).times(1)
-        for rounds in range(1, MOST_TRIALS // len(members) + 1):
+        for rounds in range(1, DESIGN.most_trials // len(members) + 1):
             after = separation(present + one.times(rounds), best, rival)
             if after >= enough:
                 count = rounds * len(members)

@@ -12,19 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.design.library import LibraryExperiment, as_data
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import tolerance
+from gap.estimation.information import damped_step, tolerance
 from gap.estimation.noise import WHITE, Noise, usual
-from gap.estimation.normal_equations import damped_step
 from gap.model.features import BLOCKS
 from gap.model.grid import make_grid
 from gap.model.residuals import Model
 from gap.model.sensitivities import TRIAL_EFFECTS, trial_columns
+from plant.arrays import Array
 
-Array = npt.NDArray[np.float64]
 _BENDS = 12
 
 

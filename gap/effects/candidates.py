@@ -45,9 +45,19 @@ class Candidate:
     option: str = ""
 
     @property
+    def search(self) -> Search:
+        """How the diagnosis tries it."""
+        return _SEARCHES[self.id]
+
+    @property
+    def switch(self) -> bool:
+        """Whether it is there or not, without an amount in between."""
+        return self.id in CATALOGUE and CATALOGUE[self.id].headline is None
+
+    @property
     def free(self) -> Mapping[str, tuple[float, float]]:
         """Numbers of its shape that a fit may move, with the range of each."""
-        search = _SEARCHES[self.id]
+        search = self.search
         if any(key in self.shape for key in search.fixed_by):
             return {}
         return {key: search.free[key] for key in self.shape if key in search.free}
@@ -61,7 +71,7 @@ class Candidate:
     def bounds(self) -> tuple[float, float]:
         """Least and greatest amount: the catalogue's range where the amount is the headline."""
         least = 0.0 if self.sign else -np.inf
-        if self.defect or not _SEARCHES[self.id].bounded:
+        if self.defect or not self.search.bounded:
             return least, np.inf
         effect = CATALOGUE[self.id]
         if effect.headline is None:

@@ -12,7 +12,8 @@ import numpy as np
 from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Array, Params, Points, Shape
-from plant.effects.effect import InDiagnosis, Search
+from plant.effects.catalogue import CATALOGUE
+from plant.effects.effect import EachTrial, Effect, InDiagnosis, Search
 from plant.effects.trials import bend, moved
 
 
@@ -20,13 +21,16 @@ from plant.effects.trials import bend, moved
 class RecordingError:
     """One error of a recording; `search` None where the diagnosis does not look for it.
 
-    Amounts are in ms where nothing else is said.
+    Amounts are in ms where nothing else is said. `calibration` and `each_trial` are as those of an
+    effect of the catalogue.
     """
 
     id: str
     meaning: str
     diagnosis: InDiagnosis
     search: Search | None = None
+    calibration: str = ""
+    each_trial: tuple[EachTrial, ...] = ()
 
 
 def _force_late(force: Array, points: Points, amount: float) -> Array:
@@ -60,13 +64,13 @@ RECORDING: tuple[RecordingError, ...] = (
         "force_clock",
         "force_n is out of time with the other channels",
         InDiagnosis(force_shown=_force_late),
-        Search(step=4.0, sign=0, blocks=("force", "load")),
+        Search(step=4.0, sign=0, blocks=("force", "load"), scan="clock"),
     ),
     RecordingError(
         "pressure_clock",
         "pressure_kpa is out of time with the other channels",
         InDiagnosis(pressure=_pressure_late, gas=_pressure_clock),
-        Search(step=2.0, sign=0, blocks=("pressure", "force", "load")),
+        Search(step=2.0, sign=0, blocks=("pressure", "force", "load"), scan="clock"),
     ),
     RecordingError(
         "force_smoothed",
@@ -89,5 +93,17 @@ RECORDING: tuple[RecordingError, ...] = (
         "camera_zero",
         "the camera shows every length off by this, mm",
         InDiagnosis(camera=_camera_zero),
+        calibration="length_zero_mm",
+        each_trial=(EachTrial("length zero", 0.02, ("force", "load", "camera")),),
     ),
 )
+
+_ALL: tuple[Effect | RecordingError, ...] = (*CATALOGUE.values(), *RECORDING)
+
+CALIBRATION: dict[str, str] = {one.calibration: one.id for one in _ALL if one.calibration}
+"""The change of a reading that each key of `calibration.toml` stands for."""
+
+EACH_TRIAL: dict[str, tuple[str, EachTrial]] = {
+    each.kind: (one.id, each) for one in _ALL for each in one.each_trial
+}
+"""Errors that are drawn anew for each trial, by kind: what each is an amount of, and its size."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gap.effects.recording import RECORDING
-from plant.effects.arguments import Context as Context
 from plant.effects.arguments import Shape
 from plant.effects.catalogue import CATALOGUE
 from plant.effects.effect import InDiagnosis, InSensors

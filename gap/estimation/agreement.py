@@ -11,13 +11,10 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import gather
-
-Array = npt.NDArray[np.float64]
-
-_TRUST = 4.0
-"""Replicates that the noise's model is worth beside what the replicates show of the amount."""
+from plant.arrays import Array
 
 
 def replicate_inflation(problem: FitProblem, key: str) -> float:
@@ -73,7 +70,8 @@ def _spread(units: npt.NDArray[np.int64], pull: Array, size: Array) -> float:
         return 1.0
     freedom = float(weights.sum() ** 2 / np.sum(weights**2))
     ratio = found / float(weights.sum())
-    return max(1.0, (freedom * ratio + _TRUST) / (freedom + _TRUST))
+    weight = ESTIMATION.agreement_weight
+    return max(1.0, (freedom * ratio + weight) / (freedom + weight))
 
 
 def shared_chi2(problem: FitProblem, residual: Array) -> float:

@@ -14,12 +14,10 @@ import numpy.typing as npt
 from scipy.stats import t as student
 
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import gather, tolerance
-from gap.estimation.normal_equations import damped_step
+from gap.estimation.information import damped_step, gather, tolerance
 from gap.model.features import BLOCKS, UNITS
 from gap.verdict import Gap
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -14,28 +14,27 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import DataSet
-from gap.data.duplicates import without_duplicates
+from gap.data.quality import without_duplicates
 from gap.effects.candidates import CANDIDATES, Candidate
-from gap.estimation.information import Evidence, gather, tolerance
+from gap.effects.terms import Active
+from gap.estimation.information import Evidence, covariance, damped_step, gather, tolerance
 from gap.estimation.noise import Noise, learn_noise, usual_noise
 from gap.estimation.non_identical import non_identical, unexplainable
-from gap.estimation.normal_equations import covariance, damped_step
 from gap.model.features import Rows
-from gap.model.force import Active
 from gap.model.grid import Grid, make_grid
 from gap.model.residuals import Model
 from gap.model.sensitivities import (
     calibration_columns,
+    candidate_columns,
     constant_columns,
     miscalibrated,
     mounted,
     mounting_columns,
-    suspect_columns,
 )
+from plant.arrays import Array
 from plant.constants import KEYS, PlantConstants
 from plant.effects.catalogue import CATALOGUE
 
-Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
 _ROUNDS = 12
@@ -120,7 +119,7 @@ class FitProblem:
         data = without_duplicates(data)
         # A table of settled points has no time in it, so nothing in it can be out of time.
         timed = not data.settled
-        usable = tuple(s for s in candidates if timed or not (s.defect or s.id == "camera_delay"))
+        usable = tuple(s for s in candidates if timed or not (s.defect or s.search.scan == "clock"))
         model = Model(make_grid(data))
         stated = _stated_effects(data)
         residual = _stacked_residual(model, data.constants, stated)
@@ -383,7 +382,7 @@ class FitProblem:
         for j, candidate in enumerate(candidates):
             there = [block for block in candidate.blocks if block in self.grid.points]
             step = max(0.3 * candidate.step, 0.02 * abs(amounts[j]))
-            if candidate.id == "transport_delay":
+            if candidate.switch:
                 step = 1.0
             low = [*active]
             high = [*active]
@@ -432,7 +431,7 @@ class FitProblem:
             or not set(map(id, self.candidates)) <= kept[1].keys()
         ):
             active = self.active_effects(fit.shift, fit.candidates, fit.amounts)
-            columns = suspect_columns(
+            columns = candidate_columns(
                 self.model, self.constants(fit.shift), active, self.candidates
             )
             place = {id(candidate): j for j, candidate in enumerate(self.candidates)}
@@ -489,10 +488,5 @@ def _stated_effects(data: DataSet) -> Active:
         entry = CATALOGUE[name]
         shape = next(s.shape for s in CANDIDATES if s.id == name)
         option = next((str(v) for v in table.values() if isinstance(v, str)), "")
-        amount = float(table[entry.headline]) if entry.headline else 1.0
-        if name in ("flow_area", "polytropic"):
-            amount -= 1.0
-        elif name == "critical_ratio":
-            amount -= data.constants.critical_ratio
-        made.append((name, option, amount, shape))
+        made.append((name, option, entry.amount(table, data.constants), shape))
     return made

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gap.estimation.config import ESTIMATION
 from gap.estimation.noise import Noise
 from gap.model.features import BLOCKS
+from plant.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
 
@@ -77,20 +78,17 @@ def gather(
     return Evidence(constants.shape[1], -slope, stiffness, cost, units, gram, plain, weight)
 
 
-SLACK = 3.0
-_WALL = 100.0
-
-
 def tolerance(shift: Array) -> tuple[float, Array, Array]:
     """Prior of constants moved by `shift` sd: cost, half its slope, half its curvature.
 
     A normal law up to three sd. Beyond, where no data sheet reaches, it turns into a steep wall:
     what a constant would have to do out there is no recalibration but an effect.
     """
-    beyond = np.maximum(np.abs(shift) - SLACK, 0.0)
-    cost = float(np.sum(shift**2 + _WALL * beyond**2))
-    slope = shift + _WALL * beyond * np.sign(shift)
-    return cost, slope, np.where(beyond > 0.0, 1.0 + _WALL, 1.0)
+    beyond = np.maximum(np.abs(shift) - ESTIMATION.tolerance_sd, 0.0)
+    wall = ESTIMATION.beyond_weight
+    cost = float(np.sum(shift**2 + wall * beyond**2))
+    slope = shift + wall * beyond * np.sign(shift)
+    return cost, slope, np.where(beyond > 0.0, 1.0 + wall, 1.0)
 
 
 def projected(evidence: Evidence, gram: Array) -> Array:
@@ -105,3 +103,26 @@ def projected(evidence: Evidence, gram: Array) -> Array:
     if n:
         made -= across.T @ np.linalg.solve(inner, across)
     return np.asarray(made)
+
+
+def _scale(matrix: Array) -> Array:
+    """Unit of each parameter of a normal matrix: a leak's is thirty decades from a constant's."""
+    diagonal = np.diag(matrix)
+    return np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+
+
+def damped_step(matrix: Array, right: Array, damping: float) -> Array:
+    """Step of the damped normal equations (Marquardt)."""
+    unit = _scale(matrix)
+    stiff = matrix / unit / unit[:, None] + (damping + 1e-12) * np.eye(len(unit))
+    try:
+        return np.asarray(np.linalg.solve(stiff, right / unit)) / unit
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(stiff, hermitian=True) @ (right / unit)) / unit
+
+
+def covariance(matrix: Array) -> Array:
+    """Inverse of a normal matrix, worked out in units in which its parameters are alike."""
+    unit = _scale(matrix)
+    even = np.linalg.pinv(matrix / unit / unit[:, None], hermitian=True, rcond=1e-13)
+    return np.asarray(even / unit / unit[:, None])

@@ -6,15 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import projected
-from gap.estimation.normal_equations import covariance, damped_step
+from gap.estimation.information import covariance, damped_step, projected
 from gap.verdict import Estimate
 from plant.effects.catalogue import CATALOGUE
 
 _Z95 = 1.96
-_FORM = 0.1
-"""Error of the form of an effect for which none is stated."""
 
 
 def undamped_step(problem: FitProblem, fit: FitResult) -> FitResult:
@@ -68,7 +66,7 @@ def headline_estimates(
         amount = float(fit.amounts[at].sum())
         index = [n + j for j in at]
         sd = float(np.sqrt(max(fit.cover[np.ix_(index, index)].sum(), 0.0))) * spread
-        if name == "supply_droop":
+        if entry.diagnosis.largest_fall:
             active = problem.active_effects(fit.shift, fit.candidates, fit.amounts)
             problem.model.residual(problem.constants(fit.shift), active, ["pressure"])
             fall = problem.model.fall_pa * 1e-3
@@ -77,13 +75,15 @@ def headline_estimates(
         if whole:
             taken = _share_of_constant(problem, fit, name, fit.candidates[at[0]].option)
             amount, sd = amount + taken, float(np.hypot(sd, 0.5 * taken))
-        low, high = interval(amount, _Z95 * sd, _Z95 * (form_error or {}).get(name, _FORM))
-        shift = _offset(problem, name)
+        low, high = interval(
+            amount, _Z95 * sd, _Z95 * (form_error or {}).get(name, ESTIMATION.form_error)
+        )
+        shift = entry.neutral_in(problem.data.constants)
         key = entry.headline if entry.headline not in made else f"{name}_{entry.headline}"
         made[key] = Estimate(amount + shift, low + shift, high + shift)
         option = fit.candidates[at[0]].option
         if option:
-            word = "side" if name == "flow_area" else "edge"
+            word = entry.option_name
             made[word if word not in made else f"{name}_{word}"] = Estimate(option)
     return made
 
@@ -99,36 +99,20 @@ def interval(amount: float, noise: float, form: float) -> tuple[float, float]:
     return float(amount - np.hypot(noise, low)), float(amount + np.hypot(noise, high))
 
 
-BEYOND = 2.0
-"""Shift of a constant, in sd, that its tolerance hardly explains."""
-
-
 def _share_of_constant(problem: FitProblem, fit: FitResult, name: str, option: str) -> float:
     """What the constant of an effect's own meaning took of it, in the headline's unit."""
-    key = {
-        "dead_volume": "dead_volume_ml", "critical_ratio": "critical_ratio",
-        "flow_area": f"{option}_conductance_m3_s_pa", "valve_delay": f"{option}_ms",
-        "valve_delay_pressure": f"{option}_ms_per_kpa",
-    }.get(name)  # fmt: skip
+    entry = CATALOGUE[name]
+    key = entry.own_constant.format(option=option)
     if key not in problem.names:
         return 0.0
     shift = float(fit.shift[problem.names.index(key)])
-    if abs(shift) <= BEYOND:
+    if abs(shift) <= ESTIMATION.taken_over_sd:
         return 0.0
     stated, moved = problem.data.constants.value(key), problem.constants(fit.shift).value(key)
-    if name == "flow_area":
+    if entry.ratio:
         at = next(j for j, s in enumerate(fit.candidates) if s.id == name)
         return (1.0 + float(fit.amounts[at])) * (moved / stated - 1.0)
     return moved - stated
-
-
-def _offset(problem: FitProblem, name: str) -> float:
-    """What the headline is at zero effect: ratios and exponents are stated from 1 up."""
-    if name in ("flow_area", "polytropic"):
-        return 1.0
-    if name == "critical_ratio":
-        return float(problem.data.constants.critical_ratio)
-    return 0.0
 
 
 def detection_limits(problem: FitProblem, alarm: float) -> dict[str, float]:

@@ -15,21 +15,21 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.effects.candidates import CANDIDATES
+from gap.estimation.config import ESTIMATION
 from gap.model.features import BLOCKS
 from gap.model.residuals import Model
 from gap.model.sensitivities import (
     UNSEEN_GAS,
     TrialEffect,
+    candidate_columns,
     slow_columns,
-    suspect_columns,
     trial_columns,
 )
+from plant.arrays import Array
 from plant.constants import PlantConstants
 
-Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
-_PRIOR_WEIGHT = 4.0
 _ROUNDS = 12
 SLOW_START = {"pressure": 0.05, "force": 0.08, "load": 0.05, "camera": 0.0}
 WHITE = {"pressure": 0.5, "force": 0.05, "load": 0.06, "camera": 0.01}
@@ -121,7 +121,7 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
         start = noise.white.copy()
         _learn(noise, pairs, prior, classes)
         z, trend = _trend(model, c, noise, pairs)
-        if z > _TREND_ASKED:
+        if z > ESTIMATION.trend_requested:
             # Replicates far apart share no slow change: what they differ by through it is not
             # noise, or wear would raise the very floor it has to rise above.
             before = noise.white, noise.scales
@@ -129,7 +129,8 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
             for pair in pairs:
                 pair.take_out(trend)
             _learn(noise, pairs, prior, classes)
-            if z > _TREND_Z or _height(noise, pairs, trend) > _TREND_SURE:
+            height = _height(noise, pairs, trend)
+            if z > ESTIMATION.trend_sd or height > ESTIMATION.trend_sd_without:
                 noise.trend = trend
             else:
                 noise.white, noise.scales = before
@@ -277,19 +278,12 @@ class _Pair:
         return float(w @ solved[:, 0]), float(w @ solved[:, 1])
 
 
-_TREND_ASKED = 1.5
-_TREND_Z = 3.5
-_TREND_SURE = 7.0
-"""Z of a slow change from which it is one: over noise that it may have raised itself, and over
-noise learnt without it, which chance makes look smaller."""
-
-
 def _trend(
     model: Model, c: PlantConstants, noise: Noise, pairs: list[_Pair]
 ) -> tuple[float, Array]:
     """The slow change over trials that replicates show best, one entry a row, and its z."""
-    wear = [candidate for candidate in CANDIDATES if candidate.id == "wear"]
-    columns = suspect_columns(model, c, [], wear)
+    wear = [candidate for candidate in CANDIDATES if candidate.family == "drift"]
+    columns = candidate_columns(model, c, [], wear)
     best = (0.0, np.zeros(len(columns)))
     for j in range(columns.shape[1]):
         products = np.array([pair.products(noise, columns[:, j]) for pair in pairs])
@@ -346,7 +340,7 @@ def _learn(noise: Noise, pairs: list[_Pair], prior: dict[str, float], block: Who
             # Replicates bounce alike, so what they share does not show unobserved flow.
             if kind == UNSEEN_GAS:
                 continue
-            weight = _PRIOR_WEIGHT
+            weight = ESTIMATION.prior_weight
             variance[kind] = (weight * prior[kind] ** 2 + total[kind]) / (weight + count[kind])
         for number in numbers:
             if size[number] > 0.0:

@@ -8,14 +8,12 @@ no constant and no candidate effect can make.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.data.dataset import COMMANDS, Channel, DataSet
+from gap.estimation.config import ESTIMATION
 from gap.estimation.noise import Noise
+from plant.arrays import Array
 
-Array = npt.NDArray[np.float64]
-
-_SAME_S = 2e-3
 _RIDGE = 1e-6
 
 
@@ -33,7 +31,7 @@ def _differ(a: Channel, b: Channel) -> bool:
     if len(a) != len(b):
         return True
     later = np.abs(a.time_s - b.time_s).max(initial=0.0)
-    return bool(later > _SAME_S or np.any(a.value != b.value))
+    return bool(later > ESTIMATION.same_edges_s or np.any(a.value != b.value))
 
 
 def unexplainable(columns: Array, residual: Array, noise: Noise) -> Array:

@@ -11,16 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import Evidence
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 DRAWS = 1000
-_PRIOR_DRAWS = 4.0
-"""Draws that the stated size of a noise is worth, as in `gap.estimation.noise`."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +36,9 @@ class Null:
         return (over + 1.0) / (len(self.best) + 1.0)
 
 
-def simulated_null(problem: FitProblem, seed: int = 1) -> Null:
-    """Null of the search's first step; the same seed, the same verdict, from call to call."""
-    rng = np.random.default_rng(seed)
+def simulated_null(problem: FitProblem) -> Null:
+    """Null of the search's first step; with one seed, the same verdict from call to call."""
+    rng = np.random.default_rng(1)
     evidence = problem.evidence(problem.base)
     columns = problem.signatures(problem.base)
     n = evidence.constants
@@ -64,7 +61,7 @@ def simulated_null(problem: FitProblem, seed: int = 1) -> Null:
     whole = whole * unit * unit[:, None]
     size, turn = np.linalg.eigh(whole - load.T @ load)
     root = turn * np.sqrt(np.maximum(size, 0.0))
-    known = _PRIOR_DRAWS + problem.noise.freedom
+    known = ESTIMATION.prior_weight + problem.noise.freedom
     names = sorted(set(kinds))
     at = np.array([names.index(kind) for kind in kinds], dtype=np.int64)
     scale = np.sqrt(known / rng.chisquare(known, (DRAWS, len(names))))

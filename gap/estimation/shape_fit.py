@@ -11,13 +11,11 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.effects.candidates import Candidate
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.normal_equations import damped_step
-
-Array = npt.NDArray[np.float64]
+from gap.estimation.information import damped_step
+from plant.arrays import Array
 
 _ROUNDS = 8
 _STEP = 0.05

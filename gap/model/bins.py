@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
+
 Whole = npt.NDArray[np.int64]
 
 # Seconds after a command edge at which bins end, finest first.

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gap.data.dataset import Array
-from plant.effects.arguments import Points as Points
-from plant.effects.arguments import Whole as Whole
+from plant.arrays import Array
+from plant.effects.arguments import Whole
 
 BLOCKS = ("pressure", "force", "load", "camera")
 UNITS = {"pressure": "kPa", "force": "N", "load": "N", "camera": "mm"}

@@ -8,15 +8,11 @@ fed the model too much pressure.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from gap.effects.terms import Active as Active
-from gap.effects.terms import Context as Context
-from gap.effects.terms import Term, terms
-from gap.model.features import Points
+from gap.effects.terms import Active, Term, terms
+from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
-
-Array = npt.NDArray[np.float64]
+from plant.effects.arguments import Context, Points
 
 _INVERTED = 5
 _LEAST_SLOPE = 0.25

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.data.dataset import Array, Channel, DataSet, Trial
+from gap.data.dataset import Channel, DataSet, Trial
 from gap.model import bins
-from gap.model.features import BLOCKS, Mean, Points, Rows, Whole, stacked
+from gap.model.features import BLOCKS, Mean, Rows, stacked
 from gap.model.signals import Signal, edges_of, moving, smooth_slope
 from gap.model.unobserved_flow import passing, unknown_gas
+from plant.arrays import Array
 from plant.constants import PlantConstants
+from plant.effects.arguments import Points, Whole
 from plant.physics.muscle import braid_force_slope, braid_volume, braid_volume_slope
 
 MOST_POINTS = 2400

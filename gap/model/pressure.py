@@ -4,7 +4,7 @@ The physics is that of docs/reference/plant.md; what differs from the simulator 
 it follows the measurement from afar: the prediction is drawn towards the reading with a time
 constant of seconds, so that one cause early in a trial does not drown what comes after it, while
 everything quicker, and every steady drift, stays in the residual. Whole data sets run in one
-compiled call, which is what lets the diagnosis try a hundred suspects in a second.
+compiled call, which is what lets the diagnosis try a hundred candidate effects in a second.
 
 `replay` runs free of the measurement instead. What the real gas did beyond the model is kept as one
 small step of pressure for each node: what the reading gains over the model sent off from the
@@ -19,9 +19,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.effects.terms import Active, terms
+from plant.arrays import Array
 from plant.compiled import called, entry_point, fingerprint, inlined
 from plant.constants import (
     GAS_CONSTANT_J_KG_K,
@@ -32,9 +32,7 @@ from plant.constants import (
 from plant.effects import pressure_stage as stage
 from plant.effects.reference import FULL_PRESSURE_PA
 from plant.physics import flow, layout, muscle
-from plant.physics.nominal import nominal_slots
-
-Array = npt.NDArray[np.float64]
+from plant.physics.layout import nominal_slots
 
 FOLLOW_S = 5.0
 """Time constant with which the prediction is drawn towards the reading."""
@@ -297,19 +295,19 @@ def _trial(
             s[5] += pull
 
 
-def _build(sources: int) -> tuple[Callable[..., None], Callable[..., None]]:
+def _build(sources: int) -> Callable[..., None]:
     vector = "float64[::1]"
     whole = "int64[::1]"
-    taken = (
-        f"{vector}, {whole}, {vector}, {vector}, {vector}, {vector}, {whole}, {vector}, "
-        f"{vector}, {whole}, {vector}"
-    )
 
     # `sources` is used so that it becomes a closure variable; it is never negative.
-    @entry_point(f"void({taken}, {vector})")
+    @entry_point(
+        f"void({vector}, {whole}, {vector}, {vector}, {vector}, {vector}, {whole}, {vector}, "
+        f"{vector}, {whole}, {vector}, {vector}, {vector}, {vector}, int64)"
+    )
     def run(
         q: Any, first: Any, time: Any, reading: Any, length: Any, supply: Any, first_edge: Any,
-        edge_s: Any, edge_to: Any, edge_of: Any, out: Any, fall: Any,
+        edge_s: Any, edge_to: Any, edge_of: Any, out: Any, fall: Any, step: Any, acting: Any,
+        mode: int,
     ) -> None:  # fmt: skip
         if sources < 0:
             return
@@ -328,43 +326,33 @@ def _build(sources: int) -> tuple[Callable[..., None], Callable[..., None]]:
                 _trial(
                     q, time[a:b], reading[a:b], length[a:b], supply[a:b], edge_s[c:d],
                     edge_to[c:d], edge_of[c:d], out[a:b], fall, due, waiting, opened, command, s,
-                    fall, fall, _FOLLOW,
+                    step[a:b], acting[a:b], mode,
                 )  # fmt: skip
 
-    @entry_point(f"void({taken}, {vector}, {vector}, boolean)")
-    def free(
-        q: Any, first: Any, time: Any, reading: Any, length: Any, supply: Any, first_edge: Any,
-        edge_s: Any, edge_to: Any, edge_of: Any, out: Any, step: Any, acting: Any, learn: bool,
-    ) -> None:  # fmt: skip
-        if sources < 0:
-            return
-        fall = np.zeros(1)
-        due = np.empty((2, _PENDING))
-        waiting = np.zeros(2, dtype=np.int64)
-        opened = np.zeros(2, dtype=np.bool_)
-        command = np.zeros(2)
-        s = np.zeros(6)
-        for t in range(len(first) - 1):
-            a = first[t]
-            b = first[t + 1]
-            c = first_edge[t]
-            d = first_edge[t + 1]
-            if b > a:
-                _trial(
-                    q, time[a:b], reading[a:b], length[a:b], supply[a:b], edge_s[c:d],
-                    edge_to[c:d], edge_of[c:d], out[a:b], fall, due, waiting, opened, command, s,
-                    step[a:b], acting[a:b], _LEARN if learn else _APPLY,
-                )  # fmt: skip
-
-    return run, free
+    return run
 
 
-predict, replay = _build(fingerprint())
-"""`predict(q, first, time, reading, length, supply, first_edge, edge_s, edge_to, edge_of, out,
-fall)`: all trials one after the other; nodes of trial t are `first[t]:first[t+1]`, likewise its
-edges. SI throughout; `out` gets the predicted readings, `fall[0]` the largest fall of supply.
+_run = _build(fingerprint())
+_NONE = np.empty(0)
 
-`replay(..., out, step, acting, learn)` takes the same. With `learn` the steps that the real gas
-took beyond the model go to `step` (Pa, one a node), and `acting` says (1 or 0) whether a valve may
-have been open since the node before; without it `step` is applied as it stands. `out` gets the
-pressures as the gauge would read them."""
+
+def predict(*arrays: Any) -> None:
+    """All trials one after the other, the prediction drawn towards the reading.
+
+    Takes (q, first, time, reading, length, supply, first_edge, edge_s, edge_to, edge_of, out,
+    fall): nodes of trial t are `first[t]:first[t+1]`, likewise its edges of commands; readings go
+    to `out`, `fall[0]` is the largest fall of the supply.
+    """
+    _run(*arrays, _NONE, _NONE, _FOLLOW)
+
+
+def replay(*arrays: Any, learn: bool) -> None:
+    """All trials, running free of the reading, with the steps of the real gas put in.
+
+    Takes the arrays of `predict` up to `out`, then step and acting. With `learn` the steps that the
+    real gas took beyond the model go to `step` (Pa, one a node), and `acting` says (1 or 0) whether
+    a valve may have been open since the node before; without it `step` is applied as it stands.
+    `out` gets the pressures as the gauge would read them.
+    """
+    *common, step, acting = arrays
+    _run(*common, np.zeros(1), step, acting, _LEARN if learn else _APPLY)

@@ -7,16 +7,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from gap.effects.terms import Active, Context, terms
+from gap.effects.terms import Active, terms
 from gap.model import force as laws
 from gap.model import pressure as chamber
-from gap.model.features import BLOCKS, Points
+from gap.model.features import BLOCKS
 from gap.model.grid import Grid
+from plant.arrays import Array
 from plant.constants import KEYS, PlantConstants
-
-Array = npt.NDArray[np.float64]
+from plant.effects.arguments import Context, Points
 
 SCALE = {"pressure": 1e-3, "force": 1.0, "load": 1.0, "camera": 1e3}
 

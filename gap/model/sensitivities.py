@@ -1,4 +1,4 @@
-"""Signatures: what each constant, each trial effect and each suspect would do to the features."""
+"""Signatures: what each constant, trial effect and candidate effect does to the features."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.data.dataset import CALIBRATION
 from gap.effects.candidates import Candidate
+from gap.effects.recording import CALIBRATION, EACH_TRIAL
 from gap.effects.terms import Active
 from gap.model.features import BLOCKS
 from gap.model.residuals import Model, shifted
+from plant.arrays import Array
 from plant.constants import PlantConstants
-
-Array = npt.NDArray[np.float64]
 
 CONSTANTS: dict[str, tuple[str, ...]] = {
     "supply_kpa": ("pressure",),
@@ -50,24 +49,20 @@ class TrialEffect:
     blocks: tuple[str, ...]
 
 
-# Zeros and gains of the sensors (docs/reference/plant.md), and random errors of hand and clock.
-TRIAL_EFFECTS: tuple[TrialEffect, ...] = (
-    TrialEffect(
-        "pressure zero", 0.3, [("pressure_zero", "", 1.0, {})], ("pressure", "force", "load")
-    ),
-    TrialEffect(
-        "pressure gain", 0.3, [("pressure_gain", "", 1.0, {})], ("pressure", "force", "load")
-    ),
-    TrialEffect("force zero", 0.2, [("force_zero", "", 1.0, {})], ("force", "load")),
-    TrialEffect("force gain", 0.3, [("force_gain", "", 1.0, {})], ("force", "load")),
-    TrialEffect("length zero", 0.02, [("camera_zero", "", 1.0, {})], ("force", "load", "camera")),
-    TrialEffect("length gain", 0.05, [("camera_scale", "", 1.0, {})], ("force", "load", "camera")),
-    TrialEffect(
-        "held length", 0.02, [("length_label", "", 1.0, {})], ("pressure", "force", "camera")
-    ),
-    TrialEffect("inlet timing", 0.03, [("valve_delay", "inlet_on", 1.0, {})], ("pressure",)),
-    TrialEffect("outlet timing", 0.03, [("valve_delay", "outlet_on", 1.0, {})], ("pressure",)),
-)
+def _trial_effect(kind: str) -> TrialEffect:
+    name, each = EACH_TRIAL[kind]
+    return TrialEffect(kind, each.sd, [(name, each.option, 1.0, {})], each.blocks)
+
+
+TRIAL_EFFECTS: tuple[TrialEffect, ...] = tuple(
+    _trial_effect(kind)
+    for kind in (
+        "pressure zero", "pressure gain", "force zero", "force gain", "length zero", "length gain",
+        "held length", "inlet timing", "outlet timing",
+    )
+)  # fmt: skip
+"""Zeros and gains of the sensors (docs/reference/plant.md), and random errors of hand and clock, in
+the order of the noise model's columns."""
 
 SLOW_WAVES = 14
 """Cosines over a trial that carry slow noise of each block."""
@@ -206,27 +201,26 @@ def slow_columns(model: Model, trial_rows: npt.NDArray[np.int64]) -> tuple[Array
     return np.stack(columns, axis=1), groups
 
 
-def suspect_columns(
+def candidate_columns(
     model: Model,
     c: PlantConstants,
     active: Active,
-    suspects: Sequence[Candidate],
-    amounts: Sequence[float] | None = None,
+    candidates: Sequence[Candidate],
 ) -> Array:
-    """Change of measured-minus-predicted explained by one unit of each suspect, (rows, suspects).
+    """Change of measured-minus-predicted explained by one unit of each, (rows, candidates).
 
     The column is minus the change of the residual, so that a true amount a leaves a residual of
-    a times the column. `amounts` are where secants are taken, else the suspects' own steps.
+    a times the column.
     """
     base = model.residual(c, active)
-    columns = np.zeros((len(model.grid.rows), len(suspects)))
-    for j, suspect in enumerate(suspects):
-        there = [block for block in suspect.blocks if block in model.grid.points]
+    columns = np.zeros((len(model.grid.rows), len(candidates)))
+    for j, candidate in enumerate(candidates):
+        there = [block for block in candidate.blocks if block in model.grid.points]
         if not there:
             continue
-        amount = suspect.step if amounts is None else amounts[j]
+        amount = candidate.step
         moved = model.residual(
-            c, [*active, (suspect.id, suspect.option, amount, suspect.shape)], there
+            c, [*active, (candidate.id, candidate.option, amount, candidate.shape)], there
         )
         columns[:, j] = model.stacked({b: (base[b] - moved[b]) / amount for b in there})
     return columns

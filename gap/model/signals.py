@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from gap.data.dataset import Array, Channel, Trial
+from gap.data.dataset import Channel, Trial
+from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 
 _MOVED_M = 0.8e-3

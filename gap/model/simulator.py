@@ -14,15 +14,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.data.dataset import Channel, DataSet, Trial
 from gap.model.grid import make_grid
 from gap.model.residuals import SCALE, Model, shifted
 from gap.model.sensitivities import CONSTANTS
 from plant.constants import KEYS
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

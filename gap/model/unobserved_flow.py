@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gap.data.dataset import Array, Trial
+from gap.data.dataset import Trial
 from gap.model.signals import edges_of
+from plant.arrays import Array
 
 _CLOSING_S = 0.03
 """Time after a command's end in which a valve may still pass air."""

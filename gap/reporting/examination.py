@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.data.dataset import DataSet
 from gap.decision.diagnose import diagnose_with_search
@@ -17,8 +16,7 @@ from gap.model.features import BLOCKS, UNITS
 from gap.selection.search import SearchResult
 from gap.validation.maps import Course, residual_maps
 from gap.verdict import Verdict
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -5,36 +5,25 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from analysis.figures import drawing
+from analysis.figures.drawing import INK, QUIET
 from gap.reporting.examination import Examination, Field
 from gap.reporting.map_figures import courses_figure
 from gap.verdict import Share
+from plant.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = npt.NDArray[np.float64]
 
-INK, QUIET = "#222222", "#8a8a8a"
 BLUE, ORANGE, GREEN = "#0072B2", "#E69F00", "#009E73"  # Okabe and Ito
-STYLE: dict[str, Any] = {
-    "font.size": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": QUIET,
-    "axes.labelcolor": INK,
-    "axes.axisbelow": True,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "legend.frameon": False,
-    "svg.fonttype": "path",
-    "svg.hashsalt": "pamrig",
-}
+_WITHOUT = ("axes.linewidth", "axes.grid", "grid.color", "grid.linewidth", "figure.dpi")
+STYLE = {key: value for key, value in drawing.STYLE.items() if key not in _WITHOUT}
 CELLS = 14
 
 

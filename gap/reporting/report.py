@@ -52,7 +52,7 @@ def context(examined: Examination) -> dict[str, Any]:
         "head": HEADS.get(verdict.status, verdict.status),
         "status": verdict.status,
         "headline": headline(verdict),
-        "reason": verdict.reason,
+        "reason": str(verdict.reason),
         "careful": CAREFUL if verdict.effects else "",
         "gap": gap_sentences(verdict),
         "explanations": _explanations(verdict),

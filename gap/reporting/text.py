@@ -1,12 +1,13 @@
-"""A verdict in sentences: one sentence first, then the reasons."""
+"""A verdict, or the conclusion from several tests, in sentences: one first, then the reasons."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from gap.design.advise import ENOUGH
-from gap.verdict import Estimate, Experiment, Explanation, Verdict
+from gap.decision.sequential import SequentialVerdict
+from gap.design.config import DESIGN
+from gap.verdict import Estimate, Experiment, Explanation, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
 HEADS = {
@@ -36,7 +37,7 @@ class Rival:
 def headline(verdict: Verdict) -> str:
     """The verdict in one sentence."""
     if not verdict.effects:
-        return sentence(verdict.reason)
+        return sentence(str(verdict.reason))
     best = verdict.effects[0]
     what = " and ".join(f"{name} ({CATALOGUE[name].summary})" for name in best.ids)
     values = ", ".join(parameter_text(name, e) for name, e in best.parameters.items())
@@ -51,7 +52,7 @@ def headline(verdict: Verdict) -> str:
             )
     others = ", ".join(" + ".join(effect.ids) for effect in verdict.effects[1:4])
     if not others:
-        return sentence(verdict.reason)
+        return sentence(str(verdict.reason))
     return sentence(f"It is {what}, or {others}: these data fit all of them")
 
 
@@ -137,13 +138,13 @@ def experiment_sentence(experiment: Experiment) -> str:
     count = f"{experiment.trials} trial{'s' if experiment.trials != 1 else ''} of {what}"
     already = (
         "These data tell them apart already, as far as the forms of the catalogue go. To be surer: "
-        if experiment.separation_now >= ENOUGH
+        if experiment.separation_now >= DESIGN.enough_sd
         else ""
     )
     return already + sentence(
         f"{count}: the separation{between} would rise from {experiment.separation_now:.1f} to "
-        f"{experiment.separation_after:.1f} standard deviations ({ENOUGH:g} are right 95 times in "
-        "100)"
+        f"{experiment.separation_after:.1f} standard deviations ({DESIGN.enough_sd:g} are right 95 "
+        "times in 100)"
     )
 
 
@@ -180,3 +181,23 @@ def limits(verdict: Verdict) -> list[tuple[str, str]]:
             unit = f" {entry.unit}" if entry.unit else ""
             rows.append((name, f"{(entry.headline or '').replace('_', ' ')}: {value:.3g}{unit}"))
     return rows
+
+
+def conclusion_text(found: SequentialVerdict) -> str:
+    """Return the reason for `found.conclusion` as one sentence."""
+    assert found.verdict is not None
+    if found.verdict.status == Status.NO_GAP_ABOVE_FLOOR and found.relieving:
+        return sentence(
+            "simulation and measurement agree to within the floor only with a stated constant at "
+            "the end of its tolerance; "
+            f"{' or '.join(found.relieving)} in its place would fit as well"
+        )
+    if found.confirmed is None:
+        return headline(found.verdict)
+    protocol, prediction = found.confirmed
+    ids = [" + ".join(effect.ids) for effect in found.of_family]
+    return sentence(
+        f"It is {' or '.join(ids)}, found on the tests before and confirmed by the {protocol} "
+        f"test: it predicted {100 * prediction.share:.0f} % of the gap there, and no other "
+        "explanation predicted as much"
+    )

@@ -5,41 +5,35 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from gap.data.dataset import CALIBRATION
 from gap.effects.candidates import Candidate
+from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import SLACK, projected
+from gap.estimation.information import projected
 from gap.estimation.shape_fit import fit_shapes
 from gap.selection.config import SELECTION, SelectionConfig
 from gap.selection.inclusion import excess_chi2
+from plant.arrays import Array
 from plant.constants import KEYS
 from plant.effects.catalogue import CATALOGUE
 
-Array = npt.NDArray[np.float64]
-
-EDGES = ("inlet_on", "inlet_off", "outlet_on", "outlet_off")
 MOUNTINGS = "mountings"
 """The common part of the offsets of all mountings: each offset is chance, their mean is not."""
-STANDS_FOR = {
-    "supply_kpa": ("supply_droop", "pressure_gain"),
-    "gas_temperature_k": ("polytropic",),
-    "inlet_conductance_m3_s_pa": ("flow_area:inlet",),
-    "outlet_conductance_m3_s_pa": ("flow_area:outlet",),
-    "critical_ratio": ("critical_ratio",),
-    "dead_volume_ml": ("dead_volume",),
-    MOUNTINGS: ("length_label", "camera_scale"),
-    **{f"calibration {key}": (name,) for key, name in CALIBRATION.items() if name in CATALOGUE},
-    **{f"{e}_ms": (f"valve_delay:{e}",) for e in EDGES},
-    **{f"{e}_ms_per_kpa": (f"valve_delay_pressure:{e}",) for e in EDGES},
-}
+
+
+def _stands_for() -> dict[str, tuple[str, ...]]:
+    made: dict[str, tuple[str, ...]] = {}
+    for effect in CATALOGUE.values():
+        for key, own in effect.keys().items():
+            calibration = f"calibration {effect.calibration}" if effect.calibration else ""
+            for constant in (own, calibration, *effect.stands_for):
+                if constant:
+                    made[constant] = (*made.get(constant, ()), key)
+    return made
+
+
+STANDS_FOR = _stands_for()
 """Effects in whose place a constant may have moved."""
-_PER_SI = {
-    "critical_ratio": 1.0, "dead_volume": 1e6, "valve_delay": 1e3, "valve_delay_pressure": 1e6,
-}  # fmt: skip
-_ONE_SHAPE = ("polytropic", "supply_droop")
-"""Effects whose shapes are states of the gas: two at once mean nothing."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +72,7 @@ class LinearGains:
     def start(self, j: int) -> float:
         """Amount from which a fit of candidate `j` starts."""
         candidate, amount = self.candidates[j], float(self.amount[j])
-        if candidate.id == "transport_delay":
+        if candidate.switch:
             return 1.0
         return max(amount, 0.0) if candidate.sign else amount
 
@@ -142,12 +136,14 @@ def _exchanged(
         c = problem.data.constants
         sd = problem.data.calibration.get(name.removeprefix("calibration "))
         amount = float(fit.shift[at]) * (c.tolerance_si(name) if sd is None else sd)
-        if key.startswith("flow_area"):
+        effect = CATALOGUE[key.partition(":")[0]]
+        if effect.keys()[key] != name:
+            if sd is None:
+                continue
+        elif effect.ratio:
             amount /= max(getattr(c, KEYS[name].field), 1e-300)
-        elif key.partition(":")[0] in _PER_SI:
-            amount *= _PER_SI[key.partition(":")[0]]
-        elif sd is None:
-            continue
+        else:
+            amount *= 1.0 / KEYS[name].to_si
         shift = fit.shift.copy()
         shift[at] = 0.0
         return shift, amount
@@ -155,7 +151,7 @@ def _exchanged(
 
 
 def keys_of_shifted_constants(
-    problem: FitProblem, fit: FitResult, beyond: float = SLACK
+    problem: FitProblem, fit: FitResult, beyond: float = ESTIMATION.tolerance_sd
 ) -> list[str]:
     """Keys of effects in whose place a constant has moved more than `beyond` sd; four at most.
 
@@ -228,7 +224,7 @@ def with_second_shape(
     key, fit = hypothesis.keys[-1], hypothesis.fit
     used = {id(candidate) for candidate in fit.candidates}
     at = [j for j in linear.of_key(key) if id(problem.candidates[j]) not in used]
-    if key in _ONE_SHAPE or not at:
+    if not at or problem.candidates[at[0]].search.one_shape:
         return None
     left = excess_chi2(problem, fit)
     share = min(config.second_shape_of_gap * gap, config.second_shape_of_left * left)

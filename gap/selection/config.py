@@ -150,6 +150,20 @@ class SelectionConfig:
     timing_least_shift: int = 3
     """Least shift of a late channel, in steps of 10 ms."""
 
+    timing_widths_s: tuple[float, ...] = (0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5, 0.7)
+    """Widths of a smoothing both ways that are tried."""
+    timing_lags_s: tuple[float, ...] = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.6)
+    """One-sided lags, which a sound sensor may have, that they are tried beside."""
+    timing_shifts_s: tuple[float, ...] = (0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.23, 0.32, 0.45)
+    """Shifts in time that a smoothing is tried beside."""
+    timing_least_span_kpa: float = 30.0
+    timing_least_span_n: float = 4.0
+    """Least travel within a trial for its edges to say anything. Set on: not recorded."""
+    timing_least_left_kpa: float = 2.0
+    timing_least_left_n: float = 0.3
+    """Least error without smoothing, rms: below it there is nothing to explain. Fewer sound
+    channels are refused. Set on: not recorded."""
+
 
 SELECTION = SelectionConfig()
 """The configuration that ships; it is the default of every function."""

@@ -10,17 +10,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import tolerance
-from gap.estimation.normal_equations import damped_step
-from gap.selection.candidate_fits import EDGES
+from gap.estimation.information import damped_step, tolerance
 from gap.selection.config import SELECTION, SelectionConfig
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
+from plant.effects.catalogue import CATALOGUE
 
 _STEP_S = 1e-4
 
@@ -47,12 +44,11 @@ def _per_stroke_fit(
     """
     columns, sds = [], []
     for candidate, amount in zip(fit.candidates, fit.amounts.tolist(), strict=True):
-        late = abs(amount) * 1e-3
-        if candidate.id == "valve_delay_pressure":
-            late *= problem.data.constants.supply_pa * 1e-3
-        elif candidate.id != "valve_delay":
+        effect = CATALOGUE.get(candidate.id)
+        if effect is None or effect.diagnosis.late is None:
             continue
-        own = _strokes(problem, fit, EDGES.index(candidate.option))
+        late = effect.diagnosis.late(amount, problem.data.constants)
+        own = _strokes(problem, fit, effect.options.index(candidate.option))
         columns.append(own)
         sds += [max(config.stroke_sd * late, 1e-9)] * own.shape[1]
     if not sds:

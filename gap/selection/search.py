@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.effects.candidates import Candidate
 from gap.estimation.agreement import replicate_inflation
@@ -40,8 +39,8 @@ from gap.selection.inclusion import (
     step_statistics,
 )
 from gap.verdict import Rejection, WhyNot
+from plant.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Steps = tuple[tuple[str, float], ...]
 
 
@@ -289,7 +288,7 @@ def _scan_clocks(problem: FitProblem, config: SelectionConfig) -> dict[str, tupl
     """Gain and amount of whole clock offsets, too large for a sensitivity to show."""
     found: dict[str, tuple[float, float]] = {}
     for candidate in problem.candidates:
-        if candidate.id not in ("force_clock", "pressure_clock", "camera_delay"):
+        if candidate.search.scan != "clock":
             continue
         best = (0.0, 0.0)
         for start in (problem.base.shift, np.zeros(len(problem.names))):
@@ -314,7 +313,7 @@ def _scan_delays(problem: FitProblem, config: SelectionConfig) -> dict[str, tupl
     """
     found = {}
     for candidate in problem.candidates:
-        if candidate.id == "valve_delay":
+        if candidate.search.scan == "delay":
             tried = [
                 _gain_of(problem, problem.base.shift, candidate, size)
                 for size in config.scan_delays_ms

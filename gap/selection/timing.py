@@ -11,25 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import lfilter
 
 from gap.estimation.fit_problem import FitProblem
-from gap.model.features import Points
 from gap.selection.config import SELECTION, SelectionConfig
+from plant.arrays import Array
+from plant.effects.arguments import Points
 
-Array = npt.NDArray[np.float64]
 Pair = tuple[Array, Array, bool]
 
 _STEP_S = 0.01
-_WIDTHS_S = (0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5, 0.7)
-_LAGS_S = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.6)
-_SHIFTS_S = (0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.23, 0.32, 0.45)
 _REACH = 60
-_LEAST_SPAN = {"pressure": 30.0, "force": 4.0, "load": 4.0}
-"""Least travel within a trial, in kPa and N, for its edges to say anything."""
-_LEAST_LEFT = {"pressure": 2.0, "force": 0.3, "load": 0.3}
-"""Least error without smoothing, rms in kPa and N: below it there is nothing to explain."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +50,7 @@ def channel_with_timing_fault(
 ) -> TimingFault | None:
     """The channel that is out of time or smoothed both ways, if one surely is."""
     for block, own in (("pressure", "pressure_kpa"), ("force", "force_n")):
-        pairs = _pairs(problem, block)
+        pairs = _pairs(problem, block, config)
         if len(pairs) < 2:
             continue
         width = _is_mean_of(pairs, block, config)
@@ -88,11 +80,11 @@ def _is_late(pairs: list[Pair], block: str, config: SelectionConfig) -> float | 
         [[_unexplained(y, _delayed(x, k)) for k in steps.tolist()] for y, x, _ in pairs]
     )
     lagged = np.array(
-        [[_unexplained(y, v) for v in [x, *_lags(x)]] for y, x, _ in pairs]
+        [[_unexplained(y, v) for v in [x, *_lags(x, config)]] for y, x, _ in pairs]
     )  # fmt: skip
     size = sum(len(y) for y, _, _ in pairs)
     rival = lagged.sum(axis=0).min()
-    if np.sqrt(rival / size) < _LEAST_LEFT[block]:
+    if np.sqrt(rival / size) < _least_left(block, config):
         return None
     at = int(np.argmin(left.sum(axis=0)))
     if (
@@ -107,6 +99,16 @@ def _is_late(pairs: list[Pair], block: str, config: SelectionConfig) -> float | 
     return float(steps[at]) * _STEP_S
 
 
+def _least_left(block: str, config: SelectionConfig) -> float:
+    pressure = block == "pressure"
+    return config.timing_least_left_kpa if pressure else config.timing_least_left_n
+
+
+def _least_span(block: str, config: SelectionConfig) -> float:
+    pressure = block == "pressure"
+    return config.timing_least_span_kpa if pressure else config.timing_least_span_n
+
+
 def _delayed(x: Array, steps: int) -> Array:
     """The signal some steps later (earlier if negative), ends held."""
     if steps == 0:
@@ -116,14 +118,14 @@ def _delayed(x: Array, steps: int) -> Array:
     return np.asarray(np.r_[x[-steps:], np.full(min(-steps, len(x)), x[-1])])
 
 
-def _lags(x: Array) -> list[Array]:
+def _lags(x: Array, config: SelectionConfig) -> list[Array]:
     made = []
-    for lag in _LAGS_S:
+    for lag in config.timing_lags_s:
         made += [_lagged(x, lag), _lagged(x[::-1], lag)[::-1]]
     return made
 
 
-def _pairs(problem: FitProblem, block: str) -> list[Pair]:
+def _pairs(problem: FitProblem, block: str, config: SelectionConfig) -> list[Pair]:
     """Measured, predicted, and whether the length moves, on an even clock, trial by trial."""
     points = problem.grid.points.get(block)
     if points is None:
@@ -139,7 +141,7 @@ def _pairs(problem: FitProblem, block: str) -> list[Pair]:
         if b - a < 40:
             continue
         pair = _even(points, measured, predicted, a, b)
-        if min(float(np.ptp(pair[0])), float(np.ptp(pair[1]))) > _LEAST_SPAN[block]:
+        if min(float(np.ptp(pair[0])), float(np.ptp(pair[1]))) > _least_span(block, config):
             made.append((*pair, bool(np.ptp(points.length[a:b]) > 1e-3)))
     return made
 
@@ -153,11 +155,11 @@ def _even(points: Points, y: Array, x: Array, a: int, b: int) -> tuple[Array, Ar
 
 def _is_mean_of(pairs: list[Pair], block: str, config: SelectionConfig) -> float | None:
     """Width in s over which the first of each pair is a running mean of the second, if it is."""
-    best_of = [_left(y, x) for y, x, _ in pairs]
+    best_of = [_left(y, x, config) for y, x, _ in pairs]
     others = np.array([other for other, _ in best_of])
     smooth = np.array([widths for _, widths in best_of])
     size = np.array([len(y) for y, _, _ in pairs], dtype=np.float64)
-    if np.sqrt(others.sum(axis=0).min() / size.sum()) < _LEAST_LEFT[block]:
+    if np.sqrt(others.sum(axis=0).min() / size.sum()) < _least_left(block, config):
         return None
     at = int(np.argmin(smooth.sum(axis=0)))
     rival = others.sum(axis=0).min()
@@ -167,16 +169,16 @@ def _is_mean_of(pairs: list[Pair], block: str, config: SelectionConfig) -> float
     weight = others.min(axis=1)
     if float(weight[agree].sum()) < config.timing_most_trials * float(weight.sum()):
         return None
-    return _WIDTHS_S[at]
+    return config.timing_widths_s[at]
 
 
-def _left(y: Array, x: Array) -> tuple[Array, Array]:
+def _left(y: Array, x: Array, config: SelectionConfig) -> tuple[Array, Array]:
     """Squares left of y after relations that may be innocent, and after each smoothing of x."""
-    innocent = [x, *_lags(x)]
-    for shift in _SHIFTS_S:
+    innocent = [x, *_lags(x, config)]
+    for shift in config.timing_shifts_s:
         k = round(shift / _STEP_S)
         innocent += [_delayed(x, k), _delayed(x, -k)]
-    smoothed = [_mean(x, max(round(width / _STEP_S), 3)) for width in _WIDTHS_S]
+    smoothed = [_mean(x, max(round(width / _STEP_S), 3)) for width in config.timing_widths_s]
     return (
         np.array([_unexplained(y, v) for v in innocent]),
         np.array([_unexplained(y, v) for v in smoothed]),

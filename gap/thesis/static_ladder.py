@@ -18,31 +18,22 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.stats import wilcoxon
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
+from plant.effects.catalogue import CATALOGUE
 from plant.effects.effects import Effects
 from plant.errors import PlantError
 from plant.simulator.force_law import ForceLaw
-from plant.simulator.readings import read_force
+from plant.simulator.readings import pressure_error, read_force
+from plant.simulator.simulate import held_offset_mm
 
-Array = npt.NDArray[np.float64]
 Values = dict[str, dict[str, float]]
 
 LEAST_SHARE = 0.03
 SURE = 0.005
 FAR_N = 1e3
 
-CANDIDATES: dict[str, dict[str, tuple[float, float, float]]] = {
-    "liner_threshold": {"threshold_kpa": (60.0, 0.0, 300.0), "width_kpa": (25.0, 2.0, 150.0)},
-    "bladder_elasticity": {"stiffness_n_mm": (0.2, 0.0, 5.0), "rest_mm": (65.0, 45.0, 90.0)},
-    "contraction_limit": {"force_n": (2.0, 0.0, 60.0), "scale_mm": (1.5, 0.3, 8.0)},
-    "end_cap": {"shortening_mm": (0.5, -5.0, 8.0)},
-    "fibre_stretch": {"stretch_percent": (0.5, 0.0, 8.0)},
-    "braid_friction": {"friction_n": (0.5, 0.0, 20.0)},
-    "temperature_stiffening": {"percent_per_k": (0.5, -5.0, 5.0), "flat_share": (0.3, 0.0, 1.0)},
-    "pressure_zero": {"offset_kpa": (2.0, -60.0, 60.0)},
-    "force_zero": {"offset_n": (0.5, -25.0, 25.0)},
-    "length_label": {"offset_mm": (0.2, -4.0, 4.0)},
-}
+CANDIDATES = {e.id: e.search.settled for e in CATALOGUE.values() if e.search.settled}
 """Effects that settled points can show, with start and bounds of what is fitted of each.
 
 Gains and scales are not among them: with the geometry free they vanish into it. Effects of speed,
@@ -104,10 +95,11 @@ class Fit:
     squares: float
 
 
+@dataclass
 class Ladder:
     """Steps of one table.
 
-    Args:
+    Attributes:
         table: the points.
         constants: the plant as stated.
         free: whether braid length and turns are fitted too.
@@ -115,20 +107,14 @@ class Ladder:
         floor_n: error that no model of this kind could go below.
     """
 
-    def __init__(
-        self,
-        table: Table,
-        constants: PlantConstants,
-        free: bool,
-        candidates: Sequence[str],
-        floor_n: float,
-    ) -> None:
-        self.table = table
-        self.constants = constants
-        self.free = free
-        self.candidates = tuple(candidates)
-        self.floor_n = floor_n
-        self.settings = np.unique(table.setting)
+    table: Table
+    constants: PlantConstants
+    free: bool
+    candidates: Sequence[str]
+    floor_n: float
+
+    def __post_init__(self) -> None:
+        self.settings = np.unique(self.table.setting)
         self._without: dict[tuple[int, tuple[str, ...]], Fit] = {}
 
     def climb(self, most: int = 3) -> list[Step]:
@@ -250,8 +236,8 @@ class Ladder:
             c = self.constants.with_overrides({"braid_length_mm": fit.braid_mm, "turns": fit.turns})
             effects = Effects.from_config(fit.values)
             law = ForceLaw(c, effects)
-            p = (table.pressure_kpa - effects.get("pressure_zero", "offset_kpa")) * 1e3
-            length = (table.length_mm + effects.get("length_label", "offset_mm")) * 1e-3
+            p = (table.pressure_kpa - pressure_error(effects)[1]) * 1e3
+            length = (table.length_mm + held_offset_mm(effects)) * 1e-3
             force = law.lasting(p, length, table.temperature_c)
             force = force + self._friction(law, table, p, length)
         except PlantError:

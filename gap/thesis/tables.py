@@ -11,20 +11,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.data.dataset import DataSet
 from gap.thesis.data import G_M_S2, thesis_set
 from gap.thesis.static_ladder import Fit, Ladder, Step, Table
+from plant.arrays import Array
 from plant.constants import nominal
-
-Array = npt.NDArray[np.float64]
 
 THESIS_BRAID_MM = 78.3
 THESIS_TURNS = 2.34
 """Geometry of the thesis's own deterministic model, recovered from its published statistics."""
-C2_NOISE_N = 0.596
-"""What C-2 differs from C-1 by, rms over all cells: noise that was added, not measured twice."""
 LEAST_SETTINGS = 8
 """With fewer settings no signed-rank test can be as sure as the ladder requires."""
 AT_REST = (

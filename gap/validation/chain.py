@@ -22,16 +22,17 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.effects.candidates import Candidate
+from gap.effects.terms import Active
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model import force as laws
 from gap.model import pressure as chamber
-from gap.model.features import BLOCKS, Points
-from gap.model.force import Active, Context
+from gap.model.features import BLOCKS
 from gap.model.residuals import SCALE
+from plant.arrays import Array
 from plant.constants import PlantConstants
+from plant.effects.arguments import Context, Points
 from plant.effects.catalogue import CATALOGUE
 
-Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 STAGES = ("valve", "chamber", "muscle", "load", "sensor")
@@ -118,7 +119,7 @@ class Chain:
         chamber.replay(
             parameters, points.first, points.time_s, np.ascontiguousarray(points.reading), length,
             grid.supply, grid.first_edge, grid.edge_s, grid.edge_to, grid.edge_of, out, step,
-            acting, learn,
+            acting, learn=learn,
         )  # fmt: skip
         return np.nan_to_num(out, nan=0.0, posinf=3e6, neginf=-1e5)
 

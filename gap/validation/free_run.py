@@ -8,14 +8,12 @@ out, so both kinds are reported.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.estimation.cross_validation import HeldOut, left_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.validation.chain import Chain
 from gap.validation.shapley import replicate_tables
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 
 def free_running(problem: FitProblem, fit: FitResult) -> dict[str, HeldOut]:

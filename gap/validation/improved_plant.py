@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from gap.estimation.fit_problem import FitProblem, FitResult
@@ -55,25 +57,12 @@ def improved_plant(problem: FitProblem, fit: FitResult) -> str:
     return "\n".join(lines) + "\n"
 
 
-_SAME_NUMBER = {
-    "liner_threshold": {"width_kpa": "width_kpa"},
-    "contraction_limit": {"decay_mm": "scale_mm"},
-    "braid_friction": {"kpa": "travel_kpa", "mm": "travel_mm"},
-    "viscosity": {"power": "exponent", "pressure": "pressure_share"},
-    "link_friction": {"travel_mm": "travel_mm"},
-}
-"""Numbers of a fitted shape that the plant's own form of the effect has too."""
-
-
-def _shape(problem: FitProblem, fit: FitResult, name: str) -> dict[str, float]:
+def _shape(problem: FitProblem, fit: FitResult, name: str) -> Mapping[str, float]:
     """Shape parameters of the plant's form of an effect, where the fitted shape gives them."""
     own = [(abs(a), s) for s, a in zip(fit.candidates, fit.amounts, strict=True) if s.id == name]
     shape = max(own, key=lambda one: one[0])[1].shape
-    known = _SAME_NUMBER.get(name, {})
-    made = {known[key]: value for key, value in shape.items() if key in known}
-    if name == "bladder_elasticity":
-        made["rest_mm"] = shape["rest"] * problem.constants(fit.shift).braid_length_m * 1e3
-    return made
+    as_plant = CATALOGUE[name].search.as_plant
+    return as_plant(shape, problem.constants(fit.shift)) if as_plant is not None else {}
 
 
 def only(fit: FitResult, name: str) -> FitResult:

@@ -18,8 +18,7 @@ from gap.estimation.cross_validation import left_out
 from gap.estimation.fit_problem import FitProblem
 from gap.model.features import BLOCKS
 from gap.validation.where import pressure_rise
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 _KNOTS = 6
 _CROSS = 4
@@ -42,11 +41,9 @@ class Learnt:
     inputs: dict[str, int]
 
 
-def generic(
-    problem: FitProblem, freedom: int, of_trial: npt.NDArray[np.int64] | None = None
-) -> Learnt:
-    """Learn the residual of every block without a name; units are slots by default."""
-    units = problem.units if of_trial is None else of_trial
+def generic(problem: FitProblem, freedom: int) -> Learnt:
+    """Learn the residual of every block without a name; units are slots."""
+    units = problem.units
     fold = left_out(problem, problem.base, units).change
     alike: dict[str, Array] = {}
     large: dict[str, Array] = {}

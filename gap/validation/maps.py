@@ -14,8 +14,8 @@ import numpy.typing as npt
 from gap.estimation.cross_validation import floor_squares
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
+from plant.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
 MOST_BINS = 12

@@ -11,15 +11,13 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.selection.candidate_fits import Hypothesis, fit_further, in_best_form, linear_gains
 from gap.selection.search import SearchResult
 from gap.validation.config import VALIDATION
+from plant.arrays import Array
 from plant.effects.catalogue import CATALOGUE
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

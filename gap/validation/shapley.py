@@ -18,13 +18,11 @@ from itertools import combinations
 from math import factorial
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import t as student
 
 from gap.validation.chain import Chain
 from gap.verdict import Share
-
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 
 @dataclass(frozen=True)

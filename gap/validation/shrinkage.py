@@ -11,7 +11,6 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import t as student
 
 from gap.estimation.cross_validation import HeldOut, floor_squares, gap_of, held_out, left_out
@@ -19,8 +18,6 @@ from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.free_run import free_running
 from gap.validation.learner import generic
-
-Array = npt.NDArray[np.float64]
 
 
 def shrinkage(problem: FitProblem, fit: FitResult, named: bool) -> dict[str, Any]:

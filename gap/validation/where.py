@@ -22,8 +22,8 @@ from gap.validation.chain import Chain
 from gap.validation.config import VALIDATION
 from gap.validation.shapley import waterfall
 from gap.verdict import Contrast, Share
+from plant.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 MEANING = (

@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from plant.arrays import Array
 from plant.audit.printed import Row, listing, printed_rows, same, unit_in_last_place, verdict
 from plant.fitting.data import Points
 from plant.fitting.table43 import coefficients
 from plant.fitting.tables import full_regression
 from plant.fitting.thesis_points import thesis_points
-from plant.models.law import Array
 
 HIGH, LOW = (150.0, 600.0), (0.0, 125.0)
 Pairs = dict[float, tuple[float, float]]
@@ -22,9 +22,9 @@ def lines_by_length(points: Points, region: tuple[float, float], temperature: fl
     return _lines(points.length_m * 1e3, points.pressure_pa / 1e3, points, region, temperature)
 
 
-def lines_by_pressure(points: Points, temperature: float = 21.0) -> Pairs:
+def lines_by_pressure(points: Points) -> Pairs:
     """Gradient (N/mm) and intercept (N) of force against length at each pressure (4-42)."""
-    return _lines(points.pressure_pa / 1e3, points.length_m * 1e3, points, HIGH, temperature)
+    return _lines(points.pressure_pa / 1e3, points.length_m * 1e3, points, HIGH, 21.0)
 
 
 def _lines(

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
+from plant.arrays import Array
 from plant.audit.printed import Row, listing, printed_rows, same, verdict
 from plant.audit.temperature import compare_regression
 from plant.fitting.table43 import coefficients
 from plant.fitting.tables import FullRegression, best_subsets, full_regression
 from plant.fitting.thesis_points import thesis_points
-from plant.models.law import Array
 from plant.thesis import array
 
 MEAN_FROM_KPA = 200.0

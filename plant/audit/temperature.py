@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from plant.arrays import Array
 from plant.audit.printed import Row, listing, printed_rows, same, truncated, verdict
 from plant.fitting.table43 import black_box_t, coefficients
 from plant.fitting.tables import FullRegression, full_regression
 from plant.fitting.thesis_points import thesis_points
-from plant.models.law import Array
 
 T_HIGH, T_LOW = "t4_1_coefs_150_600", "t4_2_coefs_0_125"
 SECOND_STAGE = {

@@ -28,6 +28,7 @@ from typing import Any
 
 from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
+from plant.effects.standards import Standard
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,9 @@ class InDiagnosis:
         mass: (points, amount, shape, constants) -> kg beside the stated load.
         drag: (points, shape) -> friction of the load for an amount of one.
         gas: (params, amount, option, shape) writes slots of `plant.effects.pressure_stage`.
+        late: (amount, constants) -> s by which each stroke of the effect's edge is late.
+        largest_fall: whether the headline parameter is the largest fall of the supply in the
+            data, which the prediction gives, and not the amount.
     """
 
     length: Callable[[Points, float, Shape], Array] | None = None
@@ -161,6 +165,8 @@ class InDiagnosis:
     mass: Callable[[Points, float, Shape, PlantConstants], Array] | None = None
     drag: Callable[[Points, Shape], Array] | None = None
     gas: Callable[[Params, float, str, Shape], None] | None = None
+    late: Callable[[float, PlantConstants], float] | None = None
+    largest_fall: bool = False
 
 
 @dataclass(frozen=True)
@@ -180,6 +186,12 @@ class Search:
         bounded: whether the range of the headline parameter bounds the amount.
         plant_shape: the shape nearest to the form of the plant, the first where None.
         plant_misfit: share of the effect that this shape leaves of the plant's form (rms).
+        as_plant: (shape, constants) -> parameters of the plant's form that the shape gives.
+        one_shape: whether its shapes are states of the gas, of which two at once mean nothing.
+        scan: "clock" or "delay" for an amount in time too large for a sensitivity to show, which
+            is tried at whole values. A table of settled points shows no clock.
+        settled: start and bounds of its parameters in a fit of settled points; empty where
+            settled points do not show it.
     """
 
     step: float
@@ -191,6 +203,32 @@ class Search:
     bounded: bool = True
     plant_shape: Shape | None = None
     plant_misfit: float = 0.05
+    as_plant: Callable[[Shape, PlantConstants], Mapping[str, float]] | None = None
+    one_shape: bool = False
+    scan: str = ""
+    settled: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+
+
+def same_numbers(**parameters: str) -> Callable[[Shape, PlantConstants], Mapping[str, float]]:
+    """`Search.as_plant` where the plant's form has numbers of the shape under other names."""
+    return lambda shape, c: {parameters[k]: v for k, v in shape.items() if k in parameters}
+
+
+@dataclass(frozen=True)
+class EachTrial:
+    """A small change that is drawn anew for each trial: a random error of sensor, hand or clock.
+
+    Attributes:
+        kind: what the noise model calls it.
+        sd: standard deviation of the headline parameter.
+        blocks: of features that it moves.
+        option: the word that goes with the headline parameter.
+    """
+
+    kind: str
+    sd: float
+    blocks: tuple[str, ...]
+    option: str = ""
 
 
 @dataclass(frozen=True)
@@ -207,6 +245,15 @@ class Effect:
         standard: the reference standard that settles it.
         neutral: value of the headline parameter that is no effect, or the plant-file key of the
             constant that the headline parameter replaces.
+        own_constant: plant-file key of the constant that the headline parameter is added to, with
+            `{option}` for the word that goes with it. A fit may shift that constant instead.
+        ratio: whether the headline parameter is a factor of that constant, not an addend.
+        stands_for: other constants that a fit may shift instead; "mountings" for what the
+            lengths of all mountings are off by in common.
+        calibration: key of `calibration.toml` that states how far the effect may go unnoticed.
+        each_trial: how the effect varies from trial to trial on a sound bench.
+        reference: the standard that gives the effect by itself, and how well it gives the
+            headline parameter (one sd, in its unit).
     """
 
     id: str
@@ -223,6 +270,12 @@ class Effect:
     search: Search
     constants: tuple[str, ...] = ()
     neutral: float | str = 0.0
+    own_constant: str = ""
+    ratio: bool = False
+    stands_for: tuple[str, ...] = ()
+    calibration: str = ""
+    each_trial: tuple[EachTrial, ...] = ()
+    reference: tuple[Standard, float] | None = None
     plant: InPlant = InPlant()
     sensors: InSensors = InSensors()
     diagnosis: InDiagnosis = InDiagnosis()
@@ -241,6 +294,18 @@ class Effect:
     def options(self) -> tuple[str, ...]:
         """Words that go with the headline parameter (a side, an edge); one empty word if none."""
         return next((p.choices for p in self.parameters if p.choices), ("",))
+
+    @property
+    def option_name(self) -> str:
+        """Name of the parameter whose words these are ("side", "edge"); empty if none."""
+        return next((p.name for p in self.parameters if p.choices), "")
+
+    def keys(self) -> Mapping[str, str]:
+        """Key of each candidate (id, or id:option) -> its own constant, "" where it has none."""
+        return {
+            f"{self.id}:{o}" if o else self.id: self.own_constant.format(option=o)
+            for o in self.options
+        }
 
     def neutral_in(self, constants: PlantConstants) -> float:
         """Value of the headline parameter that is no effect on a bench of these constants."""

@@ -61,13 +61,14 @@ class Effects:
         """The effects in force with their parameters, in the order of the catalogue."""
         return [(e, self.values[e.id]) for e in CATALOGUE.values() if e.id in self.values]
 
+    @property
+    def carried_kg(self) -> float:
+        """Mass that hangs beside the stated load."""
+        return sum(amount for effect, amount in self.headlines() if effect.plant.mass is not None)
+
     def headlines(self) -> list[tuple[Effect, float]]:
         """The effects in force that have a headline parameter, with its value."""
         return [(e, float(v[e.headline])) for e, v in self.active() if e.headline is not None]
-
-    def as_config(self) -> dict[str, dict[str, float | str]]:
-        """The tables that `from_config` would read back to equal effects."""
-        return {name: dict(table) for name, table in self.values.items()}
 
 
 NONE = Effects()

@@ -6,15 +6,6 @@ Those that the plant has as well are numbered as in `plant.physics.layout`.
 from __future__ import annotations
 
 from plant.physics.layout import (
-    DEAD_VOLUME,
-    DELAY,
-    DELAY_MODE,
-    DELAY_SLOPE,
-    EXPONENT,
-    INLET_CONDUCTANCE,
-    INLET_CRITICAL_RATIO,
-    OUTLET_CONDUCTANCE,
-    OUTLET_CRITICAL_RATIO,
     PARAMS_SIZE,
 )
 
@@ -37,11 +28,3 @@ INLET_DROP = PARAMS_SIZE + 15  # change of the areas at 500 kPa over the valve
 OUTLET_DROP = PARAMS_SIZE + 16
 SUPPLY_SHIFT = PARAMS_SIZE + 17  # Pa
 SIZE = PARAMS_SIZE + 20
-
-__all__ = [
-    "CLOCK", "DEAD_VOLUME", "DELAY", "DELAY_MODE", "DELAY_SLOPE", "DROOP", "DROOP_BACK",
-    "DROOP_TIME", "ELASTIC", "EXPONENT", "FOLLOW", "GAIN", "HEAT_RATE", "INLET_CONDUCTANCE",
-    "INLET_CRITICAL_RATIO", "INLET_DROP", "LAG", "LAG_BEFORE", "LEAK", "LEAK_LAMINAR", "LINE",
-    "LINE_TIME", "OUTLET_CONDUCTANCE", "OUTLET_CRITICAL_RATIO", "OUTLET_DROP", "SIZE",
-    "SUPPLY_SHIFT", "ZERO",
-]  # fmt: skip

@@ -7,13 +7,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.errors import PlantError
 from plant.links import Arm
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,16 +14,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.compiled import called, entry_point, fingerprint
 from plant.finger.stepping import integrate, pull_of
 from plant.links.kernel import WORK
 from plant.physics import layout as at
 from plant.simulator.rates import chamber, power
 from plant.simulator.valves import SAME_INSTANT_S, act, command, due_at
-
-Array = npt.NDArray[np.float64]
 
 
 @called

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
+from plant.effects.catalogue import CATALOGUE
 from plant.effects.effects import NONE, Effects
 from plant.errors import PlantError
 from plant.finger import kernel
@@ -17,28 +19,13 @@ from plant.physics import layout
 from plant.physics.muscle import braid_volume
 from plant.simulator.bench import build_params, build_state
 
-Array = npt.NDArray[np.float64]
-
 STEP_MAX_S = 1e-3
-SUPPORTED_EFFECTS = (
-    "bladder_elasticity",
-    "braid_friction",
-    "contraction_limit",
-    "critical_ratio",
-    "dead_volume",
-    "end_cap",
-    "fibre_stretch",
-    "flow_area",
-    "leak",
-    "liner_threshold",
-    "polytropic",
-    "supply_droop",
-    "temperature_stiffening",
-    "transport_delay",
-    "valve_delay",
-    "valve_delay_pressure",
-    "viscosity",
-    "wear",
+SUPPORTED_EFFECTS = tuple(
+    sorted(
+        effect.id
+        for effect in CATALOGUE.values()
+        if effect.stage not in ("load", "sensor") and effect.plant.follow is None
+    )
 )
 """Effects of the catalogue that the finger's equations include: those on muscle, valve and gas,
 except creep (which has a memory of its own)."""

@@ -15,8 +15,8 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.compiled import Slots, called, inlined
 from plant.constants import GAS_CONSTANT_J_KG_K, REFERENCE_DENSITY_KG_M3
 from plant.links.kernel import DAMPING, mass_matrix, recurse, solve, turn
@@ -32,8 +32,6 @@ from plant.simulator.rates import (
     sealed,
     tension,
 )
-
-Array = npt.NDArray[np.float64]
 
 JOINT, REST, ARM = 0, 1, 2
 """Columns of the table of tendons (muscles, 3): joint, length at angle 0 (m), dL/dq (m/rad)."""

@@ -14,13 +14,12 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.errors import PlantError
 from plant.fitting.data import Points
 from plant.fitting.fit import fit
-from plant.models.law import Array
 from plant.models.model import Model
 
-HOLDOUTS = ("length", "temperature", "mounting", "load")
 LEAST_GROUP = 2.0
 """Minimum mean number of points per group; with fewer, groups are almost single rows."""
 REGIONS = {"0-125 kPa": (0.0, 125.5e3), "150-600 kPa": (149.5e3, np.inf)}

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.errors import PlantError
-from plant.models.law import Array, History
+from plant.models.law import History
 
-QUANTITIES = ("pressure", "length", "force")
 Labels = npt.NDArray[np.str_]
 
 

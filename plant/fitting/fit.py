@@ -14,14 +14,16 @@ from typing import Any
 
 import numpy as np
 
+from plant.arrays import Array
 from plant.errors import PlantError
 from plant.fitting.data import Points
 from plant.fitting.identify import Identifiability, examine
-from plant.models.law import Array
 from plant.models.model import Domain, Model
 
 MAX_ROUNDS = 8
 HUBER = 1.345
+CONFIDENCE = 0.95
+"""Level of the intervals of a fit."""
 """Number of robust standard deviations beyond which a robust fit reduces the weight."""
 
 
@@ -58,7 +60,6 @@ class Fit:
         noise_scale: ratio of the scatter to the stated noise; nan if no noise is stated.
         robust: whether the weight of outliers was reduced.
         identifiability: dead parameters, flat directions, parameters at a bound.
-        confidence: level of the intervals.
     """
 
     model: Model
@@ -71,7 +72,6 @@ class Fit:
     noise_scale: float
     robust: bool
     identifiability: Identifiability
-    confidence: float
 
     def estimate(self, name: str) -> Estimate:
         """A parameter by name. Raises `PlantError` if unknown."""
@@ -85,7 +85,6 @@ def fit(
     *,
     free: tuple[str, ...] | None = None,
     robust: bool = False,
-    confidence: float = 0.95,
 ) -> Fit:
     """Fit the free parameters of a model to settled points.
 
@@ -94,7 +93,6 @@ def fit(
         points: more points than free parameters.
         free: names of the parameters to fit; default: all that are not fixed.
         robust: use Huber weights.
-        confidence: level of the intervals.
 
     Raises:
         PlantError: too few points, an unknown parameter, or no value at the start values.
@@ -127,7 +125,7 @@ def fit(
         theta, scale = new, new_scale
         if moved < 1e-7 or (problem.plain and not robust):
             break
-    return _result(problem, theta, scale, weights, names, robust, confidence)
+    return _result(problem, theta, scale, weights, names, robust)
 
 
 class _Problem:
@@ -290,7 +288,6 @@ def _result(
     weights: Array,
     names: tuple[str, ...],
     robust: bool,
-    confidence: float,
 ) -> Fit:
     from scipy.stats import norm
     from scipy.stats import t as student
@@ -307,9 +304,9 @@ def _result(
     )  # fmt: skip
     spread = _robust_variance(whiten(residual), weights, dof) if problem.plain else 1.0
     covariance = found.covariance * spread
-    quantile = float(student.ppf((1 + confidence) / 2, dof))
+    quantile = float(student.ppf((1 + CONFIDENCE) / 2, dof))
     if problem.noisy:
-        quantile = float(norm.ppf((1 + confidence) / 2))
+        quantile = float(norm.ppf((1 + CONFIDENCE) / 2))
     fitted = model.with_q(problem.full(theta))
     estimates = []
     for parameter in fitted.parameters:
@@ -337,7 +334,6 @@ def _result(
         noise_scale=noise_scale,
         robust=robust,
         identifiability=found,
-        confidence=confidence,
     )
 
 

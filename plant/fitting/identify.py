@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plant.models.law import Array
+from plant.arrays import Array
 
 FLAT = 1e-7
 """Relative strength below which a direction is flat."""

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.fitting.data import Points
 from plant.fitting.fit import fit
 from plant.fitting.thesis_points import thesis_points
 from plant.models import catalogue
-from plant.models.law import Array, Law
+from plant.models.law import Law
 from plant.models.model import Model
 from plant.thesis import load
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from plant.arrays import Array
 from plant.errors import PlantError
 from plant.fitting.data import Points
-from plant.models.law import Array
 from plant.models.model import Model
 from plant.models.terms import Term, TermLaw
 

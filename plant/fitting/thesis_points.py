@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from plant.arrays import Array
 from plant.errors import PlantError
 from plant.fitting.data import Points
-from plant.models.law import Array, History
+from plant.models.law import History
 from plant.thesis import array
 
 SHORTEST_MM = 51.45

@@ -4,8 +4,8 @@
 it, `symbolic` derives its equations (needs the extra `symbolic`), `kernel` is the compiled code.
 """
 
+from plant.errors import LinkError
 from plant.links.arm import Arm, Link
-from plant.links.errors import LinkError
 from plant.links.reader import load_arm
 
 __all__ = ["Arm", "Link", "LinkError", "load_arm"]

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from plant.links.errors import LinkError
+from plant.arrays import Array
+from plant.errors import LinkError
 from plant.links.inertia import Six, Three, check_inertia, elements, rod_inertia, tensor
-
-Array = npt.NDArray[np.float64]
 
 
 def check_name(key: str, name: object, example: str) -> None:

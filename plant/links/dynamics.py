@@ -9,11 +9,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
+from plant.errors import LinkError
 from plant.links import kernel
 from plant.links.arm import Arm
-from plant.links.errors import LinkError
-
-Array = npt.NDArray[np.float64]
 
 
 def inverse_dynamics(arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike, qdd: npt.ArrayLike) -> Array:

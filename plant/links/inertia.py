@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from plant.links.errors import LinkError
+from plant.arrays import Array
+from plant.errors import LinkError
 
-Array = npt.NDArray[np.float64]
 Three = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]
 

@@ -6,12 +6,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.compiled import called, entry_point, fingerprint
 from plant.links.kernel import WORK, forward
-
-Array = npt.NDArray[np.float64]
 
 METHODS = ("gauss6", "rk4")
 

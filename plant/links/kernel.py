@@ -15,11 +15,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.compiled import called, entry_point
-
-Array = npt.NDArray[np.float64]
 
 CA, SA, A, D, OFFSET, MASS, COM, INERTIA, DAMPING = 0, 1, 2, 3, 4, 5, 6, 9, 15
 """Columns of an arm's table."""

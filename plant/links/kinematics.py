@@ -7,9 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.links.arm import Arm, Link
-
-Array = npt.NDArray[np.float64]
 
 
 def link_matrix(link: Link, q: float) -> Array:

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
+from plant.errors import LinkError
 from plant.links.arm import Arm
 from plant.links.dynamics import total_energy
-from plant.links.errors import LinkError
 from plant.links.integrate import METHODS, swing_states
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

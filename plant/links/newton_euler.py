@@ -9,13 +9,11 @@ n(i+1) + p(i) x f(i+1) + (p(i) + s(i)) x F(i) + N(i).
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.links.arm import Arm
 from plant.links.inertia import tensor
 from plant.links.kinematics import link_frames
-
-Array = npt.NDArray[np.float64]
 
 
 def newton_euler(arm: Arm, q: Array, qd: Array, qdd: Array) -> Array:

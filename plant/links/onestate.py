@@ -7,13 +7,11 @@ microseconds per call. Here the arm is prepared once and the arrays are used wit
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
+from plant.errors import LinkError
 from plant.links import kernel
 from plant.links.arm import Arm
-from plant.links.errors import LinkError
-
-Array = npt.NDArray[np.float64]
 
 
 class OneState:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from plant import tomlfile
+from plant.errors import LinkError
 from plant.links.arm import Arm, Link, check_name
-from plant.links.errors import LinkError
 from plant.links.inertia import Six, Three, rod_inertia
 from plant.tomlfile import check_keys, number_in_range
 

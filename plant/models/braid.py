@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from plant.models.law import Array, Law, Past, SeparableLaw, Slopes
+from plant.arrays import Array
+from plant.models.law import Law, Past, SeparableLaw, Slopes
 
 BAR_PA = 1e5
 

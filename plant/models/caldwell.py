@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from plant.models.law import Array, Past, SeparableLaw
+from plant.arrays import Array
+from plant.models.law import Past, SeparableLaw
 
 _V = 2.0 / (3.0 * math.sqrt(3.0))
 """sin^2 cos at 54.7 degrees: the largest volume, divided by K (4-15)."""

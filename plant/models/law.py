@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.errors import PlantError
 
-Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Slopes = tuple[Array, Array, Array]
 

@@ -9,8 +9,9 @@ from typing import Any, ClassVar, TypeVar, cast
 import numpy as np
 from numba import njit
 
+from plant.arrays import Array
 from plant.errors import PlantError
-from plant.models.law import Array, Bools, History, Law, Past, Slopes, static_force
+from plant.models.law import Bools, History, Law, Past, Slopes, static_force
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -11,8 +11,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.errors import PlantError
-from plant.models.law import Array, History, Law, static_force
+from plant.models.law import History, Law, static_force
 from plant.models.units import to_si
 
 AXES = (("pressure_kpa", 1e3), ("length_mm", 1e-3), ("temperature_c", 1.0))

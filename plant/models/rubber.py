@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from plant.arrays import Array
 from plant.models.braid import ChouHannaford
-from plant.models.law import Array, Law, Past, SeparableLaw, Slopes
+from plant.models.law import Law, Past, SeparableLaw, Slopes
 
 _BRAID = ChouHannaford()
 
@@ -105,15 +106,9 @@ class LinerBraid(Law):
     """
 
     parameters = (
-        "braid_length",
-        "turns",
-        "stiffness",
-        "bladder_rest_length",
-        "threshold",
-        "threshold_slope",
-        "width",
-        "reference_length",
-    )
+        "braid_length", "turns", "stiffness", "bladder_rest_length", "threshold", "threshold_slope",
+        "width", "reference_length",
+    )  # fmt: skip
 
     def _exponents(self, q: Array, p: Array, length: Array) -> tuple[Array, Array, Array, Array]:
         """(p - p_t)/w = u, -p_t/w = u0, ln(1 - e^u0 + e^u), and whether p_t is above 0."""

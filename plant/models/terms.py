@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plant.models.law import Array, Law, Past, Slopes
+from plant.arrays import Array
+from plant.models.law import Law, Past, Slopes
 
 LOW_TOP_PA = 125e3
 HIGH_BOTTOM_PA = 150e3

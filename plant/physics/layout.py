@@ -4,6 +4,10 @@ The arrays are what crosses into compiled code; everything else uses these names
 at the end, so that recorded states keep their meaning.
 """
 
+from __future__ import annotations
+
+from plant.constants import PlantConstants
+
 # State: what changes with time. Paired slots (inlet, outlet) are adjacent: OUTLET_x = INLET_x + 1.
 TIME = 0  # s
 PRESSURE = 1  # gauge Pa in the muscle
@@ -70,3 +74,33 @@ CHANNEL_OUTLET = 1  # 0 or 1
 CHANNEL_LENGTH_RATE = 2  # m/s
 CHANNEL_REGULATOR = 3  # gauge Pa
 CHANNEL_SUPPLY = 4  # gauge Pa
+
+
+def nominal_slots(c: PlantConstants) -> dict[int, float]:
+    """What the constants alone say of gas, valves, braid and stops."""
+    return {
+        ATMOSPHERE: c.atmosphere_pa,
+        GAS_TEMPERATURE: c.gas_temperature_k,
+        BRAID_LENGTH: c.braid_length_m,
+        TURNS: c.turns,
+        INLET_CONDUCTANCE: c.inlet_conductance_m3_s_pa,
+        OUTLET_CONDUCTANCE: c.outlet_conductance_m3_s_pa,
+        INLET_CRITICAL_RATIO: c.critical_ratio,
+        OUTLET_CRITICAL_RATIO: c.critical_ratio,
+        DEAD_VOLUME: c.dead_volume_m3,
+        EXPONENT: c.polytropic_exponent,
+        LENGTH_MIN: c.length_min_m,
+        LENGTH_MAX: c.length_max_m,
+        STOP_STIFFNESS: c.stop_stiffness_n_m,
+        STOP_DAMPING: c.stop_damping_n_s_m,
+        LOAD_DAMPING: c.load_damping_n_s_m,
+        DELAY_MODE: 1.0 if c.delay_mode == "transport" else 0.0,
+        DELAY: c.inlet_on_s,
+        DELAY + 1: c.inlet_off_s,
+        DELAY + 2: c.outlet_on_s,
+        DELAY + 3: c.outlet_off_s,
+        DELAY_SLOPE: c.inlet_on_s_per_pa,
+        DELAY_SLOPE + 1: c.inlet_off_s_per_pa,
+        DELAY_SLOPE + 2: c.outlet_on_s_per_pa,
+        DELAY_SLOPE + 3: c.outlet_off_s_per_pa,
+    }

@@ -14,10 +14,10 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.errors import PlantError
 
-Array = npt.NDArray[np.float64]
 Number = TypeVar("Number", float, Array)
 
 

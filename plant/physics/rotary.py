@@ -28,9 +28,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.errors import PlantError
 
-Array = npt.NDArray[np.float64]
 _SERIES_BELOW = 1.0
 _TERMS = 16
 

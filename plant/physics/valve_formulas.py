@@ -13,6 +13,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import (
     GAS_CONSTANT_J_KG_K,
     REFERENCE_DENSITY_KG_M3,
@@ -22,8 +23,6 @@ from plant.errors import PlantError
 from plant.physics.flow import mass_flow_kg_s
 from plant.thesis import load
 
-Array = npt.NDArray[np.float64]
-
 GALLON_M3 = 231.0 * 0.0254**3
 PSI_PA = 0.45359237 * 9.80665 / 0.0254**2
 POUND_KG = 0.45359237
@@ -31,8 +30,6 @@ CUBIC_FOOT_M3 = 0.3048**3
 BAR_PA = 1e5
 WATER_KG_M3 = 1000.0
 """Density against which specific gravity counts in C_v and K_v."""
-WATER_60F_KG_M3 = 999.0
-"""Density of water at 60 degF, which C_v is defined with."""
 UNIVERSAL_DEGREES = 3417.0
 """Constant of the universal gas sizing equation's sine (5-4, 5-5, 5-8), degrees."""
 HEAT_RATIO_AIR = 1.4

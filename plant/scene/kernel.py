@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from plant.arrays import Array
 from plant.compiled import called, entry_point, fingerprint, inlined
 from plant.physics import layout as at
 from plant.scene import layout as sc
 from plant.scene.events import first_event, log, log_switches, settle
-from plant.scene.layout import Array, Ints, World
+from plant.scene.layout import Ints, World
 from plant.scene.rates import gas_volume, remember, unit_force
 from plant.scene.stepping import length_at, substep, touches, trial
 from plant.simulator.rates import lagged, lasting, power

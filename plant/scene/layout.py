@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
+
 Ints = npt.NDArray[np.int64]
 
 # Kinds of units.

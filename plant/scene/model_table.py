@@ -11,16 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.errors import PlantError
 from plant.models.memory import CREEP_S, PLAY_KPA, SLIP_UM, Creep, MaxwellSlip, PrandtlIshlinskii
 from plant.models.model import Model
 from plant.physics.muscle import braid_volume
 from plant.scene import layout as sc
-
-Array = npt.NDArray[np.float64]
 
 CELL_PA = 12.5e3
 CELL_M = 1e-3

@@ -16,16 +16,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from plant.constants import PlantConstants
+from plant.arrays import Array
+from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects.effects import NONE, Effects
 from plant.errors import PlantError
 from plant.scene.layout import SWITCH_ON
 from plant.scene.scene import Coordinate, Event, Piston, Scene, Switch, Unit
-from plant.simulator.bench import STANDARD_GRAVITY_M_S2
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

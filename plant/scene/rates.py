@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 
+from plant.arrays import Array
 from plant.compiled import inlined
 from plant.physics import layout as at
 from plant.physics import muscle
 from plant.scene import layout as sc
-from plant.scene.layout import Array
 from plant.simulator import hooks
 from plant.simulator.rates import (
     added_damping,

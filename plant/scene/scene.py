@@ -18,8 +18,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
 from plant.errors import PlantError
@@ -31,8 +31,6 @@ from plant.scene import kernel as scene_kernel
 from plant.scene import layout as sc
 from plant.scene.model_table import ModelTable, model_table
 from plant.simulator.bench import STEP_MAX_S, STEP_SAFETY, Source, build_params, build_state
-
-Array = npt.NDArray[np.float64]
 
 LOAD_SAFETY = 0.15
 """Substep times the highest angular frequency of the mechanism."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects.effects import NONE, Effects
 from plant.effects.reference import TEMPERATURE_C as REFERENCE_TEMPERATURE_C
@@ -24,37 +24,13 @@ from plant.physics.layout import (
     REGULATOR_SET,
     SUPPLY,
     TIME,
+    nominal_slots,
 )
 from plant.physics.muscle import braid_volume
-from plant.physics.nominal import nominal_slots
 from plant.simulator import hooks
-from plant.simulator.effect_slots import effect_slots
 from plant.simulator.kernel import advance as _advance
 from plant.simulator.rates import LEAST_MASS_KG
 
-__all__ = [
-    "FORCE",
-    "INLET_COMMAND",
-    "INLET_OPEN",
-    "LENGTH",
-    "LENGTH_RATE",
-    "OUTLET_COMMAND",
-    "OUTLET_OPEN",
-    "PRESSURE",
-    "REFERENCE_TEMPERATURE_C",
-    "REGULATOR_SET",
-    "STANDARD_GRAVITY_M_S2",
-    "SUPPLY",
-    "TIME",
-    "BenchSim",
-    "Load",
-    "Source",
-    "advance",
-    "build_params",
-    "build_state",
-]
-
-Array = npt.NDArray[np.float64]
 Source = Literal["valve", "regulator"]
 Load = Literal["isometric", "isotonic"]
 
@@ -83,7 +59,6 @@ def build_params(
     source: Source = "valve",
     load: Load = "isometric",
     mass_kg: float = 1.0,
-    gravity_m_s2: float = STANDARD_GRAVITY_M_S2,
 ) -> Array:
     """Parameter array of the kernel, shape (PARAMS_SIZE,), with the effects in. `PlantError`."""
     if source not in ("valve", "regulator"):
@@ -97,7 +72,7 @@ def build_params(
         layout.SOURCE: 1.0 if source == "regulator" else 0.0,
         layout.LOAD: 1.0 if load == "isotonic" else 0.0,
         layout.MASS: mass_kg,
-        layout.GRAVITY: gravity_m_s2,
+        layout.GRAVITY: STANDARD_GRAVITY_M_S2,
         layout.REGULATOR_LAG: REGULATOR_LAG_S,
         layout.STEP_MAX: STEP_MAX_S,
         layout.STEP_SAFETY: STEP_SAFETY,
@@ -307,3 +282,18 @@ def _check_length(length_m: float, constants: PlantConstants) -> None:
             f"length_mm = {length_m * 1e3:g} is outside the braid; allowed above 0 and below "
             f"braid_length_mm = {constants.braid_length_m * 1e3:g}"
         )
+
+
+def effect_slots(c: PlantConstants, effects: Effects) -> dict[int, float]:
+    """Slots of the parameter array that differ from those of the nominal bench `c`.
+
+    Effects on sensors (`plant.simulator.readings`) and on the label of the length leave no mark
+    here, but for the lag of the pressure reading. Raises `PlantError` where an effect cannot be.
+    """
+    slots: dict[int, float] = {}
+    for effect, values in effects.active():
+        if effect.plant.slots is not None:
+            slots.update(effect.plant.slots(values, c))
+        if effect.plant.on_force:
+            slots[layout.FORCE_EFFECTS] = 1.0
+    return slots

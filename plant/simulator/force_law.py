@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
+from plant.effects.reference import TEMPERATURE_C as REFERENCE_TEMPERATURE_C
 from plant.physics import layout, muscle
-from plant.simulator.bench import REFERENCE_TEMPERATURE_C, build_params
-
-Array = npt.NDArray[np.float64]
+from plant.simulator.bench import build_params
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import Effects
 from plant.physics.lag import follow
 from plant.simulator.bench import build_params
 from plant.simulator.simulate import Traces
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,15 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
+from plant.effects.reference import TEMPERATURE_C as REFERENCE_TEMPERATURE_C
 from plant.errors import PlantError
 from plant.physics import layout
 from plant.simulator import kernel
-from plant.simulator.bench import REFERENCE_TEMPERATURE_C, Load, Source, build_params, build_state
+from plant.simulator.bench import Load, Source, build_params, build_state
 
-Array = npt.NDArray[np.float64]
 Channel = Literal["inlet", "outlet", "length_rate_mm_s", "regulator_kpa", "supply_kpa"]
 
 _CHANNELS: dict[str, tuple[int, float]] = {

@@ -1,7 +1,7 @@
 """`pamrig console`: talk to a valve controller by hand.
 
 What is typed goes to the controller as it stands (``id``, ``conf 3``, ``pulse inlet 9000``); what
-begins with a slash is for the console. Events show as they come, telemetry only when asked.
+begins with a slash is for the console. Events show as they come, telemetry only on request.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TextIO
 
 from daq.errors import DeviceError, DeviceTimeout
 from rigs.bench.rig import open_valve
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import RigConfig
 from valvefw import wire
@@ -47,19 +47,23 @@ class Console:
 
     Args:
         valve: the connected controller.
-        pump: what lets time pass.
+        event_loop: of the bench.
         config: for pressures in kPa.
-        say: takes each line of output.
+        output: takes each line of output.
     """
 
     def __init__(
-        self, valve: ValveController, pump: Pump, config: RigConfig, say: Callable[[str], None]
+        self,
+        valve: ValveController,
+        event_loop: EventLoop,
+        config: RigConfig,
+        output: Callable[[str], None],
     ) -> None:
         self._valve = valve
-        self._pump = pump
+        self._event_loop = event_loop
         self._pressure = config.calibrations["pressure_kpa"]
-        self._say = say
-        valve.on_event = lambda text: say(f"* {text}")
+        self._print = output
+        valve.on_event = lambda text: output(f"* {text}")
 
     def line(self, text: str) -> bool:
         """Obey one line; False when it was the last."""
@@ -72,39 +76,39 @@ class Console:
             if words[0].startswith("/"):
                 self._own(words[0], words[1:])
             else:
-                self._ask(" ".join(words))
+                self._request(" ".join(words))
         except DeviceTimeout as error:
-            self._say(f"no answer: {error}")
+            self._print(f"no answer: {error}")
         except DeviceError as error:
-            self._say(f"refused: {error.what}: {error.remedy}")
+            self._print(f"refused: {error.what}: {error.remedy}")
         except ValueError as error:
-            self._say(f"not understood: {error}; /help")
+            self._print(f"not understood: {error}; /help")
         return True
 
-    def _ask(self, text: str) -> dict[str, str]:
+    def _request(self, text: str) -> dict[str, str]:
         values = self._valve.request(text)
-        self._say("ok" + "".join(f" {key}={value}" for key, value in values.items()))
+        self._print("ok" + "".join(f" {key}={value}" for key, value in values.items()))
         return values
 
     def _own(self, word: str, args: list[str]) -> None:
         if word == "/help":
-            self._say(HELP)
+            self._print(HELP)
         elif word == "/beat":
             if args == ["off"]:
                 self._valve.still()
-                self._say("heartbeats off: an armed controller vents")
+                self._print("heartbeats off: an armed controller vents")
             else:
                 self._valve.progress(HOUR_S)
-                self._say("heartbeats on, for an hour")
+                self._print("heartbeats on, for an hour")
         elif word == "/arm":
             self._valve.progress(HOUR_S)
             self._valve.arm()
-            self._ask(f"scheme {args[0] if args else 'idle'}")
+            self._request(f"scheme {args[0] if args else 'idle'}")
         elif word == "/sp":
             counts = float(self._pressure.raw(float(args[0] if args else "")))
-            self._ask(f"sp {round(counts * 16)}")
+            self._request(f"sp {round(counts * 16)}")
         elif word == "/wait":
-            self._pump.for_seconds(float(args[0] if args else "1"))
+            self._event_loop.for_seconds(float(args[0] if args else "1"))
         elif word == "/t":
             self._newest()
         elif word == "/faults":
@@ -115,14 +119,14 @@ class Console:
     def _newest(self) -> None:
         counts = self._valve.recent_counts(50)
         if not len(counts):
-            self._say("no telemetry yet")
+            self._print("no telemetry yet")
             return
         on = [name for bit, name in FLAGS if self._valve.flags & bit]
         kpa = float(self._pressure.apply(counts.mean()))
-        self._say(f"{kpa:.2f} kPa ({counts[-1]:.0f} counts), {', '.join(on) or 'nothing on'}")
+        self._print(f"{kpa:.2f} kPa ({counts[-1]:.0f} counts), {', '.join(on) or 'nothing on'}")
 
     def _faults(self) -> None:
-        known = self._ask("faults")
+        known = self._request("faults")
         rows: list[str] = []
         while len(rows) < int(known["samples"]):
             part = self._valve.request(f"blackbox {len(rows)}")
@@ -132,9 +136,9 @@ class Console:
                 dt_us, counts = row[0] | row[1] << 8, row[2] | row[3] << 8
                 rows.append(f"{dt_us:6d} {counts:5d} {row[4]:02x} {row[5] * 5:5d} {row[6] * 5:5d}")
         if rows:
-            self._say("dt_us counts flags inlet_us vent_us, to the fault")
+            self._print("dt_us counts flags inlet_us vent_us, to the fault")
             for line in rows:
-                self._say(line)
+                self._print(line)
 
 
 def converse(config: RigConfig, source: TextIO | None = None, beat: bool = False) -> int:
@@ -145,21 +149,21 @@ def converse(config: RigConfig, source: TextIO | None = None, beat: bool = False
     """
     source = source or sys.stdin
 
-    def say(text: str) -> None:
+    def output(text: str) -> None:
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
 
-    with open_valve(config) as (valve, pump, _, bench):
-        console = Console(valve, pump, config, say)
-        say(f"{valve.name}: " + " ".join(f"{k}={v}" for k, v in valve.identity.items()))
-        say("/help for help" + (" (virtual: time passes with each line)" if bench else ""))
+    with open_valve(config) as (valve, event_loop, _, bench):
+        console = Console(valve, event_loop, config, output)
+        output(f"{valve.name}: " + " ".join(f"{k}={v}" for k, v in valve.identity.items()))
+        output("/help for help" + (" (virtual: time passes with each line)" if bench else ""))
         if beat:
             console.line("/beat")
-        if pump.clock.virtual:
+        if event_loop.clock.virtual:
             for text in source:
                 if not console.line(text):
                     break
-                pump.for_seconds(0.05)
+                event_loop.for_seconds(0.05)
             return 0
         lines: queue.Queue[str | None] = queue.Queue()
 
@@ -170,7 +174,7 @@ def converse(config: RigConfig, source: TextIO | None = None, beat: bool = False
 
         threading.Thread(target=read, name="console", daemon=True).start()
         while True:
-            pump.step()
+            event_loop.step()
             try:
                 text = lines.get_nowait()
             except queue.Empty:

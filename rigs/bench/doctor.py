@@ -102,7 +102,7 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         yield Finding(name, "ok", words)
     rig.valve.progress(LISTEN_S + ALIVE_S)
     rig.valve.request("timing")  # begins anew with each request
-    rig.pump.for_seconds(LISTEN_S)
+    rig.event_loop.for_seconds(LISTEN_S)
     yield _timing(rig.valve.request("timing"))
     counts = rig.valve.recent_counts(1000)
     if len(counts) < 500:

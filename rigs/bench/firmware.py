@@ -1,7 +1,7 @@
 """Put the firmware on a board, and tell whether what is there is what is here.
 
 All of it through mpremote, over the board's USB prompt: the wire has a port of its own. Reaching
-the prompt stops the firmware, which lets go of both valves first.
+the prompt stops the firmware, which de-energises both valves first.
 """
 
 from __future__ import annotations
@@ -213,7 +213,7 @@ def install(port: str, run: Run = run_mpremote) -> Comparison:
     """Copy the firmware to the board on ``port``, compare, and restart it.
 
     ``main.py`` goes last: a board whose cable is pulled in between starts into the prompt, with
-    both valves let go, and not into half a firmware.
+    both valves de-energised, and not into half a firmware.
 
     Raises:
         PamrigError: the board cannot be reached.

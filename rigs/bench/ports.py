@@ -13,7 +13,7 @@ from daq.clock import Clock
 from daq.errors import ConfigError, DeviceError, PamrigError
 from daq.link.transport import Link, SerialLink
 from rigs.devices.camera import Camera
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.hung_mass import HungMass
 from rigs.devices.instruments.modbus import ModbusInstrument
 from rigs.devices.instruments.supply import Supply
@@ -22,7 +22,7 @@ from rigs.devices.interfaces import Instrument
 from rigs.devices.operator import ConsoleOperator, ManualAxis, ManualStage, Operator
 from rigs.devices.operator_port import RemoteOperator
 from rigs.rigfile.config import Device, RigConfig, camera_values
-from rigs.rigfile.instruments import ModbusDevice, TextDevice
+from rigs.rigfile.instruments import TextDevice
 
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench
@@ -87,26 +87,28 @@ class Ports:
             raise type(error)(where, error.what, error.remedy) from None
 
 
-def open_supply(ports: Ports, pump: Pump, identities: dict[str, dict[str, str]]) -> Supply | None:
+def open_supply(
+    ports: Ports, event_loop: EventLoop, identities: dict[str, dict[str, str]]
+) -> Supply | None:
     """The bench supply, checked, with the solenoids at their normal voltage; None without one."""
     device = ports.config.instruments.supply
     if device is None:
         return None
     supply = Supply(
         ports.open("supply", device),
-        pump,
+        event_loop,
         device.voltage_v,
         device.max_v,
         form=device.form,
         reopen=ports.reopener("supply", device),
     )
-    pump.add(supply.poll)
+    event_loop.add(supply.poll)
     identities["supply"] = supply.connect(device.serial)
     supply.safe()
     return supply
 
 
-def open_readers(ports: Ports, pump: Pump) -> dict[str, Instrument]:
+def open_readers(ports: Ports, event_loop: EventLoop) -> dict[str, Instrument]:
     """Every instrument that gives readings, opened but not yet checked.
 
     The source of force may not come back by itself when its link was lost: a test cannot do
@@ -120,25 +122,15 @@ def open_readers(ports: Ports, pump: Pump) -> dict[str, Instrument]:
         reopen = None if needed else ports.reopener(name, device)
         if isinstance(device, TextDevice):
             out[name] = TextInstrument(
-                link, pump, name, device.form,
+                link, event_loop, name, device.form,
                 rate_hz=device.rate_hz, calibration=device.calibration, reopen=reopen,
             )  # fmt: skip
         else:
-            out[name] = _modbus(link, pump, name, device, reopen)
+            out[name] = ModbusInstrument(
+                link, event_loop, name, device.form,
+                baud=device.baud, calibration=device.calibration, reopen=reopen,
+            )  # fmt: skip
     return out
-
-
-def _modbus(
-    link: Link,
-    pump: Pump,
-    name: str,
-    device: ModbusDevice,
-    reopen: Callable[[], Link] | None,
-) -> ModbusInstrument:
-    return ModbusInstrument(
-        link, pump, name, device.form,
-        baud=device.baud, calibration=device.calibration, reopen=reopen,
-    )  # fmt: skip
 
 
 def default_operator(ports: Ports, bench: VirtualBench | None) -> Operator:
@@ -174,10 +166,12 @@ def camera_length(config: RigConfig, camera: Camera) -> float:
     return float(config.calibrations["length_mm"].apply(np.mean(pixels)))
 
 
-def manual_stage(config: RigConfig, person: Operator, pump: Pump, camera: Camera) -> ManualStage:
+def manual_stage(
+    config: RigConfig, person: Operator, event_loop: EventLoop, camera: Camera
+) -> ManualStage:
     """A length set by hand and looked after by the camera."""
     axis = ManualAxis(
-        "length", "mm", person, pump,
+        "length", "mm", person, event_loop,
         check=lambda: camera_length(config, camera), checked_by="camera",
         tolerance=config.stage.tolerance_mm,
     )  # fmt: skip
@@ -187,7 +181,7 @@ def manual_stage(config: RigConfig, person: Operator, pump: Pump, camera: Camera
 def open_axes(
     config: RigConfig,
     person: Operator,
-    pump: Pump,
+    event_loop: EventLoop,
     instruments: dict[str, Instrument],
     pressure_kpa: Callable[[], float],
 ) -> dict[str, ManualAxis]:
@@ -215,7 +209,7 @@ def open_axes(
                 f"one of: pressure, {', '.join(instruments)}; leave it out to believe the operator",
             )
         out[name] = ManualAxis(
-            name, axis.unit, person, pump,
+            name, axis.unit, person, event_loop,
             check=check, checked_by=axis.check, tolerance=axis.tolerance,
             marked=name == "mass", before=before,
         )  # fmt: skip

@@ -6,10 +6,10 @@ import contextlib
 from collections.abc import Mapping
 from importlib import import_module
 
-from daq.deadline import Deadline
+from daq.clock import Deadline
 from daq.errors import PamrigError
 from rigs.bench.ports import Ports
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.operator import ManualAxis
 from rigs.devices.pressure.source import PressureSource, SourceParts
@@ -27,7 +27,7 @@ FALLING_KPA = 1.0
 
 
 def open_pressure_source(
-    ports: Ports, valve: ValveController, pump: Pump, axes: Mapping[str, ManualAxis]
+    ports: Ports, valve: ValveController, event_loop: EventLoop, axes: Mapping[str, ManualAxis]
 ) -> PressureSource:
     """The pressure source of a rig file, opened and checked.
 
@@ -38,14 +38,14 @@ def open_pressure_source(
     settings = config.pressure_source
     module = import_module(f"rigs.devices.pressure.{MODULES[settings.kind]}")
     parts = SourceParts(
-        config, valve, pump, axes, lambda: ports.open("pressure_source", settings)
+        config, valve, event_loop, axes, lambda: ports.open("pressure_source", settings)
     )  # fmt: skip
     source = module.open_source(parts)
     assert isinstance(source, PressureSource)
     return source
 
 
-def vent(source: PressureSource, pump: Pump, supply: Supply | None = None) -> float:
+def vent(source: PressureSource, event_loop: EventLoop, supply: Supply | None = None) -> float:
     """Vent, disarm and wait until the pressure reading confirms it.
 
     It goes on for as long as the pressure falls. The solenoids' supply, where there is one, is
@@ -57,19 +57,22 @@ def vent(source: PressureSource, pump: Pump, supply: Supply | None = None) -> fl
 
     def feed() -> None:
         if supply is not None:
-            with contextlib.suppress(PamrigError):  # the valve is told to vent in any case
+            with contextlib.suppress(PamrigError):  # the valve is commanded to vent in any case
                 supply.safe()
 
     try:
         source.stop()
     finally:  # a controller that does not hear vents by itself, if it can
         feed()
-    longest, standing = Deadline(pump.clock, VENT_LONGEST_S), Deadline(pump.clock, VENT_S)
+    longest, standing = (
+        Deadline(event_loop.clock, VENT_LONGEST_S),
+        Deadline(event_loop.clock, VENT_S),
+    )
     before = source.measured_kpa
-    while not pump.until(lambda: source.measured_kpa < SAFE_KPA, VENT_LOOK_S):
+    while not event_loop.until(lambda: source.measured_kpa < SAFE_KPA, VENT_LOOK_S):
         now = source.measured_kpa
         if now < before - FALLING_KPA:
-            standing = Deadline(pump.clock, VENT_S)
+            standing = Deadline(event_loop.clock, VENT_S)
         if standing.expired or longest.expired:
             break
         before = now

@@ -22,7 +22,7 @@ from rigs.bench.ports import (
 from rigs.bench.pressure import open_pressure_source, vent
 from rigs.devices.balance import Balance
 from rigs.devices.camera import CallCamera, open_camera
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.fresh_camera import FreshCamera
 from rigs.devices.instruments.load_cell import LoadCell
 from rigs.devices.instruments.supply import Supply
@@ -48,7 +48,7 @@ class Rig:
 
     config: RigConfig
     clock: Clock
-    pump: Pump
+    event_loop: EventLoop
     valve: ValveController
     pressure_source: PressureSource
     balance: Balance | LoadCell
@@ -71,11 +71,11 @@ class Rig:
 
         The solenoids get their normal voltage back.
         """
-        return vent(self.pressure_source, self.pump, self.supply)
+        return vent(self.pressure_source, self.event_loop, self.supply)
 
 
 def firmware_parameters(config: RigConfig) -> dict[str, int]:
-    """What the firmware is told before arming: the rig's own, and the limits in raw counts."""
+    """What is set in the firmware before arming: the rig's own, and the limits in raw counts."""
     pressure = config.calibrations["pressure_kpa"]
     return {
         "trip": int(pressure.raw(config.limits.trip_kpa)),
@@ -87,7 +87,7 @@ def firmware_parameters(config: RigConfig) -> dict[str, int]:
 @contextmanager
 def open_valve(
     config: RigConfig, clock: Clock | None = None, bench: VirtualBench | None = None
-) -> Iterator[tuple[ValveController, Pump, ExitStack, VirtualBench | None]]:
+) -> Iterator[tuple[ValveController, EventLoop, ExitStack, VirtualBench | None]]:
     """Open the valve controller alone, check who it is; vent and close on the way out.
 
     On a virtual rig the whole bench is made, because its parts share one plant; `bench` is one
@@ -117,12 +117,12 @@ def open_valve(
             clock = RealClock() if clock is None else clock
             stack.enter_context(rig_lock(config))
             link = Ports(config, clock, stack).open("valve", config.valve)
-        pump = Pump(clock, VIRTUAL_PERIOD_S if clock.virtual else REAL_PERIOD_S)
-        valve = ValveController(link, clock, pump)
-        pump.add(valve.poll)
+        event_loop = EventLoop(clock, VIRTUAL_PERIOD_S if clock.virtual else REAL_PERIOD_S)
+        valve = ValveController(link, clock, event_loop)
+        event_loop.add(valve.poll)
         stack.callback(_last_words, valve)
         valve.connect(config.valve.serial, config.valve.firmware)
-        yield valve, pump, stack, bench
+        yield valve, event_loop, stack, bench
 
 
 @contextmanager
@@ -145,49 +145,49 @@ def open_rig(
         PortError, DeviceError, ConfigError: names device, key and remedy; whatever had been
             opened is vented and closed.
     """
-    with open_valve(config, clock, bench) as (valve, pump, stack, bench):
-        clock = pump.clock
+    with open_valve(config, clock, bench) as (valve, event_loop, stack, bench):
+        clock = event_loop.clock
         valve.configure(firmware_parameters(config))
         ports = Ports(config, clock, stack, bench)
         identities = {"valve": valve.identity}
-        supply = open_supply(ports, pump, identities)
+        supply = open_supply(ports, event_loop, identities)
         if bench is not None:
             eye = CallCamera(bench.expose, config.camera.serial)
             camera = FreshCamera(eye, clock, bench.camera_model.noise > 0.0)
         else:
-            camera = FreshCamera(open_camera(config.camera, pump), clock)
+            camera = FreshCamera(open_camera(config.camera, event_loop), clock)
             stack.callback(camera.close)
         person = operator or default_operator(ports, bench)
-        instruments = open_readers(ports, pump)
+        instruments = open_readers(ports, event_loop)
         balance: Balance | LoadCell
         if config.force_source == "load_cell":
             cell = instruments["load_cell"]
             assert isinstance(cell, TextInstrument)
             balance = LoadCell(cell)
         else:
-            balance = Balance(ports.open("balance", config.balance), pump)
-            pump.add(balance.poll)
+            balance = Balance(ports.open("balance", config.balance), event_loop)
+            event_loop.add(balance.poll)
             identities["balance"] = balance.connect(config.balance.serial)
         for name, reader in instruments.items():
             identities[name] = reader.connect(config.instruments.readers()[name].serial)
         stage: Stage | ManualStage
         if config.stage.kind == "manual":
-            stage = manual_stage(config, person, pump, camera)
+            stage = manual_stage(config, person, event_loop, camera)
             identities["stage"] = stage.identity
         else:
-            stage = Stage(ports.open("stage", config.stage), pump, config.stage.speed_mm_s)
-            pump.add(stage.poll)
+            stage = Stage(ports.open("stage", config.stage), event_loop, config.stage.speed_mm_s)
+            event_loop.add(stage.poll)
             identities["stage"] = stage.connect(config.stage.serial)
         identities["camera"] = camera.identity
         transducer = SolenoidPressure(valve, config)
-        axes = open_axes(config, person, pump, instruments, lambda: transducer.measured_kpa)
-        source = open_pressure_source(ports, valve, pump, axes)
+        axes = open_axes(config, person, event_loop, instruments, lambda: transducer.measured_kpa)
+        source = open_pressure_source(ports, valve, event_loop, axes)
         stack.callback(source.close)
         if source.own_device is not None:
             identities["pressure_source"] = source.identity
         yield Rig(
-            config, clock, pump, valve, source, balance, stage, camera, bench, identities, person,
-            instruments, supply, axes,
+            config, clock, event_loop, valve, source, balance, stage, camera, bench, identities,
+            person, instruments, supply, axes,
         )  # fmt: skip
 
 

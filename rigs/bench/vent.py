@@ -19,21 +19,21 @@ def vent_rig(config: RigConfig) -> float:
     Raises:
         DeviceError: the pressure did not fall: the operator must act.
     """
-    with open_valve(config) as (valve, pump, stack, bench):
+    with open_valve(config) as (valve, event_loop, stack, bench):
         valve.stop()  # first of all; an outlet that is shut at rest opens once it has its supply
-        ports, supply = Ports(config, pump.clock, stack, bench), None
+        ports, supply = Ports(config, event_loop.clock, stack, bench), None
         with contextlib.suppress(PamrigError):
-            supply = open_supply(ports, pump, {})
+            supply = open_supply(ports, event_loop, {})
         # A source with a port of its own may be gone: the controller's valves vent without it.
         source: PressureSource = SolenoidPressure(valve, config)
         if config.pressure_source.port:
             with contextlib.suppress(PamrigError):
-                source = open_pressure_source(ports, valve, pump, {})
-        pressure = vent(source, pump, supply)
+                source = open_pressure_source(ports, valve, event_loop, {})
+        pressure = vent(source, event_loop, supply)
         if not pressure < SAFE_KPA:
             raise DeviceError(
                 valve.name,
-                f"was told to vent, pressure still reads {pressure:.0f} kPa",
+                f"was commanded to vent, pressure still reads {pressure:.0f} kPa",
                 "shut the supply by hand, open the relief, check the valve",
             )
         return pressure

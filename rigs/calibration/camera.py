@@ -15,29 +15,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.calibration import Calibration
 from daq.errors import ConfigError
 from plant import tomlfile
+from plant.arrays import Array
 from rigs.calibration.frames import open_frames
-from rigs.rigfile.camera_calibration import (
-    CameraCalibration,
-    load_camera_calibration,
-    save_camera_calibration,
-)
+from rigs.rigfile.camera_calibration import CameraCalibration
 from vision.marker.gap import GapMeasurement
 from vision.marker.lens import Lens
-
-__all__ = [
-    "CameraCalibration",
-    "calibrate_from_board",
-    "calibrate_from_gauges",
-    "load_camera_calibration",
-    "save_camera_calibration",
-]
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -87,7 +73,6 @@ def calibrate_from_gauges(
     identity: str = "",
     date: str = "",
     distance_mm: float | None = None,
-    u_distance_mm: float = 0.0,
     u_off_plane_mm: float = 0.0,
 ) -> CameraCalibration:
     """Fit offset, scale and, with 5 or more positions, distortion to gauge-block pictures.
@@ -126,56 +111,6 @@ def calibrate_from_gauges(
         lens = _fit_lens(gaps, lengths, Lens(shape[1] / 2, shape[0] / 2, radius))
     pixels = np.array([lens.gap(g)[0] if lens else g.pixels for g in gaps])
     u_px = np.array([g.u_pixels for g in gaps])
-    return _finish(
-        pixels,
-        u_px,
-        lengths,
-        u_mm,
-        lens,
-        identity or f"gauge blocks, {table.name}",
-        date,
-        distance_mm,
-        u_distance_mm,
-        u_off_plane_mm,
-    )
-
-
-def _fit_lens(gaps: list[GapMeasurement], lengths: F64, start: Lens) -> Lens | None:
-    """Distortion k1 that makes the lengths straight; None where it is not significant."""
-    from scipy.optimize import least_squares
-
-    u = np.array([max(g.u_pixels, 1e-4) for g in gaps])
-
-    def rest(k1: F64) -> F64:
-        lens = replace(start, k1=float(k1[0]))
-        pixels = np.array([lens.gap(g)[0] for g in gaps])
-        design = np.stack([np.ones_like(pixels), pixels], axis=1)
-        fit, *_ = np.linalg.lstsq(design / u[:, None], lengths / u, rcond=None)
-        value: F64 = (lengths - design @ fit) / (u * abs(fit[1]))
-        return value
-
-    found = least_squares(rest, np.zeros(1), diff_step=1e-4, x_scale=1e-3)
-    freedom = max(1, len(gaps) - 3)
-    s2 = max(1.0, 2.0 * float(found.cost) / freedom)
-    u_k1 = math.sqrt(s2 / max(1e-12, float((found.jac.T @ found.jac)[0, 0])))
-    k1 = float(found.x[0])
-    if abs(k1) < 2.0 * u_k1:
-        return None
-    return replace(start, k1=k1, u_k1=u_k1)
-
-
-def _finish(  # noqa: PLR0913 - what a calibration states, each by name
-    pixels: F64,
-    u_px: F64,
-    lengths: F64,
-    u_mm: F64,
-    lens: Lens | None,
-    identity: str,
-    date: str,
-    distance_mm: float | None,
-    u_distance_mm: float,
-    u_off_plane_mm: float,
-) -> CameraCalibration:
     design = np.stack([np.ones_like(pixels), pixels], axis=1)
     fit, *_ = np.linalg.lstsq(design, lengths, rcond=None)
     scale = float(fit[1])
@@ -195,7 +130,6 @@ def _finish(  # noqa: PLR0913 - what a calibration states, each by name
     u_offset = math.sqrt(float(max(at_middle, at_ends.max())))
     u_gain = math.sqrt(float(cov[1, 1])) / abs(scale)
     per_mm = 1.0 / distance_mm if distance_mm else 0.0
-    u_per_mm = u_distance_mm / distance_mm**2 if distance_mm else 0.0
     straight = Calibration(
         quantity="length_mm",
         unit="mm",
@@ -205,11 +139,35 @@ def _finish(  # noqa: PLR0913 - what a calibration states, each by name
         u_offset=u_offset,
         u_gain=u_gain,
         domain=(float(lengths.min()), float(lengths.max())),
-        id=identity,
+        id=identity or f"gauge blocks, {table.name}",
         date=date or datetime.now(UTC).date().isoformat(),
         note=f"{len(lengths)} positions, rms residual {math.sqrt(float(np.mean(rest**2))):.5f} mm",
     )
-    return CameraCalibration(straight, lens, per_mm, u_per_mm, u_off_plane_mm)
+    return CameraCalibration(straight, lens, per_mm, 0.0, u_off_plane_mm)
+
+
+def _fit_lens(gaps: list[GapMeasurement], lengths: Array, start: Lens) -> Lens | None:
+    """Distortion k1 that makes the lengths straight; None where it is not significant."""
+    from scipy.optimize import least_squares
+
+    u = np.array([max(g.u_pixels, 1e-4) for g in gaps])
+
+    def rest(k1: Array) -> Array:
+        lens = replace(start, k1=float(k1[0]))
+        pixels = np.array([lens.gap(g)[0] for g in gaps])
+        design = np.stack([np.ones_like(pixels), pixels], axis=1)
+        fit, *_ = np.linalg.lstsq(design / u[:, None], lengths / u, rcond=None)
+        value: Array = (lengths - design @ fit) / (u * abs(fit[1]))
+        return value
+
+    found = least_squares(rest, np.zeros(1), diff_step=1e-4, x_scale=1e-3)
+    freedom = max(1, len(gaps) - 3)
+    s2 = max(1.0, 2.0 * float(found.cost) / freedom)
+    u_k1 = math.sqrt(s2 / max(1e-12, float((found.jac.T @ found.jac)[0, 0])))
+    k1 = float(found.x[0])
+    if abs(k1) < 2.0 * u_k1:
+        return None
+    return replace(start, k1=k1, u_k1=u_k1)
 
 
 def calibrate_from_board(  # noqa: PLR0913 - what a calibration states, each by name
@@ -219,7 +177,6 @@ def calibrate_from_board(  # noqa: PLR0913 - what a calibration states, each by 
     *,
     offset_mm: float = 0.0,
     u_offset_mm: float = 0.0,
-    u_square_mm: float = 0.0,
     domain: tuple[float, float] = (-math.inf, math.inf),
     nearer: Path | None = None,
     nearer_mm: float = 0.0,
@@ -252,7 +209,7 @@ def calibrate_from_board(  # noqa: PLR0913 - what a calibration states, each by 
         offset=offset_mm,
         scale=scale,
         u_offset=u_offset_mm,
-        u_gain=math.hypot(u_scale / scale, u_square_mm / square_mm),
+        u_gain=abs(u_scale / scale),
         domain=domain,
         id=identity or f"board, {picture.name}",
         date=date or datetime.now(UTC).date().isoformat(),
@@ -290,11 +247,11 @@ def _board(
         [*seen.mean(axis=0), turn[0, 0], turn[0, 1], turn[1, 0], turn[1, 1], 0, 0, 0.0]
     )
 
-    def rest(p: F64) -> F64:
+    def rest(p: Array) -> Array:
         lens = replace(start, k1=float(p[8]))
         true = np.array([lens.true(x, y) for x, y in seen])
         plane = board @ p[2:6].reshape(2, 2) / (1 + board @ p[6:8])[:, None] + p[:2]
-        value: F64 = (true - plane).ravel()
+        value: Array = (true - plane).ravel()
         return value
 
     fit = least_squares(rest, first, x_scale=np.maximum(np.abs(first), 1e-4))

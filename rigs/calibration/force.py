@@ -26,7 +26,7 @@ from rigs.calibration.run import (
 )
 from rigs.devices.balance import Balance
 from rigs.devices.instruments.load_cell import LoadCell
-from rigs.devices.operator import Operator, Request, ask
+from rigs.devices.operator import Request, put_request
 from rigs.execution.runner import Watch
 from rigs.rigfile.config import RigConfig
 
@@ -34,7 +34,7 @@ TARES = 6
 """So many tares after the weights tell what a tare leaves."""
 
 
-def calibrate_force(  # noqa: PLR0913 - what a calibration states, each by name
+def calibrate_force(
     config: RigConfig,
     masses_kg: Sequence[float],
     root: Path,
@@ -42,7 +42,6 @@ def calibrate_force(  # noqa: PLR0913 - what a calibration states, each by name
     weights: Reference,
     seconds: float = 4.0,
     who: str = "",
-    operator: Operator | None = None,
     stop: StopFlag | None = None,
     watch: Watch | None = None,
 ) -> Calibrated:
@@ -55,7 +54,7 @@ def calibrate_force(  # noqa: PLR0913 - what a calibration states, each by name
         weights: the set's identity; ``u_gain`` its relative uncertainty (class of the
             weights, local g), ``u_each`` of a single one in N.
         seconds: how long each weight is measured, after it has come to rest.
-        who, operator, stop, watch: as for the pressure.
+        who, stop, watch: as for the pressure.
 
     Raises:
         ConfigError: too few weights, or one beyond the rig's limit.
@@ -76,13 +75,13 @@ def calibrate_force(  # noqa: PLR0913 - what a calibration states, each by name
             )
     stop, watch = stop or StopFlag(), watch or Watch()
     parameters = {"masses_kg": list(masses_kg), "seconds": seconds, "gravity_m_s2": gravity}
-    with open_rig(config, operator=operator) as rig:
+    with open_rig(config) as rig:
         record = open_record(rig, root, "calibrate-force", weights, parameters, who)
         points: list[Point] = []
         zeros: list[float] = []
 
         def method() -> None:
-            _say(rig, "muscle off", 0.0, "take the muscle off the force sensor")
+            _request(rig, "muscle off", 0.0, "take the muscle off the force sensor")
             most = max(masses_kg)
             hangs = isinstance(rig.balance, LoadCell)
             _hang(rig, 0.0 if hangs else most)
@@ -101,7 +100,7 @@ def calibrate_force(  # noqa: PLR0913 - what a calibration states, each by name
                 zeros.append(_weigh_net(rig, min(seconds, 1.0)))
                 record.event("tare_left", reading=zeros[-1])
             _hang(rig, 0.0)
-            _say(rig, "muscle", 0.0, "mount the muscle again")
+            _request(rig, "muscle", 0.0, "mount the muscle again")
 
         carry_out(rig, record, method)
         if isinstance(rig.balance, LoadCell):
@@ -115,20 +114,24 @@ def calibrate_force(  # noqa: PLR0913 - what a calibration states, each by name
         return finish(record, rig, old, device, points, weights, zeros)
 
 
-def _say(rig: Rig, axis: str, value: float, text: str) -> None:
-    ask(rig.operator, rig.pump, Request(axis, value, "kg", f"{text}, then press Enter"))
+def _request(rig: Rig, axis: str, value: float, text: str) -> None:
+    put_request(
+        rig.operator, rig.event_loop, Request(axis, value, "kg", f"{text}, then press Enter")
+    )
 
 
 def _hang(rig: Rig, mass_kg: float) -> None:
     text = f"load the force sensor with {mass_kg:g} kg" if mass_kg else "take all weights off"
-    _say(rig, "dead weight", mass_kg, text)
+    _request(rig, "dead weight", mass_kg, text)
 
 
 def _at_rest(rig: Rig, seconds: float = 20.0) -> None:
     """Wait for readings that all say that they are stable."""
     source = rig.balance
     start, n = source.rows, 5
-    rig.pump.until(lambda: source.rows >= start + n and bool(source.recent(n)[1].all()), seconds)
+    rig.event_loop.until(
+        lambda: source.rows >= start + n and bool(source.recent(n)[1].all()), seconds
+    )
 
 
 def _weigh_net(rig: Rig, seconds: float) -> float:
@@ -145,7 +148,7 @@ def _weigh(rig: Rig, seconds: float) -> tuple[float, float]:
     rate_hz = source.indicator.rate_hz if isinstance(source, LoadCell) else 10.0
     n = max(3, round(seconds * rate_hz))
     start = source.rows
-    if not rig.pump.until(lambda: source.rows >= start + n, 3 * seconds + 2.0):
+    if not rig.event_loop.until(lambda: source.rows >= start + n, 3 * seconds + 2.0):
         raise PamrigError(source.name, "sent too few readings", source.last_problem)
     if isinstance(source, LoadCell):
         return block_mean(source.indicator.recent(n)[0], 0.001)

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from daq.clock import Clock
 from daq.errors import PamrigError
 from plant import tomlfile
 
@@ -42,12 +41,10 @@ class SourceFrame:
     problem: str = ""
 
 
-def open_frames(
-    source: Path | str, clock: Clock | None = None, count: int = 1
-) -> Iterator[SourceFrame]:
+def open_frames(source: Path | str, count: int = 1) -> Iterator[SourceFrame]:
     """Frames of a picture, folder, TIFF stack, video or run folder, in order of name.
 
-    ``uvc:INDEX`` takes ``count`` frames from a live camera (needs ``clock``) and
+    ``uvc:INDEX`` takes ``count`` frames from a live camera and
     ``virtual:LENGTH_MM[,LENGTH_MM...]`` renders the virtual bench's camera.
 
     Raises:
@@ -58,7 +55,7 @@ def open_frames(
         yield from _virtual(text.removeprefix("virtual:"))
         return
     if text.startswith("uvc:"):
-        yield from _live(text.removeprefix("uvc:"), clock, count)
+        yield from _live(text.removeprefix("uvc:"), count)
         return
     path = Path(source)
     if not os.path.exists(path):
@@ -212,22 +209,21 @@ def _virtual(text: str) -> Iterator[SourceFrame]:
         yield SourceFrame(f"virtual:{length_mm:g}", k, render(length_mm, rng))
 
 
-def _live(text: str, clock: Clock | None, count: int) -> Iterator[SourceFrame]:
-    from daq.clock import RealClock
-    from daq.deadline import Deadline
+def _live(text: str, count: int) -> Iterator[SourceFrame]:
+    from daq.clock import Deadline, RealClock
     from rigs.devices.uvc import UvcCamera
 
-    used: Clock = clock or RealClock()
-    camera = UvcCamera(int(text) if text.isdigit() else text, used)
+    clock = RealClock()
+    camera = UvcCamera(int(text) if text.isdigit() else text, clock)
     try:
         given = 0
-        deadline = Deadline(used, 5.0 + count)
+        deadline = Deadline(clock, 5.0 + count)
         while given < count:
             for frame in camera.drain()[: count - given]:
                 yield SourceFrame(f"uvc:{text}", frame.seq, frame.gray)
                 given += 1
             if deadline.expired:
                 raise FramesError(f"camera {text}", "gave no frame", "check its cable")
-            used.sleep(0.005)
+            clock.sleep(0.005)
     finally:
         camera.close()

@@ -29,7 +29,7 @@ from rigs.calibration.run import (
     open_record,
     up_and_down,
 )
-from rigs.devices.operator import Operator, Request, ask_number
+from rigs.devices.operator import Request, request_number
 from rigs.execution.runner import Runner, Watch
 from rigs.rigfile.config import RigConfig, camera_values
 from rigs.steps.custom_step import Steps
@@ -42,7 +42,7 @@ MOST_CLIPPED = 0.4
 """A point with more of its samples at the end of the sensor's range tells nothing."""
 
 
-def calibrate_pressure(  # noqa: PLR0913 - what a calibration states, each by name
+def calibrate_pressure(
     config: RigConfig,
     pressures_kpa: Sequence[float],
     root: Path,
@@ -50,7 +50,6 @@ def calibrate_pressure(  # noqa: PLR0913 - what a calibration states, each by na
     reference: Reference | None = None,
     seconds: float = 2.0,
     who: str = "",
-    operator: Operator | None = None,
     stop: StopFlag | None = None,
     watch: Watch | None = None,
 ) -> Calibrated:
@@ -63,7 +62,6 @@ def calibrate_pressure(  # noqa: PLR0913 - what a calibration states, each by na
         reference: a gauge that the operator reads; None takes [pressure_transmitter].
         seconds: how long each point is measured.
         who: goes into the record.
-        operator: reads the gauge; the terminal, or a simulated person, by default.
         stop, watch: as in a test.
 
     Raises:
@@ -72,7 +70,7 @@ def calibrate_pressure(  # noqa: PLR0913 - what a calibration states, each by na
     """
     _check_pressures(config, pressures_kpa, reference)
     parameters = {"pressures_kpa": list(pressures_kpa), "seconds": seconds}
-    with open_rig(config, operator=operator) as rig:
+    with open_rig(config) as rig:
         if reference is None:
             gauge = rig.instruments["pressure_transmitter"]
             cal = gauge.calibration
@@ -91,8 +89,8 @@ def calibrate_pressure(  # noqa: PLR0913 - what a calibration states, each by na
 
             def read() -> float:
                 text = f"read {known.name} in kPa, type it, then press Enter"
-                return ask_number(
-                    rig.operator, rig.pump, Request("reference pressure", nan, "kPa", text)
+                return request_number(
+                    rig.operator, rig.event_loop, Request("reference pressure", nan, "kPa", text)
                 )
 
         record = open_record(rig, root, "calibrate-pressure", known, parameters, who)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from daq.errors import DeviceError
 from daq.link.transport import Link
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.lines import LineDevice
 
 # The value is right-aligned in ten characters: a lost or doubled one shows by the length.
@@ -38,8 +38,8 @@ class Balance(LineDevice):
     "not ready" and other units are counted as faults and never become a value.
     """
 
-    def __init__(self, link: Link, pump: Pump) -> None:
-        super().__init__(link, pump, "balance")
+    def __init__(self, link: Link, event_loop: EventLoop) -> None:
+        super().__init__(link, event_loop, "balance")
         self.rows = 0
         self.overloads = 0
         self._grams = np.zeros(KEEP_ROWS)
@@ -53,7 +53,7 @@ class Balance(LineDevice):
         self.last_problem = ""
 
     def on_line(self, line: str, host_ns: int) -> bool:
-        """Claim readings and overload marks; leave other answers to whoever asked."""
+        """Claim readings and overload marks; leave other answers to whoever made the request."""
         match = _READING.match(line)
         if match:
             if match[3] != "g":
@@ -73,7 +73,7 @@ class Balance(LineDevice):
             kind = "comma" if "," in line and dotted else "damaged"
             self._bad(kind, f"reading that does not parse: {line!r}")
             return True
-        if not _ANSWER.match(line):  # a reading without its head is no answer to whoever asked
+        if not _ANSWER.match(line):  # a reading without its head is no answer to a request
             self._bad("damaged", f"line that is no answer: {line!r}")
             return True
         return False
@@ -118,7 +118,7 @@ class Balance(LineDevice):
     def poll(self) -> None:
         """Read what has come and hand new rows on."""
         super().poll()
-        if self._held is not None and self._pump.clock.now_ns() - self._held[0] >= CLOSE_NS:
+        if self._held is not None and self._event_loop.clock.now_ns() - self._held[0] >= CLOSE_NS:
             self._release()
         if self._pending:
             row, host_ns, grams, stable = zip(*self._pending, strict=True)
@@ -145,8 +145,8 @@ class Balance(LineDevice):
             DeviceError: another serial number than the rig file names.
         """
         self.send("@")
-        self._pump.for_seconds(0.1)
-        answer = self.ask("I4", lambda line: line.startswith("I4 A "), 2.0)
+        self._event_loop.for_seconds(0.1)
+        answer = self.request("I4", lambda line: line.startswith("I4 A "), 2.0)
         got = answer[5:].strip().strip('"')
         self.identity = {"serial": got, "protocol": "MT-SICS"}
         if serial and got != serial:
@@ -168,7 +168,9 @@ class Balance(LineDevice):
         Raises:
             DeviceError: the balance would not tare (not stable, out of range).
         """
-        answer = self.ask("T", lambda line: line.startswith("T ") or line in ("ES", "EL"), seconds)
+        answer = self.request(
+            "T", lambda line: line.startswith("T ") or line in ("ES", "EL"), seconds
+        )
         match = re.match(r"^T S +(-?\d+(?:\.\d+)?) g$", answer)
         if not match:
             raise DeviceError(

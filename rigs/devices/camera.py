@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from daq.deadline import Deadline
+from daq.clock import Deadline
 from daq.errors import DeviceError, DeviceTimeout, LinkLost
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.rigfile.config import CameraDevice
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class CallCamera:
         return Frame(*self._expose())
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to release."""
 
 
 class TcpCamera:
@@ -88,10 +88,10 @@ class TcpCamera:
                 "start `pamrig virtual`, check camera.source",
             ) from None
         self._file = self._socket.makefile("rwb")
-        answer = self._ask(b"I\n").split()
+        answer = self._request(b"I\n").split()
         self.identity = {"serial": answer[1] if len(answer) > 1 else "", "source": source}
 
-    def _ask(self, request: bytes) -> str:
+    def _request(self, request: bytes) -> str:
         try:
             self._file.write(request)
             self._file.flush()
@@ -108,7 +108,7 @@ class TcpCamera:
 
     def trigger(self) -> Frame:
         """Ask for a frame and wait for it."""
-        words = self._ask(b"T\n").split()
+        words = self._request(b"T\n").split()
         if len(words) != 5 or words[0] != "FRAME":
             raise DeviceError(self.name, f"expected FRAME ..., got {' '.join(words)!r}")
         seq, host_ns, width, height = (int(w) for w in words[1:])
@@ -134,15 +134,15 @@ class TriggeredUvc:
     while it is waited for: a camera that hangs ends a test in good order.
     """
 
-    def __init__(self, camera: UvcCamera, source: str, pump: Pump) -> None:
+    def __init__(self, camera: UvcCamera, source: str, event_loop: EventLoop) -> None:
         self._camera = camera
-        self._pump = pump
+        self._event_loop = event_loop
         self.identity = {"source": source}
 
     def trigger(self) -> Frame:
         """Wait for the next whole frame."""
-        asked_ns = self._pump.clock.now_ns()
-        deadline = Deadline(self._pump.clock, TRIGGER_S)
+        asked_ns = self._event_loop.clock.now_ns()
+        deadline = Deadline(self._event_loop.clock, TRIGGER_S)
         while True:
             frame = self._camera.latest()
             if (
@@ -157,15 +157,15 @@ class TriggeredUvc:
                     f"no new frame within {TRIGGER_S:g} s",
                     "check its cable and that no other program uses it",
                 )
-            self._pump.step()
+            self._event_loop.step()
 
     def close(self) -> None:
-        """Stop the grab thread and let go of the device."""
+        """Stop the grab thread and release the device."""
         self._camera.close()
 
 
-def open_camera(config: CameraDevice, pump: Pump) -> Camera:
-    """Open a camera that is not part of an in-process bench; ``pump`` turns the bench over.
+def open_camera(config: CameraDevice, event_loop: EventLoop) -> Camera:
+    """Open a camera that is not part of an in-process bench; ``event_loop`` runs the bench.
 
     Raises:
         DeviceError: it cannot be opened, or is another one than the rig file names.
@@ -177,8 +177,8 @@ def open_camera(config: CameraDevice, pump: Pump) -> Camera:
         from rigs.devices.uvc import UvcCamera
 
         index = config.source.removeprefix("uvc:")
-        uvc = UvcCamera(int(index) if index.isdigit() else index, pump.clock)
-        camera = TriggeredUvc(uvc, config.source, pump)
+        uvc = UvcCamera(int(index) if index.isdigit() else index, event_loop.clock)
+        camera = TriggeredUvc(uvc, config.source, event_loop)
     got = camera.identity.get("serial", "")
     if config.serial and got and got != config.serial:
         camera.close()

@@ -1,4 +1,4 @@
-"""The one waiting place of a bench: let time pass, read every link, keep the air alive.
+"""The event loop of a bench: let time pass, read every link, keep the air alive.
 
 Drivers never sleep by themselves: while one waits for its reply, the others are read and
 the heartbeat goes on.
@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from daq.clock import Clock
-from daq.deadline import Deadline
+from daq.clock import Clock, Deadline
 
 
-class Pump:
-    """Turns the bench over, step by step.
+class EventLoop:
+    """Runs the bench, step by step.
 
     Args:
         clock: real or virtual time.
@@ -41,7 +40,7 @@ class Pump:
             poll()
 
     def until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Pump until ``condition()`` or until ``seconds`` have passed; True when it came."""
+        """Run until ``condition()`` or until ``seconds`` have passed; True when it came."""
         deadline = Deadline(self.clock, seconds)
         while not condition():
             if deadline.expired:
@@ -50,5 +49,5 @@ class Pump:
         return True
 
     def for_seconds(self, seconds: float) -> None:
-        """Pump for a stretch of time."""
+        """Run for a stretch of time."""
         self.until(lambda: False, seconds)

@@ -1,4 +1,4 @@
-"""What went wrong on an instrument's line: counted by kind, told to whoever listens."""
+"""What went wrong on an instrument's line: counted by kind, reported to whoever listens."""
 
 from __future__ import annotations
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.clock import Clock
-from daq.deadline import Deadline
+from daq.clock import Clock, Deadline
 from daq.errors import DeviceError, DeviceTimeout, PamrigError
 from rigs.devices.camera import Camera, Frame, is_lit
 from rigs.devices.faults import Faults
 
 AGAIN_S = 0.15
-"""So long an old picture is asked for anew. Shorter than the controller's patience without a
+"""So long an old picture is requested again. Shorter than the controller's patience without a
 heartbeat, so that a frozen camera ends a test in good order: a hung load is lowered, not let go."""
 PAUSE_S = 0.005
 
@@ -21,7 +20,7 @@ class FreshCamera:
 
     A frozen camera, grabber or driver gives an old picture with its old number and stamp, or
     with new ones. Two pictures of a sensor that has noise are never alike to the last bit, so the
-    grey levels tell in either case. An old picture is counted and asked for anew. A camera that was
+    grey levels show it. An old picture is counted and requested again. A camera that was
     put to another mode shows the same length in other pixels: that ends the test.
 
     Args:

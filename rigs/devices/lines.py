@@ -1,4 +1,4 @@
-"""Line-based instruments: ask, wait for the line that answers, keep the rest for others."""
+"""Line-based instruments: send a request, wait for its answer, keep the rest for others."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from daq.errors import DeviceTimeout, LinkLost
 from daq.link.framer import LineFramer
 from daq.link.transport import Link
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.faults import Faults
 
 
@@ -19,9 +19,9 @@ class LineDevice:
     stream of readings cannot be taken for an answer.
     """
 
-    def __init__(self, link: Link, pump: Pump, kind: str, end: bytes = b"\r\n") -> None:
+    def __init__(self, link: Link, event_loop: EventLoop, kind: str, end: bytes = b"\r\n") -> None:
         self._link = link
-        self._pump = pump
+        self._event_loop = event_loop
         self._framer = LineFramer(b"\n")  # CR is stripped: some devices send LF alone
         self._end = end
         self._lines: deque[str] = deque(maxlen=256)
@@ -85,7 +85,7 @@ class LineDevice:
             self._count_loss(error)
             raise
 
-    def ask(self, text: str, accept: Callable[[str], bool], seconds: float = 1.0) -> str:
+    def request(self, text: str, accept: Callable[[str], bool], seconds: float = 1.0) -> str:
         """Send ``text`` and return the first line that ``accept`` takes as its answer.
 
         Lines that came before the question are stale and thrown away.
@@ -99,7 +99,7 @@ class LineDevice:
         return self.wait_line(accept, text, seconds)
 
     def wait_line(self, accept: Callable[[str], bool], asked: str, seconds: float) -> str:
-        """Wait for a line that ``accept`` takes; see :meth:`ask`."""
+        """Wait for a line that ``accept`` takes; see :meth:`request`."""
         found: list[str] = []
         other: list[str] = []
 
@@ -111,7 +111,7 @@ class LineDevice:
                     return True
             return False
 
-        if self._pump.until(look, seconds):
+        if self._event_loop.until(look, seconds):
             return found[0]
         raise DeviceTimeout(
             self.name,

@@ -1,4 +1,4 @@
-"""Somebody who sets what no motor sets: asked by the program, timed, and checked."""
+"""Somebody who sets what no motor sets: on request of the program, timed, and checked."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Protocol
 
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 
 TRIES = 3
 TRUE_WORDS = ("", "y", "yes", "ok", "done")
@@ -19,7 +19,7 @@ TRUE_WORDS = ("", "y", "yes", "ok", "done")
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a person.
+    """A request to a person.
 
     Attributes:
         axis: "length", "pressure", "mass", "temperature", or a reading to be typed in.
@@ -50,7 +50,7 @@ class ConsoleOperator:
     """A person at the terminal: sees the request, presses Enter or types what was read.
 
     Attributes:
-        on_line: takes what is typed while nothing is asked.
+        on_line: takes what is typed while no request is open.
     """
 
     def __init__(self) -> None:
@@ -114,9 +114,9 @@ def _typed_lines() -> Iterator[str]:
             yield line.decode(errors="replace")
 
 
-def ask(operator: Operator, pump: Pump, request: Request) -> tuple[str, float]:
+def put_request(operator: Operator, event_loop: EventLoop, request: Request) -> tuple[str, float]:
     """Ask and wait, however long a person takes: (answer, waited in s)."""
-    start_ns = pump.clock.now_ns()
+    start_ns = event_loop.clock.now_ns()
     operator.begin(request)
     got: list[str] = []
 
@@ -126,12 +126,12 @@ def ask(operator: Operator, pump: Pump, request: Request) -> tuple[str, float]:
             got.append(text)
         return bool(got)
 
-    while not pump.until(answered, 3600.0):
+    while not event_loop.until(answered, 3600.0):
         operator.begin(request)  # an hour later it is still needed
-    return got[0], (pump.clock.now_ns() - start_ns) / NS_PER_S
+    return got[0], (event_loop.clock.now_ns() - start_ns) / NS_PER_S
 
 
-def ask_number(operator: Operator, pump: Pump, request: Request) -> float:
+def request_number(operator: Operator, event_loop: EventLoop, request: Request) -> float:
     """A number that a person reads and types; a decimal comma or a word is asked again.
 
     Raises:
@@ -139,7 +139,7 @@ def ask_number(operator: Operator, pump: Pump, request: Request) -> float:
     """
     words = ""
     for _ in range(TRIES):
-        text, _ = ask(operator, pump, request)
+        text, _ = put_request(operator, event_loop, request)
         words = text.removesuffix(request.unit).strip()
         try:
             if "_" not in words:  # Python would take 1_0 for ten
@@ -180,7 +180,7 @@ class ManualAxis:
         name: "length", "pressure", "mass", ...
         unit: of its values.
         operator: who does it.
-        pump: waiting.
+        event_loop: of the bench.
         check: reads the sensor that looks after it; None believes what was asked for, or
             what the operator types instead.
         checked_by: name of that sensor.
@@ -188,7 +188,7 @@ class ManualAxis:
         verb: how the request begins.
         marked: True where what is set bears its value, as a weight does: the sensor then only
             confirms it, and who sets another one types what it bears.
-        before: called before anything is asked.
+        before: called before any request.
     """
 
     def __init__(  # noqa: PLR0913 - an axis has that many named settings
@@ -196,7 +196,7 @@ class ManualAxis:
         name: str,
         unit: str,
         operator: Operator,
-        pump: Pump,
+        event_loop: EventLoop,
         check: Callable[[], float] | None = None,
         checked_by: str = "",
         tolerance: float = 0.0,
@@ -207,7 +207,7 @@ class ManualAxis:
         self.name = name
         self.unit = unit
         self._operator = operator
-        self._pump = pump
+        self._event_loop = event_loop
         self._check = check
         self._checked_by = checked_by if check is not None else "operator"
         self._tolerance = tolerance
@@ -230,15 +230,15 @@ class ManualAxis:
         note = ""
         for attempt in range(1, TRIES + 1):
             text = f"{self._wording(value)}{note}, then press Enter"
-            answer, seconds = ask(
-                self._operator, self._pump, Request(self.name, value, self.unit, text)
+            answer, seconds = put_request(
+                self._operator, self._event_loop, Request(self.name, value, self.unit, text)
             )
             waited += seconds
-            said = self._said(answer, value) if self._marked or self._check is None else value
-            read = said if self._check is None else self._check()
-            if self._check is None or abs(read - said) <= self._tolerance:
+            typed = self._typed(answer, value) if self._marked or self._check is None else value
+            read = typed if self._check is None else self._check()
+            if self._check is None or abs(read - typed) <= self._tolerance:
                 setting = ManualSetting(
-                    self.name, value, read, said if self._marked else read,
+                    self.name, value, read, typed if self._marked else read,
                     self.unit, self._checked_by, waited, attempt,
                 )  # fmt: skip
                 self.settings.append(setting)
@@ -263,7 +263,7 @@ class ManualAxis:
             return what if value else "take the load off the muscle"
         return f"{self._verb} {self.name} to {value:g} {self.unit}"
 
-    def _said(self, answer: str, asked: float) -> float:
+    def _typed(self, answer: str, asked: float) -> float:
         if answer.lower() in TRUE_WORDS:
             return asked
         try:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from daq.errors import DeviceError, DeviceTimeout
 from daq.link.transport import Link
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.lines import LineDevice
 
 # The whole report, so that half of one or two in one are none.
@@ -24,8 +24,8 @@ TRIES = 3
 class Stage(LineDevice):
     """A stage whose X position is the length at which the muscle is held."""
 
-    def __init__(self, link: Link, pump: Pump, speed_mm_s: float) -> None:
-        super().__init__(link, pump, "stage", end=b"\n")
+    def __init__(self, link: Link, event_loop: EventLoop, speed_mm_s: float) -> None:
+        super().__init__(link, event_loop, "stage", end=b"\n")
         self.speed_mm_s = speed_mm_s
         self.identity: dict[str, str] = {}
         self._ready = False
@@ -66,7 +66,7 @@ class Stage(LineDevice):
         Raises:
             DeviceError: another serial number, or an alarm.
         """
-        answer = self.ask("$I", lambda line: line.startswith("[VER:"), 3.0)
+        answer = self.request("$I", lambda line: line.startswith("[VER:"), 3.0)
         got = answer.rstrip("]").split(":")[-1]
         self.identity = {"serial": got, "version": answer.strip("[]")}
         if serial and got != serial:
@@ -88,7 +88,7 @@ class Stage(LineDevice):
         Raises:
             DeviceError: the stage refused it.
         """
-        answer = self.ask(
+        answer = self.request(
             text, lambda line: line == "ok" or line.startswith(("error", "ALARM")), seconds
         )
         if answer != "ok":
@@ -148,10 +148,10 @@ class Stage(LineDevice):
             )
 
         def now_there(position: float) -> bool:
-            return abs(position - length_mm) <= CLOSE_MM or self._pump.clock.now_ns() > end_ns
+            return abs(position - length_mm) <= CLOSE_MM or self._event_loop.clock.now_ns() > end_ns
 
-        end_ns = self._pump.clock.now_ns() + round((seconds - 1.0) * 1e9)
-        self._pump.until(at_rest, seconds)
+        end_ns = self._event_loop.clock.now_ns() + round((seconds - 1.0) * 1e9)
+        self._event_loop.until(at_rest, seconds)
         self._check()
         name, position = state["at"]
         if name != "Idle" or abs(position - length_mm) > CLOSE_MM:

@@ -144,7 +144,7 @@ class UvcCamera:
         return frames
 
     def close(self) -> None:
-        """Stop the thread and let go of the camera; may be called twice."""
+        """Stop the thread and release the camera; may be called twice."""
         self._stop.set()
         thread = getattr(self, "_thread", None)
         if thread is not None and thread.is_alive():

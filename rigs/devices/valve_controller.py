@@ -20,7 +20,7 @@ from daq.link.codec import CodecError, Reply, decode_event, decode_reply, encode
 from daq.link.framer import CobsFramer
 from daq.link.telemetry import Gap, TelemetryStream
 from daq.link.transport import Link
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from valvefw import wire
 
 HEARTBEAT_S = 0.1
@@ -41,13 +41,13 @@ class ValveController:
     Args:
         link: bytes in and out.
         clock: stamps requests and replies.
-        pump: what waits.
+        event_loop: of the bench.
     """
 
-    def __init__(self, link: Link, clock: Clock, pump: Pump) -> None:
+    def __init__(self, link: Link, clock: Clock, event_loop: EventLoop) -> None:
         self._link = link
         self._clock = clock
-        self._pump = pump
+        self._event_loop = event_loop
         self._framer = CobsFramer()
         self._next_id = 1
         self._replies: dict[int, Reply] = {}
@@ -185,7 +185,7 @@ class ValveController:
         self._waiting.add(request_id)
         self._send(text)
         try:
-            if not self._pump.until(lambda: request_id in self._replies, seconds):
+            if not self._event_loop.until(lambda: request_id in self._replies, seconds):
                 raise DeviceTimeout(
                     self.name,
                     f"no reply to {text!r} within {seconds:g} s",
@@ -218,7 +218,7 @@ class ValveController:
 
     # ---- what a bench does ----------------------------------------------------------
 
-    def connect(self, serial: str, firmware: str, seconds: float = 3.0) -> dict[str, str]:
+    def connect(self, serial: str, firmware: str) -> dict[str, str]:
         """Ask for the identity until it comes, and check it.
 
         Raises:
@@ -226,7 +226,7 @@ class ValveController:
         """
         for attempt in range(6):
             try:
-                self.identity = self.request("id", seconds / 6)
+                self.identity = self.request("id", 0.5)
                 break
             except DeviceTimeout:
                 if attempt == 5:

@@ -36,7 +36,7 @@ def measure_camera_delay(rig: Rig, record: RecordWriter, sync: CameraSync) -> bo
     started = valve.request(f"led sync {SEED} {sync.bit_ms}")
     # The reply is stamped by the controller at the moment the pattern begins.
     start_ns = rig.clock.now_ns()
-    rig.pump.for_seconds(LONGEST_S + 0.05)
+    rig.event_loop.for_seconds(LONGEST_S + 0.05)
     levels, stamps, same, last = [], [], [], None
     for _ in range(sync.frames):
         frame = rig.camera.trigger()
@@ -47,7 +47,7 @@ def measure_camera_delay(rig: Rig, record: RecordWriter, sync: CameraSync) -> bo
         stamps.append(frame.host_ns)
         same.append(last is not None and np.array_equal(frame.gray, last))
         last = frame.gray
-        rig.pump.step(PERIOD_S)
+        rig.event_loop.step(PERIOD_S)
     valve.request("led 0")
     fields: dict[str, object] = {"frames": len(levels)}
     try:

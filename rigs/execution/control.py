@@ -1,4 +1,4 @@
-"""What a person asks of a test while it runs: pause, resume, skip, repeat, mark, stop.
+"""Requests of a person to a running test: pause, resume, skip, repeat, mark, stop.
 
 One place takes them all, from whichever side they come: a line typed at the terminal, a line
 in the run's control file (``pamrig runs tell``), or a call.
@@ -69,7 +69,7 @@ class RunControl:
         self._fd = -1
         self._read = 0
 
-    def ask(self, text: str) -> None:
+    def request(self, text: str) -> None:
         """Ask for something: a word of ``WORDS`` or its letter, then what to mark.
 
         Raises:
@@ -84,9 +84,9 @@ class RunControl:
             self._asked.append((word if first.lower() != "p" else "p", rest.strip()))
 
     def typed(self, line: str) -> None:
-        """A line that was typed at the terminal while nothing was asked there."""
+        """A line that was typed at the terminal while no request was open there."""
         try:
-            self.ask(line)
+            self.request(line)
         except ConfigError as error:
             print(error, flush=True)
 
@@ -128,7 +128,7 @@ class RunControl:
         for line in whole.decode(errors="replace").splitlines():
             with contextlib.suppress(ConfigError):
                 if line.strip():
-                    self.ask(line)
+                    self.request(line)
 
     def take(self) -> tuple[str, str] | None:
         """The oldest request, (word, rest), or None."""

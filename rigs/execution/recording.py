@@ -102,12 +102,12 @@ def recorder(record: RecordWriter, stream: str) -> Callable[[Batch], None]:
 
 
 def _teller(record: RecordWriter, name: str, counts: dict[str, int]) -> Callable[[str, str], None]:
-    def tell(kind: str, words: str) -> None:
+    def report(kind: str, words: str) -> None:
         n = counts[kind]
         if n <= TOLD or n % 100 == 0:
             record.event("instrument", device=name, fault=kind, count=n, text=words)
 
-    return tell
+    return report
 
 
 def _set(record: RecordWriter, setting: ManualSetting) -> None:

@@ -138,7 +138,7 @@ class Runner:
     def arm(self) -> None:
         """Start the heartbeat, wait for telemetry, clear an old fault and arm."""
         valve = self.rig.valve
-        self.rig.pump.until(lambda: valve.seq_end > 0 and self.rig.balance.rows > 0, 3.0)
+        self.rig.event_loop.until(lambda: valve.seq_end > 0 and self.rig.balance.rows > 0, 3.0)
         if not valve.seq_end:
             raise DeviceError(valve.name, "sends no telemetry", "check firmware and baud rate")
         if valve.fault_latched:
@@ -147,7 +147,7 @@ class Runner:
         self._reboots = valve.telemetry.reboots
         source = self.rig.pressure_source
         source.arm()
-        if not self.rig.pump.until(lambda: source.armed, 2.0):
+        if not self.rig.event_loop.until(lambda: source.armed, 2.0):
             raise DeviceError(valve.name, "took `arm` but its telemetry does not say so")
         self._armed = True
         self.record.event("armed", identity=valve.identity)
@@ -156,8 +156,8 @@ class Runner:
         """Carry out every step. Ends the run venting, whatever is raised."""
         self.progress.points = points
         answer: Answer = None
-        pump = self.rig.pump
-        pump.add(self._alive)  # in every round, also while a driver waits for a reply
+        event_loop = self.rig.event_loop
+        event_loop.add(self._alive)  # in every round, also while a driver waits for a reply
         try:
             self.arm()
             while True:
@@ -173,7 +173,7 @@ class Runner:
                     answer = self.do(step)
                 self.progress.spent_s += cost_s(step, self.rig.config.stage.speed_mm_s)
         finally:
-            pump.remove(self._alive)
+            event_loop.remove(self._alive)
             steps.close()
             self._safe()
 
@@ -196,7 +196,7 @@ class Runner:
         """One step that makes no point."""
         match step:
             case State(name):
-                self.say(name)
+                self.report_state(name)
             case Trial():
                 held = dict(step.held)
                 fields = {k: v for k, v in vars(step).items() if k != "held"}
@@ -213,7 +213,7 @@ class Runner:
             case SetPressure(pressure_kpa):
                 self._set_pressure(pressure_kpa)
             case Dwell(seconds):
-                self.rig.pump.for_seconds(seconds)
+                self.rig.event_loop.for_seconds(seconds)
             case Settle():
                 return self._settle(step)
             case Zero():
@@ -228,7 +228,7 @@ class Runner:
             return self._measure(step)
         return step.perform(self)
 
-    def say(self, state: str) -> None:
+    def report_state(self, state: str) -> None:
         """The test enters a state: record, live view and terminal."""
         self.progress.state = state
         self.record.event("state", state=state)
@@ -243,7 +243,7 @@ class Runner:
         """What a person sets: the rig's axis of that name, or one that nothing looks after."""
         axes = self.rig.axes
         if name not in axes:
-            axes[name] = ManualAxis(name, unit, self.rig.operator, self.rig.pump)
+            axes[name] = ManualAxis(name, unit, self.rig.operator, self.rig.event_loop)
             axes[name].on_setting.append(self._was_set)
         return axes[name]
 
@@ -257,13 +257,13 @@ class Runner:
     def _vent(self) -> None:
         self.rig.pressure_source.vent()
         self.watch.set_point("pressure", 0.0)
-        if not self.rig.pump.until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
+        if not self.rig.event_loop.until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
             raise RunFault(
                 self.rig.pressure_source.name,
-                f"told to vent, pressure still reads {self.rig.pressure_kpa:.0f} kPa after 10 s",
+                f"commanded to vent, pressure reads {self.rig.pressure_kpa:.0f} kPa after 10 s",
                 "shut the supply by hand; check the outlet and the pressure zero",
             )
-        self.rig.pump.for_seconds(0.3)
+        self.rig.event_loop.for_seconds(0.3)
 
     def _set_length(self, length_mm: float) -> None:
         """Move the stage and wait until it is there."""
@@ -290,7 +290,7 @@ class Runner:
     def _settle(self, step: Settle) -> Answer:
         start_ns = self.rig.clock.now_ns()
         settled = has_settled(self.rig, self.camera, step)
-        done = self.rig.pump.until(
+        done = self.rig.event_loop.until(
             lambda: self.steering.skip or settled(), step.criterion.timeout_s
         )
         waited_s = (self.rig.clock.now_ns() - start_ns) / NS_PER_S
@@ -308,9 +308,9 @@ class Runner:
         samples, rows = round(seconds / SAMPLE_S), max(1, round(seconds * 10))
         for k in range(pictures):
             due = seq + round(samples * (k + 0.5) / pictures)
-            self.rig.pump.until(lambda due=due: valve.seq_end >= due, seconds + 1.0)  # type: ignore[misc]
+            self.rig.event_loop.until(lambda due=due: valve.seq_end >= due, seconds + 1.0)  # type: ignore[misc]
             take()
-        came = self.rig.pump.until(
+        came = self.rig.event_loop.until(
             lambda: valve.seq_end >= seq + samples and balance.rows >= row + rows, seconds * 3 + 1.0
         )
         if not came:

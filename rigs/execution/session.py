@@ -13,7 +13,7 @@ from daq.clock import NS_PER_S
 from daq.errors import DeviceError, PamrigError, RecordError
 from daq.interrupt import StopFlag, Stopped
 from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
-from daq.record.space import check_disk
+from daq.record.disk import check_disk
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig, firmware_parameters, open_rig
 from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
@@ -175,7 +175,7 @@ def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> Non
         )
     if rig.config.camera.sync is not None:
         rig.valve.progress(60.0)  # nothing is armed yet; the beats are the clock's pings
-        rig.pump.until(lambda: rig.valve.clock_fit.pings >= 5, 2.0)
+        rig.event_loop.until(lambda: rig.valve.clock_fit.pings >= 5, 2.0)
         measure_camera_delay(rig, record, rig.config.camera.sync)
 
 
@@ -228,7 +228,7 @@ def _hear_out(rig: Rig) -> None:
     lines = (rig.balance, rig.stage, rig.supply, rig.pressure_source.own_device)
     devices += [d for d in lines if isinstance(d, LineDevice)]
     with contextlib.suppress(PamrigError):
-        rig.pump.until(lambda: not any(device.midway for device in devices), HEAR_OUT_S)
+        rig.event_loop.until(lambda: not any(device.midway for device in devices), HEAR_OUT_S)
     for device in devices:
         device.finish()
 

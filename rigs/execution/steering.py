@@ -1,4 +1,4 @@
-"""Carries out what is asked of a running test: pause, resume, skip, repeat, mark, stop."""
+"""Carries out the requests to a running test: pause, resume, skip, repeat, mark, stop."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ class Steering:
         )
 
     def look(self) -> None:
-        """Take what was asked since; called in every round of the bench."""
+        """Take the requests made since; called in every round of the bench."""
         now_ns = self._runner.rig.clock.now_ns()
         if now_ns >= self._next_look_ns:
             self._control.look()
             self._next_look_ns = now_ns + round(LOOK_S * NS_PER_S)
-        while (asked := self._control.take()) is not None:
-            self._obey(*asked)
+        while (requested := self._control.take()) is not None:
+            self._carry_out(*requested)
 
-    def _obey(self, word: str, rest: str) -> None:
+    def _carry_out(self, word: str, rest: str) -> None:
         runner = self._runner
         if word == "p":
             word = "resume" if self.paused else "pause"
@@ -65,7 +65,7 @@ class Steering:
             return
         if word == "stop":
             runner.record.event("control", asked=word)
-            runner.stop.set("stop asked for")
+            runner.stop.set("stop requested")
             return
         runner.record.event("control", asked=word, order=self._order())
         if word in ("pause", "resume"):
@@ -75,7 +75,7 @@ class Steering:
             self.skip = True
         elif word == "repeat":
             self._again = True
-        runner.watch.log(f"asked for: {word}")
+        runner.watch.log(f"request: {word}")
 
     def _order(self) -> int | None:
         last = self._last[2] if self._last is not None else None
@@ -91,12 +91,12 @@ class Steering:
             return
         runner = self._runner
         state, start_ns = runner.progress.state, runner.rig.clock.now_ns()
-        runner.say("paused")
+        runner.report_state("paused")
         while self.is_paused():
-            runner.rig.pump.step()
+            runner.rig.event_loop.step()
         seconds = (runner.rig.clock.now_ns() - start_ns) / NS_PER_S
         runner.record.event("paused", seconds=seconds)
-        runner.say(state)
+        runner.report_state(state)
 
     def note(self, step: Step) -> None:
         """Remember how a point was set, so that it can be made again."""

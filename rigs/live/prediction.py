@@ -22,7 +22,8 @@ from daq.record.writer import RecordWriter
 from daq.store.derive import scaled
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
-from plant.simulator.bench import PRESSURE, BenchSim
+from plant.physics.layout import PRESSURE
+from plant.simulator.bench import BenchSim
 from rigs.bench.rig import Rig
 from rigs.execution.runner import Runner, Watch
 from rigs.live.stage_share import LiveShare
@@ -137,8 +138,8 @@ class LivePrediction:
         seen = np.asarray(self._pressure.apply(batch["counts"].astype(np.float64)))
         self._move(self._length_mm)
         if not self._regulated:
-            told = self._replay(batch, seen)
-            self.view.series(PRESSURE_PATH, time_s, told)
+            predicted = self._replay(batch, seen)
+            self.view.series(PRESSURE_PATH, time_s, predicted)
         self._muscle.set_pressure(max(float(seen.mean()), -50.0))
         self._muscle.advance(len(seen) * TICK_S)
         self.view.series(FORCE_PATH, [float(time_s.mean())], [self._muscle.force_n])
@@ -162,14 +163,14 @@ class LivePrediction:
         for _ in range(missing):
             gas.advance(TICK_S, 0.0, 0.0)
         self._seq = int(batch["seq"][-1]) + 1
-        told = []
+        predicted = []
         for k in range(len(seen)):
             if vent[k] >= TICK_S and seen[k] < VENTED_KPA:
                 # Vented: what was off until here is forgotten, so that each filling stands alone.
                 gas.state[PRESSURE] = max(seen[k], 0.0) * 1e3
-            told.append(gas.pressure_kpa)
+            predicted.append(gas.pressure_kpa)
             gas.advance(TICK_S, float(inlet[k]), float(vent[k]))
-        return told
+        return predicted
 
 
 def predicting(

@@ -13,9 +13,8 @@ import math
 from collections import deque
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 KEEP_S = 10.0
 MEMORY_S = 120.0
@@ -28,7 +27,7 @@ class LiveShare:
     """Running shares of the squared end-to-end gap, the last two minutes counting most."""
 
     def __init__(self) -> None:
-        self._told: deque[tuple[float, float, float]] = deque()
+        self._predicted: deque[tuple[float, float, float]] = deque()
         self._waiting: deque[tuple[float, float]] = deque(maxlen=MOST_WAITING)
         self._last_s: float | None = None
         self._seconds = 0.0
@@ -36,22 +35,22 @@ class LiveShare:
 
     def predicted(self, time_s: float, fed_n: float, free_n: float) -> None:
         """Predicted pull at one moment: from the measured pressure, and free-running."""
-        self._told.append((time_s, fed_n, free_n))
-        while self._told and self._told[0][0] < time_s - KEEP_S:
-            self._told.popleft()
+        self._predicted.append((time_s, fed_n, free_n))
+        while self._predicted and self._predicted[0][0] < time_s - KEEP_S:
+            self._predicted.popleft()
 
     def measured(self, time_s: Array, force_n: Array) -> None:
         """Measured pulls; those ahead of the prediction wait for it, older ones are passed over."""
         self._waiting.extend(zip(time_s.tolist(), force_n.tolist(), strict=True))
-        if len(self._told) < 2:
+        if len(self._predicted) < 2:
             return
-        told = np.array(self._told)
-        while self._waiting and self._waiting[0][0] <= told[-1, 0]:
+        predicted = np.array(self._predicted)
+        while self._waiting and self._waiting[0][0] <= predicted[-1, 0]:
             t, force = self._waiting.popleft()
-            if t < told[0, 0]:
+            if t < predicted[0, 0]:
                 continue
-            fed = float(np.interp(t, told[:, 0], told[:, 1]))
-            free = float(np.interp(t, told[:, 0], told[:, 2]))
+            fed = float(np.interp(t, predicted[:, 0], predicted[:, 1]))
+            free = float(np.interp(t, predicted[:, 0], predicted[:, 2]))
             self._add(t, fed - free, force - fed)
 
     def _add(self, time_s: float, gas_n: float, muscle_n: float) -> None:

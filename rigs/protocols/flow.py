@@ -13,6 +13,7 @@ import numpy as np
 
 from analysis.findings.flow import FLOW, Meter, flow_share
 from rigs.execution.procedure import Procedure
+from rigs.protocols.parts.method import Parameters
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
 from rigs.steps.schedule import arrange
@@ -30,7 +31,7 @@ PULSE_US = 500_000
 
 
 @dataclass(frozen=True)
-class Flow:
+class Flow(Parameters):
     """Parameters of a flow test, as read from its protocol file."""
 
     name: str
@@ -50,8 +51,7 @@ class Flow:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for run.json."""
-        values = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
-        return {**values, "result_axis": ["air velocity (m/s)", 80.0]}
+        return {**super().as_dict(), "result_axis": ["air velocity (m/s)", 80.0]}
 
     def steps(self) -> Steps:
         """The method: fill, open, read, at each pressure in turn."""
@@ -84,9 +84,9 @@ class FlowPoint(ValvePoint):
         meter = rig.instruments["flow"]
         first, row = rig.valve.seq_end, meter.rows
         rig.valve.request(f"pulse vent {p.open_ms * 1000}")
-        rig.pump.for_seconds(p.open_ms * 1e-3 / 2)
+        rig.event_loop.for_seconds(p.open_ms * 1e-3 / 2)
         kpa, speed = pressure_now(runner), meter.mean(1)
-        rig.pump.for_seconds(p.open_ms * 1e-3 / 2 + 0.1)
+        rig.event_loop.for_seconds(p.open_ms * 1e-3 / 2 + 0.1)
         runner.watch.result(kpa, speed, "measured")
         line = Meter(p.bore_mm)
         share = float(flow_share(np.array([kpa]), 0.5, line.atmosphere_kpa)[0])

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from analysis.findings.hysteresis import HYSTERESIS
 from rigs.execution.procedure import Procedure
 from rigs.protocols.isotonic import read_masses
-from rigs.protocols.parts.method import Method, read_method
+from rigs.protocols.parts.method import Method, Parameters, read_method
 from rigs.protocols.parts.trials import Logbook, Path
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
@@ -18,12 +17,9 @@ from rigs.steps.custom_step import Steps
 from rigs.steps.loads import HangLoad
 from rigs.steps.steps import State
 
-if TYPE_CHECKING:
-    pass
-
 
 @dataclass(frozen=True)
-class Hysteresis:
+class Hysteresis(Parameters):
     """Parameters of a hysteresis test; either list of what is held may be empty.
 
     The two methods differ in their settling alone: one watches the force, one the length.
@@ -43,17 +39,6 @@ class Hysteresis:
     def frames(self) -> int:
         """Pictures at a point."""
         return self.hung.frames
-
-    def as_dict(self) -> dict[str, Any]:
-        """The parameters as they go into the record."""
-        return {
-            **vars(self),
-            "lengths_mm": list(self.lengths_mm),
-            "masses_kg": list(self.masses_kg),
-            "cycles_kpa": list(self.cycles_kpa),
-            "held": self.held.as_dict(),
-            "hung": self.hung.as_dict(),
-        }
 
     def cycle(self, top_kpa: float) -> Path:
         """Set-points from nothing to the turn and back, each pressure once each way."""
@@ -96,7 +81,7 @@ def read(name: str, config: RigConfig) -> Hysteresis:
     masses = read_masses(t, config) if "masses_kg" in t else ()
     if not lengths and not masses:
         raise t.fail("lengths_mm", "neither a length nor a mass to hold", "name some of either")
-    held = read_method(t, config, drift_n=0.05, drift_mm=0.02)
+    held = read_method(t, config.limits, drift_n=0.05, drift_mm=0.02)
     out = Hysteresis(
         name=t.text("name", "hysteresis"),
         lengths_mm=lengths,

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from analysis.findings.isobaric import ISOBARIC
 from rigs.execution.procedure import Procedure
-from rigs.protocols.parts.method import Method, read_method
+from rigs.protocols.parts.method import Method, MethodParameters, read_method
 from rigs.protocols.parts.trials import VENTED_KPA, Logbook
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
@@ -17,7 +16,7 @@ from rigs.steps.sweep import Sweeps, read_sweeps
 
 
 @dataclass(frozen=True)
-class Isobaric:
+class Isobaric(MethodParameters):
     """Parameters of an isobaric test."""
 
     name: str
@@ -27,21 +26,6 @@ class Isobaric:
     method: Method
     sweeps: Sweeps | None = None
     source: str = ""
-
-    @property
-    def frames(self) -> int:
-        """Pictures at a point."""
-        return self.method.frames
-
-    def as_dict(self) -> dict[str, Any]:
-        """The parameters as they go into the record."""
-        return {
-            **vars(self),
-            "pressures_kpa": list(self.pressures_kpa),
-            "lengths_mm": list(self.lengths_mm),
-            "method": self.method.as_dict(),
-            "sweeps": None if self.sweeps is None else self.sweeps.as_dict(),
-        }
 
     def steps(self) -> Steps:
         """The method: for each pressure tare, hold it, and go through the lengths and back."""
@@ -70,7 +54,7 @@ def read(name: str, config: RigConfig) -> Isobaric:
         pressures_kpa=t.numbers("pressures_kpa", 0, config.limits.pressure_kpa, unit="kPa"),
         lengths_mm=t.numbers("lengths_mm", low, high, unit="mm"),
         slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
-        method=read_method(t, config, drift_n=0.05),
+        method=read_method(t, config.limits, drift_n=0.05),
         sweeps=read_sweeps(t, config),
         source=t.source,
     )

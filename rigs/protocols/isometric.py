@@ -7,43 +7,33 @@ takes off the balance. :func:`steps` is the laboratory method, top to bottom.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from analysis.findings.isometric import ISOMETRIC
 from rigs.execution.procedure import Procedure
-from rigs.protocols.parts.method import read_leak, read_names
+from rigs.protocols.parts.method import Method, Parameters, read_method
+from rigs.protocols.parts.trials import VENTED_KPA, Logbook
 from rigs.rigfile.config import Limits, RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
 from rigs.steps.leak_check import LeakCheck
-from rigs.steps.mounting import Remount
-from rigs.steps.schedule import ORDERS, Place, path
+from rigs.steps.schedule import Place, path
 from rigs.steps.steps import (
     Dwell,
-    EndTrial,
-    Measure,
     SetLength,
     SetPressure,
-    Settle,
     SettleCriterion,
     State,
-    Tare,
     Trial,
     Vent,
     Zero,
 )
 
-BREATH_KPA = 20.0
-BREATH_S = 0.5
-VENTED_KPA = 5.0
-"""Below this a set-point means "vented", not regulated: no valve holds 0 kPa gauge."""
-
 
 @dataclass(frozen=True)
-class Isometric:
+class Isometric(Parameters):
     """Parameters of an isometric test, as read from its protocol file."""
 
     name: str
@@ -63,7 +53,6 @@ class Isometric:
     seed: int
     leak: LeakCheck | None = None
     source: str = ""
-    text: str = ""
 
     def schedule(self) -> list[tuple[Place, float, list[tuple[str, float]]]]:
         """Trials in order: (place, length in mm, [(direction, pressure in kPa), ...])."""
@@ -90,16 +79,10 @@ class Isometric:
         """How many settled points the test has."""
         return sum(len(points) for *_, points in self.schedule())
 
-    def as_dict(self) -> dict[str, Any]:
-        """The parameters as they go into the record."""
-        values = dict(vars(self))
-        values["settle"] = self.settle.as_dict()
-        values["leak"] = None if self.leak is None else dict(vars(self.leak))
-        values["lengths_mm"] = list(self.lengths_mm)
-        values["mountings"] = list(self.mountings)
-        values["pressures_kpa"] = list(self.pressures_kpa)
-        del values["text"]
-        return values
+    @property
+    def method(self) -> Method:
+        """What it has in common with other tests."""
+        return Method(**{field.name: getattr(self, field.name) for field in fields(Method)})
 
 
 def load_isometric(name: str, limits: Limits) -> Isometric:
@@ -111,44 +94,22 @@ def load_isometric(name: str, limits: Limits) -> Isometric:
     t = load_toml(name, "protocols")
     t.text("protocol", choices=("isometric",))
     low, high = limits.length_min_mm, limits.length_max_mm
-    top = limits.pressure_kpa
-    pre = t.table("precondition", optional=True)
-    settle = t.table("settle", optional=True)
-    measure = t.table("measure", optional=True)
     out = Isometric(
         name=t.text("name", "isometric"),
         lengths_mm=t.numbers("lengths_mm", low, high, unit="mm"),
-        pressures_kpa=t.numbers("pressures_kpa", 0, top, unit="kPa"),
-        order=t.text("order", "up-down", choices=ORDERS),
-        repeats=t.integer("repeats", 1, 1000, 2),
-        mountings=read_names(t, "mountings", ("m1",)),
+        pressures_kpa=t.numbers("pressures_kpa", 0, limits.pressure_kpa, unit="kPa"),
         slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
-        precondition_cycles=pre.integer("cycles", 0, 1000, 3),
-        precondition_kpa=pre.number("pressure_kpa", 0, top, min(400.0, top), unit="kPa"),
-        precondition_dwell_s=pre.number("dwell_s", 0, 600, 1.0, unit="s"),
-        settle=SettleCriterion(
-            window_s=settle.number("window_s", 0.2, 60, 0.5, unit="s"),
-            pressure_kpa=settle.number("pressure_kpa", 0.1, 100, 1.5, unit="kPa"),
-            drift_kpa=settle.number("drift_kpa", 0.05, 100, 0.5, unit="kPa"),
-            drift_n=settle.number("drift_n", 0.001, 100, 0.05, unit="N"),
-            timeout_s=settle.number("timeout_s", 0.5, 3600, 20.0, unit="s"),
-        ),
-        measure_s=measure.number("seconds", 0.2, 600, 1.0, unit="s"),
-        frames=measure.integer("frames", 0, 1000, 1),
-        zero_s=measure.number("zero_s", 0.2, 600, 0.5, unit="s"),
-        seed=t.integer("seed", 0, 2**63 - 1, 1),
-        leak=read_leak(t, top),
         source=t.source,
+        **vars(read_method(t, limits, drift_n=0.05)),
     )
-    for table in (pre, settle, measure, t):
-        table.finish()
+    t.finish()
     return out
 
 
 def steps(p: Isometric) -> Steps:
     """The method.
 
-    Leak check where one is asked for; precondition; then for each trial: slacken, breathe, vent,
+    Leak check where the file has one; precondition; then for each trial: slacken, breathe, vent,
     tare, hold the length, read the vented zero, step the pressures (each settled, then measured),
     vent, read zero again. Between two mountings the muscle is taken off and put back.
     """
@@ -163,50 +124,23 @@ def steps(p: Isometric) -> Steps:
         yield Vent()
         yield Dwell(p.precondition_dwell_s)
 
-    order = 0
-    for trial, (place, length, points) in enumerate(p.schedule(), start=1):
-        if place.first_of_mounting and place.mounting != p.mountings[0]:
-            yield Remount(place.mounting)
-        yield State(f"trial {trial}: {length:g} mm, replicate {place.replicate}")
-        held = (("held_length_mm", length),)
+    book = Logbook(p.method, "isometric", p.slack_length_mm)
+    for book.trial, (place, length, points) in enumerate(p.schedule(), start=1):
+        slot = f"L{length:g}"
+        yield from book.remount(place)
+        yield State(f"trial {book.trial}: {length:g} mm, replicate {place.replicate}")
         yield Trial(
-            trial, f"L{length:g}", place.replicate, trial, place.mounting, "isometric", held
-        )
-        yield Vent()
-        yield SetLength(p.slack_length_mm)
-        # Shortening draws a slight vacuum that an outlet need not let go; a breath of air
-        # does away with it, so that the tare is one at no pressure.
-        yield SetPressure(BREATH_KPA)
-        yield Dwell(BREATH_S)
-        yield Vent()
-        yield Tare()
+            book.trial, slot, place.replicate, book.trial, place.mounting, "isometric",
+            (("held_length_mm", length),),
+        )  # fmt: skip
+        yield from book.tared()
         yield SetLength(length)
-        yield Zero(trial, "before", p.zero_s)
+        yield Zero(book.trial, "before", p.zero_s)
         for direction, pressure in points:
-            if pressure < VENTED_KPA:
-                yield Vent()
-            else:
-                yield SetPressure(pressure)
-            answer = yield Settle(p.settle, pressure)
-            settled, waited = answer if answer is not None else (True, 0.0)
-            order += 1
-            yield Measure(
-                trial=trial,
-                slot=f"L{length:g}",
-                replicate=place.replicate,
-                order=order,
-                mounting=place.mounting,
-                direction=direction,
-                set_pressure_kpa=pressure,
-                set_length_mm=length,
-                seconds=p.measure_s,
-                frames=p.frames,
-                settled=settled,
-                waited_s=waited,
-            )
+            yield Vent() if pressure < VENTED_KPA else SetPressure(pressure)
+            yield from book.point(place, slot, direction, pressure, length_mm=length)
         yield Vent()
-        yield Zero(trial, "after", p.zero_s)
-        yield EndTrial(trial)
+        yield from book.end()
     yield State("done")
 
 

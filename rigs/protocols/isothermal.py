@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 from analysis.findings.isothermal import ISOTHERMAL
 from rigs.execution.procedure import Procedure
-from rigs.protocols.parts.method import Method, read_method
+from rigs.protocols.parts.method import Method, MethodParameters, read_method
 from rigs.protocols.parts.trials import Logbook
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
@@ -15,12 +14,9 @@ from rigs.steps.custom_step import Steps
 from rigs.steps.steps import State
 from rigs.steps.temperature import SetTemperature, SoakCriterion
 
-if TYPE_CHECKING:
-    pass
-
 
 @dataclass(frozen=True)
-class Isothermal:
+class Isothermal(MethodParameters):
     """Parameters of an isothermal test; either kind of trial may be left out."""
 
     name: str
@@ -33,19 +29,6 @@ class Isothermal:
     soak: SoakCriterion
     method: Method
     source: str = ""
-
-    @property
-    def frames(self) -> int:
-        """Pictures at a point."""
-        return self.method.frames
-
-    def as_dict(self) -> dict[str, Any]:
-        """The parameters as they go into the record."""
-        values: dict[str, Any] = {
-            key: list(value) if isinstance(value, tuple) else value
-            for key, value in vars(self).items()
-        }
-        return {**values, "soak": dict(vars(self.soak)), "method": self.method.as_dict()}
 
     def steps(self) -> Steps:
         """The method: at each temperature soak, precondition, then every trial at it."""
@@ -96,7 +79,7 @@ def read(name: str, config: RigConfig) -> Isothermal:
             drift_c=soak.number("drift_c", 0.01, 20, 0.3, unit="degC"),
             timeout_s=soak.number("timeout_s", 1, 86400, 7200.0, unit="s"),
         ),
-        method=read_method(t, config, drift_n=0.05),
+        method=read_method(t, config.limits, drift_n=0.05),
         source=t.source,
     )
     for table in (soak, bars, t):

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 from analysis.findings.isotonic import ISOTONIC
 from rigs.execution.procedure import Procedure
-from rigs.protocols.parts.method import Method, read_method
+from rigs.protocols.parts.method import Method, MethodParameters, read_method
 from rigs.protocols.parts.trials import Logbook
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import Table, load_toml
@@ -15,12 +14,9 @@ from rigs.steps.custom_step import Steps
 from rigs.steps.loads import HangLoad
 from rigs.steps.steps import State
 
-if TYPE_CHECKING:
-    pass
-
 
 @dataclass(frozen=True)
-class Isotonic:
+class Isotonic(MethodParameters):
     """Parameters of an isotonic test."""
 
     name: str
@@ -28,20 +24,6 @@ class Isotonic:
     pressures_kpa: tuple[float, ...]
     method: Method
     source: str = ""
-
-    @property
-    def frames(self) -> int:
-        """Pictures at a point."""
-        return self.method.frames
-
-    def as_dict(self) -> dict[str, Any]:
-        """The parameters as they go into the record."""
-        return {
-            **vars(self),
-            "masses_kg": list(self.masses_kg),
-            "pressures_kpa": list(self.pressures_kpa),
-            "method": self.method.as_dict(),
-        }
 
     def steps(self) -> Steps:
         """The method: hang each load, lift it through the pressures and let it down again."""
@@ -68,7 +50,7 @@ def read(name: str, config: RigConfig) -> Isotonic:
         name=t.text("name", "isotonic"),
         masses_kg=read_masses(t, config),
         pressures_kpa=t.numbers("pressures_kpa", 0, config.limits.pressure_kpa, unit="kPa"),
-        method=read_method(t, config, drift_mm=0.02),
+        method=read_method(t, config.limits, drift_mm=0.02),
         source=t.source,
     )
     t.finish()

@@ -8,11 +8,12 @@ first.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from analysis.findings.ram import RAM
 from daq.clock import NS_PER_S
 from rigs.execution.procedure import Procedure
+from rigs.protocols.parts.method import Parameters
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import CustomStep, Steps
 from rigs.steps.steps import EndTrial, State, Trial
@@ -27,7 +28,7 @@ SWITCHES = {"A": 0x40, "B": 0x80}
 
 
 @dataclass(frozen=True)
-class RamTest:
+class RamTest(Parameters):
     """Parameters of a ram test, as read from its protocol file."""
 
     name: str
@@ -40,10 +41,6 @@ class RamTest:
     mounting: str
     source: str = ""
     frames: int = 0
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for run.json."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
 
     def steps(self) -> Steps:
         """The method: from the lower end through the moves, one trial a replicate."""
@@ -90,7 +87,7 @@ class Move(CustomStep):
 
     def perform(self, runner: StepContext) -> None:
         """Ask, wait for the switch, hold."""
-        valve, pump = runner.rig.valve, runner.rig.pump
+        valve, event_loop = runner.rig.valve, runner.rig.event_loop
         take = runner.steering.take
         if self.first:
             valve.request("scheme ram")
@@ -105,10 +102,10 @@ class Move(CustomStep):
         flag = SWITCHES[self.switch]
         # The switch that it stands at is left first, if it is the same.
         if valve.flags & flag:
-            pump.until(lambda: not valve.flags & flag, self.reach_s)
-        reached = pump.until(lambda: bool(valve.flags & flag), self.reach_s)
+            event_loop.until(lambda: not valve.flags & flag, self.reach_s)
+        reached = event_loop.until(lambda: bool(valve.flags & flag), self.reach_s)
         took_s = (runner.rig.clock.now_ns() - begin_ns) / NS_PER_S
-        pump.for_seconds(self.hold_s)
+        event_loop.for_seconds(self.hold_s)
         if reached:
             runner.watch.result(runner.rig.pressure_kpa, took_s, f"{self.way} to {self.switch}")
         else:

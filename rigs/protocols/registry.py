@@ -1,4 +1,4 @@
-"""The protocols by name; none is imported before it is asked for."""
+"""The protocols by name; none is imported before it is needed."""
 
 from __future__ import annotations
 

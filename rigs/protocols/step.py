@@ -1,18 +1,19 @@
 """The step test (thesis 5.8): closed-loop schemes compared on the same steps of pressure.
 
-Each scheme of the controller is asked for the same staircase of set-points; what the pressure did
+Each scheme of the controller gets the same staircase of set-points; what the pressure did
 is recorded at 1 kHz and judged from the record alone.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from analysis.findings.step import STEP
 from rigs.execution.procedure import Procedure
+from rigs.protocols.parts.method import Parameters
 from rigs.protocols.parts.trials import BREATH_KPA, BREATH_S
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import CustomStep, Steps
@@ -27,7 +28,7 @@ SCHEMES = ("two", "duty_in", "duty", "slide", "burst", "pwm")
 
 
 @dataclass(frozen=True)
-class Step:
+class Step(Parameters):
     """Parameters of a step test, as read from its protocol file."""
 
     name: str
@@ -42,10 +43,6 @@ class Step:
     mounting: str
     source: str = ""
     frames: int = 0
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for run.json."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
 
     def steps(self) -> Steps:
         """The method: for each scheme, from vented, one set-point after another."""
@@ -76,19 +73,19 @@ class Step:
 
 @dataclass(frozen=True)
 class Breath(CustomStep):
-    """A breath of air: moving the muscle may draw a vacuum, which an outlet need not let go."""
+    """A breath of air: moving the muscle may draw a vacuum, which an outlet need not release."""
 
     scheme: str
     seconds = BREATH_S
 
     def perform(self, runner: StepContext) -> None:
-        """Ask for a little; the trial that follows lets it out."""
+        """Command a little; the trial that follows lets it out."""
         runner.rig.valve.request(f"scheme {self.scheme}")
-        _ask(runner, BREATH_KPA)
-        runner.rig.pump.for_seconds(BREATH_S)
+        _command(runner, BREATH_KPA)
+        runner.rig.event_loop.for_seconds(BREATH_S)
 
 
-def _ask(runner: StepContext, pressure_kpa: float) -> None:
+def _command(runner: StepContext, pressure_kpa: float) -> None:
     counts = float(runner.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
     runner.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
     runner.watch.set_point("pressure", pressure_kpa)
@@ -116,18 +113,18 @@ class Response(CustomStep):
         return self.step_s
 
     def perform(self, runner: StepContext) -> None:
-        """Ask, and let the time pass; a repeated step begins at the pressure before it again."""
+        """Command it and wait; a repeated step begins again at the pressure before it."""
         valve = runner.rig.valve
         take = runner.steering.take
         if self.first or take > 1:
             valve.request(f"scheme {self.scheme}")
         if take > 1 and self.from_kpa > 0:
-            _ask(runner, self.from_kpa)
-            runner.rig.pump.for_seconds(self.step_s)
+            _command(runner, self.from_kpa)
+            runner.rig.event_loop.for_seconds(self.step_s)
         first = valve.seq_end
         asked_ns = runner.rig.clock.now_ns() - runner.record.start_ns
-        _ask(runner, self.set_pressure_kpa)
-        runner.rig.pump.for_seconds(self.step_s)
+        _command(runner, self.set_pressure_kpa)
+        runner.rig.event_loop.for_seconds(self.step_s)
         self._show(runner)
         more = {"take": take} if take > 1 else {}
         runner.record.event(

@@ -25,23 +25,21 @@ from daq.errors import DeviceError
 from plant.constants import nominal
 from plant.physics.valve import off_delay_s, on_delay_s
 from rigs.execution.procedure import Procedure
+from rigs.protocols.parts.method import Parameters
+from rigs.protocols.parts.valves import VALVES, each_valve, need_supply_axis
 from rigs.rigfile.toml_reader import load_toml
-from rigs.steps.capture import capture_block
 from rigs.steps.custom_step import Steps
-from rigs.steps.schedule import arrange
-from rigs.steps.steps import EndTrial, State, Trial
-from rigs.steps.valve import ValvePoint, has_supply_axis
+from rigs.steps.valve import ValvePoint, capture_block
 
 if TYPE_CHECKING:
     from rigs.rigfile.config import RigConfig
     from rigs.steps.context import StepContext
 
-VALVES = ("inlet", "outlet")
 CAPTURE = {"order": "int64", "take": "int64", "k": "int64", "counts": "uint16"}
 
 
 @dataclass(frozen=True)
-class SwitchingTime:
+class SwitchingTime(Parameters):
     """Parameters of a switching-time test, as read from its protocol file."""
 
     name: str
@@ -64,30 +62,11 @@ class SwitchingTime:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for run.json."""
-        values = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
-        return {**values, "result_axis": ["delay (ms)", 14.0]}
+        return {**super().as_dict(), "result_axis": ["delay (ms)", 14.0]}
 
     def steps(self) -> Steps:
         """The method: at each pressure the supply or the vessel is set, then pulses follow."""
-        order = trial = 0
-        for valve in self.valves:
-            settings = arrange(
-                self.pressures_kpa, self.order, self.repeats, self.mountings, self.seed
-            )
-            for place, pressure in settings:
-                trial += 1
-                order += 1
-                slot = f"{valve} {pressure:g}"
-                yield State(f"{valve} at {pressure:g} kPa, replicate {place.replicate}")
-                yield Trial(
-                    trial, slot, place.replicate, trial, place.mounting, "switching-time",
-                    (("held_pressure_kpa", pressure),),
-                )  # fmt: skip
-                yield CapturePoint(
-                    trial, slot, place.replicate, order, place.mounting, valve, pressure, self
-                )
-                yield EndTrial(trial)
-        yield State("done")
+        return each_valve(self, "switching-time", CapturePoint)
 
 
 @dataclass(frozen=True)
@@ -103,8 +82,8 @@ class CapturePoint(ValvePoint):
         supply, came = self.upstream(runner, p.tolerance_kpa, p.supply_kpa)
         valve = runner.rig.valve
         first = valve.seq_end
-        block = capture_block(valve, runner.rig.pump, self.command, p.width_us)
-        runner.rig.pump.for_seconds(0.05)
+        block = capture_block(valve, runner.rig.event_loop, self.command, p.width_us)
+        runner.rig.event_loop.for_seconds(0.05)
         take = runner.steering.take
         n = len(block.counts)
         runner.record.stream("capture", CAPTURE)
@@ -177,12 +156,7 @@ def read(name: str, config: RigConfig) -> SwitchingTime:
     )
     if plan.width_us % 5:
         raise t.fail("width_us", f"{plan.width_us} is no multiple of 5", "the controller's step")
-    if "inlet" in plan.valves and not has_supply_axis(config):
-        raise t.fail(
-            "valves",
-            f"the inlet's pressure is the supply's, and {config.source} has no [manual.supply]",
-            'add that table to the rig, or set valves = ["outlet"]',
-        )
+    need_supply_axis(t, plan.valves, config)
     line.finish()
     t.finish()
     return plan

@@ -1,9 +1,9 @@
 """The switching-voltage test (thesis 5.11, Table D-4, Figure 5-17).
 
-The solenoids hang on a bench supply. For the voltage that turns a valve on, the valve is told to
-open at ever other voltages, halving what lies between one that opened it and one that did not; for
-the voltage at which it lets go, it is opened at the normal voltage, which is then lowered while it
-is told to stay open. Whether it was open shows in the pressure.
+The solenoids hang on a bench supply. For the voltage that turns a valve on, the valve is commanded
+to open at ever other voltages, halving what lies between one that opened it and one that did not;
+for the voltage at which it turns off, it is opened at the normal voltage, which is then lowered
+while it is commanded to stay open. Whether it was open shows in the pressure.
 """
 
 from __future__ import annotations
@@ -14,23 +14,22 @@ from typing import TYPE_CHECKING, Any
 from analysis.findings.switching import SWITCHING_VOLTAGE
 from analysis.reduction.valve import open_in
 from rigs.execution.procedure import Procedure
+from rigs.protocols.parts.method import Parameters
+from rigs.protocols.parts.valves import VALVES, each_valve, need_supply_axis
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.context import RunFault
 from rigs.steps.custom_step import Steps
-from rigs.steps.schedule import arrange
-from rigs.steps.steps import EndTrial, State, Trial
-from rigs.steps.valve import ValvePoint, has_supply_axis, pressure_now, release
+from rigs.steps.valve import ValvePoint, pressure_now, release
 
 if TYPE_CHECKING:
     from rigs.devices.instruments.supply import Supply
     from rigs.rigfile.config import RigConfig
     from rigs.steps.context import StepContext
 
-VALVES = ("inlet", "outlet")
 ON_MS = 80
 """Length of the command while a voltage to turn on is tried."""
 HOLD_MS = 500
-"""And while one to let go is tried: the voltage is lowered within it."""
+"""And while one to turn off is tried: the voltage is lowered within it."""
 TAIL = 90
 """Samples at the command's end in which the pressure must move if the valve is still open."""
 LATEST_MS = HOLD_MS - TAIL - 40
@@ -40,7 +39,7 @@ MOST_AGAIN = 6
 
 
 @dataclass(frozen=True)
-class SwitchingVoltage:
+class SwitchingVoltage(Parameters):
     """Parameters of a switching-voltage test, as read from its protocol file."""
 
     name: str
@@ -61,29 +60,11 @@ class SwitchingVoltage:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for run.json."""
-        values = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
-        return {**values, "result_axis": ["voltage (V)", 6.0]}
+        return {**super().as_dict(), "result_axis": ["voltage (V)", 6.0]}
 
     def steps(self) -> Steps:
         """The method: at each pressure both voltages of a valve."""
-        trial = 0
-        for valve in self.valves:
-            places = arrange(
-                self.pressures_kpa, self.order, self.repeats, self.mountings, self.seed
-            )
-            for place, pressure in places:
-                trial += 1
-                slot = f"{valve} {pressure:g}"
-                yield State(f"{valve} at {pressure:g} kPa, replicate {place.replicate}")
-                yield Trial(
-                    trial, slot, place.replicate, trial, place.mounting, "switching-voltage",
-                    (("held_pressure_kpa", pressure),),
-                )  # fmt: skip
-                yield VoltagePoint(
-                    trial, slot, place.replicate, trial, place.mounting, valve, pressure, self
-                )
-                yield EndTrial(trial)
-        yield State("done")
+        return each_valve(self, "switching-voltage", VoltagePoint)
 
 
 @dataclass(frozen=True)
@@ -94,7 +75,7 @@ class VoltagePoint(ValvePoint):
     seconds = 25.0
 
     def perform(self, runner: StepContext) -> None:
-        """Halve the interval for turning on, then that for letting go."""
+        """Halve the interval for turning on, then that for turning off."""
         supply = runner.rig.supply
         assert supply is not None
         read_kpa, came = self.upstream(runner, self.plan.tolerance_kpa, self.plan.supply_kpa)
@@ -148,20 +129,22 @@ class VoltagePoint(ValvePoint):
             supply_row = supply.rows
             supply.measure()
             first = valve.seq_end
-            rig.pump.for_seconds(0.05)
+            rig.event_loop.for_seconds(0.05)
             valve.request(f"pulse {self.command} {ON_MS * 1000}")
-            rig.pump.for_seconds(ON_MS * 1e-3 + 0.08)
+            rig.event_loop.for_seconds(ON_MS * 1e-3 + 0.08)
         else:
             first = valve.seq_end
             valve.request(f"pulse {self.command} {HOLD_MS * 1000}")
             begin_ns = rig.clock.now_ns()
-            rig.pump.for_seconds(0.04)
+            rig.event_loop.for_seconds(0.04)
             supply.set_voltage(volts)
             late = (rig.clock.now_ns() - begin_ns) / 1e6 > LATEST_MS
             supply_row = supply.rows
-            rig.pump.for_seconds(max(0.0, HOLD_MS * 1e-3 - (rig.clock.now_ns() - begin_ns) * 1e-9))
+            rig.event_loop.for_seconds(
+                max(0.0, HOLD_MS * 1e-3 - (rig.clock.now_ns() - begin_ns) * 1e-9)
+            )
             supply.measure()
-            rig.pump.for_seconds(0.05)
+            rig.event_loop.for_seconds(0.05)
             if late:
                 runner.record.event("late", order=self.order, edge=edge, set_v=volts)
                 return self._try(runner, supply, edge, volts, number, again + 1)
@@ -230,12 +213,7 @@ def read(name: str, config: RigConfig) -> SwitchingVoltage:
         seed=t.integer("seed", 0, 2**63 - 1, 1),
         source=t.source,
     )
-    if "inlet" in plan.valves and not has_supply_axis(config):
-        raise t.fail(
-            "valves",
-            f"the inlet's pressure is the supply's, and {config.source} has no [manual.supply]",
-            'add that table to the rig, or set valves = ["outlet"]',
-        )
+    need_supply_axis(t, plan.valves, config)
     t.finish()
     return plan
 

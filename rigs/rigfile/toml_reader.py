@@ -1,7 +1,7 @@
 """Bounded reading of TOML: every value has a type and a range, every key a name.
 
 A typing slip in a rig file must never become a silent default, so a table complains
-about keys nobody asked for, and each complaint names file, key and remedy.
+about keys that nothing reads, and each complaint names file, key and remedy.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class Table:
         return list(self._values)
 
     def finish(self) -> None:
-        """Complain about the first key that nobody asked for."""
+        """Complain about the first key that nothing reads."""
         for key in self._values:
             if key not in self._seen:
                 near = difflib.get_close_matches(key, sorted(self._seen), n=1)

@@ -67,7 +67,7 @@ class StepContext(Protocol):
         """Carry out one step that makes a point."""
         ...
 
-    def say(self, state: str) -> None:
+    def report_state(self, state: str) -> None:
         """Enter a state: record, live view and terminal."""
         ...
 

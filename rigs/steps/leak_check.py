@@ -44,9 +44,9 @@ class LeakCheck(CustomStep):
         runner.do(SetPressure(self.pressure_kpa))
         runner.do(Settle(CRITERION, self.pressure_kpa))
         runner.shut()
-        runner.rig.pump.for_seconds(REST_S)
+        runner.rig.event_loop.for_seconds(REST_S)
         first = self._mean(runner)
-        runner.rig.pump.for_seconds(self.hold_s)
+        runner.rig.event_loop.for_seconds(self.hold_s)
         last = self._mean(runner)
         loss = (first - last) / (self.hold_s + MEAN_SAMPLES * 1e-3)
         tight = abs(loss) <= self.limit_kpa_s

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from daq.errors import DeviceError, PamrigError
-from rigs.devices.operator import Request, ask
+from rigs.devices.operator import Request, put_request
 from rigs.steps.custom_step import CustomStep
 from rigs.steps.steps import Vent
 
@@ -60,7 +60,7 @@ class HangLoad(CustomStep):
         if self.mass_kg and catch_mm:
             text = f"set the catch {catch_mm:g} mm below the load, then press Enter"
             request = Request("catch", catch_mm, "mm", text)
-            remark, seconds = ask(runner.rig.operator, runner.rig.pump, request)
+            remark, seconds = put_request(runner.rig.operator, runner.rig.event_loop, request)
             runner.record.event("catch", below_mm=catch_mm, waited_s=seconds, remark=remark)
         return setting.taken
 
@@ -99,7 +99,7 @@ def ramp_down(runner: StepContext) -> float:
         pressure = max(0.0, pressure - now * LOWER_STEP_S)
         source.keep_alive(1.0)
         source.ramp_to(pressure)
-        rig.pump.for_seconds(LOWER_STEP_S)
+        rig.event_loop.for_seconds(LOWER_STEP_S)
     return start
 
 

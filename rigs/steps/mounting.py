@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from rigs.devices.operator import Request, ask
+from rigs.devices.operator import Request, put_request
 from rigs.steps.custom_step import CustomStep
 from rigs.steps.steps import State, Vent
 
@@ -29,5 +29,5 @@ class Remount(CustomStep):
             " (or type a remark)"
         )
         request = Request("mounting", 0.0, "", text)
-        answer, seconds = ask(runner.rig.operator, runner.rig.pump, request)
+        answer, seconds = put_request(runner.rig.operator, runner.rig.event_loop, request)
         runner.record.event("mounted", mounting=self.mounting, waited_s=seconds, remark=answer)

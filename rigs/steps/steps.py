@@ -1,4 +1,4 @@
-"""What a protocol can ask of a bench, as plain values.
+"""What a protocol can do on a bench, as plain values.
 
 A protocol is a generator of these; it never touches a device. The runner carries each one
 out, and whatever a step measured comes back as the value of its ``yield``.

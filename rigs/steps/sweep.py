@@ -64,13 +64,13 @@ class Sweep(CustomStep):
 
         runner.do(SetLength(self.from_mm))
         for goal in (self.to_mm, self.from_mm):
-            runner.rig.pump.until(rest, REST_S)
+            runner.rig.event_loop.until(rest, REST_S)
             runner.record.event(
                 "command", device="stage", length_mm=goal, speed_mm_s=self.speed_mm_s
             )
             runner.watch.set_point("length", goal)
             stage.move(goal, speed_mm_s=self.speed_mm_s, meanwhile=look)
-        runner.rig.pump.until(rest, REST_S)
+        runner.rig.event_loop.until(rest, REST_S)
 
 
 @dataclass(frozen=True)

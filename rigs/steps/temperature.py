@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError
-from rigs.devices.operator import Request, ask
+from rigs.devices.operator import Request, put_request
 from rigs.steps.custom_step import CustomStep
 from rigs.steps.steps import State, Vent
 
@@ -57,7 +57,7 @@ class SetTemperature(CustomStep):
         # The thermometer's word counts when it has soaked, not when the knob has been turned.
         text = f"set the bench to {self.temperature_c:g} degC, then press Enter"
         request = Request("temperature", self.temperature_c, "degC", text)
-        _, asked_s = ask(rig.operator, rig.pump, request)
+        _, asked_s = put_request(rig.operator, rig.event_loop, request)
         start_ns = begun_ns = rig.clock.now_ns()
         low = high = thermometer.mean(READINGS)
 
@@ -71,7 +71,7 @@ class SetTemperature(CustomStep):
                 return False
             return rig.clock.now_ns() - begun_ns >= c.soak_s * NS_PER_S
 
-        settled = rig.pump.until(soaked, c.timeout_s)
+        settled = rig.event_loop.until(soaked, c.timeout_s)
         waited_s = (rig.clock.now_ns() - start_ns) / NS_PER_S
         read = thermometer.mean(READINGS)
         runner.record.event(

@@ -1,4 +1,4 @@
-"""What the valve tests ask of a bench: a supply turned, a vessel filled, both valves shut.
+"""What the valve tests do on a bench: a supply turned, a vessel filled, both valves shut.
 
 Every point of these tests makes its own setting, so that it can be repeated by itself. After
 :func:`fill` and :func:`release` the controller is in scheme ``open`` with both valves shut.
@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.reduction.switching import Block
 from daq.errors import DeviceError
+from rigs.devices.event_loop import EventLoop
+from rigs.devices.valve_controller import ValveController
 from rigs.steps.context import RunFault
 from rigs.steps.custom_step import CustomStep
 
@@ -38,18 +41,6 @@ class Release(CustomStep):
         release(runner)
 
 
-@dataclass(frozen=True)
-class Supply(CustomStep):
-    """Have the pressure of the supply set by hand; a rig without that axis keeps its own."""
-
-    pressure_kpa: float
-    seconds = 6.0
-
-    def perform(self, runner: StepContext) -> float:
-        """Returns what was read, in kPa."""
-        return set_supply(runner, self.pressure_kpa)
-
-
 def set_supply(runner: StepContext, pressure_kpa: float) -> float:
     """Have the supply's regulator turned to a pressure, unless it is there; returns the reading.
 
@@ -60,7 +51,7 @@ def set_supply(runner: StepContext, pressure_kpa: float) -> float:
         return 0.0
     if axis.settings and axis.settings[-1].asked == pressure_kpa:
         return axis.settings[-1].read
-    runner.say(f"supply to {pressure_kpa:g} kPa")
+    runner.report_state(f"supply to {pressure_kpa:g} kPa")
     return axis.set(pressure_kpa).read
 
 
@@ -90,7 +81,7 @@ def fill(
             f"set-point {pressure_kpa:g} kPa is above limits.pressure_kpa = {limit:g} kPa",
             "correct the protocol or the limit",
         )
-    valve, pump = runner.rig.valve, runner.rig.pump
+    valve, event_loop = runner.rig.valve, runner.rig.event_loop
     runner.watch.set_point("pressure", pressure_kpa)
     counts = float(runner.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
     runner.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
@@ -102,9 +93,9 @@ def fill(
         near = abs(pressure_now(runner) - pressure_kpa) <= tolerance_kpa
         return near and valve.seq_end > begin + LOOK
 
-    came = pump.until(there, timeout_s)
+    came = event_loop.until(there, timeout_s)
     valve.request("scheme open")
-    pump.for_seconds(QUIET_S)
+    event_loop.for_seconds(QUIET_S)
     return came
 
 
@@ -117,15 +108,15 @@ def release(runner: StepContext) -> None:
     valve = runner.rig.valve
     runner.watch.set_point("pressure", 0.0)
     valve.request("vent")
-    if not runner.rig.pump.until(lambda: pressure_now(runner, 50) < RELEASED_KPA, RELEASE_S):
+    if not runner.rig.event_loop.until(lambda: pressure_now(runner, 50) < RELEASED_KPA, RELEASE_S):
         raise RunFault(
             valve.name,
-            f"told to vent, pressure still reads {pressure_now(runner):.0f} kPa"
+            f"commanded to vent, pressure still reads {pressure_now(runner):.0f} kPa"
             f" after {RELEASE_S:g} s",
             "shut the supply by hand; check the outlet and the pressure zero",
         )
     valve.request("scheme open")
-    runner.rig.pump.for_seconds(QUIET_S)
+    runner.rig.event_loop.for_seconds(QUIET_S)
 
 
 @dataclass(frozen=True)
@@ -174,3 +165,31 @@ class ValvePoint(CustomStep):
             return supply, True
         supply = set_supply(runner, top_kpa)
         return supply, fill(runner, self.set_pressure_kpa, tolerance_kpa)
+
+
+def capture_block(
+    controller: ValveController, event_loop: EventLoop, valve: str, width_us: int, source: int = 1
+) -> Block:
+    """One pulse on an armed controller in scheme ``open``, with the samples around it.
+
+    Args:
+        controller: the valve controller.
+        event_loop: of the bench.
+        valve: "inlet" or "vent".
+        width_us: length of the command, at most 30000, a multiple of 5.
+        source: 0 the pressure sensor, 1 the second sensor.
+
+    Raises:
+        DeviceError: refused, in the controller's words.
+    """
+    answer = controller.request(f"capture {valve} {width_us} {source}")
+    n, period_us = int(answer["n"]), int(answer["period_us"])
+    event_loop.for_seconds(n * period_us * 1e-6 + 0.02)
+    samples: list[int] = []
+    lead_us = 0
+    while len(samples) < n:
+        part = controller.request(f"block {len(samples)}")
+        data = part["data"]
+        samples += [int(data[k : k + 3], 16) for k in range(0, len(data), 3)]
+        lead_us = int(part["lead_us"])
+    return Block(valve, width_us, lead_us, period_us, np.array(samples, dtype=np.float64))

@@ -23,7 +23,7 @@ from rigs.virtual.board.solenoids import Solenoids
 from rigs.virtual.emulators.balance import VirtualBalance
 from rigs.virtual.emulators.camera import CameraModel, led_exposure, render
 from rigs.virtual.emulators.emulator import Emulator
-from rigs.virtual.emulators.sensor_error import Misreading
+from rigs.virtual.emulators.sensor_error import SensorError
 from rigs.virtual.emulators.stage import VirtualStage
 from rigs.virtual.extras import Extras
 
@@ -67,7 +67,7 @@ class VirtualBench:
         self._frames = 0
         streams = [np.random.default_rng([self._v.seed, k]) for k in range(5)]
         self.plant = self._make_plant()
-        self.misreading = self._make_misreading()
+        self.sensor_error = self._make_sensor_error()
         self.extras = Extras(self)
         self.devices = ("valve", "balance", "stage", *self.extras.devices)
         """Names of everything that has a port."""
@@ -81,7 +81,7 @@ class VirtualBench:
             self._set_motion,
             lambda data: self._send("stage", data),
             config.stage.serial,
-            self.plant.length_mm - self.misreading.label_mm,
+            self.plant.length_mm - self.sensor_error.label_mm,
             limits.length_min_mm,
             limits.length_max_mm,
         )
@@ -124,13 +124,13 @@ class VirtualBench:
         except PlantError as error:
             raise ConfigError(f"{source}: virtual.plant / effects", str(error)) from None
 
-    def _make_misreading(self) -> Misreading:
-        misreading = Misreading(self.plant)
+    def _make_sensor_error(self) -> SensorError:
+        sensor_error = SensorError(self.plant)
         try:
-            misreading.length_mm(self.plant.length_mm)
+            sensor_error.length_mm(self.plant.length_mm)
         except PlantError as error:
             raise ConfigError(f"{self.config.source}: effects", str(error)) from None
-        return misreading
+        return sensor_error
 
     def _make_links(self, clock: VirtualClock) -> None:
         for name in self.devices:
@@ -200,8 +200,8 @@ class VirtualBench:
             low_kpa=cal.offset,
             high_kpa=cal.offset + cal.scale * 4095,
             noise_kpa=self._v.pressure_noise_kpa,
-            zero_kpa=zero + self.misreading.pressure_zero_kpa,
-            gain=(1.0 + gain) * (1.0 + self.misreading.pressure_gain) - 1.0,
+            zero_kpa=zero + self.sensor_error.pressure_zero_kpa,
+            gain=(1.0 + gain) * (1.0 + self.sensor_error.pressure_gain) - 1.0,
         )
         return SimBoard(
             self.plant,
@@ -252,7 +252,7 @@ class VirtualBench:
             gain=self._force_gain(),
             zero_n=cal.u_offset if on else 0.0,
             noise_n=self._v.force_noise_n,
-            offset_n=self.misreading.force_zero_n if self._balance_tells else 0.0,
+            offset_n=self.sensor_error.force_zero_n if self._balance_tells else 0.0,
         )
 
     @property
@@ -262,7 +262,7 @@ class VirtualBench:
 
     def _force_gain(self) -> float:
         gain = self._errors["force_n"][1]
-        extra = self.misreading.force_gain if self._balance_tells else 0.0
+        extra = self.sensor_error.force_gain if self._balance_tells else 0.0
         return (1.0 + gain) * (1.0 + extra) - 1.0
 
     # ---- time -----------------------------------------------------------------------
@@ -308,7 +308,7 @@ class VirtualBench:
             stop_us = min([target_us, *(-(-ns // 1000) for ns in due)])
             board.advance(stop_us * 1000)  # the plant moves with it
             self._now_ns = max(self._now_ns, stop_us * 1000)
-            self.misreading.age(self.extras.temperature_c)
+            self.sensor_error.age(self.extras.temperature_c)
             for device in others:
                 device.advance(self._now_ns)
             if stop_us >= target_us:
@@ -317,7 +317,7 @@ class VirtualBench:
     def _set_motion(self, length_mm: float, rate_mm_s: float) -> None:
         if self.plant.load != "isometric":  # the stage is not joined to the muscle
             return
-        length_mm += self.misreading.label_mm
+        length_mm += self.sensor_error.label_mm
         if rate_mm_s == 0.0 and abs(length_mm - self.plant.length_mm) > 1e-12:
             self.plant.set_length(length_mm)
         self.plant.set_length_rate(rate_mm_s)
@@ -333,7 +333,7 @@ class VirtualBench:
         It takes as long as exposure and read-out do, and its stamp is late by the camera's
         delay, as that of a real one is.
         """
-        late_s = self.misreading.camera_delay_s
+        late_s = self.sensor_error.camera_delay_s
         sleep = self._clock.sleep if self._clock is not None else time.sleep
         begin_ns, true_mm = self._host_now_ns(), self.plant.length_mm
         if late_s != 0.0:
@@ -345,7 +345,7 @@ class VirtualBench:
                 true_mm = self.plant.length_mm
         zero, gain = self._errors["length_mm"]
         cal = self.config.calibrations["length_mm"]
-        seen_mm = self.misreading.length_mm(true_mm)
+        seen_mm = self.sensor_error.length_mm(true_mm)
         apparent_mm = seen_mm + zero + gain * (seen_mm - cal.offset)
         delay_s = self._v.camera_delay_ms * 1e-3
         model = self.camera_model

@@ -13,15 +13,15 @@ import numpy as np
 from daq.calibration import Calibration
 from daq.clock import Clock
 from plant.constants import GAS_CONSTANT_J_KG_K
-from plant.physics.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MASS_OUT
-from plant.simulator.bench import PRESSURE, BenchSim
+from plant.physics.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MASS_OUT, PRESSURE
+from plant.simulator.bench import BenchSim
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.instruments import TextDevice
 from rigs.rigfile.pressure_source import MODULES
 from rigs.virtual.emulators.emulator import Emulator
 from rigs.virtual.emulators.modbus import VirtualModbus
 from rigs.virtual.emulators.operator import VirtualOperator
-from rigs.virtual.emulators.sensor_error import Misreading
+from rigs.virtual.emulators.sensor_error import SensorError
 from rigs.virtual.emulators.supply import VirtualSupply
 from rigs.virtual.emulators.text import VirtualText
 
@@ -60,7 +60,7 @@ class Surroundings(Protocol):
 
     config: RigConfig
     plant: BenchSim
-    misreading: Misreading
+    sensor_error: SensorError
 
     @property
     def clock(self) -> Clock | None:
@@ -78,7 +78,7 @@ class Surroundings(Protocol):
 
 
 class Extras:
-    """Makes the emulators that a rig file asks for and joins them to the plant.
+    """Makes the emulators that a rig file names and joins them to the plant.
 
     Attributes:
         devices: emulators by name.
@@ -194,7 +194,7 @@ class Extras:
         pull = self.pull_n()
         if self._config.force_source != "load_cell":
             return pull
-        return self._bench.misreading.force_n(pull)
+        return self._bench.sensor_error.force_n(pull)
 
     def _velocity(self, bore_mm: float) -> Callable[[], float]:
         """Mean velocity of the air in the outlet line since the last reading, in m/s."""
@@ -235,7 +235,7 @@ class Extras:
 
         return VirtualOperator(
             clock,
-            acts={
+            steps={
                 "length": plant.set_length,
                 "pressure": plant.set_regulator,
                 "supply": plant.set_supply,

@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
+from daq.clock import VirtualClock
 from daq.errors import ConfigError, PamrigError
 from daq.interrupt import stop_on_signals
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.byte_ports import LOOPBACK, Port, PtyPort, TcpPort
 from rigs.virtual.operator_port import OperatorPort
-from rigs.virtual.warmup import warm_up
 
 TICK_NS = 1_000_000
 STRETCH_NS = 20_000_000
@@ -300,3 +300,35 @@ def serve_bench(
             f"1 kHz loop lateness: median {late['p50']:.2f} ms, p99.9 {late['p99.9']:.2f} ms, "
             f"worst {late['worst']:.2f} ms"
         )
+
+
+PATIENCE_S = 3.0
+
+
+def warm_up(
+    config: RigConfig, report: Callable[[str], object], patience_s: float = PATIENCE_S
+) -> None:
+    """Run a bench like this one for a moment, so that the real one never stands still to compile.
+
+    A fresh installation compiles the plant once, which takes a minute or more of a slow
+    machine; that would come after the ports are open, and every client would time out.
+
+    Args:
+        config: a rig with a [virtual] table.
+        report: takes what is being waited for, once it takes longer than ``patience_s``.
+
+    Raises:
+        ConfigError: the plant refuses a constant or an effect of the rig file.
+    """
+    slow = threading.Timer(
+        patience_s, report, ("compiling the simulation; only the first start takes so long",)
+    )
+    slow.daemon = True
+    slow.start()
+    try:
+        clock = VirtualClock()
+        bench = VirtualBench(config, clock)
+        clock.sleep(0.05)
+        bench.expose()
+    finally:
+        slow.cancel()

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.finger.reader import load_valve
 from plant.simulator.bench import FINE_STEP_SHARE, BenchSim
@@ -28,8 +28,6 @@ from studies.controllers.tuning import Critical, critical_gain
 from valvefw.config import config_crc
 from valvefw.wire import encode_frame
 
-Array = npt.NDArray[np.float64]
-
 LENGTH_M = 0.062
 LATE_MS = 4
 MARGIN_US = 150
@@ -39,13 +37,9 @@ STEP_S = 2.0
 LAST_S = 0.5
 BAND_KPA = 5.0
 FIGURES = (
-    "error_mean_kpa",
-    "error_worst_kpa",
-    "ripple_worst_kpa",
-    "overshoot_worst_kpa",
-    "settling_worst_s",
-    "switchings_per_s",
-)
+    "error_mean_kpa", "error_worst_kpa", "ripple_worst_kpa", "overshoot_worst_kpa",
+    "settling_worst_s", "switchings_per_s",
+)  # fmt: skip
 PRESSURE_LAWS = ("two", "duty_in", "duty", "slide", "ram", "burst", "pid")
 
 

@@ -9,13 +9,9 @@ from dataclasses import dataclass
 from studies.comparison.study import Row
 
 STEP_KEYS = (
-    "rise_s",
-    "settling_s",
-    "overshoot_percent",
-    "steady_error_deg",
-    "ripple_deg",
+    "rise_s", "settling_s", "overshoot_percent", "steady_error_deg", "ripple_deg",
     "others_error_deg",
-)
+)  # fmt: skip
 PATH_KEYS = ("rms_mm", "worst_mm")
 
 

@@ -24,8 +24,8 @@ does not feed back the oscillation through e'.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.links import Arm
 from plant.links.dynamics import inverse_dynamics
 from plant.physics.friction import REFERENCE_PRESSURE_PA
@@ -35,8 +35,6 @@ from studies.controllers.loop import HOST_MS
 from studies.controllers.model import Linear
 from studies.controllers.muscles import MEAN_KPA, Pairs
 from studies.controllers.reference import Reference
-
-Array = npt.NDArray[np.float64]
 
 MOST_KG = 0.1
 MOST_N = 20.0

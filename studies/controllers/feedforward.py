@@ -10,15 +10,13 @@ one rate for all joints. The rate is a third of that at which the nominal model 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.links.dynamics import inverse_dynamics
 from studies.controllers.loop import HOST_MS
 from studies.controllers.model import Linear
 from studies.controllers.muscles import Pairs
 from studies.controllers.reference import Reference
-
-Array = npt.NDArray[np.float64]
 
 MARGIN = 3.0
 

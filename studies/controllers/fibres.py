@@ -8,14 +8,12 @@ that of the catalogue of effects; the law estimates the magnitude of the frictio
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from plant.effects.catalogue import CATALOGUE
+from plant.arrays import Array
+from plant.effects.muscle.braid_friction import BRAID_FRICTION
 from plant.physics.friction import REFERENCE_PRESSURE_PA
 from plant.physics.layout import SLIP_ELEMENTS
 from studies.controllers.muscles import Pairs
-
-Array = npt.NDArray[np.float64]
 
 
 class Fibres:
@@ -55,5 +53,5 @@ class Fibres:
 
 def _catalogued(name: str) -> float:
     """Default value of a parameter of braid friction in the catalogue."""
-    entry = CATALOGUE["braid_friction"]
-    return float(next(p.default for p in entry.parameters if p.name == name) or 0.0)
+    parameters = BRAID_FRICTION.parameters
+    return float(next(p.default for p in parameters if p.name == name) or 0.0)

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
 from plant.finger import Finger, FingerSim
 from studies.controllers.bench import FingerBench, Sensing
 from studies.controllers.muscles import Pairs
 from studies.controllers.reference import GRID_S, Reference, tips
-
-Array = npt.NDArray[np.float64]
 
 HOST_MS = 10
 """Period of the host in ms."""

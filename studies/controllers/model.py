@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
+from plant.arrays import Array
 from plant.links.dynamics import gravity_torque, inertia_matrix
 from studies.controllers.muscles import Pairs
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

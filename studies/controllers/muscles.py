@@ -12,12 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.finger import Finger
-
-Array = npt.NDArray[np.float64]
 
 MEAN_KPA = 250.0
 

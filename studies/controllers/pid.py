@@ -12,12 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from studies.controllers.loop import HOST_MS
 from studies.controllers.reference import Reference
-
-Array = npt.NDArray[np.float64]
 
 FILTER = 8.0
 

@@ -17,14 +17,12 @@ import warnings
 from collections import deque
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import place_poles
 
+from plant.arrays import Array
 from studies.controllers.loop import HOST_MS
 from studies.controllers.model import Linear
 from studies.controllers.reference import Reference
-
-Array = npt.NDArray[np.float64]
 
 DAMPING = 0.7
 OBSERVER = (40.0, 90.0)

@@ -12,12 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.finger import Finger
 from plant.links import Arm
-
-Array = npt.NDArray[np.float64]
 
 GRID_S = 1e-3
 COUPLING = 1.0

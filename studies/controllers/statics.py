@@ -6,14 +6,10 @@ evaluated in this way, because they control pressures only.
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-
+from plant.arrays import Array
 from plant.links.dynamics import gravity_torque
 from studies.controllers.muscles import Pairs
 from studies.controllers.reference import Reference
-
-Array = npt.NDArray[np.float64]
 
 
 class StaticMap:

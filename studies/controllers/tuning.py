@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.errors import PlantError
 from plant.finger import Finger, FingerSim
@@ -22,7 +22,6 @@ from studies.controllers.muscles import Pairs
 from studies.controllers.pid import Gains, Pid
 from studies.controllers.reference import GRID_S, STEP_POSTURE_DEG, step
 
-Array = npt.NDArray[np.float64]
 Respond = Callable[[float], tuple[Array, Array]]
 
 DISTURBED_AT_S = 0.1

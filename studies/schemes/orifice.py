@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import (
     GAS_CONSTANT_J_KG_K,
     KEYS,
@@ -28,7 +28,6 @@ from studies.schemes.trial import INTENDED, TITLES, Bench
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.float64]
 
 DIAMETERS_MM = (0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4)
 SPEEDS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4)
@@ -101,9 +100,9 @@ def run(full: bool, progress: Progress) -> Study:
 
 
 def _limits(
-    maps: dict[str, Floats],
-    slow: dict[str, Floats],
-    worth: Floats,
+    maps: dict[str, Array],
+    slow: dict[str, Array],
+    worth: Array,
     diameters: tuple[float, ...],
     speeds: tuple[float, ...],
 ) -> Grid:
@@ -135,9 +134,9 @@ def _limits(
 
 
 def _statements(
-    maps: dict[str, Floats],
-    slow: dict[str, Floats],
-    worth: Floats,
+    maps: dict[str, Array],
+    slow: dict[str, Array],
+    worth: Array,
     diameters: tuple[float, ...],
     speeds: tuple[float, ...],
 ) -> tuple[Statement, ...]:
@@ -182,7 +181,7 @@ def _statements(
 
 
 def _figure(
-    maps: dict[str, Floats], worth: Floats, diameters: tuple[float, ...], speeds: tuple[float, ...]
+    maps: dict[str, Array], worth: Array, diameters: tuple[float, ...], speeds: tuple[float, ...]
 ) -> Figure:
     """One map per scheme, with contours of the burst."""
     from matplotlib.colors import LogNorm

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants, nominal
 from plant.finger.reader import valve_changes
 from plant.scene.ram import Ram, RamConstants
@@ -30,7 +30,6 @@ from valvefw.schemes.valves import Valves
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.float64]
 
 STARTS_MM = (60.0, 80.0, 100.0, 120.0)
 SWITCH_MM = 150.0
@@ -47,8 +46,8 @@ RAM_STEP_S = 10.0
 class Lift:
     """One lift: true height (mm) and pressure (kPa) every ms."""
 
-    height_mm: Floats
-    pressure_kpa: Floats
+    height_mm: Array
+    pressure_kpa: Array
 
     @property
     def rest_mm(self) -> float:

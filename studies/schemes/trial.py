@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.physics.layout import LENGTH, PRESSURE
 from plant.simulator.bench import FINE_STEP_SHARE, BenchSim
@@ -29,8 +30,6 @@ from valvefw.schemes.scheme import Scheme
 from valvefw.schemes.sliding import Sliding
 from valvefw.schemes.twoposition import TwoPosition
 from valvefw.schemes.valves import Valves
-
-Floats = npt.NDArray[np.float64]
 
 SCHEMES: dict[str, Callable[[int], Scheme]] = {
     "two": lambda baud: TwoPosition(),
@@ -92,8 +91,8 @@ class Trace:
 
     goal_kpa: float
     supply_kpa: float
-    pressure_kpa: Floats
-    length_mm: Floats
+    pressure_kpa: Array
+    length_mm: Array
     inlet: npt.NDArray[np.bool_]
     vent: npt.NDArray[np.bool_]
 

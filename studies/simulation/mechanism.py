@@ -8,15 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from daq.errors import ConfigError
-from plant.constants import PlantConstants
+from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects.effects import Effects
-from plant.errors import PlantError
+from plant.errors import LinkError, PlantError
 from plant.links.arm import Arm
-from plant.links.errors import LinkError
 from plant.links.reader import load_arm
 from plant.scene.ram import RamConstants
 from plant.scene.scene import Coordinate, Switch
-from plant.simulator.bench import STANDARD_GRAVITY_M_S2
 from rigs.rigfile.toml_reader import Table
 
 KINDS = ("held", "hung", "joint", "ram")
@@ -134,7 +132,7 @@ def _mass(load: Table, key: str, low: float, high: float, default: float | None 
 
 def _hung(load: Table, c: PlantConstants, effects: Effects) -> Mechanism:
     stated = _mass(load, "mass_kg", 0.001, 1000)
-    mass = stated + effects.get("payload", "mass_kg")
+    mass = stated + effects.carried_kg
     low, high = c.length_min_m * 1e3, c.length_max_m * 1e3
     start = load.number("start_mm", low, high, high, unit="mm") * 1e-3
     spring = load.number("spring_n_mm", 0, 1e3, 0.0, unit="N/mm") * 1e3
@@ -198,7 +196,7 @@ def _joint(load: Table, effects: Effects) -> Mechanism:
     try:
         arm = load_arm(given)
         payload = _mass(load, "payload_g", 0, 1e5, 0.0) * 1e-3
-        arm = arm.with_payload(payload + effects.get("payload", "mass_kg"))
+        arm = arm.with_payload(payload + effects.carried_kg)
     except LinkError as error:
         where = f"{load.source}: load.arm"
         text = str(error).removeprefix("arm table: ").removeprefix("arm table, ")

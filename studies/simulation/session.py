@@ -17,7 +17,7 @@ from daq.errors import PamrigError, RecordError
 from daq.interrupt import StopFlag, Stopped
 from daq.link.clockfit import ClockMap
 from daq.link.codec import CodecError
-from daq.record.space import check_disk
+from daq.record.disk import check_disk
 from daq.record.writer import RecordWriter
 from plant.errors import PlantError
 from plant.scene.layout import SUBSTEPS
@@ -176,26 +176,20 @@ def simulate(
     return Outcome(record.folder, outcome, reason, runner.time_s, took)
 
 
+@dataclass
 class _Runner:
     """The tick loop of one simulation, with its commands and windows."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        loop: SceneLoop,
-        record: RecordWriter,
-        controllers: Controllers,
-        readings: Readings,
-        clock: VirtualClock,
-    ) -> None:
-        self.scenario = scenario
-        self.loop = loop
-        self.record = record
-        self.controllers = controllers
-        self.readings = readings
-        self.clock = clock
-        self.time_s = 0.0
-        self._counts_x16 = 16.0 * ADC_TOP / scenario.sensors.pressure_range_kpa
+    scenario: Scenario
+    loop: SceneLoop
+    record: RecordWriter
+    controllers: Controllers
+    readings: Readings
+    clock: VirtualClock
+    time_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._counts_x16 = 16.0 * ADC_TOP / self.scenario.sensors.pressure_range_kpa
 
     def run(self, stop: StopFlag, progress: Progress | None) -> None:  # noqa: C901 - the sequence of one tick
         """Boot and arm, then run the scenario tick by tick."""

@@ -210,7 +210,7 @@ class Trial:
             kinds.place(fault, self.rng, SECONDS[self.truth.protocol])
             fault.start_s += now_s
             fault.end_s += now_s
-        rig.pump.add(self._poll)
+        rig.event_loop.add(self._poll)
         rig.clock.on_advance(self._tick)  # type: ignore[attr-defined]
 
     def _watch_valves(self) -> None:

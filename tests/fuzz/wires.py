@@ -13,7 +13,7 @@ from daq.link.framer import CobsFramer
 from daq.link.telemetry import TelemetryStream
 from daq.link.transport import memory_pair
 from rigs.devices.balance import Balance
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.modbus import ModbusInstrument
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
@@ -30,12 +30,12 @@ from .loop import Target
 LINK = (PamrigError,)
 
 
-def _through(make: Callable[[Any, Pump], Any]) -> Callable[[bytes], None]:
+def _through(make: Callable[[Any, EventLoop], Any]) -> Callable[[bytes], None]:
     """A driver behind a link: each input is what its device sends, whole and then in two."""
     clock = VirtualClock()
-    pump = Pump(clock, 0.02)
+    event_loop = EventLoop(clock, 0.02)
     link, end = memory_pair(clock, "fuzz")
-    driver = make(link, pump)
+    driver = make(link, event_loop)
     count = 0
 
     def run(data: bytes) -> None:
@@ -89,7 +89,7 @@ def _codec() -> Target:
 
 
 def _valve() -> Target:
-    run = _through(lambda link, pump: ValveController(link, pump.clock, pump))
+    run = _through(lambda link, event_loop: ValveController(link, event_loop.clock, event_loop))
     return Target("valve driver", "the controller's byte stream", run, _frames(), LINK, (b"\0",),
                   lambda data: _frame(data[:60]))  # fmt: skip
 
@@ -102,22 +102,22 @@ def _balance() -> Target:
         b'I4 A "B"\r\n',
         b"ES\r\n",
     ]
-    run = _through(lambda link, pump: Balance(link, pump))
+    run = _through(lambda link, event_loop: Balance(link, event_loop))
     words = (b"\r\n", b"S ", b"S S", b" g")
     return Target("MT-SICS", "a balance's lines", run, corpus, LINK, words)
 
 
 def _stage() -> Target:
     corpus = [b"<Idle|MPos:60.000,0,0>\r\n", b"ok\r\n", b"error:9\r\n", b"ALARM:1\r\n"]
-    run = _through(lambda link, pump: Stage(link, pump, 10.0))
+    run = _through(lambda link, event_loop: Stage(link, event_loop, 10.0))
     words = (b"<", b"|", b"MPos:", b"\r\n")
     return Target("stage", "a motion controller's lines", run, corpus, LINK, words)
 
 
 def _modbus() -> Target:
-    def make(link: Any, pump: Pump) -> ModbusInstrument:
+    def make(link: Any, event_loop: EventLoop) -> ModbusInstrument:
         form = ModbusForm("pressure_kpa", "kPa", 1, 0)
-        device = ModbusInstrument(link, pump, "p", form, baud=19200)
+        device = ModbusInstrument(link, event_loop, "p", form, baud=19200)
         device._begin(0)
         return device
 
@@ -128,8 +128,8 @@ def _modbus() -> Target:
 
 
 def _text(name: str, form: str, corpus: list[bytes]) -> Target:
-    def make(link: Any, pump: Pump) -> TextInstrument:
-        device = TextInstrument(link, pump, form, load_form(form))
+    def make(link: Any, event_loop: EventLoop) -> TextInstrument:
+        device = TextInstrument(link, event_loop, form, load_form(form))
         device._begin(0)
         return device
 
@@ -140,9 +140,9 @@ def _text(name: str, form: str, corpus: list[bytes]) -> Target:
 def _supply() -> Target:
     """Each input is what comes after a question for a measurement; all else is answered well."""
     clock = VirtualClock()
-    pump = Pump(clock, 0.05)
+    event_loop = EventLoop(clock, 0.05)
     link, end = memory_pair(clock, "fuzz")
-    driver = Supply(link, pump, 24.0, 30.0)
+    driver = Supply(link, event_loop, 24.0, 30.0)
     sound = VirtualSupply(lambda data: end.write(data), "7")
     waiting: list[bytes] = []
 
@@ -155,7 +155,7 @@ def _supply() -> Target:
         sound.advance(clock.now_ns())
         driver.poll()
 
-    pump.add(answer)
+    event_loop.add(answer)
 
     def run(data: bytes) -> None:
         waiting[:] = [data]

@@ -7,16 +7,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
-from vision.gray import Box, RegionError, clip_region, to_gray
+from vision.gray import Box, clip_region, to_gray
 from vision.marker.gap import GapMeasurement
 from vision.marker.pairfit import fit_pair
-
-__all__ = ["RegionError", "measure_gap"]
-
-F64 = npt.NDArray[np.float64]
 
 
 def measure_gap(

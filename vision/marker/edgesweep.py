@@ -22,7 +22,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
 from vision.marker.edgeprofile import fill_table
@@ -34,8 +33,6 @@ RHO_MAX = 22.0  # contribution of one outlier to its group's misfit, squared sds
 HIST = 2048
 HIST_STEP = 1.0 / 32.0
 CORE_MAX = 64  # widest stored residual window
-
-F64 = npt.NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})

@@ -6,11 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from vision.marker.gap import GapMeasurement
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from gap.data.reader import read_dataset
 from gap.estimation.fit_problem import FitProblem
-from gap.model.sensitivities import suspect_columns
+from gap.model.sensitivities import candidate_columns
 from plant.effects.catalogue import CATALOGUE
 
 Floats = np.ndarray
@@ -43,7 +43,7 @@ def features(folder: Path, without: Sequence[str]) -> Features:
     """Read a folder into rows; what the diagnosis itself compares, before any weighting."""
     problem = FitProblem.of(read_dataset(folder))
     allowed = [s for s in problem.candidates if not s.defect and s.id not in without]
-    columns = suspect_columns(
+    columns = candidate_columns(
         problem.model, problem.data.constants, problem.stated_effects, allowed
     )
     residual, constants = problem.stated_residual.copy(), problem.columns.copy()
@@ -143,7 +143,8 @@ def stage_of(name: str) -> str:
 
 def baseline_verdicts(folder: Path, without: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Verdicts of all baselines on one folder; empty where the features cannot be had."""
-    always = verdict_of([("braid_friction", "friction")])
+    friction = next(e for e in CATALOGUE.values() if e.family == "friction")
+    always = verdict_of([(friction.id, friction.family)])
     try:
         f = features(folder, without)
     except Exception:  # a baseline that cannot read the data has nothing to say

@@ -19,11 +19,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from plant.constants import nominal
+from plant.effects.catalogue import CATALOGUE
+
 OFFERS = ("named", "named_form_inadequate", "indistinguishable", "mimicable")
 GIVES_NAME = ("named", "named_form_inadequate")
 QUIET = ("no_gap_above_floor", "below_resolution")
 MIMICKED = 0.9
-NEUTRAL = {"ratio": 1.0, "exponent": 1.0, "critical_ratio": 0.5}
 Row = dict[str, Any]
 
 
@@ -72,6 +74,11 @@ def size_of(answer: Mapping[str, Any]) -> float:
     return float(min(m["gap_over_floor"] for m in members))
 
 
+def neutral_of(name: str) -> float:
+    """Value of an effect's headline parameter that is no effect; 0 for an unknown effect."""
+    return CATALOGUE[name].neutral_in(nominal()) if name in CATALOGUE else 0.0
+
+
 def parameter_row(answer: Mapping[str, Any], best: Mapping[str, Any]) -> Row:
     """Error and interval of the headline parameter of the first hidden effect that is named."""
     stated = best.get("parameters") or {}
@@ -86,7 +93,7 @@ def parameter_row(answer: Mapping[str, Any], best: Mapping[str, Any]) -> Row:
             if not isinstance(value, (int, float)):
                 continue
             row: Row = {"parameter": name, "true": true, "stated": value}
-            neutral = NEUTRAL.get(name, 0.0)
+            neutral = neutral_of(effect["id"])
             if true != neutral:
                 # A leak's conductance is thirteen decades below one: no floor under it.
                 row["error"] = (value - true) / abs(true - neutral)

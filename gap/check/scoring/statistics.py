@@ -71,7 +71,10 @@ def calibration_error(confidence: Floats, right: Floats, bins: int = 10) -> floa
     return sum(abs(c - r) * n for c, r, n in bins_of(confidence, right, bins)) / total
 
 
-def debiased_error(confidence: Floats, right: Floats, bins: int = 10, draws: int = 400) -> float:
+_DRAWS = 400
+
+
+def debiased_error(confidence: Floats, right: Floats) -> float:
     """Calibration error less what perfectly calibrated confidences of this number would show.
 
     The bias is simulated: outcomes drawn with the stated confidences themselves. Not below 0.
@@ -79,14 +82,14 @@ def debiased_error(confidence: Floats, right: Floats, bins: int = 10, draws: int
     if not len(confidence):
         return math.nan
     rng = np.random.default_rng(1)
-    plain = calibration_error(confidence, right, bins)
-    fair = (rng.random((draws, len(confidence))) < confidence).astype(float)
-    chance = [calibration_error(confidence, outcome, bins) for outcome in fair]
+    plain = calibration_error(confidence, right)
+    fair = (rng.random((_DRAWS, len(confidence))) < confidence).astype(float)
+    chance = [calibration_error(confidence, outcome) for outcome in fair]
     return max(plain - float(np.mean(chance)), 0.0)
 
 
-def limit_of_diagnosis(ratios: Floats, right: Floats, level: float = 0.9) -> float | None:
-    """Smallest gap (in floors) from which on at least `level` of the sets were named right.
+def limit_of_diagnosis(ratios: Floats, right: Floats) -> float | None:
+    """Smallest gap (in floors) from which on at least 90 % of the sets were named right.
 
     None where no such size is reached. Sizes are those that occur; at least two sets above.
     """
@@ -94,7 +97,7 @@ def limit_of_diagnosis(ratios: Floats, right: Floats, level: float = 0.9) -> flo
     sizes, hits = ratios[order], right[order]
     best = None
     for i in range(len(sizes) - 1, -1, -1):
-        if hits[i:].mean() < level:
+        if hits[i:].mean() < 0.9:
             break
         if len(sizes) - i >= 2:
             best = float(sizes[i])

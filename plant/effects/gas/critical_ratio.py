@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from plant.constants import PlantConstants
-from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Params, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.physics import layout
@@ -16,9 +15,9 @@ def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
 
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     if "outlet" not in shape:
-        params[stage.INLET_CRITICAL_RATIO] += amount
+        params[layout.INLET_CRITICAL_RATIO] += amount
     if "inlet" not in shape:
-        params[stage.OUTLET_CRITICAL_RATIO] += amount
+        params[layout.OUTLET_CRITICAL_RATIO] += amount
 
 
 CRITICAL_RATIO = Effect(
@@ -35,6 +34,7 @@ CRITICAL_RATIO = Effect(
     standard="a flow meter in the line, at several pressure ratios",
     constants=("critical_ratio",),
     neutral="critical_ratio",
+    own_constant="critical_ratio",
     plant=InPlant(slots=_slots),
     diagnosis=InDiagnosis(gas=_gas),
     search=Search(

@@ -6,6 +6,7 @@ from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Params, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.effects.standards import SYRINGE
 from plant.physics import layout
 
 _STATED_PA = 300e3
@@ -23,7 +24,7 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
         params[stage.LINE] = max(amount, 0.0) * 1e-6
         params[stage.LINE_TIME] = shape["line_s"]
     else:
-        params[stage.DEAD_VOLUME] += amount * 1e-6
+        params[layout.DEAD_VOLUME] += amount * 1e-6
 
 
 DEAD_VOLUME = Effect(
@@ -40,6 +41,8 @@ DEAD_VOLUME = Effect(
     source="ideal gas in one more vessel",
     standard="the line filled with water and weighed, or a known extra vessel",
     constants=("dead_volume_ml", "inlet_conductance_m3_s_pa", "outlet_conductance_m3_s_pa"),
+    own_constant="dead_volume_ml",
+    reference=(SYRINGE, 0.05),
     plant=InPlant(slots=_slots),
     diagnosis=InDiagnosis(gas=_gas),
     search=Search(

@@ -24,7 +24,7 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     if "drop" in shape:
         params[stage.INLET_DROP if inlet else stage.OUTLET_DROP] += amount
     else:
-        side = stage.INLET_CONDUCTANCE if inlet else stage.OUTLET_CONDUCTANCE
+        side = layout.INLET_CONDUCTANCE if inlet else layout.OUTLET_CONDUCTANCE
         params[side] *= max(1.0 + amount, _LEAST)
 
 
@@ -46,6 +46,8 @@ FLOW_AREA = Effect(
     standard="a flow meter in the line",
     constants=("inlet_conductance_m3_s_pa", "outlet_conductance_m3_s_pa"),
     neutral=1.0,
+    own_constant="{option}_conductance_m3_s_pa",
+    ratio=True,
     plant=InPlant(slots=_slots),
     diagnosis=InDiagnosis(gas=_gas),
     search=Search(

@@ -6,6 +6,7 @@ from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Params, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.effects.standards import LOCKED
 
 CONDUCTANCE = 31  # m3/(s Pa)
 
@@ -34,6 +35,7 @@ LEAK = Effect(
     equation="m_dot_out + ISO 6358 flow of the leak's own conductance to the atmosphere",
     source="ISO 6358-1",
     standard="none needed: the sealed muscle watched for minutes",
+    reference=(LOCKED, 2e-13),
     plant=InPlant(slots=_slots, outward=_outward),
     diagnosis=InDiagnosis(gas=_gas),
     search=Search(step=1e-12, sign=1, blocks=("pressure",), shapes=({}, {"laminar": 1.0})),

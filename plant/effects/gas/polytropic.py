@@ -14,7 +14,7 @@ def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
 
 
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
-    params[stage.EXPONENT] += amount
+    params[layout.EXPONENT] += amount
     params[stage.HEAT_RATE] = 1.0 / shape["heat_s"] if "heat_s" in shape else 0.0
 
 
@@ -32,6 +32,7 @@ POLYTROPIC = Effect(
     standard="none needed: the sealed muscle moved at two speeds",
     constants=("polytropic_exponent", "dead_volume_ml"),
     neutral=1.0,
+    stands_for=("gas_temperature_k",),
     plant=InPlant(slots=_slots),
     diagnosis=InDiagnosis(gas=_gas),
     search=Search(
@@ -42,5 +43,6 @@ POLYTROPIC = Effect(
         # Air in a tube 10 mm wide takes the wall's temperature within seconds (r^2 / 5.8 of its
         # thermal diffusivity, 1 s at 5 bar); what falls for longer leaks.
         free={"heat_s": (0.05, 6.0)},
+        one_shape=True,
     ),
 )

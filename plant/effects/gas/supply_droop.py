@@ -75,9 +75,10 @@ SUPPLY_DROOP = Effect(
     source="ISO 6953-2 (flow characteristic of a regulator)",
     standard="a second pressure gauge at the inlet",
     constants=("supply_kpa", "inlet_conductance_m3_s_pa"),
+    stands_for=("supply_kpa",),
     plant=InPlant(slots=_slots, upstream=_upstream),
     sensors=InSensors(supply=_shown),
-    diagnosis=InDiagnosis(gas=_gas),
+    diagnosis=InDiagnosis(gas=_gas, largest_fall=True),
     search=Search(
         step=5.0,
         sign=1,
@@ -94,5 +95,6 @@ SUPPLY_DROOP = Effect(
         free={"tau_s": (0.005, 6.0), "back_s": (0.005, 6.0)},
         # The headline is the largest fall in the data, the amount that at choked flow.
         bounded=False,
+        one_shape=True,
     ),
 )

@@ -6,7 +6,7 @@ import numpy as np
 
 from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Params, Points, Shape, Values
-from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search, same_numbers
 from plant.physics.layout import LENGTH
 
 FORCE, TRAVEL = 60, 61  # N; m of motion after which the link slips
@@ -104,5 +104,6 @@ LINK_FRICTION = Effect(
         },
         plant_shape={"travel_mm": 0.02},
         plant_misfit=0.5,  # a stiff slide: the direction of a bouncing load hangs on the frames
+        as_plant=same_numbers(travel_mm="travel_mm"),
     ),
 )

@@ -6,6 +6,7 @@ from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Params, Points, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 from plant.effects.reference import length_of
+from plant.effects.standards import SCALES
 
 EXTRA = 63  # kg
 
@@ -36,6 +37,7 @@ PAYLOAD = Effect(
     equation="m -> m + extra mass",
     source="Newton's second law",
     standard="a balance",
+    reference=(SCALES, 0.005),
     plant=InPlant(slots=_slots, mass=_mass),
     diagnosis=InDiagnosis(mass=_beside),
     search=Search(step=0.02, sign=0, blocks=("load",), shapes=({}, {"lifted_mm": 20.0})),

@@ -55,6 +55,10 @@ def _force(
     return spring(length, 1e3, shape["rest"] * c.braid_length_m, hardening, length_of(c))
 
 
+def _rest_of(shape: Shape, c: PlantConstants) -> dict[str, float]:
+    return {"rest_mm": shape["rest"] * c.braid_length_m * 1e3}
+
+
 BLADDER_ELASTICITY = Effect(
     "bladder_elasticity",
     "elasticity",
@@ -81,5 +85,7 @@ BLADDER_ELASTICITY = Effect(
         shapes=({"rest": 0.57}, {"rest": 0.68}, {"rest": 0.82}, {"rest": 0.68, "cubic": 1.0}),
         free={"rest": (0.45, 0.95)},
         plant_shape={"rest": 0.82},
+        as_plant=_rest_of,
+        settled={"stiffness_n_mm": (0.2, 0.0, 5.0), "rest_mm": (65.0, 45.0, 90.0)},
     ),
 )

@@ -6,7 +6,7 @@ import numpy as np
 
 from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
-from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search, same_numbers
 from plant.effects.reference import MIDDLE_PRESSURE_PA
 from plant.physics.layout import LENGTH_MIN
 
@@ -88,5 +88,7 @@ CONTRACTION_LIMIT = Effect(
         ),
         free={"decay_mm": (0.3, 4.0), "knee_mm": (1.5, 10.0)},
         plant_shape={"decay_mm": 1.0},
+        as_plant=same_numbers(decay_mm="scale_mm"),
+        settled={"force_n": (2.0, 0.0, 60.0), "scale_mm": (1.5, 0.3, 8.0)},
     ),
 )

@@ -77,5 +77,6 @@ END_CAP = Effect(
         blocks=("force", "load"),
         shapes=({"grow": 0.0}, {"grow": 1.0}, {"grow": 2.0}, {"grow": -1.0}),
         plant_shape={"grow": 1.0},
+        settled={"shortening_mm": (0.5, -5.0, 8.0)},
     ),
 )

@@ -53,5 +53,6 @@ FIBRE_STRETCH = Effect(
         blocks=("force", "load"),
         shapes=({"power": 1.0}, {"power": 0.5}, {"tension": 1.0}),
         free={"power": (0.3, 2.0)},
+        settled={"stretch_percent": (0.5, 0.0, 8.0)},
     ),
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Params, Shape, Values
-from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search, same_numbers
 from plant.physics.muscle import liner_pressure
 
 LOST, WIDTH = 32, 33  # Pa
@@ -61,5 +61,7 @@ LINER_THRESHOLD = Effect(
         free={"width_kpa": (3.0, 150.0)},
         plant_shape={"width_kpa": 25.0},
         plant_misfit=0.1,
+        as_plant=same_numbers(width_kpa="width_kpa"),
+        settled={"threshold_kpa": (60.0, 0.0, 300.0), "width_kpa": (25.0, 2.0, 150.0)},
     ),
 )

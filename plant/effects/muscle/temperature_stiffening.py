@@ -68,5 +68,6 @@ TEMPERATURE_STIFFENING = Effect(
         sign=0,
         blocks=("force", "load"),
         shapes=({}, {"pressure": 1.0}, {"pressure": -0.5}, {"additive": 1.0}),
+        settled={"percent_per_k": (0.5, -5.0, 5.0), "flat_share": (0.3, 0.0, 1.0)},
     ),
 )

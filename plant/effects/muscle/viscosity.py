@@ -6,7 +6,7 @@ import numpy as np
 
 from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
-from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search, same_numbers
 from plant.effects.reference import MIDDLE_PRESSURE_PA
 
 DAMPING, EXPONENT, WITH_PRESSURE = 46, 47, 48  # N s/m at 10 mm/s; share that goes with p
@@ -101,5 +101,6 @@ VISCOSITY = Effect(
             {"pressure": 1.0, "knee_mm_s": 20.0},
         ),
         free={"knee_mm_s": (3.0, 150.0), "power": (0.3, 1.0)},
+        as_plant=same_numbers(power="exponent", pressure="pressure_share"),
     ),
 )

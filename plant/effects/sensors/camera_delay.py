@@ -6,6 +6,7 @@ import numpy as np
 
 from plant.effects.arguments import Array, Points, Shape
 from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
+from plant.effects.standards import LAMP
 from plant.effects.trials import moved
 
 
@@ -30,7 +31,13 @@ CAMERA_DELAY = Effect(
     equation="read(t) = true(t - delay)",
     source="none needed",
     standard="the sync light in the picture",
+    reference=(LAMP, 0.5),
     sensors=InSensors(camera_delay=_delay),
     diagnosis=InDiagnosis(length=_length),
-    search=Search(step=4.0, sign=0, blocks=("pressure", "force", "load")),
+    search=Search(
+        step=4.0,
+        sign=0,
+        blocks=("pressure", "force", "load"),
+        scan="clock",
+    ),
 )

@@ -8,6 +8,7 @@ from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
 from plant.effects.reference import middle_of
+from plant.effects.standards import BLOCK
 from plant.errors import PlantError
 
 _POWER = 3.0
@@ -58,6 +59,7 @@ CAMERA_DISTORTION = Effect(
     equation="read = true + distortion ((true - centre) / (length_max - centre))^3",
     source="Brown 1966 (third-order radial distortion)",
     standard="one gauge block moved across the picture",
+    reference=(BLOCK, 0.02),
     sensors=InSensors(camera=_camera),
     diagnosis=InDiagnosis(camera=_shape_error, camera_bends=True),
     search=Search(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Shape, Values
-from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
+from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Parameter, Search
 from plant.effects.reference import middle_of
+from plant.effects.standards import BLOCK
 
 
 def error(length: Array, percent: float, still: float) -> Array:
@@ -37,6 +38,10 @@ CAMERA_SCALE = Effect(
     source="pinhole camera at a wrong distance",
     standard="two gauge blocks before the camera",
     constants=("braid_length_mm", "turns"),
+    stands_for=("mountings",),
+    calibration="length_gain_percent",
+    each_trial=(EachTrial("length gain", 0.05, ("force", "load", "camera")),),
+    reference=(BLOCK, 0.05),
     sensors=InSensors(camera=_camera),
     diagnosis=InDiagnosis(camera=_shape_error),
     search=Search(

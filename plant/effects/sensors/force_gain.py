@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from plant.effects.effect import Effect, InSensors, Parameter, Search
+from plant.effects.effect import EachTrial, Effect, InSensors, Parameter, Search
+from plant.effects.standards import WEIGHTS
 
 
 def _reading(amount: float) -> tuple[float, float]:
@@ -22,6 +23,9 @@ FORCE_GAIN = Effect(
     source="VIM 4.12 (sensitivity)",
     standard="dead weights over the range",
     constants=("braid_length_mm", "turns"),
+    calibration="force_gain_percent",
+    each_trial=(EachTrial("force gain", 0.3, ("force", "load")),),
+    reference=(WEIGHTS, 0.1),
     sensors=InSensors(force=_reading),
     search=Search(step=0.5, sign=0, blocks=("force", "load")),
 )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from plant.effects.effect import Effect, InSensors, Parameter, Search
+from plant.effects.effect import EachTrial, Effect, InSensors, Parameter, Search
+from plant.effects.standards import WEIGHTS
 
 
 def _reading(amount: float) -> tuple[float, float]:
@@ -21,6 +22,14 @@ FORCE_ZERO = Effect(
     equation="read = true + offset, after every tare",
     source="VIM 4.28 (zero error)",
     standard="one dead weight",
+    calibration="force_zero_n",
+    each_trial=(EachTrial("force zero", 0.2, ("force", "load")),),
+    reference=(WEIGHTS, 0.05),
     sensors=InSensors(force=_reading),
-    search=Search(step=0.2, sign=0, blocks=("force", "load")),
+    search=Search(
+        step=0.2,
+        sign=0,
+        blocks=("force", "load"),
+        settled={"offset_n": (0.5, -25.0, 25.0)},
+    ),
 )

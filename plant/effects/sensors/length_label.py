@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from plant.effects.arguments import Array, Points, Shape
-from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
+from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Parameter, Search
+from plant.effects.standards import HOLDERS
 
 
 def _held(amount: float) -> float:
@@ -29,7 +30,15 @@ LENGTH_LABEL = Effect(
     source="none needed",
     standard="a gauge block",
     constants=("braid_length_mm", "turns"),
+    stands_for=("mountings",),
+    each_trial=(EachTrial("held length", 0.02, ("pressure", "force", "camera")),),
+    reference=(HOLDERS, 0.05),
     sensors=InSensors(held=_held),
     diagnosis=InDiagnosis(length=_length),
-    search=Search(step=0.1, sign=0, blocks=("pressure", "force", "load", "camera")),
+    search=Search(
+        step=0.1,
+        sign=0,
+        blocks=("pressure", "force", "load", "camera"),
+        settled={"offset_mm": (0.2, -4.0, 4.0)},
+    ),
 )

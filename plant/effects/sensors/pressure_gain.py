@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Params, Shape
-from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
+from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Parameter, Search
+from plant.effects.standards import GAUGE
 
 
 def _reading(amount: float) -> tuple[float, float]:
@@ -28,6 +29,10 @@ PRESSURE_GAIN = Effect(
     source="VIM 4.12 (sensitivity)",
     standard="a reference pressure gauge",
     constants=("supply_kpa", "braid_length_mm", "turns"),
+    stands_for=("supply_kpa",),
+    calibration="pressure_gain_percent",
+    each_trial=(EachTrial("pressure gain", 0.3, ("pressure", "force", "load")),),
+    reference=(GAUGE, 0.15),
     sensors=InSensors(pressure=_reading),
     diagnosis=InDiagnosis(gas=_gas),
     search=Search(step=0.5, sign=0, blocks=("pressure", "force", "load")),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Params, Shape
-from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
+from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Parameter, Search
+from plant.effects.standards import VENT
 
 
 def _reading(amount: float) -> tuple[float, float]:
@@ -28,7 +29,15 @@ PRESSURE_ZERO = Effect(
     source="VIM 4.28 (zero error)",
     standard="the atmosphere",
     constants=("atmosphere_kpa",),
+    calibration="pressure_zero_kpa",
+    each_trial=(EachTrial("pressure zero", 0.3, ("pressure", "force", "load")),),
+    reference=(VENT, 0.15),
     sensors=InSensors(pressure=_reading),
     diagnosis=InDiagnosis(gas=_gas),
-    search=Search(step=1.0, sign=0, blocks=("pressure", "force", "load")),
+    search=Search(
+        step=1.0,
+        sign=0,
+        blocks=("pressure", "force", "load"),
+        settled={"offset_kpa": (2.0, -60.0, 60.0)},
+    ),
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from plant.constants import PlantConstants
-from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Params, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InPlant, Search
 from plant.physics import layout
@@ -14,7 +13,7 @@ def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
 
 
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
-    params[stage.DELAY_MODE] = 1.0 if amount > 0.5 else 0.0
+    params[layout.DELAY_MODE] = 1.0 if amount > 0.5 else 0.0
 
 
 TRANSPORT_DELAY = Effect(

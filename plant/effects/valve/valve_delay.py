@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from plant.constants import PlantConstants
-from plant.effects import pressure_stage as stage
-from plant.effects.arguments import Params, Shape, Values
-from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
-from plant.effects.valve.edges import EDGE, EDGES, constant_of
+from plant.effects.effect import EachTrial, Effect, Parameter, Search
+from plant.effects.valve.edges import EDGE, EDGES, added
 from plant.physics import layout
 
 
-def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
-    edge = str(values["edge"])
-    delay = constant_of(c, edge, "s") + float(values["delay_ms"]) * 1e-3
-    return {layout.DELAY + EDGES.index(edge): delay}
+def _late(amount: float, c: PlantConstants) -> float:
+    return abs(amount) * 1e-3
 
 
-def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
-    params[stage.DELAY + EDGES.index(option)] += amount * 1e-3
-
+_IN_PLANT, _IN_DIAGNOSIS = added(layout.DELAY, "delay_ms", "s", 1e-3, _late)
 
 VALVE_DELAY = Effect(
     "valve_delay",
@@ -33,7 +27,12 @@ VALVE_DELAY = Effect(
     source="Nominal plant, delay of the valve; Tables D-1 to D-3",
     standard="a fast pressure sensor right at the valve",
     constants=tuple(f"{edge}_ms" for edge in EDGES),
-    plant=InPlant(slots=_slots),
-    diagnosis=InDiagnosis(gas=_gas),
-    search=Search(step=0.3, sign=0, blocks=("pressure",)),
+    own_constant="{option}_ms",
+    each_trial=(
+        EachTrial("inlet timing", 0.03, ("pressure",), "inlet_on"),
+        EachTrial("outlet timing", 0.03, ("pressure",), "outlet_on"),
+    ),
+    plant=_IN_PLANT,
+    diagnosis=_IN_DIAGNOSIS,
+    search=Search(step=0.3, sign=0, blocks=("pressure",), scan="delay"),
 )

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from plant.constants import PlantConstants
-from plant.effects import pressure_stage as stage
-from plant.effects.arguments import Params, Shape, Values
-from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
-from plant.effects.valve.edges import EDGE, EDGES, constant_of
+from plant.effects.effect import Effect, Parameter, Search
+from plant.effects.valve.edges import EDGE, EDGES, added
 from plant.physics import layout
 
 
-def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
-    edge = str(values["edge"])
-    slope = constant_of(c, edge, "s_per_pa") + float(values["slope_ms_per_kpa"]) * 1e-6
-    return {layout.DELAY_SLOPE + EDGES.index(edge): slope}
+def _late(amount: float, c: PlantConstants) -> float:
+    return abs(amount) * 1e-3 * (c.supply_pa * 1e-3)
 
 
-def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
-    params[stage.DELAY_SLOPE + EDGES.index(option)] += amount * 1e-6
-
+_IN_PLANT, _IN_DIAGNOSIS = added(layout.DELAY_SLOPE, "slope_ms_per_kpa", "s_per_pa", 1e-6, _late)
 
 VALVE_DELAY_PRESSURE = Effect(
     "valve_delay_pressure",
@@ -33,7 +27,8 @@ VALVE_DELAY_PRESSURE = Effect(
     source="Nominal plant, delay of the valve; Tables D-1 to D-3",
     standard="a fast pressure sensor right at the valve",
     constants=tuple(f"{edge}_ms_per_kpa" for edge in EDGES),
-    plant=InPlant(slots=_slots),
-    diagnosis=InDiagnosis(gas=_gas),
+    own_constant="{option}_ms_per_kpa",
+    plant=_IN_PLANT,
+    diagnosis=_IN_DIAGNOSIS,
     search=Search(step=0.001, sign=0, blocks=("pressure",)),
 )

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from plant.links.errors import LinkError
+from plant.errors import LinkError
 
 _TWO: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,

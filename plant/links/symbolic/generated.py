@@ -21,11 +21,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from plant.arrays import Array
+from plant.errors import LinkError
 from plant.links.arm import Arm
-from plant.links.errors import LinkError
 from plant.links.symbolic.evaluate import equations_of
-
-Array = npt.NDArray[np.float64]
 
 _DERIVING = ("trigpoly.py", "lagrange.py", "statespace.py", "sourcecode.py", "generated.py")
 

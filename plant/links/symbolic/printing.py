@@ -8,7 +8,7 @@ from typing import Any
 
 import sympy
 
-from plant.links.errors import LinkError
+from plant.errors import LinkError
 from plant.links.symbolic.lagrange import Equations
 from plant.links.symbolic.sourcecode import as_python
 from plant.links.symbolic.statespace import dynamics_steps, solution_steps

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from daq.errors import DeviceError, DeviceTimeout, LinkLost, PamrigError
 from daq.link.transport import Link
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.lines import LineDevice
 from rigs.rigfile.command_form import CommandForm, SetForm
 
@@ -28,7 +28,7 @@ class CommandedInstrument(LineDevice):
     """An instrument that is set, read back and measured by the lines of its description.
 
     Args:
-        link, pump: bytes and waiting.
+        link, event_loop: of the bench.
         kind: its table in the rig file.
         form: the description.
         reopen: opens the port anew when it was lost; None makes a loss final.
@@ -37,13 +37,13 @@ class CommandedInstrument(LineDevice):
     def __init__(
         self,
         link: Link,
-        pump: Pump,
+        event_loop: EventLoop,
         kind: str,
         form: CommandForm,
         *,
         reopen: Callable[[], Link] | None = None,
     ) -> None:
-        super().__init__(link, pump, kind, end=form.end)
+        super().__init__(link, event_loop, kind, end=form.end)
         self.form = form
         self.identity: dict[str, str] = {}
         self._reopen = reopen
@@ -86,10 +86,10 @@ class CommandedInstrument(LineDevice):
         return self.identity
 
     def set(self, name: str, value: float) -> float:
-        """Set a quantity of the description; returns what the instrument says it is set to.
+        """Set a quantity of the description; returns what the instrument reports as set.
 
         Raises:
-            DeviceError: outside the limits, refused, or not what was asked for.
+            DeviceError: outside the limits, refused, or not what was requested.
         """
         form = self.form.settings[name]
         if not form.low <= value <= form.high:
@@ -121,10 +121,10 @@ class CommandedInstrument(LineDevice):
         got = self._in_range(form.read_back, form.read(answer))
         if abs(got - value) > form.tolerance:
             wanted, found = form.shown(value), answer if form.words else form.shown(got)
-            self.faults.add("unset", f"told {wanted}, says {found}")
+            self.faults.add("unset", f"commanded {wanted}, reports {found}")
             raise DeviceError(
                 self.name,
-                f"was told {wanted}, is {'' if form.words else 'set to '}{found}",
+                f"was commanded {wanted}, is {'' if form.words else 'set to '}{found}",
                 form.remedy,
             )
         return got
@@ -143,7 +143,7 @@ class CommandedInstrument(LineDevice):
     def _command(self, text: str) -> None:
         """A command that answers nothing; its error queue says whether it was taken."""
         for _ in range(TRIES):
-            if self._say(text):
+            if self._write_line(text):
                 break
         if not self.form.error_query:
             return
@@ -165,10 +165,10 @@ class CommandedInstrument(LineDevice):
             self._lines.clear()
             if self._framer.discard():
                 self.faults.add("half")
-            if not self._say(text):
+            if not self._write_line(text):
                 continue
-            self._pump.until(lambda: bool(self._lines), self.form.timeout_s)
-            self._pump.for_seconds(SECOND_S)  # a second answer makes both worthless
+            self._event_loop.until(lambda: bool(self._lines), self.form.timeout_s)
+            self._event_loop.for_seconds(SECOND_S)  # a second answer makes both worthless
             lines = list(self._lines)
             if len(lines) == 1 and pattern.fullmatch(lines[0]):
                 return lines[0]
@@ -195,7 +195,7 @@ class CommandedInstrument(LineDevice):
         """Throw away everything that is older than a number sent now."""
         form = self.form
         if not form.sync_set:
-            self._pump.for_seconds(QUIET_TIMEOUTS * form.timeout_s)
+            self._event_loop.for_seconds(QUIET_TIMEOUTS * form.timeout_s)
             self._framer.discard()
             self._lines.clear()
             return
@@ -204,7 +204,8 @@ class CommandedInstrument(LineDevice):
             expected = str(self._nonce)
             self._framer.discard()
             if not (
-                self._say(form.sync_set.format(number=self._nonce)) and self._say(form.sync_query)
+                self._write_line(form.sync_set.format(number=self._nonce))
+                and self._write_line(form.sync_query)
             ):
                 continue
 
@@ -216,7 +217,7 @@ class CommandedInstrument(LineDevice):
                     self.faults.add("late", repr(line))
                 return self._gone
 
-            if self._pump.until(came, QUIET_TIMEOUTS * form.timeout_s) and not self._gone:
+            if self._event_loop.until(came, QUIET_TIMEOUTS * form.timeout_s) and not self._gone:
                 return
         raise DeviceTimeout(
             self.name,
@@ -224,7 +225,7 @@ class CommandedInstrument(LineDevice):
             "check port, cable, baud rate and power",
         )
 
-    def _say(self, text: str) -> bool:
+    def _write_line(self, text: str) -> bool:
         """Send a line, over a port found again if need be; False when it was lost just now."""
         self._restore()
         try:
@@ -252,7 +253,7 @@ class CommandedInstrument(LineDevice):
                 return False
             return True
 
-        if not self._pump.until(found, REOPEN_S):
+        if not self._event_loop.until(found, REOPEN_S):
             raise LinkLost(
                 self.name, f"was unplugged, and not back in {REOPEN_S:g} s", "plug it in again"
             )

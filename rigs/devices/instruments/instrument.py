@@ -1,4 +1,4 @@
-"""An instrument that gives readings: asked in turn or by itself, and never a wrong one.
+"""An instrument that gives readings: polled or by itself, and never a wrong one.
 
 A text or Modbus answer does not say which question it answers, so the driver keeps order
 itself. A question is put only when the line is quiet. Its answer is held back for a moment: a
@@ -15,9 +15,10 @@ from daq.calibration import Calibration
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError, DeviceTimeout, LinkLost, PamrigError
 from daq.link.transport import Chunk, Link
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.readings import Readings
-from rigs.rigfile.form import Parsed
+from rigs.rigfile.form import Parsed, TextForm
+from rigs.rigfile.modbus_form import ModbusForm
 
 HOLD_S = 0.05
 """An answer is held this long (or half a period, if less) in case a second one comes."""
@@ -34,35 +35,32 @@ class PortInstrument(Readings):
 
     Args:
         link: bytes to and from it.
-        pump: the bench's waiting place; add :meth:`poll` to it.
+        event_loop: of the bench; add :meth:`poll` to it.
         name: its name in the rig file.
-        quantity: what it measures, with unit.
-        unit: unit of its readings as they come.
-        rate_hz: readings a second.
-        timeout_s: how long an answer may take.
-        polled: True when it must be asked.
+        form: its description: quantity, unit of its readings, rate and time-out.
+        polled: True when it must be polled.
+        rate_hz: readings a second, instead of the description's.
         calibration: turns readings into ``quantity``; None takes them as they are.
         reopen: opens the port anew after the link was lost. Without it the loss is an error:
             so it must be for an instrument that a test cannot do without.
     """
 
-    def __init__(  # noqa: PLR0913 - an instrument has that many named settings
+    def __init__(
         self,
         link: Link,
-        pump: Pump,
+        event_loop: EventLoop,
         name: str,
+        form: ModbusForm | TextForm,
         *,
-        quantity: str,
-        unit: str,
-        rate_hz: float,
-        timeout_s: float,
         polled: bool,
+        rate_hz: float = 0.0,
         calibration: Calibration | None = None,
         reopen: Callable[[], Link] | None = None,
     ) -> None:
-        super().__init__(quantity, unit, calibration)
+        super().__init__(form.quantity, form.unit, calibration)
+        rate_hz = rate_hz or form.rate_hz
         self._link: Link | None = link
-        self._pump = pump
+        self._event_loop = event_loop
         self._port = link.name
         self.key = name
         self.rate_hz = rate_hz
@@ -72,14 +70,14 @@ class PortInstrument(Readings):
         self._reopen = reopen
         self._polled = polled
         self._period_ns = round(NS_PER_S / rate_hz)
-        self._timeout_ns = round(timeout_s * NS_PER_S)
+        self._timeout_ns = round(form.timeout_s * NS_PER_S)
         self._hold_ns = min(round(HOLD_S * NS_PER_S), self._period_ns // 2)
         self._state = "idle"  # idle, waiting, holding, drain
         self._until_ns = 0
         self._due_ns = 0
         self._held: tuple[int, Parsed] | None = None
         self._timed_out = False
-        self._last_ns = pump.clock.now_ns()
+        self._last_ns = event_loop.clock.now_ns()
         self._burst = False
         self._paused = False
         self._skip_first = not polled
@@ -119,7 +117,7 @@ class PortInstrument(Readings):
         return f"{self.key} on {self._port}"
 
     def poll(self) -> None:
-        """Read what came, ask when it is time, hand new rows on.
+        """Read what came, send a request when it is time, hand new rows on.
 
         Raises:
             LinkLost: the link is gone and this instrument may not come back by itself.
@@ -135,7 +133,7 @@ class PortInstrument(Readings):
                 for item in self._decode(chunk):
                     self._item(item, chunk.host_ns)
             if self._link is not None:
-                self._turn(self._pump.clock.now_ns())
+                self._turn(self._event_loop.clock.now_ns())
         except LinkLost as error:
             self._lost(error)
         self._hand_on()
@@ -274,13 +272,13 @@ class PortInstrument(Readings):
         self._drop_partial()
         self._held = None
         self._link = None
-        self._due_ns = self._pump.clock.now_ns() + round(REOPEN_S * NS_PER_S)
+        self._due_ns = self._event_loop.clock.now_ns() + round(REOPEN_S * NS_PER_S)
         if self._reopen is None:
             raise LinkLost(self.name, error.what, error.remedy) from None
 
     def _find_again(self, reopen: Callable[[], Link]) -> None:
         """Try the port once a second; whoever answers must be who was there before."""
-        now_ns = self._pump.clock.now_ns()
+        now_ns = self._event_loop.clock.now_ns()
         if now_ns < self._due_ns:
             return
         self._due_ns = now_ns + round(REOPEN_S * NS_PER_S)
@@ -303,12 +301,12 @@ class PortInstrument(Readings):
             self._write(start)
         if self._sentinel():
             self._drain(now_ns, timed_out=False)
-            self._until_ns = now_ns  # ask at once
+            self._until_ns = now_ns  # poll at once
         else:
             self._state = "idle"
 
     def _identified(self, serial: str) -> None:
-        """The instrument said who it is."""
+        """The instrument identified itself."""
         if self._expected_serial and serial != self._expected_serial:
             self.faults.add("stranger", f"{serial} instead of {self._expected_serial}")
             if self._reopen is not None and self._link is not None and self.rows:
@@ -336,10 +334,10 @@ class PortInstrument(Readings):
             DeviceTimeout: nothing that reads came; names the last fault.
         """
         self._expected_serial = serial
-        self._begin(self._pump.clock.now_ns())
-        self._pump.add(self.poll)
+        self._begin(self._event_loop.clock.now_ns())
+        self._event_loop.add(self.poll)
         wait_s = max(CONNECT_S, 3.0 / self.rate_hz + 5 * self._timeout_ns / NS_PER_S)
-        came = self._pump.until(lambda: self.rows > 0 or self._is_stranger, wait_s)
+        came = self._event_loop.until(lambda: self.rows > 0 or self._is_stranger, wait_s)
         if self._is_stranger:
             got = self.identity["serial"]
             raise DeviceError(
@@ -372,7 +370,7 @@ class PortInstrument(Readings):
         """
         start = self.rows
         seconds = 3.0 * n / self.rate_hz + 10 * self._timeout_ns / NS_PER_S + 1.0
-        if not self._pump.until(lambda: self.rows >= start + n, seconds):
+        if not self._event_loop.until(lambda: self.rows >= start + n, seconds):
             raise DeviceTimeout(
                 self.name,
                 f"{self.rows - start} of {n} readings within {seconds:g} s",

@@ -59,7 +59,7 @@ class LoadCell:
 
     @property
     def identity(self) -> dict[str, str]:
-        """Who it said it is."""
+        """The identity it reported."""
         return self.indicator.identity
 
     def grams(self, reading: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -14,7 +14,7 @@ from daq.calibration import Calibration
 from daq.clock import NS_PER_S
 from daq.errors import ConfigError
 from daq.link.transport import Chunk, Link
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.instrument import PortInstrument
 from rigs.rigfile.form import Parsed
 from rigs.rigfile.modbus_form import ModbusForm
@@ -23,7 +23,7 @@ LOOPBACK = 0x5041
 
 
 class ModbusInstrument(PortInstrument):
-    """A Modbus RTU transmitter, asked at its rate.
+    """A Modbus RTU transmitter, polled at its rate.
 
     Raises:
         ConfigError: pymodbus is not installed.
@@ -32,7 +32,7 @@ class ModbusInstrument(PortInstrument):
     def __init__(
         self,
         link: Link,
-        pump: Pump,
+        event_loop: EventLoop,
         name: str,
         form: ModbusForm,
         *,
@@ -41,16 +41,7 @@ class ModbusInstrument(PortInstrument):
         reopen: Callable[[], Link] | None = None,
     ) -> None:
         super().__init__(
-            link,
-            pump,
-            name,
-            quantity=form.quantity,
-            unit=form.unit,
-            rate_hz=form.rate_hz,
-            timeout_s=form.timeout_s,
-            polled=True,
-            calibration=calibration,
-            reopen=reopen,
+            link, event_loop, name, form, polled=True, calibration=calibration, reopen=reopen
         )
         self.form = form
         self._codec = modbus_codec()
@@ -58,7 +49,6 @@ class ModbusInstrument(PortInstrument):
         self._silence_ns = round(max(3.5 * 11 / baud, 0.01) * NS_PER_S)
         self._buffer = b""
         self._heard_ns = 0
-        self._question: Any = None
 
     def _query(self) -> bytes:
         return self._codec.read(self.form)
@@ -153,7 +143,7 @@ class _Codec:
         return bytes(self._framer.buildFrame(request))
 
     def size(self, message: bytes) -> int:
-        """Length of the frame that begins here, 0 when that cannot be told."""
+        """Length of the frame that begins here, 0 when that is not known yet."""
         if len(message) < 5:
             return 0
         if message[1] & 0x80:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.link.transport import Link
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.commanded import CommandedInstrument
 from rigs.rigfile.command_form import CommandForm, load_command_form
 
@@ -34,9 +34,9 @@ class Supply(CommandedInstrument):
     """A bench supply whose voltage is set, confirmed and measured.
 
     Args:
-        link, pump: bytes and waiting.
+        link, event_loop: of the bench.
         voltage_v: what the solenoids normally get; :meth:`safe` goes back to it.
-        max_v: never asked for more.
+        max_v: highest voltage that is ever set.
         form: its description: sets ``voltage_v`` and ``output``, gets ``voltage_v`` and
             ``current_a``. SCPI by default.
         settle_v: how far the measured voltage may be from the set one.
@@ -46,7 +46,7 @@ class Supply(CommandedInstrument):
     def __init__(
         self,
         link: Link,
-        pump: Pump,
+        event_loop: EventLoop,
         voltage_v: float,
         max_v: float,
         *,
@@ -57,7 +57,7 @@ class Supply(CommandedInstrument):
         form = form or load_command_form(FORM)
         limited = replace(form.settings["voltage_v"], high=max_v)
         form = replace(form, settings={**form.settings, "voltage_v": limited})
-        super().__init__(link, pump, "supply", form, reopen=reopen)
+        super().__init__(link, event_loop, "supply", form, reopen=reopen)
         self.voltage_v = voltage_v
         self.max_v = max_v
         self.settle_v = settle_v
@@ -67,10 +67,10 @@ class Supply(CommandedInstrument):
         self.on_rows: list[Callable[[dict[str, npt.NDArray[np.generic]]], None]] = []
 
     def set_voltage(self, voltage_v: float) -> float:
-        """Set the voltage; returns what the supply says it is set to.
+        """Set the voltage; returns the voltage that the supply reports as set.
 
         Raises:
-            DeviceError: beyond ``max_v``, refused, or not what was asked for.
+            DeviceError: beyond ``max_v``, refused, or not what was requested.
         """
         self.set_v = self.set("voltage_v", voltage_v)
         return self.set_v
@@ -79,7 +79,7 @@ class Supply(CommandedInstrument):
         """Switch the output, and read back that it is.
 
         Raises:
-            DeviceError: the output is not as it was told to be.
+            DeviceError: the output is not as it was set.
         """
         self.is_on = bool(self.set("output", float(on)))
 
@@ -90,7 +90,7 @@ class Supply(CommandedInstrument):
             DeviceError: no answer that reads, three times over.
         """
         volts, amps = self.get("voltage_v"), self.get("current_a")
-        values = (self.rows, self._pump.clock.now_ns(), self.set_v, volts, amps, self.is_on)
+        values = (self.rows, self._event_loop.clock.now_ns(), self.set_v, volts, amps, self.is_on)
         batch: dict[str, npt.NDArray[Any]] = {
             name: np.array([value], dtype=dtype)
             for (name, dtype), value in zip(COLUMNS.items(), values, strict=True)
@@ -101,7 +101,7 @@ class Supply(CommandedInstrument):
         return volts, amps
 
     def safe(self) -> None:
-        """Back to the solenoids' normal voltage, on: so that they do what they are told.
+        """Back to the solenoids' normal voltage, on: so that they follow their commands.
 
         It is switched on even where it does not confirm its voltage.
         """

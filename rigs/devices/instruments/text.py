@@ -9,7 +9,7 @@ from daq.clock import NS_PER_S
 from daq.errors import DeviceTimeout
 from daq.link.framer import LineFramer
 from daq.link.transport import Chunk, Link
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.instrument import PortInstrument
 from rigs.rigfile.form import Parsed, TextForm
 
@@ -18,10 +18,10 @@ LINE_GAP_S = 0.2
 
 
 class TextInstrument(PortInstrument):
-    """A line-based instrument, sending by itself or asked.
+    """A line-based instrument, sending by itself or polled.
 
     Args:
-        link, pump, name, calibration, reopen: see :class:`PortInstrument`.
+        link, event_loop, name, calibration, reopen: see :class:`PortInstrument`.
         form: what it says and how.
         rate_hz: instead of the description's, where the instrument is set so.
     """
@@ -29,7 +29,7 @@ class TextInstrument(PortInstrument):
     def __init__(
         self,
         link: Link,
-        pump: Pump,
+        event_loop: EventLoop,
         name: str,
         form: TextForm,
         *,
@@ -38,17 +38,9 @@ class TextInstrument(PortInstrument):
         reopen: Callable[[], Link] | None = None,
     ) -> None:
         super().__init__(
-            link,
-            pump,
-            name,
-            quantity=form.quantity,
-            unit=form.unit,
-            rate_hz=rate_hz or form.rate_hz,
-            timeout_s=form.timeout_s,
-            polled=bool(form.query),
-            calibration=calibration,
-            reopen=reopen,
-        )
+            link, event_loop, name, form, polled=bool(form.query), rate_hz=rate_hz,
+            calibration=calibration, reopen=reopen,
+        )  # fmt: skip
         self.form = form
         self._framer = LineFramer(form.end[-1:])
         self._heard_ns = 0
@@ -121,7 +113,7 @@ class TextInstrument(PortInstrument):
         def still() -> bool:
             return self.rows >= start + n and bool(self.recent(n)[1].all())
 
-        if not self._pump.until(still, seconds):
+        if not self._event_loop.until(still, seconds):
             raise DeviceTimeout(
                 self.name,
                 f"readings did not come to rest within {seconds:g} s",

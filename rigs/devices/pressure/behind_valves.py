@@ -46,7 +46,7 @@ class BehindValves(PressureSource):
 
     @property
     def vented(self) -> bool:
-        """Whether the controller was told to vent."""
+        """Whether the controller was commanded to vent."""
         return self._valves.vented
 
     def arm(self) -> None:

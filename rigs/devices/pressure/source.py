@@ -20,7 +20,7 @@ from typing import Any
 
 from daq.errors import DeviceError
 from daq.link.transport import Link
-from rigs.devices.event_loop import Pump
+from rigs.devices.event_loop import EventLoop
 from rigs.devices.lines import LineDevice
 from rigs.devices.operator import ManualAxis
 from rigs.devices.valve_controller import ValveController
@@ -75,14 +75,14 @@ class SourceParts:
     Attributes:
         config: the rig file.
         valve: the controller of the two valves.
-        pump: waiting.
+        event_loop: of the bench.
         axes: the rig's manual axes, by name.
         open_link: opens the port of ``[pressure_source]``; only a source with a port calls it.
     """
 
     config: RigConfig
     valve: ValveController
-    pump: Pump
+    event_loop: EventLoop
     axes: Mapping[str, ManualAxis]
     open_link: Callable[[], Link]
 

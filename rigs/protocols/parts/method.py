@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from typing import Any
 
-from rigs.rigfile.config import RigConfig
+from rigs.rigfile.config import Limits
 from rigs.rigfile.toml_reader import Table
 from rigs.steps.leak_check import LeakCheck
 from rigs.steps.schedule import ORDERS, Place, T, arrange
 from rigs.steps.steps import SettleCriterion
 
 
+def plain(value: Any) -> Any:
+    """Parameters as they stand in run.json: lists for tuples, tables for what has fields."""
+    if isinstance(value, tuple):
+        return list(value)
+    if hasattr(value, "as_dict"):
+        return value.as_dict()
+    return dict(vars(value)) if is_dataclass(value) else value
+
+
+class Parameters:
+    """Base of the parameters of a protocol, which are frozen dataclasses."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for run.json."""
+        return {key: plain(value) for key, value in vars(self).items()}
+
+
 @dataclass(frozen=True)
-class Method:
+class Method(Parameters):
     """The habits of a test, as read from its protocol file.
 
     Attributes:
@@ -37,41 +54,44 @@ class Method:
     zero_s: float
     leak: LeakCheck | None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for run.json."""
-        values = dict(vars(self))
-        values["mountings"] = list(self.mountings)
-        values["settle"] = self.settle.as_dict()
-        values["leak"] = None if self.leak is None else dict(vars(self.leak))
-        return values
-
     def trials(self, settings: list[T]) -> Iterator[tuple[Place, T]]:
         """Every trial in order: its place and its setting."""
         return arrange(settings, self.order, self.repeats, self.mountings, self.seed)
 
 
+class MethodParameters(Parameters):
+    """Parameters of a test that has a method."""
+
+    method: Method
+
+    @property
+    def frames(self) -> int:
+        """Pictures at a point."""
+        return self.method.frames
+
+
 def read_method(
-    t: Table, config: RigConfig, drift_n: float | None = None, drift_mm: float | None = None
+    t: Table, limits: Limits, drift_n: float | None = None, drift_mm: float | None = None
 ) -> Method:
     """Read the common keys of a protocol file; the caller reads its own and finishes ``t``.
 
     Args:
         t: root of the file.
-        config: the rig, whose limits hold.
+        limits: of the rig.
         drift_n, drift_mm: default of that settling criterion; None where the test does not
             watch it.
 
     Raises:
         ConfigError: unknown key, wrong type, or a value beyond the rig's limit.
     """
-    top = config.limits.pressure_kpa
+    top = limits.pressure_kpa
     pre = t.table("precondition", optional=True)
     settle = t.table("settle", optional=True)
     measure = t.table("measure", optional=True)
     method = Method(
         order=t.text("order", "up-down", choices=ORDERS),
         repeats=t.integer("repeats", 1, 1000, 2),
-        mountings=read_names(t, "mountings", ("m1",)),
+        mountings=_read_names(t, "mountings", ("m1",)),
         seed=t.integer("seed", 0, 2**63 - 1, 1),
         precondition_cycles=pre.integer("cycles", 0, 1000, 3),
         precondition_kpa=pre.number("pressure_kpa", 0, top, min(400.0, top), unit="kPa"),
@@ -91,14 +111,14 @@ def read_method(
         measure_s=measure.number("seconds", 0.2, 600, 1.0, unit="s"),
         frames=measure.integer("frames", 0 if drift_mm is None else 1, 1000, 1),
         zero_s=measure.number("zero_s", 0.2, 600, 0.5, unit="s"),
-        leak=read_leak(t, top),
+        leak=_read_leak(t, top),
     )
     for table in (pre, settle, measure):
         table.finish()
     return method
 
 
-def read_leak(root: Table, top_kpa: float) -> LeakCheck | None:
+def _read_leak(root: Table, top_kpa: float) -> LeakCheck | None:
     """The table of the check before the test, or None where there is none.
 
     Raises:
@@ -116,7 +136,7 @@ def read_leak(root: Table, top_kpa: float) -> LeakCheck | None:
     return out
 
 
-def read_names(t: Table, key: str, default: tuple[str, ...]) -> tuple[str, ...]:
+def _read_names(t: Table, key: str, default: tuple[str, ...]) -> tuple[str, ...]:
     """A list of different names.
 
     Raises:

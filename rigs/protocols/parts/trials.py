@@ -179,7 +179,7 @@ class Logbook:
     def breath(self) -> Steps:
         """A breath of air in and out.
 
-        Shortening a vented muscle draws a slight vacuum that an outlet need not let go, and that
+        Shortening a vented muscle draws a slight vacuum that an outlet need not release, and that
         a pressure sensor which begins at nothing does not show; the breath does away with it.
         """
         yield SetPressure(BREATH_KPA)

@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from plant.constants import PlantConstants
+from plant.physics.layout import PRESSURE, SUPPLY
 from plant.physics.valve import drop_out_v, pull_in_v
-from plant.simulator.bench import PRESSURE, SUPPLY, advance
+from plant.simulator.bench import advance
 
 Array = npt.NDArray[np.float64]
 

@@ -35,7 +35,7 @@ class VirtualBalance:
         unit: unit set at the keypad.
         comma: True prints decimal commas.
         flag: "overload" or "underload" is printed in place of a reading.
-        wire: arranges mishaps.
+        wire: injects faults.
     """
 
     def __init__(  # noqa: PLR0913 - a balance has that many named properties
@@ -80,7 +80,7 @@ class VirtualBalance:
                 self._command(line)
         del self._buffer[:-256]
 
-    def _say(self, line: str) -> None:
+    def _send_line(self, line: str) -> None:
         self.wire.send(line.encode("ascii") + b"\r\n", self._now_ns)
 
     def _command(self, line: str) -> None:
@@ -88,9 +88,9 @@ class VirtualBalance:
             self._streaming = False
         if line == "@":
             self._pending = None
-            self._say(f'I4 A "{self._serial}"')
+            self._send_line(f'I4 A "{self._serial}"')
         elif line == "I4":
-            self._say(f'I4 A "{self._serial}"')
+            self._send_line(f'I4 A "{self._serial}"')
         elif line == "SI":
             self._reading()
         elif line == "SIR":
@@ -98,7 +98,7 @@ class VirtualBalance:
         elif line in ("S", "T", "Z"):
             self._pending = line  # answered by the next stable reading
         else:
-            self._say("ES")
+            self._send_line("ES")
 
     @property
     def next_ns(self) -> int:
@@ -131,9 +131,9 @@ class VirtualBalance:
         residual = self._rng.normal(0.0, self._zero_g) if self._zero_g else 0.0
         self._tare_g = self._history[-1] + residual
         if command == "T":
-            self._say(f"T S {self._tare_g:10.3f} g")
+            self._send_line(f"T S {self._tare_g:10.3f} g")
         else:
-            self._say("Z A")
+            self._send_line("Z A")
 
     @property
     def _stable(self) -> bool:
@@ -142,12 +142,12 @@ class VirtualBalance:
 
     def _reading(self) -> None:
         if not self._history:
-            self._say("S I")
+            self._send_line("S I")
             return
         grams = self._history[-1] - self._tare_g - self._offset_g
         if self.flag or abs(grams) > CAPACITY_G:
             over = self.flag == "overload" or (not self.flag and grams > 0)
-            self._say("S +" if over else "S -")
+            self._send_line("S +" if over else "S -")
         else:
             line = f"S {'S' if self._stable else 'D'} {grams:10.3f} {self.unit}"
-            self._say(line.replace(".", ",") if self.comma else line)
+            self._send_line(line.replace(".", ",") if self.comma else line)

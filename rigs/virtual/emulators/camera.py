@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from plant.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def render(
     rng: np.random.Generator,
     model: CameraModel | None = None,
     *,
-    led: float | FloatArray = 0.0,
+    led: float | Array = 0.0,
     rate_mm_s: float = 0.0,
     exposure_gain: float = 1.0,
 ) -> npt.NDArray[np.uint8]:
@@ -80,7 +80,7 @@ def render(
         exposure_gain: factor on all light (an exposure change).
     """
     m = model or CameraModel()
-    rows: FloatArray = np.arange(m.height, dtype=np.float64) + 0.5
+    rows: Array = np.arange(m.height, dtype=np.float64) + 0.5
     length = length_mm + rate_mm_s * m.readout_s * (rows - 0.5) / m.height
     gap = (length - m.offset_mm) / m.mm_per_pixel
     slope = math.tan(math.radians(m.tilt_deg))
@@ -103,12 +103,12 @@ def render(
 
 
 def led_exposure(
-    toggles_s: Sequence[float] | FloatArray,
+    toggles_s: Sequence[float] | Array,
     start_s: float,
     model: CameraModel | None = None,
     *,
     lit_first: bool = False,
-) -> FloatArray:
+) -> Array:
     """Share of each row's exposure for which the LED was lit, shape (height,).
 
     Args:
@@ -127,27 +127,27 @@ def led_exposure(
     spans = np.diff(times)
     total = np.concatenate([[0.0], np.cumsum(spans * lit[:-1])])
 
-    def lit_until(t: FloatArray) -> FloatArray:
+    def lit_until(t: Array) -> Array:
         index = np.searchsorted(times, t, side="right") - 1
         inside = np.clip(index, 0, None)
         after = total[inside] + lit[inside] * (t - times[inside])
         return np.asarray(np.where(index < 0, float(lit_first) * (t - times[0]), after))
 
-    share: FloatArray = (lit_until(end) - lit_until(begin)) / m.exposure_s
+    share: Array = (lit_until(end) - lit_until(begin)) / m.exposure_s
     return np.asarray(np.clip(share, 0.0, 1.0))
 
 
-def _step(d: FloatArray, blur: float, smear: float) -> FloatArray:
+def _step(d: Array, blur: float, smear: float) -> Array:
     """Light of a unit step at 0, seen at ``d`` by a unit pixel through blur and motion."""
     from scipy.special import erf
 
     sigma = max(blur, 1e-3)
 
-    def ramp(t: FloatArray) -> FloatArray:  # integral of the normal distribution function
+    def ramp(t: Array) -> Array:  # integral of the normal distribution function
         z = t / sigma
-        value: FloatArray = t * 0.5 * (1 + erf(z / np.sqrt(2))) + sigma * np.exp(
-            -0.5 * z * z
-        ) / np.sqrt(2 * np.pi)
+        value: Array = t * 0.5 * (1 + erf(z / np.sqrt(2))) + sigma * np.exp(-0.5 * z * z) / np.sqrt(
+            2 * np.pi
+        )
         return value
 
     if smear < 1e-6:
@@ -158,7 +158,7 @@ def _step(d: FloatArray, blur: float, smear: float) -> FloatArray:
 
 
 def _cover(
-    m: CameraModel, reference: FloatArray, marker: FloatArray, smear: float
+    m: CameraModel, reference: Array, marker: Array, smear: float
 ) -> npt.NDArray[np.float32]:
     """Share of each pixel that the marks cover sideways; (1, width) where all rows agree."""
     same = bool(np.all(reference == reference[0]) and np.all(marker == marker[0]))
@@ -186,7 +186,7 @@ def _scene(m: CameraModel) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.floa
     x = (np.arange(m.width) + 0.5) / m.width - 0.5
     y = (np.arange(m.height) + 0.5) / m.height - 0.5
     light = 1.0 + m.light_x * x[None, :] + m.light_y * y[:, None]
-    rows: FloatArray = np.arange(m.height, dtype=np.float64) + 0.5
+    rows: Array = np.arange(m.height, dtype=np.float64) + 0.5
     top, bottom = m.mark_rows
     height = _step(rows - top, m.blur_px, 0.0) - _step(rows - bottom, m.blur_px, 0.0)
     ground = (light * m.ground).astype(np.float32)
@@ -194,7 +194,7 @@ def _scene(m: CameraModel) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.floa
 
 
 @lru_cache(maxsize=16)
-def _led_spot(m: CameraModel) -> FloatArray:
+def _led_spot(m: CameraModel) -> Array:
     left, top, width, height = m.led_patch or (0, 0, 0, 0)
     x0, y0, radius = m.led or (0.0, 0.0, 1.0)
     x = np.arange(left, left + width) + 0.5 - x0

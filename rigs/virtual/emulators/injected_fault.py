@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-MISHAPS = ("half", "double", "checksum", "late", "stale", "drop", "garbage")
+INJECTED_FAULTS = ("half", "double", "checksum", "late", "stale", "drop", "garbage")
 
 
 class Wire:
-    """Carries a simulated instrument's messages to the host, one mishap at a time.
+    """Carries a simulated instrument's messages to the host, one injected fault at a time.
 
     Args:
         send: takes the bytes that go to the host.
@@ -24,9 +24,9 @@ class Wire:
         self._before = b""
         self.done: list[str] = []
 
-    def arrange(self, *mishaps: str) -> None:
+    def arrange(self, *faults: str) -> None:
         """The next messages suffer these, one each; "" leaves one alone."""
-        self._next.extend(mishaps)
+        self._next.extend(faults)
 
     def send(self, message: bytes, now_ns: int) -> None:
         """One whole message of the instrument; nothing overtakes a late one."""

@@ -28,7 +28,7 @@ class VirtualModbus:
     Attributes:
         unit_code: what its unit register holds (the keypad's setting).
         flag: "overload" or "underload" puts that number into the value's registers.
-        wire: arranges mishaps.
+        wire: injects faults.
         mute: True answers nothing.
     """
 

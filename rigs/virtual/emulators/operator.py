@@ -9,35 +9,35 @@ import numpy as np
 from daq.clock import NS_PER_S, Clock
 from rigs.devices.operator import Request
 
-Act = Callable[[float], None]
+Step = Callable[[float], None]
 
 
 class VirtualOperator:
-    """Does what is asked, on the simulated bench.
+    """Does what is requested, on the simulated bench.
 
     Args:
         clock: the bench's.
-        acts: by axis, what setting it to a value does.
+        steps: by axis, what setting it to a value does.
         reads: by axis, what a person reads there.
         rng: how exact a person is.
         spread: by axis, standard deviation of what is set (in the axis's unit).
         seconds: how long everything takes.
 
     Attributes:
-        asked: all requests so far.
+        requests: all requests so far.
     """
 
     def __init__(
         self,
         clock: Clock,
-        acts: dict[str, Act],
+        steps: dict[str, Step],
         reads: dict[str, Callable[[], float]],
         rng: np.random.Generator,
         spread: dict[str, float] | None = None,
         seconds: float = 5.0,
     ) -> None:
         self._clock = clock
-        self._acts = acts
+        self._steps = steps
         self._reads = reads
         self._rng = rng
         self._spread = spread or {}
@@ -45,11 +45,11 @@ class VirtualOperator:
         self._due_ns = 0
         self._request: Request | None = None
         self._done: str | None = None
-        self.asked: list[Request] = []
+        self.requests: list[Request] = []
 
     def begin(self, request: Request) -> None:
         """Take the request."""
-        self.asked.append(request)
+        self.requests.append(request)
         self._request, self._done = request, None
         self._due_ns = self._clock.now_ns() + round(self._seconds * NS_PER_S)
 
@@ -71,7 +71,7 @@ class VirtualOperator:
             return f"{self._reads[request.axis]():.4f}"
         spread = self._spread.get(request.axis, 0.0)
         value = request.value + (float(self._rng.normal(0.0, spread)) if spread else 0.0)
-        act = self._acts.get(request.axis)
-        if act is not None:
-            act(value)
+        step = self._steps.get(request.axis)
+        if step is not None:
+            step(value)
         return ""

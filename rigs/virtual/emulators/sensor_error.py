@@ -24,7 +24,7 @@ USED_KPA = 60.0
 
 
 @dataclass
-class Misreading:
+class SensorError:
     """Effects on the instruments of one virtual bench; without any, all is as it was."""
 
     plant: BenchSim

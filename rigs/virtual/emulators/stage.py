@@ -24,7 +24,7 @@ class VirtualStage:
     Attributes:
         comma: True prints decimal commas.
         inches: True reports positions in inches, as after $13=1.
-        wire: arranges mishaps.
+        wire: injects faults.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class VirtualStage:
         self._feed_mm_min = 600.0
         self._buffer = bytearray()
         self._end_ns: int | None = None
-        self._say("Grbl 1.1h ['$' for help]")
+        self._send_line("Grbl 1.1h ['$' for help]")
 
     @property
     def next_ns(self) -> int | None:
@@ -59,7 +59,7 @@ class VirtualStage:
     def restart(self) -> None:
         """A brown-out: it stops where it is and greets as after power-up."""
         self._halt()
-        self._say("Grbl 1.1h ['$' for help]")
+        self._send_line("Grbl 1.1h ['$' for help]")
 
     def feed(self, data: bytes) -> None:
         """Bytes from the host; ``?`` and the reset byte act at once, as in GRBL."""
@@ -69,7 +69,7 @@ class VirtualStage:
             elif byte == 0x18:
                 self._halt()
                 self._buffer.clear()
-                self._say("Grbl 1.1h ['$' for help]")
+                self._send_line("Grbl 1.1h ['$' for help]")
             elif byte in b"\r\n":
                 line = self._buffer.decode("ascii", "replace").strip()
                 self._buffer.clear()
@@ -78,7 +78,7 @@ class VirtualStage:
             elif len(self._buffer) < 128:
                 self._buffer.append(byte)
 
-    def _say(self, line: str) -> None:
+    def _send_line(self, line: str) -> None:
         self.wire.send(line.encode("ascii") + b"\r\n", self._now_ns)
 
     def _where(self) -> float:
@@ -93,7 +93,7 @@ class VirtualStage:
             where = f"{self._where() / 25.4:.4f},0.0000,0.0000"
         if self.comma:
             where = where.replace(".", ",")
-        self._say(f"<{state}|MPos:{where}|FS:{abs(self._rate) * 60:.0f},0>")
+        self._send_line(f"<{state}|MPos:{where}|FS:{abs(self._rate) * 60:.0f},0>")
 
     def _halt(self) -> None:
         self._position = self._where()
@@ -103,8 +103,8 @@ class VirtualStage:
 
     def _line(self, line: str) -> None:
         if line == "$I":
-            self._say(f"[VER:1.1h.20190825:{self._serial}]")
-            self._say("ok")
+            self._send_line(f"[VER:1.1h.20190825:{self._serial}]")
+            self._send_line("ok")
             return
         words = dict(_WORD.findall(line.upper()))
         if "F" in words:
@@ -112,13 +112,13 @@ class VirtualStage:
         if "X" in words:
             target = float(words["X"])
             if not self._low <= target <= self._high:
-                self._say("error:15")
+                self._send_line("error:15")
                 return
             self._move(target)
         elif "G" not in words:
-            self._say("error:20")
+            self._send_line("error:20")
             return
-        self._say("ok")
+        self._send_line("ok")
 
     def _move(self, target: float) -> None:
         self._from = self._where()

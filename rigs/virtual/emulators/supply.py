@@ -26,7 +26,7 @@ class VirtualSupply:
         comma: True prints decimal commas.
         flag: "overload" or "underload" is answered to a measurement.
         suffix: what somebody switched on at the keypad to be printed behind numbers.
-        wire: arranges mishaps.
+        wire: injects faults.
     """
 
     def __init__(

@@ -14,20 +14,20 @@ READY_NS = 2_000_000
 
 
 class VirtualText:
-    """Prints readings of a simulated quantity, by itself or when asked.
+    """Prints readings of a simulated quantity, by itself or on request.
 
     Args:
         form: the description; its ``template`` (or the example) tells how a line looks.
         read: the reading now, in the instrument's unit.
         send: takes the bytes that go to the host.
-        serial: what it says when asked who it is.
+        serial: what it reports on the identity request.
         rate_hz: of an instrument that sends by itself.
 
     Attributes:
         unit: unit set on the keypad.
         comma: True prints decimal commas.
         flag: "overload" or "underload" prints that instead of a reading.
-        wire: arranges mishaps.
+        wire: injects faults.
         mute: True sends nothing.
     """
 
@@ -120,12 +120,12 @@ class VirtualText:
                 if not self.mute:
                     self.wire.send(self._who(), to_ns)
             else:
-                self._say(to_ns)
+                self._send_reading(to_ns)
         while not self._form.query and self._next_ns <= to_ns:
             self._next_ns += self._period_ns
-            self._say(to_ns)
+            self._send_reading(to_ns)
         self.wire.advance(to_ns)
 
-    def _say(self, now_ns: int) -> None:
+    def _send_reading(self, now_ns: int) -> None:
         if not self.mute:
             self.wire.send(self._form.seal(self.line()), now_ns)

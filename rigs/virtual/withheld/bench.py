@@ -1,7 +1,7 @@
 """A virtual bench that hides an effect: physics of the blind package, drawn from the OS's entropy.
 
 Whoever tests it sees instruments on ports like any others, and the salted SHA-256 of the answer.
-The answer leaves this process only when it is asked for (`Envelope.reveal`, `ask`).
+The answer leaves this process only on request (`Envelope.reveal`, `request_answer`).
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from rigs.rigfile.config import RigConfig
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.board.board import Advance
 from rigs.virtual.board.solenoids import Solenoids
-from rigs.virtual.emulators.sensor_error import Misreading
+from rigs.virtual.emulators.sensor_error import SensorError
 from rigs.virtual.withheld.plant import WithheldPlant, WithheldReading
 
 NOTE = "withheld.json"
 """In the bench's folder: the seal, and where to ask while the bench runs."""
 ENVELOPE = "withheld.sealed"
-"""Left there when a bench ends that was never asked; coded, so that nobody reads it by accident."""
+"""Left there when a bench ends without a request; coded, so that nobody reads it by accident."""
 LARGEST = 16 << 20
 """Bytes of a note, packed or not."""
 _STATED = (
@@ -106,7 +106,7 @@ class WithheldBench(VirtualBench):
             frames_late_s=float(frame_delay_s(nothing, live.effects)[0]),
         )
 
-    def _make_misreading(self) -> Misreading:
+    def _make_sensor_error(self) -> SensorError:
         assert isinstance(self.plant, WithheldPlant)
         return WithheldReading(self.plant)
 
@@ -118,7 +118,7 @@ class WithheldBench(VirtualBench):
 
 
 class Envelope:
-    """Keeps a bench's answer beside the running bench, and hands it out when asked.
+    """Keeps a bench's answer beside the running bench, and hands it out on request.
 
     Args:
         folder: the bench's folder, where the note goes.
@@ -153,7 +153,7 @@ class Envelope:
         (self._folder / ENVELOPE).write_bytes(coded + b"\n")
 
 
-def ask(folder: Path) -> dict[str, Any]:
+def request_answer(folder: Path) -> dict[str, Any]:
     """The answer of the withheld bench in `folder`, checked against the seal it began with.
 
     Raises:

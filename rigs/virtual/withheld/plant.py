@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE
 from plant.physics.layout import (
@@ -29,9 +27,8 @@ from plant.physics.layout import (
     TIME,
 )
 from plant.simulator.bench import BenchSim, build_params, build_state
-from rigs.virtual.emulators.sensor_error import FRESH_KPA, USED_KPA, Misreading
+from rigs.virtual.emulators.sensor_error import FRESH_KPA, USED_KPA, SensorError
 
-Array = npt.NDArray[np.float64]
 SHORTEST_S = 1e-7
 HAND_MM = 0.5
 HAND_MM_S = 10.0
@@ -177,7 +174,7 @@ class WithheldPlant(BenchSim):
             )
 
 
-class WithheldReading(Misreading):
+class WithheldReading(SensorError):
     """What the blind bench's own sensors show goes straight to the virtual instruments."""
 
     def __init__(self, plant: WithheldPlant) -> None:

@@ -1,0 +1,52 @@
+"""Every threshold of the noise model and of the intervals, in one place.
+
+"Not recorded" says that no note tells on which data a value was set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class EstimationConfig:
+    """Thresholds of `gap.estimation`."""
+
+    # Noise
+    prior_weight: float = 4.0
+    """Draws that the nominal size of a noise is worth beside what replicates show. A larger value
+    makes few replicates harmless and many useless. Set on: not recorded."""
+    trend_requested: float = 1.5
+    """Z of a slow change over trials from which the noise is learnt again without it."""
+    trend_sd: float = 3.5
+    """Z from which it is a change, over noise that it may have raised itself. Wear that is taken
+    for noise raises the floor that it has to rise above. Set on: not recorded."""
+    trend_sd_without: float = 7.0
+    """The same over noise learnt without the change, which chance makes look smaller."""
+
+    # Agreement of replicates
+    agreement_weight: float = 4.0
+    """Replicates that the noise model is worth beside what they show of the amount of an effect.
+    Set on: not recorded."""
+
+    # Stated constants
+    tolerance_sd: float = 3.0
+    """Shift of a constant, in sd, up to which its prior is normal: no data sheet reaches beyond."""
+    beyond_weight: float = 100.0
+    """Weight of the square of what a constant is shifted beyond that. It keeps a recalibration from
+    doing what an effect does. Set on: not recorded."""
+    taken_over_sd: float = 2.0
+    """Shift of a constant, in sd, that its tolerance hardly explains: from there on it counts to
+    the effect of the same meaning. Set on: not recorded."""
+
+    # Intervals
+    form_error: float = 0.1
+    """Error (1 sd, of the logarithm) of the form of an effect for which none is stated."""
+
+    # Replicates
+    same_edges_s: float = 2e-3
+    """Difference of two edges of a command from which replicates were not run alike."""
+
+
+ESTIMATION = EstimationConfig()
+"""The configuration that ships."""

@@ -1,0 +1,82 @@
+"""Why a verdict is what it is: a cause with its numbers, and the sentence that it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+
+class Cause(StrEnum):
+    """What decided a verdict; each stands for its sentence."""
+
+    UNFIT_CHANNELS = "{defects}"
+    DEFECT = "{meaning}"
+    DEFECT_IN_TIME = "{meaning} by about {amount:.3g} ms"
+    UNCERTAIN_DEFECT = (
+        "a gap that a fault of the recording would explain better than any effect, but the trials "
+        "do not agree on the fault"
+    )
+    NOTHING_TO_COMPARE = (
+        "no trial has channels that the plant relates: pressure with force, pressure with valve "
+        "commands, or pressure with a hung load and its length, each with a length"
+    )
+    TOO_FEW_REPLICATES = (
+        "{freedom} replicates beyond the first: too few to tell a gap from noise, {needed} are "
+        "needed"
+    )
+    LOOKS_LIKE = (
+        "the data look like {names}, but with {freedom} replicates beyond the first nothing can be "
+        "told from noise"
+    )
+    NO_GAP = (
+        "the plant, recalibrated within its tolerances, agrees with the data to within the floor"
+    )
+    UNEXPLAINED = "a gap that no entry of the catalogue explains, in the {block} residual"
+    CONSTANT_FAR = (
+        "a gap that no entry of the catalogue explains: {constant} is led beyond its tolerance, "
+        "and more than chance is left"
+    )
+    REPLICATES_SHARE = (
+        "a gap that no entry of the catalogue explains: replicates share {sd:.1f} sd more than "
+        "chance"
+    )
+    CONTRAST = (
+        "a gap that no entry of the catalogue explains: the contrast {name} stands at {z:.1f} sd"
+    )
+    OUTSIDE = (
+        "a gap of which the best entry ({names}) explains {percent:.0f} %, in a way that points to "
+        "something the catalogue does not hold"
+    )
+    DRIFT_LEFT = (
+        "a gap of which {names} explains a part and no drift over the trials: the contrast {name} "
+        "still stands at {z:.1f} sd"
+    )
+    UNRELIABLE = (
+        "{names} fits best, but an explanation that looks like this one is right in "
+        "{percent:.0f} % of cases only"
+    )
+    SEVERAL_FIT = "{names} or another entry of the set: these data fit both"
+    SEVERAL_ALIKE = (
+        "{names} or another entry of the set: these data fit both; {other} would look alike"
+    )
+    PAIR_ALIKE = "{names}, or {other} acting together"
+    FORM_LEAVES = "{names} explains {percent:.0f} % of the gap; its form leaves a pattern"
+    FORM_UNCERTAIN = "{names}; held out, the closed fraction is not certain to exceed one half"
+    EXPLAINED = "{names} explains the gap"
+
+
+@dataclass(frozen=True)
+class Reason:
+    """A cause and what its sentence names."""
+
+    cause: Cause
+    values: Mapping[str, object] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return self.cause.value.format(**self.values)
+
+
+def reason(cause: Cause, **values: object) -> Reason:
+    """A reason with the names and numbers of its sentence."""
+    return Reason(cause, values)
