@@ -4,8 +4,8 @@ from valvefw.config import defaults
 from valvefw.schemes.valves import Valves
 
 # Opening time of a valve that stays open until a later step closes it. A loop that is late for
-# less does not interrupt the pulse.
-HOLD_US = 20000
+# less, such as by a collection of garbage (21 ms), does not interrupt the pulse.
+HOLD_US = 30000
 
 
 class Scheme:
