@@ -203,7 +203,7 @@ def test_isothermal_trials_wait_for_the_thermometer(tmp_path: Path) -> None:
         clock = runner.rig.clock
         last = [clock.now_ns()]
         person = runner.rig.operator
-        person._acts["temperature"] = lambda value: target.__setitem__(0, value)  # type: ignore[attr-defined]
+        person._steps["temperature"] = lambda value: target.__setitem__(0, value)  # type: ignore[attr-defined]
 
         def lag() -> None:
             step = (clock.now_ns() - last[0]) * 1e-9 / 20.0
