@@ -92,8 +92,9 @@ def lift(c: PlantConstants, ram: RamConstants, start_mm: float, seed: int = 1) -
         valves.inlet_us = max(0, valves.inlet_us - 1000)
         valves.vent_us = max(0, valves.vent_us - 1000)
         valves.prox = plant.prox_bits
+        inlet_us, vent_us = valves.inlet_us, valves.vent_us  # requested at the reading before
         scheme.step(counts, goal, 1000, valves)
-        plant.advance(1e-3, min(valves.inlet_us, 1000) * 1e-6, min(valves.vent_us, 1000) * 1e-6)
+        plant.advance(1e-3, min(inlet_us, 1000) * 1e-6, min(vent_us, 1000) * 1e-6)
         height[tick], pressure[tick] = plant.height_mm, plant.pressure_kpa
         counts = min(max(int((pressure[tick] + noise[tick]) * per_kpa + 0.5), 0), ADC_TOP)
     return Lift(height, pressure)
