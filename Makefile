@@ -9,7 +9,7 @@ WAITING = $(shell grep -l realtime tests/test_*.py)
 # The tests start many programs, each of which would translate all libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test golden lint types bench campaign faults fuzz soak audit look wheel lock clean
+.PHONY: demo test golden lint types bench campaign faults fuzz soak audit look board wheel lock clean
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pamrig needs Python 3.11 or newer")'
@@ -49,6 +49,12 @@ fuzz: $(READY)   ## ten million inputs that nobody would write
 soak: $(READY)   ## a virtual day at 1 kHz and a real hour: memory and completeness, and their page
 	$(BIN)/python -m tests.soak --hours 24 --page docs/evidence/soak.md
 	$(BIN)/python -m tests.soak --real --page docs/evidence/soak.md
+
+SECONDS ?= 60
+TRIALS ?= 1000
+board: $(READY)   ## the firmware on an emulated RP2040: IMAGE=RPI_PICO.uf2 BOOTROM=bootrom.bin
+	@$(BIN)/python -m tests.board --image "$(IMAGE)" --bootrom "$(BOOTROM)" --seconds $(SECONDS) \
+	    --trials $(TRIALS) --processes 2 --page docs/evidence/board.md
 
 audit: $(READY)   ## pins of the lock file, and known holes where pip-audit and a network are there
 	$(BIN)/python -m tests.audit

@@ -1,0 +1,189 @@
+"""docs/evidence/board.md from the results."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from . import judge
+
+HOUSE = Path(__file__).resolve().parent.parent.parent
+HEAD = """\
+# Firmware on an emulated RP2040
+
+`make board IMAGE=RPI_PICO.uf2 BOOTROM=bootrom.bin` (`python -m tests.board`) writes this page. It
+starts MicroPython's image for the board on an emulated RP2040. The file system holds the files that
+`pamrig firmware install` copies. The test is the host on the other end of the UART, the pressure
+sensor and a chamber with two valves. Times are emulated times, measured from outside the firmware.
+
+**{verdict}**; {date}, revision {revision}; MicroPython {micropython} (`{image}`), boot ROM
+{bootrom}, processor at {mhz:g} MHz, flash at {flash:g} MHz, {emulator}.
+
+What the emulation cannot show: it models one chip; the second core, the USB port and a reset by
+the watchdog are missing; supply voltage, temperature and noise have no effect. Its flash cache is
+pessimistic: every miss is a separate read. A real board must confirm the results.
+"""
+KINDS = {
+    "over": "over-pressure: from the third reading above the limit",
+    "silent": "host silent: from the last byte of the last heartbeat",
+    "garbage": "the same in noise on the line at full rate",
+    "rail": "sensor at 4095 counts",
+    "constant": "constant reading",
+    "zero": "reading 0 under pressure",
+    "hung": "the loop stands still",
+}
+
+
+def write_page(whole: dict[str, Any], path: Path) -> None:
+    """Write the page; only parts with results appear."""
+    path.write_text("\n".join(_lines(whole)).rstrip() + "\n")
+
+
+def _lines(whole: dict[str, Any]) -> Iterator[str]:
+    parts = {name: part for name, part in whole["parts"].items() if "crashed" not in part}
+    missed = whole["misses"]
+    chip = next((p for p in parts.values() if "flash_divider" in p), None)
+    hertz = chip["clock_hz"] if chip else 125e6
+    yield HEAD.format(
+        **whole["about"],
+        verdict=f"{len(missed)} figures outside their limits" if missed else "All limits are met",
+        date=f"{datetime.now(UTC):%Y-%m-%d}",
+        revision=_revision(),
+        mhz=hertz / 1e6,
+        flash=hertz / (chip["flash_divider"] if chip else 2) / 1e6,
+    )
+    yield from _schemes([p for name, p in parts.items() if name.startswith("schemes:")])
+    yield from _requests([p for name, p in parts.items() if name.startswith("schemes:")])
+    yield from _trials([p for name, p in parts.items() if name.startswith("trials:")])
+    if "pulses" in parts:
+        yield from _pulses(parts["pulses"])
+    if "memory" in parts:
+        yield from _memory(parts["memory"])
+    yield from _conformance([p for name, p in parts.items() if name.startswith("conformance:")])
+    if missed:
+        yield "## Outside the limits\n"
+        for line in missed:
+            yield f"- {line}"
+
+
+def _schemes(rows: list[dict[str, Any]]) -> Iterator[str]:
+    if not rows:
+        return
+    yield (
+        f"## Schemes\n\n{rows[0]['seconds']:g} s each, with a heartbeat every 100 ms, a change of "
+        "the set-point (`open`: of the pulse train) every 500 ms, and 10 samples a frame.\n"
+    )
+    yield (
+        "| Scheme | Sampling off 1 ms, us: p99.9 | max | Lost | Safety core, us: mean | p99 | max "
+        "| Busy | Loop late, us: p99 | max | Inlet pulses | Cut | Gaps | Heartbeat, ms: mean "
+        "| max |"
+    )
+    yield "|--|" + "--:|" * 14
+    for r in rows:
+        off, step, loop, beat = (r[k] for k in ("deviation_us", "step_us", "loop_us", "trips"))
+        beat = beat["hb"]
+        yield (
+            f"| {r['scheme']} | {off['p999']:.0f} | {off['max']:.0f} | {r['lost']} | "
+            f"{step['mean']:.0f} | {step['p99']:.0f} | {step['max']:.0f} | {r['busy']:.0%} | "
+            f"{loop['p99']:.0f} | {loop['max']:.0f} | {r['pulses']} | {r['cut']} | {r['gaps']} | "
+            f"{beat['mean']:.1f} | {beat['max']:.1f} |"
+        )
+    yield (
+        "\nLimits: sampling p99.9 within "
+        f"{judge.SAMPLING_US:g} us of 1 ms and none lost, safety core {judge.STEP_US:g} us, busy "
+        f"{judge.BUSY:.0%}, no pulse cut, no gap. *Safety core*: from entry to return of its "
+        "interrupt. *Busy*: time in which the processor does not wait. *Loop late*: from a step to "
+        "the pass of the loop that uses it. *Cut*: inlet pulses that ended before the scheme or "
+        "the host ended them. *Gaps*: in the numbers of the samples at the host. *Heartbeat*: from "
+        "the first byte of the request to the last byte of its reply.\n"
+    )
+
+
+def _requests(rows: list[dict[str, Any]]) -> Iterator[str]:
+    if not rows:
+        return
+    yield "## Requests that are answered in Python\n"
+    yield "| Request | Reply, ms | Loop late, us |"
+    yield "|--|--:|--:|"
+    for text in rows[0]["slow"]:
+        worst = [r["slow"][text] for r in rows]
+        yield (
+            f"| `{text}` | {max(w['ms'] for w in worst):.1f} | "
+            f"{max(w['late_us'] for w in worst):.0f} |"
+        )
+    yield "\nLargest of all schemes. Sampling and checks go on meanwhile.\n"
+
+
+def _trials(rows: list[dict[str, Any]]) -> Iterator[str]:
+    if not rows:
+        return
+    yield "## Vents\n"
+    yield (
+        "| Cause, and from when | Trials | Vent command, ms: least | mean | most | Limits "
+        "| Reported |"
+    )
+    yield "|--|--:|--:|--:|--:|--|--|"
+    for kind, text in KINDS.items():
+        of = [row for r in rows if r["trial"] == kind for row in r["rows"]]
+        times = [row["ms"] for row in of if row["ms"] is not None]
+        if not times:
+            continue
+        low, high = judge.TRIAL_MS[kind]
+        causes = ", ".join(sorted({str(row["cause"]) for row in of}))
+        yield (
+            f"| {text} | {len(of)} | {min(times):.2f} | {sum(times) / len(times):.2f} | "
+            f"{max(times):.2f} | {low:g} to {high:g} | {causes} |"
+        )
+    yield (
+        "\nAt random moments relative to ticks, frames and other requests, in all schemes. *Vent "
+        "command*: the words that close the inlet and open the outlet have been written.\n"
+    )
+
+
+def _pulses(r: dict[str, Any]) -> Iterator[str]:
+    yield "## Pulse programs\n"
+    yield "| Pulse, us | Pulses | At the pin, us: least | mean | most |"
+    yield "|--|--:|--:|--:|--:|"
+    for name, f in r["widths_us"].items():
+        if f:
+            yield f"| {name} | {f['n']} | {f['min']:.1f} | {f['mean']:.1f} | {f['max']:.1f} |"
+    released = [
+        f"{name}: {f['max']:.1f} ms" if f else f"{name}: never"
+        for name, f in r["released_ms"].items()
+    ]
+    yield (
+        "\nThe PIO programs are executed instruction by instruction. Pulses with other edges than "
+        f"two: {len(r['spoiled'])}. Edges while held: {sum(r['held_edges'].values())}. Both coils "
+        f"de-energised at most after: {'; '.join(released)}.\n"
+    )
+
+
+def _memory(r: dict[str, Any]) -> Iterator[str]:
+    spans = ", ".join(f"{name} {span['per_tick']:g}" for name, span in r["spans"].items())
+    yield (
+        "## Memory\n\nBytes allocated per tick while armed, with heartbeats, set-points and "
+        f"telemetry (`gc.mem_alloc()` around spans of the loop): {spans}. {r['heap_used']} bytes "
+        "of the heap are in use.\n"
+    )
+
+
+def _conformance(rows: list[dict[str, Any]]) -> Iterator[str]:
+    if not rows:
+        return
+    total = {key: sum(r[key] for r in rows) for key in ("conversations", "bytes", "ticks")}
+    wrong = sum(len(r["wrong"]) for r in rows)
+    yield (
+        "## Conformance\n\nThe simulated board of the firmware under this chip's MicroPython "
+        f"repeated {total['conversations']} conversations of the conformance tests "
+        f"({total['ticks']:,} ticks): {total['bytes']:,} bytes compared with those of CPython, "
+        f"{wrong} conversations differ.\n"
+    )
+
+
+def _revision() -> str:
+    words = ["git", "describe", "--always", "--dirty", "--abbrev=8"]
+    done = subprocess.run(words, cwd=HOUSE, capture_output=True, text=True, check=False)
+    return done.stdout.strip() or "unknown"
