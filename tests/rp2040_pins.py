@@ -184,13 +184,18 @@ def load(chip_name: str = "rp2040") -> tuple[ModuleType, ModuleType]:
     rp2.StateMachine = StateMachine  # type: ignore[attr-defined]
     StateMachine.made.clear()
     micropython = ModuleType("micropython")
+    micropython.native = lambda function: function  # type: ignore[attr-defined]
     micropython.viper = lambda function: function  # type: ignore[attr-defined]
     micropython.const = lambda value: value  # type: ignore[attr-defined]
+    micropython.asm_thumb = lambda function: lambda *args: machine.idle()  # type: ignore[attr-defined]
+    uctypes = ModuleType("uctypes")
+    uctypes.addressof = lambda memory: 0  # type: ignore[attr-defined]
     clock = ModuleType("time")
     timer = Registers.TIMER
     clock.ticks_us = lambda: machine.mem32[timer] % 2**30  # type: ignore[attr-defined]
     clock.ticks_diff = lambda a, b: (a - b + 2**29) % 2**30 - 2**29  # type: ignore[attr-defined]
     fakes = {"machine": machine, "rp2": rp2, "micropython": micropython, "time": clock}
+    fakes["uctypes"] = uctypes
     ours = ("valvefw.boards.pico", f"valvefw.boards.{chip_name}")
     kept = {name: sys.modules.get(name) for name in fakes} | dict.fromkeys(ours)
     sys.modules.update(fakes)

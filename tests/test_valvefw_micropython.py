@@ -57,7 +57,7 @@ while k < 2048:
     s[HEARTBEAT_LEFT] = s[LOOP_LEFT] = 300000
     before = gc.mem_alloc()
     decide(s)
-    note(s, core.ring, core.times, core.box)
+    note(s, core.ring, core.times)
     scheme.step(counts + (k & 1), sp, 1000, valves)
     if c.telemetry.full():
         c.send_held()

@@ -18,6 +18,8 @@ from valvefw.core import (
     LOOP_LEFT,
     PROX,
     RENEWS,
+    REQUEST_INLET,
+    REQUEST_VENT,
     REQUESTED,
     RUNNING,
     WANT_INLET,
@@ -52,7 +54,8 @@ class Pico:
     def tick(self, inlet_us: int, vent_us: int) -> None:
         """One interrupt with a request of an armed scheme, whose inlet may stay open."""
         s = self.core.state
-        s[ARMED] = s[RUNNING] = s[RENEWS] = s[REQUESTED] = 1
+        s[ARMED] = s[RUNNING] = s[RENEWS] = 1
+        s[REQUESTED] = REQUEST_INLET | REQUEST_VENT
         s[HEARTBEAT_LEFT] = s[LOOP_LEFT] = 10**6
         s[WANT_INLET], s[WANT_VENT] = inlet_us, vent_us
         self.module._interrupt(None)

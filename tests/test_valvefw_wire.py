@@ -19,13 +19,13 @@ from valvefw.core import (
     CAUSES,
     COUNTS,
     DT,
+    FAULTS,
     NOW_HIGH,
     NOW_LOW,
     TICKS,
     VENT_US,
     Core,
-    keep,
-    record,
+    note,
 )
 from valvefw.deskboard import BufferedBoard, DeskBoard
 from valvefw.receiver import Receiver
@@ -114,7 +114,8 @@ def _received(*chunks: bytes) -> tuple[Receiver, list[bytes]]:
     for chunk in chunks:
         board.feed(chunk)
         while size := receiver.next():
-            found.append(bytes(receiver.frame[1 : size + 1]))
+            if size > 0:
+                found.append(bytes(receiver.frame[1 : size + 1]))
     return receiver, found
 
 
@@ -190,7 +191,7 @@ def test_telemetry_frame_layout_across_the_ring_border() -> None:
         s[NOW_LOW], s[NOW_HIGH] = i * 1000 & 0xFFFF, i * 1000 >> 16
         s[DT], s[COUNTS], s[VENT_US] = 1000, i, 5 * (i % 201)
         s[TICKS] += 1
-        record(s, core.ring, core.times)
+        note(s, core.ring, core.times)
         if telemetry.full():
             size = telemetry.frame(777)
             payload = wire.decode_frame(bytes(telemetry.buffer[: size - 1]))
@@ -205,18 +206,28 @@ def test_telemetry_frame_layout_across_the_ring_border() -> None:
     assert [row[4] for row in seen] == [i % 201 for i in range(130)]
     assert seen[0][0] == 65535  # nothing before the first sample
     assert {row[0] for row in seen[1:]} == {1000}
-    keep(s, core.ring, core.box)
+    s[FAULTS], s[COUNTS] = 2, 130
+    for _ in range(5):  # the loop is late
+        s[TICKS] += 1
+        note(s, core.ring, core.times)
+        s[COUNTS] += 1
+    telemetry.keep()
     box = telemetry.black_box()
-    assert [struct.unpack_from("<HHBBB", box, 7 * k)[1] for k in range(64)] == list(range(66, 130))
+    assert [struct.unpack_from("<HHBBB", box, 7 * k)[1] for k in range(64)] == list(range(67, 131))
+    for _ in range(100):
+        s[TICKS] += 1
+        note(s, core.ring, core.times)
+    telemetry.keep()  # too late for all of them
+    assert len(telemetry.black_box()) == 7 * (128 - 104)
 
 
 def test_a_loop_that_is_late_loses_the_oldest_samples_and_the_numbers_show_it() -> None:
     core = Core()
     telemetry = Telemetry(core, 1)
-    for i in range(200):
+    for i in range(264):
         core.state[COUNTS] = i
         core.state[TICKS] += 1
-        record(core.state, core.ring, core.times)
+        note(core.state, core.ring, core.times)
     first = []
     while size := telemetry.frame(0):
         payload = wire.decode_frame(bytes(telemetry.buffer[: size - 1]))
@@ -225,7 +236,7 @@ def test_a_loop_that_is_late_loses_the_oldest_samples_and_the_numbers_show_it() 
         rows = [struct.unpack_from("<HHBBB", payload, 14 + 7 * k) for k in range(n)]
         assert [row[1] for row in rows] == list(range(seq0, seq0 + n))
         first.append((seq0, n))
-    assert first == [(136, 32), (168, 32)]
+    assert first == [(136, 32), (168, 32), (200, 32), (232, 32)]
 
 
 def _doc_hex(label: str) -> bytes:

@@ -20,6 +20,7 @@ from valvefw.core import (
     FAULT_N,
     FAULTS,
     HAS_RUN,
+    INLET_LEFT,
     INLET_US,
     LAST,
     LED,
@@ -38,11 +39,14 @@ from valvefw.core import (
     RENEWS,
     REPLY_HIGH,
     REPLY_LOW,
+    REQUEST_INLET,
+    REQUEST_VENT,
     REQUESTED,
     RUNNING,
     TICK,
     TICKS,
     TIME_MASK,
+    VENT_LEFT,
     VENT_US,
     VENTED_HIGH,
     VENTED_LOW,
@@ -74,8 +78,9 @@ from valvefw.telemetry import Telemetry
 from valvefw.wire import EVENT, ONE_BLOCK, REPLY, REQUEST, encode_frame, seal
 
 IDLE = 0
-QUICK = 1
-SLOW = 2
+QUICK = 1  # a heartbeat or set-point was answered
+SLOW = 2  # another request was
+MORE = 3  # bytes were received that are no request yet, or none
 
 _HB = b" ok hb="
 _SP = b" ok sp="
@@ -148,16 +153,20 @@ class Controller:
         if s[LED] != self._led:
             self._led = s[LED]
             board.led(s[LED])
-        note(s, core.ring, core.times, core.box)
+        note(s, core.ring, core.times)
 
     def loop(self) -> int:
-        """One pass of the loop: ``QUICK`` or ``SLOW`` after a request, else ``IDLE``."""
+        """One pass of the loop; returns what it did: ``IDLE``, ``QUICK``, ``SLOW`` or ``MORE``."""
         s = self._state
         s[LOOP_LEFT] = LOOP
         if s[FAULT_N] != self._reported or s[VENTED_NEWS]:
             self._report()
         ticks = s[TICKS]
         if ticks != self._ticks:
+            now = s[NOW]
+            while ticks != s[TICKS]:  # a step in between
+                ticks = s[TICKS]
+                now = s[NOW]
             late = (ticks - self._ticks) & TIME_MASK
             if late > 1:
                 s[MISSED] += late - 1
@@ -165,33 +174,40 @@ class Controller:
                     s[LOOP_WORST] = late
             self._ticks = ticks
             self.board.wdt_feed()
-            now = s[NOW]
             dt_us = (now - self._now) & TIME_MASK
             self._now = now
             scheme = self.scheme
             if scheme is not None:
-                valves = self.valves
-                valves.prox = s[PROX]
-                inlet_us = valves.inlet_us
-                if inlet_us:
-                    valves.inlet_us = inlet_us - dt_us if inlet_us > dt_us else 0
-                vent_us = valves.vent_us
-                if vent_us:
-                    valves.vent_us = vent_us - dt_us if vent_us > dt_us else 0
-                scheme.step(s[COUNTS], self.setpoint_x16, dt_us, valves)
-                s[WANT_INLET] = valves.inlet_us
-                s[WANT_VENT] = valves.vent_us
-                s[REQUESTED] = 1
+                self._run(scheme, dt_us)
             if self.telemetry.full():
                 self.send_held()
         size = self.receiver.next()
-        if not size:
-            return IDLE
+        if size <= 0:
+            return MORE if size else IDLE
         if self.receiver.frame[1] != REQUEST or self._answered(size):
             return QUICK
         request = bytes(self.receiver.frame[2 : size + 1])
         self._send(REPLY, self._commands.answer(request))
         return SLOW
+
+    def _run(self, scheme: Scheme, dt_us: int) -> None:
+        """One step of the scheme; what it changes is requested, the core continues the rest."""
+        s = self._state
+        valves = self.valves
+        valves.prox = s[PROX]
+        left_us = s[INLET_LEFT] - TICK  # at the next step, where a request takes effect
+        inlet_us = valves.inlet_us = left_us if left_us > 0 else 0
+        left_us = s[VENT_LEFT] - TICK
+        vent_us = valves.vent_us = left_us if left_us > 0 else 0
+        scheme.step(s[COUNTS], self.setpoint_x16, dt_us, valves)
+        requested = 0
+        if valves.inlet_us != inlet_us:
+            s[WANT_INLET] = valves.inlet_us
+            requested = REQUEST_INLET
+        if valves.vent_us != vent_us:
+            s[WANT_VENT] = valves.vent_us
+            requested |= REQUEST_VENT
+        s[REQUESTED] = requested
 
     def _answered(self, size: int) -> bool:
         """Answer a heartbeat or set-point without allocating; False if it is another request.
@@ -250,6 +266,8 @@ class Controller:
     def _report(self) -> None:
         """Report new faults and a confirmed vent; the core has already vented."""
         s = self._state
+        if s[FAULT_N] and not self._reported:
+            self.telemetry.keep()
         while self._reported < s[FAULT_N]:
             self.event("fault cause=%s t=%d counts=%d" % self.safety.fault(self._reported))
             self._reported += 1

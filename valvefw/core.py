@@ -37,7 +37,7 @@ TICKS = const(10)  # steps, 30 bits
 ARMED = const(11)
 RUNNING = const(12)  # a scheme runs; else vented
 RENEWS = const(13)  # its inlet may stay open
-REQUESTED = const(14)  # 1: the two below are new
+REQUESTED = const(14)  # which of the two below are new
 WANT_INLET = const(15)
 WANT_VENT = const(16)
 HEARTBEAT_LEFT = const(17)  # us to the deadline
@@ -102,7 +102,7 @@ SEQ_HIGH = const(99)
 SENT = const(100)  # of TICKS samples so many were sent; written by the loop
 AT = const(101)  # place of the next sample
 BOX_N = const(102)  # samples in the black box
-BOX_AT = const(103)  # place of the oldest
+BOX_AT = const(103)  # place behind the newest
 # Sync LED.
 LED_STATE = const(104)
 LED_BIT = const(105)
@@ -127,7 +127,8 @@ HAS_RUN = const(118)  # a scheme ran at the step before
 # More timing, written by the loop: most steps between two of its passes, and steps it missed.
 LOOP_WORST = const(119)
 MISSED = const(120)
-WORDS = const(121)
+BOX_TICKS = const(121)  # step of the first fault
+WORDS = const(122)
 
 CAUSES = (
     "host_silent",
@@ -169,7 +170,10 @@ JUMP_N = const(4)
 LEAK_N = const(3)
 LEAK_SPAN = const(50000)
 VENTED_READINGS = const(8)  # consecutive readings that confirm a vent, or its loss
-RING = const(64)
+REQUEST_INLET = const(1)
+REQUEST_VENT = const(2)
+RING = const(128)
+BOX = const(64)  # samples of the black box
 SAMPLE_BYTES = const(7)
 SAMPLES_MAX = const(32)  # wire.MAX_SAMPLES
 DT_UNKNOWN = const(65535)
@@ -191,45 +195,6 @@ def latch(s: ptr32, cause: int):
             s[at + 2] = s[NOW_HIGH]
             s[at + 3] = s[COUNTS]
             s[FAULT_N] = n + 1
-
-
-@micropython.viper
-def check_reading(s: ptr32) -> int:
-    """Over-pressure, invalid or missing reading: the cause, or 0."""
-    counts = s[READING]
-    if counts < 0:
-        silent = s[SILENT] + 1
-        if silent >= SILENT_N:
-            s[SILENT] = SILENT_N
-            return SENSOR_SILENT
-        s[SILENT] = silent
-        return 0
-    s[SILENT] = 0
-    s[COUNTS] = counts
-    cause = 0
-    over = s[OVER]
-    if counts >= s[TRIP] or over:
-        over = over << 1
-        if counts >= s[TRIP]:
-            over = over | 1
-        over = over & s[TRIP_MASK]
-        s[OVER] = over
-        n = 0
-        while over:
-            n += over & 1
-            over = over >> 1
-        if n >= s[TRIP_N]:
-            cause = OVER_PRESSURE
-    if counts >= s[SAT_HIGH] or counts < s[SAT_LOW]:
-        n = s[SATURATED] + 1
-        if n >= s[SAT_N]:
-            n = s[SAT_N]
-            if cause == 0:
-                cause = SENSOR_SATURATED
-        s[SATURATED] = n
-    else:
-        s[SATURATED] = 0
-    return cause
 
 
 @micropython.viper
@@ -394,7 +359,7 @@ def blink(s: ptr32):
 
 
 @micropython.viper
-def record(s: ptr32, ring: ptr8, times: ptr16):
+def note(s: ptr32, ring: ptr8, times: ptr16):
     """Add the sample of this step to the ring (``wire.SAMPLE``) and its time to ``times``."""
     slot = s[AT]
     times[2 * slot] = s[NOW_LOW]
@@ -439,18 +404,17 @@ def record(s: ptr32, ring: ptr8, times: ptr16):
         low = 0
         s[SEQ_HIGH] = (s[SEQ_HIGH] + 1) & 65535
     s[SEQ_LOW] = low
-
-
-@micropython.viper
-def keep(s: ptr32, ring: ptr8, box: ptr8):
-    """Copy the ring to the black box."""
-    copy(box, 0, ring, 0, RING * SAMPLE_BYTES)
-    s[BOX_AT] = s[AT]
-    n = RING
-    if s[SEQ_HIGH] == 0 and s[SEQ_LOW] < RING:
-        n = s[SEQ_LOW]
-        s[BOX_AT] = 0
-    s[BOX_N] = n
+    if dt > s[DT_LONGEST] and dt < DT_UNKNOWN:
+        s[DT_LONGEST] = dt
+    if dt < s[DT_SHORTEST]:
+        s[DT_SHORTEST] = dt
+    if s[FAULTS] and s[BOX_N] == 0:  # the loop copies the samples before this one
+        n = BOX
+        if s[SEQ_HIGH] == 0 and low < BOX:
+            n = low
+        s[BOX_N] = n
+        s[BOX_AT] = slot
+        s[BOX_TICKS] = s[TICKS]
 
 
 @micropython.viper
@@ -478,7 +442,7 @@ def begin_run(s: ptr32):
     s[QUIET] = 0
     s[WANT_INLET] = 0
     s[WANT_VENT] = 0
-    s[REQUESTED] = 1
+    s[REQUESTED] = REQUEST_INLET | REQUEST_VENT
     s[RUNNING] = 1
 
 
@@ -489,7 +453,39 @@ def decide(s: ptr32):
     s[LAST] = s[NOW]
     s[DT] = dt
     s[TICKS] = (s[TICKS] + 1) & TIME_MASK
-    cause = int(check_reading(s))
+    cause = 0
+    counts = s[READING]
+    if counts < 0:
+        silent = s[SILENT] + 1
+        if silent >= SILENT_N:
+            silent = SILENT_N
+            cause = SENSOR_SILENT
+        s[SILENT] = silent
+    else:
+        s[SILENT] = 0
+        s[COUNTS] = counts
+        over = s[OVER]
+        if counts >= s[TRIP] or over:
+            over = over << 1
+            if counts >= s[TRIP]:
+                over = over | 1
+            over = over & s[TRIP_MASK]
+            s[OVER] = over
+            n = 0
+            while over:
+                n += over & 1
+                over = over >> 1
+            if n >= s[TRIP_N]:
+                cause = OVER_PRESSURE
+        if counts >= s[SAT_HIGH] or counts < s[SAT_LOW]:
+            n = s[SATURATED] + 1
+            if n >= s[SAT_N]:
+                n = s[SAT_N]
+                if cause == 0:
+                    cause = SENSOR_SATURATED
+            s[SATURATED] = n
+        else:
+            s[SATURATED] = 0
     if cause == 0 and s[ARMED]:
         left = s[HEARTBEAT_LEFT] - dt
         s[HEARTBEAT_LEFT] = left
@@ -517,10 +513,13 @@ def decide(s: ptr32):
         vent -= dt
         if vent < 0:
             vent = 0
-    if s[REQUESTED]:
+    requested = s[REQUESTED]
+    if requested:
         s[REQUESTED] = 0
-        inlet = s[WANT_INLET]
-        vent = s[WANT_VENT]
+        if requested & REQUEST_INLET:
+            inlet = s[WANT_INLET]
+        if requested & REQUEST_VENT:
+            vent = s[WANT_VENT]
     if s[RUNNING]:
         s[HAS_RUN] = 1
         s[INLET_LEFT] = inlet
@@ -528,7 +527,7 @@ def decide(s: ptr32):
         if s[RENEWS]:  # a later scheme must first keep the inlet closed
             s[INLET_RUN] = s[INLET_MAX]
             s[SHUT] = 0
-        else:
+        elif inlet or s[INLET_RUN]:
             inlet = int(bound_inlet(s, inlet, TICK))
             if inlet < 0:
                 latch(s, INLET_BOUND)
@@ -549,19 +548,6 @@ def decide(s: ptr32):
         s[CAPTURE_LEAD] = (s[NOW] - s[CAPTURE_SINCE]) & TIME_MASK
     if s[LED_BIT]:
         blink(s)
-
-
-@micropython.viper
-def note(s: ptr32, ring: ptr8, times: ptr16, box: ptr8):
-    """Record the sample; keep the ring when a first fault has latched."""
-    record(s, ring, times)
-    dt = s[DT]
-    if dt > s[DT_LONGEST]:
-        s[DT_LONGEST] = dt
-    if dt < s[DT_SHORTEST]:
-        s[DT_SHORTEST] = dt
-    if s[FAULTS] and s[BOX_N] == 0:
-        keep(s, ring, box)
 
 
 @micropython.viper
@@ -627,7 +613,6 @@ class Core:
         self.timing()
         self.ring = bytearray(RING * SAMPLE_BYTES)
         self.times = array("H", [0] * (2 * RING))
-        self.box = bytearray(RING * SAMPLE_BYTES)
 
     def timing(self) -> "tuple[int, int, int, int, int]":
         """Timing since the last call.

@@ -59,24 +59,28 @@ class Receiver:
         return self._state[_LOST]
 
     def next(self) -> int:
-        """Length of the next valid payload; 0 if no frame is complete."""
+        """Length of the next valid payload; 0 if no byte was there, negative if more may follow.
+
+        One call takes at most one frame or one inbox, so that a flood of bytes cannot hold up the
+        loop.
+        """
         w = self._state
-        while True:
-            if w[_AT] == w[_N]:
-                w[_AT] = 0
-                w[_N] = self._board.rx(self._inbox)
-                if not w[_N]:
-                    return 0
-            if not _collect(w, self._inbox, self.frame):
-                continue
-            size = w[_HELD]
-            w[_HELD] = 0
-            if not size or size > _LONGEST:
-                continue  # a host may send zeros to resynchronise
-            size = unseal(self.frame, size)
-            if size > 0:
-                return size
+        if w[_AT] == w[_N]:
+            w[_AT] = 0
+            w[_N] = self._board.rx(self._inbox)
+            if not w[_N]:
+                return 0
+        if not _collect(w, self._inbox, self.frame):
+            return -1
+        size = w[_HELD]
+        w[_HELD] = 0
+        if not size or size > _LONGEST:
+            return -1  # a host may send zeros to resynchronise
+        size = unseal(self.frame, size)
+        if size <= 0:
             self.bad_frames += 1
+            return -1
+        return size
 
 
 @micropython.viper

