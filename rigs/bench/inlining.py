@@ -21,9 +21,10 @@ def constants(source: str) -> dict[str, int]:
             target, value = node.targets[0], node.value
             if isinstance(value, ast.Call) and getattr(value.func, "id", "") == "const":
                 value = value.args[0]
-            named = isinstance(target, ast.Name) and target.id.isupper() and target.id[0] != "_"
-            if named and isinstance(value, ast.Constant) and type(value.value) is int:
-                found[target.id] = value.value  # type: ignore[union-attr]
+            if not isinstance(target, ast.Name) or not isinstance(value, ast.Constant):
+                continue
+            if target.id.isupper() and target.id[0] != "_" and type(value.value) is int:
+                found[target.id] = value.value
     return found
 
 
@@ -39,8 +40,10 @@ def inline(source: str, modules: Mapping[str, Mapping[str, int]]) -> str:
     skip: set[int] = set()
     imports: dict[int, str] = {}
     for node in ast.parse(source).body:
-        if isinstance(node, ast.ImportFrom) and node.module in modules:
-            there = modules[node.module]
+        if (
+            isinstance(node, ast.ImportFrom)
+            and (there := modules.get(node.module or "")) is not None
+        ):
             taken = [n.name for n in node.names if n.name in there and n.asname is None]
             values.update({name: there[name] for name in taken})
             left = [

@@ -117,7 +117,7 @@ def firmware() -> dict[str, bytes]:
 
 def compiled(name: str) -> bytes:
     """A file of the firmware's source that does not belong on a board, compiled like the others."""
-    return installed._compile(installed.SOURCE / name)
+    return installed.compiled(installed.SOURCE / name)
 
 
 def symbols(path: Path, names: set[str]) -> dict[str, int]:

@@ -13,6 +13,7 @@ from typing import Any
 
 from valvefw import config, core
 from valvefw.safety import _LIMITS
+from valvefw.schemes.scheme import HOLD_US
 
 from . import image, node
 
@@ -142,6 +143,7 @@ def common(setting: Setting, board: image.Image) -> dict[str, Any]:
         "limits": {place: values[key] * factor for key, place, factor in _LIMITS},
         "words": core.WORDS,
         "places": {name: getattr(core, name) for name in PLACES},
+        "hold_us": HOLD_US,
     }
     if setting.elf is not None:
         words["symbols"] = image.symbols(setting.elf, HOOKS)

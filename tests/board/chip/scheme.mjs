@@ -5,7 +5,7 @@ import { figuresOfTrips, Host } from "./host.mjs";
 
 const BEAT_MS = 100;
 const CHANGE_MS = 500;
-const HOLD_US = 20000; // valvefw.schemes.scheme.HOLD_US: a hold, which the scheme renews
+let HOLD_US = 0; // valvefw.schemes.scheme.HOLD_US, from the job: a hold, which the scheme renews
 const TICK_US = 1000;
 const CUT_US = 100; // shorter than planned by more is cut
 const SLOW = ["stat", "conf", "conf 20", "get trip", "faults", "timing", "telemetry 10", "help"];
@@ -87,6 +87,7 @@ class Pulses {
 }
 
 export function scheme(job, tell) {
+  HOLD_US = job.hold_us;
   const board = new Board(job);
   const host = new Host(board);
   const counts = { collections: 0, allocated: 0 };

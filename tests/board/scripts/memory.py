@@ -1,9 +1,9 @@
 # ruff: noqa
-# main.py of the emulated board: the loop of valvefw.board_rp2040.run, and gc.mem_alloc() on request.
+# main.py of the emulated board: the loop of valvefw.boards.pico.run, and gc.mem_alloc() on request.
 import gc
 
 import machine
-from valvefw import board_rp2040
+from valvefw.boards import pico, rp2040
 from valvefw.controller import Controller
 
 ANSWER = 0x4005800C  # scratch registers of the watchdog
@@ -13,8 +13,8 @@ COMMAND = 0x40058010
 def run():
     mem32 = machine.mem32
     mem32[COMMAND] = 0
-    board = board_rp2040.RP2040()
-    controller = Controller(board, board_rp2040._core)
+    board = pico.Pico(rp2040)
+    controller = Controller(board, pico._core)
     board.start()
     while True:
         command = mem32[COMMAND]
