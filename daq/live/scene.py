@@ -237,9 +237,13 @@ class Scene:
         colour = {"ERROR": VERMILLION, "WARN": ORANGE}.get(level, TEXT_COLOUR)
         self._rec.log(path, self._rr.TextLog(f"{time_s:.1f} s   {text}", level=level, color=colour))
 
-    def hold_steps(self) -> None:
-        """Extend every step curve to the newest time."""
-        until_s = self.newest_s
+    def hold_steps(self, behind_s: float = 0.0) -> None:
+        """Extend every step curve to ``behind_s`` before the newest time.
+
+        Live batches of different devices arrive up to some 10 ms apart. A step curve extended
+        to the newest time could overtake its own next step.
+        """
+        until_s = self.newest_s - behind_s
         for path, value in list(self.newest.items()):
             channel = self._layout.channels.get(path)
             if channel is not None and channel.step and self._last_s[path] < until_s:
@@ -253,7 +257,7 @@ class Scene:
             blueprint(self._layout, extra=self._extra, whole_s=max(self.newest_s, 1e-3))
         )
 
-    def readout(self) -> None:
+    def readout(self, note: str = "") -> None:
         """Show the newest values as text in every readout panel."""
         panels = [panel for panel in self._layout.panels if panel.kind == "readout"]
         if not panels:
@@ -273,7 +277,7 @@ class Scene:
         for panel in panels:
             self._rec.log(
                 f"{panel.origin}/now",
-                self._rr.TextDocument(head + body + "\n\n", media_type="text/markdown"),
+                self._rr.TextDocument(head + body + f"\n\n{note}", media_type="text/markdown"),
             )
 
     def _at(self, time_s: float) -> None:

@@ -7,7 +7,6 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from valvefw.sensorwatch import JUMP_N
 
 from plant.constants import GAS_CONSTANT_J_KG_K, PlantConstants, nominal
 from plant.physics.flow import mass_flow_kg_s
@@ -16,6 +15,7 @@ from plant.scene.ram import RamConstants
 from rigs.protocols.names import PROTOCOLS, default_rig
 from rigs.rigfile.config import RigConfig, load_rig
 from valvefw.config import defaults
+from valvefw.core import JUMP_N
 
 CHANGES = {
     "isometric": (("[100, 200, 300]", "[100, 250]"), ("cycles = 1", "cycles = 0")),

@@ -30,6 +30,7 @@ TICK_S = TICK_US * 1e-6
 NOISE_BLOCK = 4096
 BOOT_US = 50_000
 WATCHDOG_US = 200_000
+UART_BYTES = 1024
 PRESSURE_SLOT = 1
 REGULATOR_SLOT = 6
 
@@ -191,6 +192,10 @@ class SimBoard(BufferedBoard):
     def captured(self) -> bytes:
         """The last block, once complete."""
         return self._fast.block if self._fast is not None else b""
+
+    def feed(self, data: bytes) -> None:
+        """Bytes from the host arrive; what the UART's buffer cannot hold is lost."""
+        super().feed(data[: max(0, UART_BYTES - len(self._received))])
 
     def tidy(self) -> None:
         """Collecting garbage takes the chip this long."""
