@@ -28,6 +28,7 @@ MICROPYTHON = {
     "micropython",
     "machine",
     "rp2",
+    "uctypes",
     "sys",
     "os",
     "gc",
