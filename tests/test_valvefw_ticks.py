@@ -14,7 +14,7 @@ from valvefw import config, wire
 from valvefw.config import PARAMETERS, config_crc
 from valvefw.deskboard import DeskBoard
 from valvefw.schemes.valves import VENT_HOLD_US
-from valvefw.wire import EVENT, crc16, decode_frame, encode_frame, seal
+from valvefw.wire import EVENT, TICK_US, crc16, decode_frame, encode_frame, seal
 
 INTERPRETED = ("config.py", "commands.py", "controller.py", "safety.py")
 
@@ -185,3 +185,80 @@ def test_the_board_reads_only_what_the_uart_holds() -> None:
             got.append(bytes(inbox[: board.rx(inbox)]))
         assert b"".join(got) == part
         assert board.rx(inbox) == 0
+
+
+class Chip:
+    """A desk board whose interrupt comes when the test says so, whatever the loop does."""
+
+    def __init__(self, scheme: str) -> None:
+        self.board = DeskBoard()
+        self.c = self.board.controller
+        self.c.values.update(stuck_ms=0, rise_ms=0, leak_counts=0, hb_ms=1000)
+        self.board.run(12)
+        self.c.safety.arm(self.c.values)
+        self.c.choose(scheme)
+        self.board.run(3)
+
+    def step(self) -> int:
+        """One interrupt; what the inlet is driven for."""
+        self.board.now_us += TICK_US
+        self.c.step()
+        return self.board.inlet_us
+
+
+def test_a_pulse_requested_by_a_pass_that_crossed_a_step_is_not_lost() -> None:
+    chip = Chip("open")
+    chip.c.openloop.begin(True, 5000, 1, 15_000)
+    step = chip.c.openloop.step
+
+    def late(*args: Any) -> None:
+        step(*args)
+        chip.step()  # while the scheme computes
+
+    chip.step()
+    chip.c.openloop.step = late  # type: ignore[method-assign]
+    chip.c.loop()
+    chip.c.openloop.step = step  # type: ignore[method-assign]
+    chip.c.loop()  # for the step it crossed; the pulse is still only requested
+    driven = []
+    for _ in range(8):
+        driven.append(min(chip.step(), TICK_US))
+        chip.c.loop()
+    assert sum(driven) == 5000
+
+
+def test_a_scheme_that_is_chosen_late_begins_with_closed_valves() -> None:
+    chip = Chip("two")
+    chip.c.set_setpoint(40_000)
+    for _ in range(4):
+        chip.step()
+        chip.c.loop()
+    assert chip.board.inlet_us > TICK_US
+    chip.step()
+    chip.c.choose("open")  # by a slow request: the loop has not seen the newest step yet
+    chip.c.loop()
+    assert chip.step() == 0
+    chip.c.loop()
+    assert chip.step() == 0
+
+
+def test_a_fault_right_after_clear_is_reported() -> None:
+    chip = Chip("open")
+    c = chip.c
+    chip.board.override = 4000
+    for _ in range(12):
+        chip.step()
+    c.loop()
+    assert c.safety.faults[0][0] == "over_pressure"
+    chip.board.override = 3
+    for _ in range(12):
+        chip.step()
+        c.loop()
+    chip.board.take_tx()
+    assert c.clear() == ""
+    chip.board.override = 4000
+    for _ in range(12):
+        chip.step()
+    while c.loop():
+        pass
+    assert b"over_pressure" in chip.board.take_tx()

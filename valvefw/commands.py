@@ -333,7 +333,7 @@ class Commands:
 
     def _clear(self, args: list[str]) -> str:
         c = self._c
-        reason = c.safety.clear(c.core.state[COUNTS])
+        reason = c.clear()
         if reason:
             raise Refused("pressure", reason)
         return ""

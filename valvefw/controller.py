@@ -174,11 +174,13 @@ class Controller:
                     s[LOOP_WORST] = late
             self._ticks = ticks
             self.board.wdt_feed()
-            dt_us = (now - self._now) & TIME_MASK
-            self._now = now
-            scheme = self.scheme
-            if scheme is not None:
-                self._run(scheme, dt_us)
+            # A request that the core has not taken over yet must not be replaced: the pass before
+            # was late, and this reading is missed.
+            if not s[REQUESTED]:
+                dt_us = (now - self._now) & TIME_MASK
+                self._now = now
+                if self.scheme is not None:
+                    self._run(self.scheme, dt_us)
             if self.telemetry.full():
                 self.send_held()
         size = self.receiver.next()
@@ -278,6 +280,13 @@ class Controller:
             self.event("vented t=%d ms=%d" % (at_us, s[VENTED_MS]))
         if s[FAULT_N]:
             self.vent()
+
+    def clear(self) -> str:
+        """Clear the faults; returns the reason if that is not allowed, else an empty text."""
+        reason = self.safety.clear(self._state[COUNTS])
+        if not reason:
+            self._reported = 0  # a fault that latches from now on is a new one
+        return reason
 
     def disarm(self) -> None:
         """Vent and stop the heartbeat check."""

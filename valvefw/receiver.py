@@ -12,14 +12,13 @@ _AT = const(0)
 _N = const(1)
 _HELD = const(2)
 _LOST = const(3)
-_LONGEST = const(254)  # wire.ONE_BLOCK
 
 
 @micropython.viper
 def _collect(w: ptr32, inbox: ptr8, frame: ptr8) -> int:
     """Move bytes from the inbox to the frame up to a zero; 1 if there was one.
 
-    A frame that is too long is counted and skipped: its length is then beyond ``_LONGEST``.
+    A frame that is too long is counted and skipped: its length is then beyond ``ONE_BLOCK``.
     """
     at = w[_AT]
     n = w[_N]
@@ -30,11 +29,11 @@ def _collect(w: ptr32, inbox: ptr8, frame: ptr8) -> int:
         at += 1
         if byte == 0:
             found = 1
-        elif held < _LONGEST:
+        elif held < ONE_BLOCK:
             frame[held] = byte
             held += 1
         else:
-            if held == _LONGEST:
+            if held == ONE_BLOCK:
                 w[_LOST] = w[_LOST] + held
                 held += 1
             w[_LOST] = w[_LOST] + 1
@@ -74,7 +73,7 @@ class Receiver:
             return -1
         size = w[_HELD]
         w[_HELD] = 0
-        if not size or size > _LONGEST:
+        if not size or size > ONE_BLOCK:
             return -1  # a host may send zeros to resynchronise
         size = unseal(self.frame, size)
         if size <= 0:

@@ -32,7 +32,24 @@ import micropython
 from micropython import const
 from valvefw.board import DRIVE_SILENCE_US, Board
 from valvefw.controller import Controller
-from valvefw.core import TICKS, Core, decide, note
+from valvefw.core import (
+    INLET_US,
+    LED,
+    NOW,
+    NOW_HIGH,
+    NOW_LOW,
+    PROX,
+    READING,
+    REPLY_HIGH,
+    REPLY_LOW,
+    STEP_WORST,
+    TICKS,
+    TIME_MASK,
+    VENT_US,
+    Core,
+    decide,
+    note,
+)
 from valvefw.wire import CAPTURE_N, CAPTURE_US
 
 # Board facts.
@@ -117,23 +134,6 @@ def hold_shut():
     jmp("loop")
 
 
-# Places in the core's state (``core``): constants of this file become part of the machine code.
-_NOW = const(0)
-_NOW_LOW = const(1)
-_NOW_HIGH = const(2)
-_READING = const(3)
-_PROX = const(4)
-_INLET_US = const(5)
-_VENT_US = const(6)
-_LED = const(7)
-_STEP_WORST = const(110)
-_REPLY_LOW = const(116)
-_REPLY_HIGH = const(117)
-_SILENCE = const(20000)  # DRIVE_SILENCE_US
-_LAST_SAMPLE = const(1600)  # 2 * CAPTURE_N
-_TIME_MASK = const(0x3FFFFFFF)
-
-
 @micropython.viper
 def _interrupt(source):
     """One step of the safety core: convert, check, drive, then record."""
@@ -157,8 +157,8 @@ def _interrupt(source):
     channel = setup[_DMA_CHANNEL]
     if channel:
         dma = ptr32(channel)
-        done = _LAST_SAMPLE - dma[2]
-        if done >= _LAST_SAMPLE:
+        done = 2 * CAPTURE_N - dma[2]
+        if done >= 2 * CAPTURE_N:
             adc[0] = 1  # end of the capture
             adc[2] = 0
             setup[_DMA_CHANNEL] = 0
@@ -175,31 +175,31 @@ def _interrupt(source):
             if adc[0] & 256:
                 reading = adc[1] & 4095
                 tries = 0
-    s[_NOW] = now & _TIME_MASK
-    s[_NOW_LOW] = now & 65535
-    s[_NOW_HIGH] = (now >> 16) & 65535
-    s[_READING] = reading
+    s[NOW] = now & TIME_MASK
+    s[NOW_LOW] = now & 65535
+    s[NOW_HIGH] = (now >> 16) & 65535
+    s[READING] = reading
     gpio = ptr32(setup[_GPIO])
-    s[_PROX] = ((gpio[1] >> 6) & 3) ^ 3
+    s[PROX] = ((gpio[1] >> 6) & 3) ^ 3
     decide(_state)
     pio = ptr32(setup[_PIO])
-    inlet = s[_INLET_US]
-    if inlet > _SILENCE:
-        inlet = _SILENCE
+    inlet = s[INLET_US]
+    if inlet > DRIVE_SILENCE_US:
+        inlet = DRIVE_SILENCE_US
     pio[4] = inlet
-    vent = s[_VENT_US]
+    vent = s[VENT_US]
     if setup[_NORMALLY_OPEN] == 0:
-        if vent > _SILENCE:
-            vent = _SILENCE
+        if vent > DRIVE_SILENCE_US:
+            vent = DRIVE_SILENCE_US
         pio[5] = vent
-    elif vent >= _SILENCE:
+    elif vent >= DRIVE_SILENCE_US:
         pio[5] = 0
     elif vent > 0:
         pio[5] = 0
-        pio[5] = _SILENCE + vent
+        pio[5] = DRIVE_SILENCE_US + vent
     else:
-        pio[5] = _SILENCE
-    if s[_LED]:
+        pio[5] = DRIVE_SILENCE_US
+    if s[LED]:
         led = ptr32(setup[_LED_SET])
         led[0] = setup[_LED_BIT]
     else:
@@ -207,8 +207,8 @@ def _interrupt(source):
         led[0] = setup[_LED_BIT]
     note(_state, _ring, _times)
     took = timer[10] - now
-    if took > s[_STEP_WORST]:
-        s[_STEP_WORST] = took
+    if took > s[STEP_WORST]:
+        s[STEP_WORST] = took
 
 
 @micropython.viper
@@ -218,8 +218,8 @@ def _stamp():
     s = ptr32(_state)
     timer = ptr32(setup[_TIMER])
     now = timer[10]
-    s[_REPLY_LOW] = now & 65535
-    s[_REPLY_HIGH] = (now >> 16) & 65535
+    s[REPLY_LOW] = now & 65535
+    s[REPLY_HIGH] = (now >> 16) & 65535
 
 
 @micropython.asm_thumb

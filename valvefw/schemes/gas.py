@@ -48,6 +48,7 @@ def inflow(g: ptr32, p: int) -> int:
     return (supply * share >> 6) * g[_RATE_IN] // 15625
 
 
+# The share of the choked flow is computed in both: a call of machine code costs more than it.
 @micropython.viper
 def outflow(g: ptr32, p: int) -> int:
     """Pressure fall in 1/256 count per ms with an open outlet at pressure ``p``."""
