@@ -28,8 +28,8 @@ from blind.physics.bench import Trial as BlindTrial
 from blind.recording import record
 from blind.sets import BlindSet, blind_set
 from gap.check.scoring.statistics import share
-from gap.data.dataset import Trial
 from gap.data.reader import read_dataset
+from gap.data.trial import Trial
 from gap.design.advise import advise
 from gap.design.config import DESIGN
 from gap.design.foresight import products, separation

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from conftest import HOUSE
-from gap.data.dataset import Channel, DataSet, Trial
+from gap.data.dataset import DataSet
+from gap.data.trial import Channel, Trial
 from gap.effects.recording import RECORDING
 from gap.effects.terms import Active
 from gap.model.grid import make_grid

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gap.data.dataset import Channel, DataSet, Trial
+from gap.data.dataset import DataSet
 from gap.data.reader import read_dataset
+from gap.data.trial import Channel, Trial
 from gap.decision.diagnose import diagnose
 from gap_bench import write_set
 from plant.arrays import Array

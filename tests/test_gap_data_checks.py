@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gap.data.dataset import Channel, DataSet
+from gap.data.dataset import DataSet
 from gap.data.quality import unfit_channels, without_duplicates
 from gap.data.reader import read_dataset
+from gap.data.trial import Channel
 from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem
 from gap_bench import write_set

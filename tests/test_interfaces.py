@@ -12,7 +12,8 @@ from daq.clock import VirtualClock
 from daq.errors import ConfigError, DeviceError
 from daq.link.transport import memory_pair
 from gap.data.reader import read_dataset
-from gap.model.simulator import BuiltIn, Simulator
+from gap.data.simulator import Simulator
+from gap.model.simulator import BuiltIn
 from gap_sets import settled_set
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.commanded import CommandedInstrument, Setting

@@ -8,73 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from plant.arrays import Array
+from gap.data.simulator import ExternalSimulator
+from gap.data.trial import Trial
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
 
-CHANNELS = ("supply_kpa", "pressure_kpa", "length_mm", "force_n", "temperature_c")
-"""Measured channels, in the units of their names."""
-COMMANDS = ("inlet_cmd", "outlet_cmd")
-"""Commanded channels, 0 or 1, held until the next value."""
 CALIBRATION = (
     "pressure_zero_kpa", "pressure_gain_percent", "force_zero_n", "force_gain_percent",
     "length_zero_mm", "length_gain_percent",
 )  # fmt: skip
 """Keys of `calibration.toml`."""
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One channel of one trial: `value[i]` at `time_s[i]`, both shape (n,), times ascending.
-
-    In a table of settled points `time_s` counts the rows.
-    """
-
-    time_s: Array
-    value: Array
-
-    def __len__(self) -> int:
-        return len(self.value)
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One trial as the dataset format describes it; NaN where a number is not known.
-
-    Attributes:
-        slot: names the setting; trials of one slot are replicates of each other.
-        tare_length_mm: where the muscle was held, vented, when the force was last set to zero.
-        settled: a table of settled points, without time.
-        direction: for settled points +1 up, -1 down, 0 unknown, one a row, shape (rows,).
-    """
-
-    name: str
-    slot: str
-    replicate: str
-    protocol: str
-    mounting: str
-    order: float
-    held_length_mm: float
-    load_kg: float
-    temperature_c: float
-    start_s: float
-    settled: bool
-    channels: Mapping[str, Channel]
-    direction: npt.NDArray[np.int64]
-    tare_length_mm: float = float("nan")
-
-    def __contains__(self, channel: str) -> bool:
-        return channel in self.channels
-
-    def __getitem__(self, channel: str) -> Channel:
-        return self.channels[channel]
-
-    def get(self, channel: str) -> Channel:
-        """Return the channel; one without samples if the trial has none of it."""
-        return self.channels.get(channel, _EMPTY)
-
-
-_EMPTY = Channel(np.empty(0), np.empty(0))
 
 
 @dataclass(frozen=True)
@@ -89,6 +32,7 @@ class DataSet:
         notes: what a reader of the verdict should know (columns ignored, trials left out).
         calibration: standard uncertainty of what all trials share of a sensor's zero or gain, by
             `CALIBRATION`'s names; what is not stated is taken as exact.
+        simulator: takes the place of the built-in stages that it stands for; None for none.
     """
 
     origin: str
@@ -97,6 +41,7 @@ class DataSet:
     effects: Effects = NONE
     notes: tuple[str, ...] = field(default=())
     calibration: Mapping[str, float] = field(default_factory=dict)
+    simulator: ExternalSimulator | None = None
 
     @property
     def slots(self) -> dict[str, list[int]]:

@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from gap.data.dataset import CALIBRATION, CHANNELS, COMMANDS, Channel, DataSet, Trial
+from gap.data.dataset import CALIBRATION, DataSet
 from gap.data.tables import Table, numbers, read_table, unit_check
+from gap.data.trial import CHANNELS, COMMANDS, Channel, Trial
 from gap.errors import GapError
 from plant import tomlfile
 from plant.arrays import Array

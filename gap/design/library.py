@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from gap.data.dataset import Channel, DataSet, Trial
+from gap.data.dataset import DataSet
+from gap.data.trial import Channel, Trial
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.validation.improved_plant import improved_plant
 from plant.constants import PlantConstants

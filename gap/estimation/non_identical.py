@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gap.data.dataset import COMMANDS, Channel, DataSet
+from gap.data.dataset import DataSet
+from gap.data.trial import COMMANDS, Channel
 from gap.estimation.config import ESTIMATION
 from gap.estimation.noise import Noise
 from plant.arrays import Array

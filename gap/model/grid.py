@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gap.data.dataset import Channel, DataSet, Trial
+from gap.data.dataset import DataSet
+from gap.data.trial import Channel, Trial
 from gap.model import bins
 from gap.model.features import BLOCKS, Mean, Rows, stacked
 from gap.model.signals import Signal, edges_of, moving, smooth_slope

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from gap.data.dataset import Channel, Trial
+from gap.data.trial import Channel, Trial
 from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gap.data.dataset import Trial
+from gap.data.trial import Trial
 from gap.model.signals import edges_of
 from plant.arrays import Array
 

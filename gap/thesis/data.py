@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from gap.data.dataset import Channel, DataSet, Trial
+from gap.data.dataset import DataSet
+from gap.data.trial import Channel, Trial
 from gap.errors import GapError
 from plant.constants import nominal
 from plant.thesis import load

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from gap.data.dataset import Trial
+from gap.data.trial import Trial
 from gap.estimation.cross_validation import HeldOut, held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS

@@ -1,0 +1,128 @@
+"""The interface of a simulator: what the diagnosis needs of one, whoever wrote it.
+
+The diagnosis needs three things of a simulator: what it predicts for a trial, which numbers it may
+be recalibrated by and how well each of them is known, and at which stages of the chain a measured
+signal can be fed into it. A Python function, an FMU, a table of predictions and a fitted law of the
+muscle stand behind this interface, and so does the built-in plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from gap.data.trial import Channel, Trial
+from plant.arrays import Array
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number that a simulator may be recalibrated by.
+
+    Attributes:
+        name: with its unit, ``dead_volume_ml``.
+        nominal: its value before any fit, in that unit.
+        tolerance: standard deviation of its prior, in that unit; 0 for a number that is exact.
+    """
+
+    name: str
+    nominal: float
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of the chain that can be simulated alone, on measured inputs.
+
+    Attributes:
+        name: of the stage: ``pressure`` or ``force``.
+        inputs: channels of a trial that are fed in as they were measured or commanded.
+        output: the channel that is predicted, in the unit of its name.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    output: str
+
+
+PRESSURE_STAGE = Stage(
+    "pressure", ("supply_kpa", "inlet_cmd", "outlet_cmd", "length_mm"), "pressure_kpa"
+)
+FORCE_STAGE = Stage("force", ("pressure_kpa", "length_mm"), "force_n")
+STAGES = {stage.name: stage for stage in (PRESSURE_STAGE, FORCE_STAGE)}
+"""Stages that a simulator from elsewhere may stand for, by name."""
+
+
+class Simulator(Protocol):
+    """Predicts the channels of a trial.
+
+    The same trial and parameters must give the same channels: the diagnosis takes sensitivities
+    by finite differences.
+    """
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Everything that a fit may change."""
+        ...
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The stages that a measured signal can be fed into, in the order of the chain."""
+        ...
+
+    def simulate(self, trial: Trial, parameters: Mapping[str, float]) -> dict[str, Channel]:
+        """Predicted channels of a trial, each stage fed with what was measured before it.
+
+        Args:
+            trial: commands, settings and measured channels. A prediction may use the inputs of
+                its stage; the measured output says at which times it is wanted.
+            parameters: by name, in the units of the names; what is missing is nominal.
+
+        Returns:
+            By the name of the stage; only stages whose inputs the trial has.
+
+        Raises:
+            KeyError: a parameter that this simulator does not have.
+        """
+        ...
+
+
+class ExternalSimulator(Simulator, Protocol):
+    """A simulator that takes the place of a part of the built-in plant."""
+
+    @property
+    def covariance(self) -> Array | None:
+        """Prior covariance of the parameters, shape (parameters, parameters), in their units.
+
+        None where they are independent, each with its tolerance.
+        """
+        ...
+
+    @property
+    def model_error_n(self) -> float:
+        """One sd of the error in N that the form of its force stage is known to have; 0 if none.
+
+        The error is a smooth function of pressure and length, the same in all trials.
+        """
+        ...
+
+    @property
+    def origin(self) -> str:
+        """The file that describes it, for messages."""
+        ...
+
+
+@runtime_checkable
+class StaticForce(Protocol):
+    """A force stage without memory: force is a function of pressure and length alone.
+
+    The diagnosis evaluates it at the true pressure and length behind the readings, so that errors
+    of sensors act through it exactly.
+    """
+
+    def force_n(
+        self, pressure_kpa: Array, length_mm: Array, parameters: Mapping[str, float]
+    ) -> Array:
+        """Pull in N at gauge pressures and lengths of equal shape."""
+        ...
