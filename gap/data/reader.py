@@ -147,7 +147,13 @@ def _join(
             notes.append(f"trial {name} has no samples and is left out")
             continue
         made.append(_trial(samples, trials, row, np.sort(rows), columns, facts, direction))
-    made.sort(key=lambda trial: trial.order)
+    if all(np.isfinite(trial.order) for trial in made):
+        made.sort(key=lambda trial: trial.order)
+    elif len(made) > 1:
+        notes.append(
+            "trials.csv does not state the order of all trials: a change from trial to trial "
+            "cannot be told from anything else"
+        )
     return DataSet(str(path), tuple(made), constants, effects, tuple(notes))
 
 
@@ -177,7 +183,7 @@ def _trial(
         replicate=text["replicate"],
         protocol=text["protocol"] or "unnamed",
         mounting=text["mounting"],
-        order=float(order) if np.isfinite(order) else float(row),
+        order=float(order),
         held_length_mm=float(facts["held_length_mm"][row]),
         load_kg=float(facts["load_kg"][row]),
         temperature_c=float(facts["temperature_c"][row]),

@@ -15,7 +15,9 @@ from scipy.stats import t as student
 
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import damped_step, gather, tolerance
+from gap.estimation.noise import at_equal_inputs
 from gap.model.features import BLOCKS, UNITS
+from gap.model.grid import same_conditions
 from gap.verdict import Gap
 from plant.arrays import Array
 
@@ -162,6 +164,7 @@ def floor_squares(problem: FitProblem, of_trial: npt.NDArray[np.int64]) -> dict[
     Bessel-corrected within slots; slots without replicates get the noise model's variance.
     """
     rows = problem.rows
+    alike = same_conditions(problem.data)
     count = int(of_trial.max(initial=-1)) + 1
     made = {
         name: np.zeros(count) for number, name in enumerate(BLOCKS) if np.any(rows.block == number)
@@ -186,6 +189,14 @@ def floor_squares(problem: FitProblem, of_trial: npt.NDArray[np.int64]) -> dict[
                 made[name][unit] += sum(_expected(problem, t, number) for t in members)
                 continue
             keep = [a[np.isin(rows.bin[a], list(common))] for a in at]
+            # A floor is what replicates differ by at equal conditions.
+            equal = np.all(
+                [at_equal_inputs(rows, keep[0], other, alike) for other in keep[1:]], axis=0
+            )
+            if equal.sum() < 3:
+                made[name][unit] += sum(_expected(problem, t, number) for t in members)
+                continue
+            keep = [a[equal] for a in keep]
             slow = np.zeros(len(rows)) if problem.noise.trend is None else problem.noise.trend
             table = np.stack([(problem.base.residual - slow)[a] for a in keep])
             span = np.mean([rows.span_s[a] for a in keep], axis=0)

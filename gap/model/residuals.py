@@ -32,7 +32,7 @@ class Model:
 
     Attributes:
         nominal: the data set's simulator on these points; None for the built-in plant.
-        order: of the trials, from 0.
+        order: of the trials, from 0; all zero where it is not known.
         tared: length in m at which the force of each trial was set to zero.
         fall_pa: largest fall of the supply in the last prediction of pressure.
     """
@@ -57,7 +57,8 @@ class Model:
                 known.error if known is not None else None,
             )  # fmt: skip
         order = np.array([trial.order for trial in self.grid.data.trials], dtype=np.float64)
-        self.order = order - order.min() if len(order) else order
+        stated = len(order) > 0 and bool(np.isfinite(order).all())
+        self.order = order - order.min() if stated else np.zeros(len(order))
         tared_mm = [trial.tare_length_mm for trial in self.grid.data.trials]
         self.tared = 1e-3 * np.array(tared_mm, dtype=np.float64)
 

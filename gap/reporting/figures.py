@@ -133,7 +133,7 @@ def maps(field: Field) -> Figure | None:
 
 def course(field: Field) -> Figure | None:
     """Mean and spread of the residual in each trial, in the order of measurement."""
-    orders = np.unique(field.order)
+    orders = np.unique(field.order[np.isfinite(field.order)])
     if len(orders) < 3:
         return None
     figure, axes = _figure(6.9, 2.4)
