@@ -50,6 +50,16 @@ def test_missing_columns_are_no_error(tmp_path: Path) -> None:
     assert np.isnan(data.trials[0].held_length_mm)
 
 
+def test_rows_are_no_order_where_the_file_says_that_none_is_known(tmp_path: Path) -> None:
+    samples = "trial,pressure_kpa\na,1\nb,2\n"
+    data = read_dataset(folder(tmp_path, "trial,order\na,\nb,\n", samples))
+    assert [trial.order for trial in data.trials] == [0.0, 0.0]
+    assert any("order of the trials is not known" in note for note in data.notes)
+    data = read_dataset(folder(tmp_path, "trial\na\nb\n", samples))
+    assert [trial.order for trial in data.trials] == [0.0, 1.0]
+    assert not data.notes
+
+
 def test_a_last_number_that_may_be_cut_short_is_noted(tmp_path: Path) -> None:
     samples = "trial,time_s,pressure_kpa\na,0,120.5\na,1,12"
     (note,) = read_dataset(folder(tmp_path, "trial\na\n", samples)).notes

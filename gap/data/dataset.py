@@ -43,6 +43,7 @@ class Trial:
 
     Attributes:
         slot: names the setting; trials of one slot are replicates of each other.
+        order: position in time; 0 for all trials of a data set whose order is not known.
         tare_length_mm: where the muscle was held, vented, when the force was last set to zero.
         settled: a table of settled points, without time.
         direction: for settled points +1 up, -1 down, 0 unknown, one a row, shape (rows,).

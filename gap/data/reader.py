@@ -34,6 +34,10 @@ TRIAL_NUMBERS = (
 )  # fmt: skip
 SAMPLE_NUMBERS = ("time_s", *COMMANDS, *CHANNELS)
 MOST_UNCERTAIN = 1000.0
+ORDER_UNKNOWN = (
+    "the order of the trials is not known (column order is empty): no effect that depends on it "
+    "can be found"
+)
 
 
 def read_dataset(folder: str | Path) -> DataSet:
@@ -137,6 +141,9 @@ def _join(
     }
     facts = {name: numbers(trials, name, constants) for name in TRIAL_NUMBERS}
     direction = _directions(samples)
+    if _order_unknown(trials, facts["order"]):
+        facts["order"] = np.zeros(len(trials.frame))
+        trials.notes.append(ORDER_UNKNOWN)
     rows_of = owner.groupby(owner, sort=False).indices
     notes = list(samples.notes + trials.notes)
     made: list[Trial] = []
@@ -148,6 +155,11 @@ def _join(
         made.append(_trial(samples, trials, row, np.sort(rows), columns, facts, direction))
     made.sort(key=lambda trial: trial.order)
     return DataSet(str(path), tuple(made), constants, effects, tuple(notes))
+
+
+def _order_unknown(trials: Table, order: Array) -> bool:
+    """Whether the file has a column for the order and states none: then rows are no order."""
+    return "order" in trials.frame and not np.isfinite(order).any()
 
 
 def _trial(
