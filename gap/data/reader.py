@@ -35,6 +35,10 @@ TRIAL_NUMBERS = (
 )  # fmt: skip
 SAMPLE_NUMBERS = ("time_s", *COMMANDS, *CHANNELS)
 MOST_UNCERTAIN = 1000.0
+ORDER_UNKNOWN = (
+    "the order of the trials is not known (trials.csv, column order): no effect that depends on it "
+    "can be found"
+)
 
 
 def read_dataset(folder: str | Path) -> DataSet:
@@ -150,10 +154,7 @@ def _join(
     if all(np.isfinite(trial.order) for trial in made):
         made.sort(key=lambda trial: trial.order)
     elif len(made) > 1:
-        notes.append(
-            "trials.csv does not state the order of all trials: a change from trial to trial "
-            "cannot be told from anything else"
-        )
+        notes.append(ORDER_UNKNOWN)
     return DataSet(str(path), tuple(made), constants, effects, tuple(notes))
 
 
