@@ -214,14 +214,20 @@ def _expected(problem: FitProblem, trial: int, number: int) -> float:
     return float((variance * problem.rows.span_s[rows])[here].sum())
 
 
-def gap_of(block: str, held: HeldOut, named: bool, source: str | None, scheme: str) -> Gap:
-    """The verdict's gap of one block."""
-    closed = held.closed() if named else None
+def gap_of(block: str, held: HeldOut, named: bool, source: str | None, scheme: str | None) -> Gap:
+    """The verdict's gap of one block; without a scheme nothing is held out, as in a single slot."""
+    closed = held.closed() if named and scheme else None
+    recalibrated, after = held.rms("recalibrated"), held.rms("after")
+    if scheme is None and held.fitted is not None:
+        total = max(float(held.weight.sum()), 1e-12)
+        recalibrated, after = (
+            float(np.sqrt(max(float(squares.sum()), 0.0) / total)) for squares in held.fitted
+        )
     return Gap(
         unit=UNITS[block],
         before=held.rms("before"),
-        recalibrated=held.rms("recalibrated"),
-        after=held.rms("after") if named else None,
+        recalibrated=recalibrated,
+        after=after if named else None,
         floor=held.rms("floor"),
         floor_source=source,
         closed=closed[0] if closed else None,

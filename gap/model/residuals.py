@@ -74,6 +74,13 @@ class Model:
                 made[block] = self._features(points, raw) * SCALE[block]
         return made
 
+    def readings(self, block: str) -> Array | None:
+        """What was read, one value a row of a block, in its unit; None without a reading."""
+        points = self.grid.points.get(block)
+        if points is None or not np.isfinite(points.reading).all():
+            return None
+        return self._features(points, points.reading) * SCALE[block]
+
     def stacked(self, parts: dict[str, Array]) -> Array:
         """All rows in one vector; blocks that are absent in `parts` are zero."""
         whole = np.zeros(len(self.grid.rows))
