@@ -95,7 +95,7 @@ def separation(found: Products, best: FitResult, rival: FitResult) -> float:
 def on_experiment(problem: FitProblem, option: LibraryExperiment) -> FitProblem:
     """The plant and noise of a problem on the trials that an experiment would add."""
     data = as_data(problem, option.trials)
-    model = Model(make_grid(data))
+    model = Model(make_grid(data), None, problem.model)
     model.order = np.array([t.order for t in option.trials], dtype=np.float64)
     return problem.on_model(data, model, _noise(problem, model))
 

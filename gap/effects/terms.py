@@ -12,6 +12,9 @@ from plant.effects.effect import InDiagnosis, InSensors
 Active = list[tuple[str, str, float, Shape]]
 """Effects in force: id, option (side or edge), amount of the headline parameter, shape."""
 
+NOMINAL = "nominal"
+"""A number of the nominal plant itself, moved by so many sd: `shape["number"]` says which."""
+
 _NONE = InSensors()
 _HOOKS = {
     **{effect.id: (effect.diagnosis, effect.sensors) for effect in CATALOGUE.values()},
@@ -32,4 +35,8 @@ class Term:
 
 def terms(active: Active) -> list[Term]:
     """The effects in force, in their order."""
-    return [Term(option, amount, shape, *_HOOKS[name]) for name, option, amount, shape in active]
+    return [
+        Term(option, amount, shape, *_HOOKS[name])
+        for name, option, amount, shape in active
+        if name != NOMINAL
+    ]

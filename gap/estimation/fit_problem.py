@@ -30,6 +30,8 @@ from gap.model.sensitivities import (
     miscalibrated,
     mounted,
     mounting_columns,
+    nominal_columns,
+    nominal_shift,
 )
 from plant.arrays import Array
 from plant.constants import KEYS, PlantConstants
@@ -39,6 +41,9 @@ Whole = npt.NDArray[np.int64]
 
 _ROUNDS = 12
 _SMALLER = 3
+_RELINEARISED = 4
+_NEAR_SD = 0.1
+"""How far, in sd, parameters may lie from those at which a simulator was made linear."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +97,8 @@ class FitProblem:
         stated_effects: effects that the data set states; they are no gap.
         noise: learnt from the replicates.
         names: what is recalibrated, in the order of `FitResult.shift`: constants of the plant, then
-            the offset of each mounting, then the calibrations that the data set states.
+            the offset of each mounting, then the calibrations that the data set states, then the
+            parameters of its simulator and the terms of its model error.
         mountings: number of mountings.
         stated_columns: sensitivities of `names` at the stated plant, shape (rows, names).
         stated_residual: measured minus predicted of the stated plant, shape (rows,).
@@ -127,6 +133,7 @@ class FitProblem:
         mountings = int(data.mountings.max(initial=-1)) + 1
         names += [f"mounting {number + 1}" for number in range(mountings)]
         names += [f"calibration {key}" for key in data.calibration]
+        names += model.nominal.names if model.nominal is not None else ()
         offsets = _offset_columns(model, data, mountings, data.constants, stated)
         columns = np.hstack([columns, offsets])
         noise = learn_noise(model, data.constants, residual)
@@ -146,9 +153,30 @@ class FitProblem:
 
     def _recalibrated(self, shift: Array) -> FitProblem:
         """The problem with its base fitted from `shift`."""
-        base = self.polish(self._descend(shift, (), np.empty(0), self.stated_columns), 6)
-        columns = self.columns_at(base.shift, (), np.empty(0))
-        return replace(self, base=base, columns=columns, _kept={})
+        problem = self
+        for _ in range(_RELINEARISED):
+            start = problem._descend(shift, (), np.empty(0), problem.stated_columns)
+            base = problem.polish(start, 6)
+            moved = problem._run_near(base)
+            if moved is None:
+                break
+            problem, shift = moved, base.shift
+        columns = problem.columns_at(base.shift, (), np.empty(0))
+        return replace(problem, base=base, columns=columns, _kept={})
+
+    def _run_near(self, base: FitResult) -> FitProblem | None:
+        """The problem with a simulator with memory run at the parameters of a fit.
+
+        None where it was run near enough to them.
+        """
+        nominal = self.model.nominal
+        if nominal is None or nominal.static or not len(nominal.around):
+            return None
+        own = base.shift[len(self.names) - len(nominal.names) :][: len(nominal.around)]
+        if np.abs(own - nominal.around).max() < _NEAR_SD:
+            return None
+        model = Model(self.grid, own, self.model)
+        return replace(self, model=model, _kept={})
 
     def restricted_to(self, usable: Callable[[Candidate], bool]) -> FitProblem:
         """The same problem with the candidates for which `usable` holds."""
@@ -174,8 +202,21 @@ class FitProblem:
 
     @property
     def unnamed(self) -> int:
-        """Number of offsets of mountings and calibrations, at the end of `names`."""
-        return self.mountings + len(self.data.calibration)
+        """Number of entries of `names` that are no constants of the plant; they stand last."""
+        return self.mountings + len(self.data.calibration) + self.own
+
+    @property
+    def own(self) -> int:
+        """Number of entries that the data set's simulator adds, at the end of `names`."""
+        return len(self.model.nominal.names) if self.model.nominal is not None else 0
+
+    def simulator_values(self, shift: Array) -> dict[str, float]:
+        """Parameters of the data set's simulator moved by `shift` sd, by name, in their units."""
+        nominal = self.model.nominal
+        if nominal is None:
+            return {}
+        own = shift[len(self.names) - self.own :]
+        return nominal.prior.values(own[: len(nominal.prior.names)])
 
     @cached_property
     def units(self) -> Whole:
@@ -209,8 +250,10 @@ class FitProblem:
         active = [
             (s.id, s.option, float(a), s.shape) for s, a in zip(candidates, amounts, strict=True)
         ]
-        off = miscalibrated(own[self.mountings :], self.data.calibration)
-        return [*self.stated_effects, *mounted(own[: self.mountings]), *off, *active]
+        last = self.mountings + len(self.data.calibration)
+        off = miscalibrated(own[self.mountings : last], self.data.calibration)
+        nominal = nominal_shift(own[last:])
+        return [*self.stated_effects, *mounted(own[: self.mountings]), *off, *nominal, *active]
 
     def fit(
         self,
@@ -472,11 +515,14 @@ def _stacked_residual(model: Model, c: PlantConstants, active: Active) -> Array:
 def _offset_columns(
     model: Model, data: DataSet, mountings: int, c: PlantConstants, active: Active
 ) -> Array:
-    """Sensitivities of mountings and calibrations, whose errors all trials of one share."""
+    """Sensitivities of mountings and calibrations, whose errors all trials of one share, and of
+    the numbers of the data set's simulator.
+    """
     return np.hstack(
         [
             mounting_columns(model, c, active, mountings),
             calibration_columns(model, c, active, data.calibration),
+            nominal_columns(model, c, active),
         ]
     )
 

@@ -85,9 +85,14 @@ def muscle_force(points: Points, active: Active, context: Context) -> Array:
             effective = effective - on.shortened(length, term.amount, term.shape, c)
         if on.stretch is not None:
             braid = braid * (1.0 + on.stretch(p, length, term.amount, term.shape, c))
-    # `braid_force` with a braid length of each point's own.
-    slope = push / (4.0 * np.pi * c.turns**2)
-    base = np.asarray(slope * (3.0 * effective * effective - braid * braid))
+    if context.law is None:
+        # `braid_force` with a braid length of each point's own.
+        slope = push / (4.0 * np.pi * c.turns**2)
+        base = np.asarray(slope * (3.0 * effective * effective - braid * braid))
+    else:
+        # A braid longer by a factor: the law of a muscle scaled in length, its pull in area.
+        longer = braid / c.braid_length_m
+        base = np.asarray(context.law(push, effective / longer) * longer**2)
     force = base
     for term in acting:
         if term.diagnosis.force is not None:

@@ -16,10 +16,10 @@ from gap.data.dataset import DataSet
 from gap.data.trial import Channel, Trial
 from gap.model import bins
 from gap.model.features import BLOCKS, Mean, Rows, stacked
+from gap.model.nominal import nominal_law
 from gap.model.signals import Signal, edges_of, moving, smooth_slope
 from gap.model.unobserved_flow import passing, unknown_gas
 from plant.arrays import Array
-from plant.constants import PlantConstants
 from plant.effects.arguments import Points, Whole
 from plant.physics.muscle import braid_force_slope, braid_volume, braid_volume_slope
 
@@ -27,6 +27,7 @@ MOST_POINTS = 2400
 QUIET_S = 0.02
 # What no replicate shows because all share it: interpolation, integration, edges in time.
 _FORCE_FLOOR_N = 0.015
+_SLOPE_M = 0.1e-3
 _LENGTH_FLOOR_M = 0.008e-3
 _EDGE_FLOOR_S = 0.03e-3
 
@@ -120,13 +121,12 @@ class _Piece:
 
 def _pieces(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> list[tuple[str, _Piece]]:
     made: list[tuple[str, _Piece]] = []
-    c = data.constants
     if "pressure_kpa" in trial and not signal.regulated and signal.has_length:
         made.append(("pressure", _chamber(trial, signal, marks, data)))
     if "force_n" in trial and "pressure_kpa" in trial and signal.has_length:
-        made.append(("force", _piece(trial, signal, trial["force_n"], 1.0, c)))
+        made.append(("force", _piece(trial, signal, trial["force_n"], 1.0, data)))
     if signal.loaded and "length_mm" in trial and ("pressure_kpa" in trial or "force_n" in trial):
-        piece = _piece(trial, signal, trial["length_mm"], 1e-3, c)
+        piece = _piece(trial, signal, trial["length_mm"], 1e-3, data)
         # A load without a force reading is compared with the force of the muscle model.
         force = trial.get("force_n")
         piece.reading = (
@@ -135,14 +135,14 @@ def _pieces(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> list[t
         piece.mass = trial.load_kg
         piece.doubt = piece.doubt + trial.load_kg * signal.acceleration_doubt_at(piece.time_s)
         # What the load's inertia makes of a swing is what the muscle's stiffness makes of it.
-        piece.doubt = piece.doubt + _stiffness(signal, piece.time_s, c) * _hidden_swing(
-            signal, piece.time_s, c
+        piece.doubt = piece.doubt + _stiffness(signal, piece.time_s, data) * _hidden_swing(
+            signal, piece.time_s, data
         )
         free = signal.free_of_stops(piece.time_s)
         if free.sum() >= 3 or trial.settled:
             made.append(("load", _kept(piece, free)))
     if signal.held and "length_mm" in trial:
-        piece = _piece(trial, signal, trial["length_mm"], 1e-3, c)
+        piece = _piece(trial, signal, trial["length_mm"], 1e-3, data)
         piece.floor = np.zeros(len(piece.time_s))
         made.append(("camera", piece))
     return [(block, piece) for block, piece in made if len(piece.time_s)]
@@ -168,9 +168,7 @@ def _at(channel: Channel, time_s: Array) -> Array:
     return np.interp(time_s, channel.time_s, channel.value)
 
 
-def _piece(
-    trial: Trial, signal: Signal, output: Channel, scale: float, c: PlantConstants
-) -> _Piece:
+def _piece(trial: Trial, signal: Signal, output: Channel, scale: float, data: DataSet) -> _Piece:
     """Points at the samples of `output`, neighbours averaged where there are very many."""
     time_s = output.time_s
     inside = signal.covered(time_s)
@@ -186,9 +184,9 @@ def _piece(
         signal.temperature_at(time_s),
         output.value[inside] * scale,
         signal.direction_at(time_s),
-        _stiffness(signal, time_s, c)
-        * (signal.length_doubt_at(time_s) + _hidden_swing(signal, time_s, c)),
-        _FORCE_FLOOR_N + _stiffness(signal, time_s, c) * _sync(signal),
+        _stiffness(signal, time_s, data)
+        * (signal.length_doubt_at(time_s) + _hidden_swing(signal, time_s, data)),
+        _FORCE_FLOOR_N + _stiffness(signal, time_s, data) * _sync(signal),
     ]
     block = 1 if trial.settled else -(-len(time_s) // MOST_POINTS)
     weight = np.full(len(time_s), 1.0)
@@ -206,7 +204,7 @@ def _piece(
     )  # fmt: skip
 
 
-def _hidden_swing(signal: Signal, time_s: Array, c: PlantConstants) -> Array:
+def _hidden_swing(signal: Signal, time_s: Array, data: DataSet) -> Array:
     """Swing in m of a hung load where frames are too few to follow it, else zero.
 
     A load bounces on its muscle at its own frequency; frames slower than twice that show it at a
@@ -214,7 +212,7 @@ def _hidden_swing(signal: Signal, time_s: Array, c: PlantConstants) -> Array:
     """
     if not signal.loaded or signal.trial.settled:
         return np.zeros(len(time_s))
-    own_hz = np.sqrt(_stiffness(signal, time_s, c) / signal.trial.load_kg) / (2.0 * np.pi)
+    own_hz = np.sqrt(_stiffness(signal, time_s, data) / signal.trial.load_kg) / (2.0 * np.pi)
     hidden = own_hz > _FOLLOWED * signal.frame_rate_hz
     return np.where(hidden, signal.swing_at(time_s), 0.0)
 
@@ -224,9 +222,16 @@ def _sync(signal: Signal) -> float:
     return 0.0 if signal.held or signal.trial.settled else _LENGTH_FLOOR_M
 
 
-def _stiffness(signal: Signal, time_s: Array, c: PlantConstants) -> Array:
+def _stiffness(signal: Signal, time_s: Array, data: DataSet) -> Array:
     """Force per length at constant pressure, N/m."""
-    slope = braid_force_slope(signal.pressure_at(time_s), signal.length_at(time_s), c.turns)
+    pressure, length = signal.pressure_at(time_s), signal.length_at(time_s)
+    law = nominal_law(data)
+    if law is None:
+        slope = braid_force_slope(pressure, length, data.constants.turns)
+    else:
+        slope = (law(pressure, length + _SLOPE_M) - law(pressure, length - _SLOPE_M)) / (
+            2.0 * _SLOPE_M
+        )
     return np.abs(np.nan_to_num(slope))
 
 

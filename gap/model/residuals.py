@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.features import BLOCKS
 from gap.model.grid import Grid
+from gap.model.nominal import NominalPlant
 from plant.arrays import Array
 from plant.constants import KEYS, PlantConstants
 from plant.effects.arguments import Context, Points
@@ -22,14 +23,39 @@ SCALE = {"pressure": 1e-3, "force": 1.0, "load": 1.0, "camera": 1e3}
 
 @dataclass
 class Model:
-    """Measured minus predicted, reduced to feature rows, in kPa, N and mm."""
+    """Measured minus predicted, reduced to feature rows, in kPa, N and mm.
+
+    Args:
+        grid: points and rows of a data set.
+        around: parameters of the data set's simulator, in sd, at which it is made linear.
+        like: a model of the same plant on other data, whose `around` and error of the law hold.
+
+    Attributes:
+        nominal: the data set's simulator on these points; None for the built-in plant.
+        order: of the trials, from 0.
+        tared: length in m at which the force of each trial was set to zero.
+        fall_pa: largest fall of the supply in the last prediction of pressure.
+    """
 
     grid: Grid
+    around: InitVar[Array | None] = None
+    like: InitVar[Model | None] = None
+    nominal: NominalPlant | None = field(init=False, default=None)
     order: Array = field(init=False)
     tared: Array = field(init=False)
     fall_pa: float = 0.0
+    _plain: dict[str, tuple[PlantConstants, Array]] = field(init=False, default_factory=dict)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, around: Array | None, like: Model | None) -> None:
+        simulator = self.grid.data.simulator
+        if simulator is not None:
+            known = like.nominal if like is not None else None
+            if around is None and known is not None:
+                around = known.around
+            self.nominal = NominalPlant(
+                simulator, self.grid.data, self.grid.points, around,
+                known.error if known is not None else None,
+            )  # fmt: skip
         order = np.array([trial.order for trial in self.grid.data.trials], dtype=np.float64)
         self.order = order - order.min() if len(order) else order
         tared_mm = [trial.tare_length_mm for trial in self.grid.data.trials]
@@ -63,9 +89,49 @@ class Model:
         """What the last tare took away from each reading, N."""
         return laws.rest_pull(points, self.tared[points.trial], active, context)
 
+    def context(self, c: PlantConstants, active: Active) -> Context:
+        """What forces need beside the points, with the force law that holds."""
+        if self.nominal is None:
+            return Context(c, self.order)
+        return Context(c, self.order, self.nominal.law(self.nominal.shift(active)))
+
+    def pull(self, block: str, points: Points, c: PlantConstants, active: Active) -> Array:
+        """True pull of the muscle in N at the points of a block, whatever they are fed with."""
+        pull = laws.muscle_force(points, active, self.context(c, active))
+        if self.nominal is None:
+            return pull
+        shift = self.nominal.shift(active)
+        error = self.nominal.beyond(block, shift)
+        if error is not None:
+            pull = pull + error
+        return pull + self.instead(block, c, shift)
+
+    def covers(self, block: str) -> bool:
+        """Whether a simulator from elsewhere predicts a block."""
+        return self.nominal is not None and self.nominal.covers(block)
+
+    def instead(self, block: str, c: PlantConstants, shift: Array) -> Array | float:
+        """A simulator's prediction beyond that of the built-in plant, on measured inputs: N or Pa.
+
+        Zero where no simulator with memory predicts the block.
+        """
+        assert self.nominal is not None
+        predicted = self.nominal.predicted(block, shift)
+        if predicted is None:
+            return 0.0
+        kept = self._plain.get(block)
+        if kept is None or kept[0] != c:
+            points = self.grid.points[block]
+            if block == "pressure":
+                plain = self._built_in_pressure(points, c, [])
+            else:
+                plain = laws.muscle_force(points, [], Context(c, self.order))
+            kept = self._plain[block] = (c, plain)
+        return predicted - kept[1]
+
     def _force(self, points: Points, c: PlantConstants, active: Active) -> Array:
-        context = Context(c, self.order)
-        pull = laws.muscle_force(points, active, context) - self._rest(points, active, context)
+        context = self.context(c, active)
+        pull = self.pull("force", points, c, active) - self._rest(points, active, context)
         force = laws.force_read(pull, active)
         for term in terms(active):
             if term.diagnosis.force_shown is not None:
@@ -73,12 +139,12 @@ class Model:
         return points.reading - force
 
     def _load(self, points: Points, c: PlantConstants, active: Active) -> Array:
-        context = Context(c, self.order)
+        context = self.context(c, active)
         asked = laws.load_pull(points, active, context)
         given = laws.force_true(points.reading, active) + self._rest(points, active, context)
         without = np.isnan(given)
         if without.any():
-            given = np.where(without, laws.muscle_force(points, active, context), given)
+            given = np.where(without, self.pull("load", points, c, active), given)
         return asked - given
 
     def _camera(self, points: Points, c: PlantConstants, active: Active) -> Array:
@@ -86,6 +152,16 @@ class Model:
         return points.reading - (true + laws.read_minus_true(active, true, c))
 
     def _pressure(self, points: Points, c: PlantConstants, active: Active) -> Array:
+        out = self._built_in_pressure(points, c, active)
+        if self.nominal is not None:
+            out = out + self.instead("pressure", c, self.nominal.shift(active))
+        for term in terms(active):
+            if term.diagnosis.pressure_shown is not None:
+                out = term.diagnosis.pressure_shown(out, points, term.amount)
+        return np.asarray(np.clip(points.reading - out, -3e6, 3e6))
+
+    def _built_in_pressure(self, points: Points, c: PlantConstants, active: Active) -> Array:
+        """Prediction of the built-in chamber, Pa, before what smooths a reading."""
         grid = self.grid
         q = self._parameters(c, active)
         true = laws.true_length(points, active, c)
@@ -99,10 +175,7 @@ class Model:
             grid.edge_s, grid.edge_to, grid.edge_of, out, fall,
         )  # fmt: skip
         self.fall_pa = float(fall[0])
-        for term in terms(active):
-            if term.diagnosis.pressure_shown is not None:
-                out = term.diagnosis.pressure_shown(out, points, term.amount)
-        return np.asarray(np.clip(points.reading - out, -3e6, 3e6))
+        return out
 
     def _parameters(self, c: PlantConstants, active: Active) -> Array:
         return chamber.parameters(c, active, self.grid.data.constants.supply_pa)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from gap.effects.candidates import Candidate
 from gap.effects.recording import CALIBRATION, EACH_TRIAL
-from gap.effects.terms import Active
+from gap.effects.terms import NOMINAL, Active
 from gap.model.features import BLOCKS
 from gap.model.residuals import Model, shifted
 from plant.arrays import Array
@@ -81,7 +81,8 @@ def constant_columns(
         sd = stated.tolerance_si(key)
         if sd <= 0.0:
             continue
-        there = [block for block in blocks if block in model.grid.points]
+        # A simulator that predicts a block has numbers of its own for it.
+        there = [b for b in blocks if b in model.grid.points and not _instead(model, key, b)]
         if not there:
             continue
         step = 0.5 * sd
@@ -92,6 +93,33 @@ def constant_columns(
             names.append(key)
             columns.append(column)
     return names, np.stack(columns, axis=1) if columns else np.zeros((len(model.grid.rows), 0))
+
+
+def _instead(model: Model, key: str, block: str) -> bool:
+    """Whether a simulator takes the place of what a constant does in a block."""
+    return model.covers(block) and not (block == "load" and key.startswith("load_"))
+
+
+def nominal_shift(shift: Array) -> Active:
+    """Numbers of the simulator that is the nominal plant, moved by `shift` sd."""
+    return [(NOMINAL, "", float(sd), {"number": float(k)}) for k, sd in enumerate(shift) if sd]
+
+
+def nominal_columns(model: Model, c: PlantConstants, active: Active) -> Array:
+    """What one sd of each number of the simulator adds to the reading, shape (rows, numbers)."""
+    if model.nominal is None:
+        return np.zeros((len(model.grid.rows), 0))
+    there = [block for block in model.grid.points if model.covers(block)]
+    at = model.nominal.shift(active)
+    others = [one for one in active if one[0] != NOMINAL]
+    columns = np.zeros((len(model.grid.rows), len(at)))
+    for number in range(len(at)):
+        step = np.zeros(len(at))
+        step[number] = 0.5
+        low = model.residual(c, [*others, *nominal_shift(at - step)], there)
+        high = model.residual(c, [*others, *nominal_shift(at + step)], there)
+        columns[:, number] = model.stacked(low) - model.stacked(high)
+    return columns
 
 
 MOUNTING_MM = 0.03

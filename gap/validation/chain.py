@@ -30,7 +30,7 @@ from gap.model.features import BLOCKS
 from gap.model.residuals import SCALE
 from plant.arrays import Array
 from plant.constants import PlantConstants
-from plant.effects.arguments import Context, Points
+from plant.effects.arguments import Points
 from plant.effects.catalogue import CATALOGUE
 
 Mask = npt.NDArray[np.bool_]
@@ -123,6 +123,18 @@ class Chain:
         )  # fmt: skip
         return np.nan_to_num(out, nan=0.0, posinf=3e6, neginf=-1e5)
 
+    def _instead(self, kept: frozenset[str], c: PlantConstants, active: Active) -> Array | float:
+        """A simulator's prediction of the pressure beyond the built-in one, Pa.
+
+        It does not say what its valve does and what its chamber, so each has half of it.
+        """
+        modelled = 1.0 - 0.5 * len(kept & {"valve", "chamber"})
+        nominal = self.problem.model.nominal
+        if nominal is None or not modelled:
+            return 0.0
+        shift = nominal.shift(active)
+        return modelled * self.problem.model.instead("pressure", c, shift)
+
     def _gas(self, real: frozenset[str], c: PlantConstants, active: Active) -> _Gas | None:
         points = self._points.get("pressure")
         if points is None:
@@ -132,7 +144,9 @@ class Chain:
             self._step if "valve" in real else 0.0,
             self._step if "chamber" in real else 0.0,
         )
-        return _Gas(self._replayed(c, active, step), points.reading)
+        return _Gas(
+            self._replayed(c, active, step) + self._instead(real, c, active), points.reading
+        )
 
     def _fed(self, block: str, gas: _Gas | None) -> Points:
         """Points of a block fed with the replayed pressure instead of the measured one."""
@@ -174,8 +188,9 @@ class Chain:
         return made
 
     def _pulls(self, points: Points, c: PlantConstants, active: Active) -> tuple[Array, Array]:
-        context = Context(c, self.problem.model.order)
-        return laws.load_pull(points, active, context), laws.muscle_force(points, active, context)
+        model = self.problem.model
+        required = laws.load_pull(points, active, model.context(c, active))
+        return required, model.pull("load", points, c, active)
 
     def run(self, real: Iterable[str]) -> dict[str, Array]:
         """Measured minus predicted at the chain's ends, by kind of end, one a feature row.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,7 +60,14 @@ class Points:
 
 @dataclass(frozen=True)
 class Context:
-    """What a force needs beside the points: constants, and the order of the trials from 0."""
+    """What a force needs beside the points.
+
+    Attributes:
+        order: of the trials, from 0.
+        law: nominal pull in N at gauge pressure in Pa and length in m; None for that of the
+            braid.
+    """
 
     constants: PlantConstants
     order: Array
+    law: Callable[[Array, Array], Array] | None = None
