@@ -6,6 +6,7 @@ writes it back with new nominal values.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import math
 import os
@@ -97,7 +98,9 @@ class Description:
         known = [stage.name for stage in self.stages]
         for name, text in value.items():
             if name not in known:
-                raise self.error(f"{key}.{name}", "is no stage of this simulator", _near(name, known))
+                raise self.error(
+                    f"{key}.{name}", "is no stage of this simulator", _near(name, known)
+                )
             if not isinstance(text, str) or not text.strip():
                 raise self.error(f"{key}.{name}", f"expected a text, got {_shown(text)}")
         for name in known:
@@ -188,7 +191,9 @@ class Description:
         known = [parameter.name for parameter in parameters]
         for name in names:
             if name not in known:
-                raise self.error("covariance.names", f"{name!r} is no parameter", _near(name, known))
+                raise self.error(
+                    "covariance.names", f"{name!r} is no parameter", _near(name, known)
+                )
         made = np.diag([parameter.tolerance**2 for parameter in parameters])
         at = [known.index(name) for name in names]
         made[np.ix_(at, at)] = matrix
@@ -244,14 +249,15 @@ def read_description(path: Path) -> Description:
         # A model file as `pamrig fit` writes it is a simulator without a description.
         table, kind = {"kind": "law", "model": path.name}, "law"
     if not isinstance(kind, str) or kind not in KINDS:
-        raise GapError(
-            f"{path}: kind", f"expected one of {', '.join(KINDS)}, got {_shown(kind)}"
-        )
+        raise GapError(f"{path}: kind", f"expected one of {', '.join(KINDS)}, got {_shown(kind)}")
     bare = Description(path, table, kind, (), 0.0, {}, Effects())
     bare.known(table, (*SHARED, *KINDS[kind]), "")
     stages = _stages(bare)
-    if kind in STATIC_KINDS and [stage.name for stage in stages] != ["force"]:
-        raise bare.error("stages", f'a {kind} predicts force alone: expected ["force"]')
+    if [stage.name for stage in stages] != ["force"]:
+        if kind in STATIC_KINDS:
+            raise bare.error("stages", f'a {kind} predicts force alone: expected ["force"]')
+        if "static" in table and bare.flag("static"):
+            raise bare.error("static", 'is for the stage force alone: stages = ["force"]')
     stated = bare.inner("inputs")
     bare.known(stated, INPUTS, "inputs.")
     inputs = {key: bare.number_of(stated, key, f"inputs.{key}", None) for key in stated}
@@ -317,10 +323,8 @@ def _moved(about: Description, key: str, value: Any, folder: Path | None) -> Any
         return value
     target = path.resolve()
     if folder is not None:
-        try:
+        with contextlib.suppress(ValueError):  # on another drive
             target = Path(os.path.relpath(target, folder.resolve()))
-        except ValueError:  # on another drive
-            pass
     return f"{target.as_posix()}{colon}{function}"
 
 

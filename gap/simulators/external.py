@@ -137,14 +137,10 @@ class StaticExternal(External):
     def _stage(
         self, trial: Trial, stage: Stage, wanted: Array, values: Mapping[str, float]
     ) -> Array | None:
-        if stage.name != "force":
-            raise NotImplementedError(stage.name)
         sources = stage_sources(trial, stage, self.about.inputs)
         if sources is None:
             return None
-        p, length = (
-            sampled(name, sources[name], wanted) for name in ("pressure_kpa", "length_mm")
-        )
+        p, length = (sampled(name, sources[name], wanted) for name in ("pressure_kpa", "length_mm"))
         return self._force(p, length, values, trial.name)
 
     @abstractmethod

@@ -13,7 +13,6 @@ import weakref
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,15 +35,6 @@ _WHOLE = ("Integer", "Enumeration", "Int8", "Int16", "Int32", "Int64", "UInt8", 
           "UInt64")  # fmt: skip
 _REAL = ("Real", "Float64", "Float32")
 _FATAL = 4
-
-
-def open_fmu(about: Description) -> External:
-    """Open an FMU with its mapping of channels. Raises `GapError`."""
-    if not about.flag("static"):
-        return FmuSimulator(about)
-    if [stage.name for stage in about.stages] != ["force"]:
-        raise about.error("static", 'only the stage force can be without memory: stages = ["force"]')
-    return StaticFmuSimulator(about)
 
 
 @dataclass(frozen=True)
@@ -83,7 +73,7 @@ class FmuSimulator(External):
 
     def _mapped(self) -> dict[str, Mapping[str, Any]]:
         about = self.about
-        found = {}
+        found: dict[str, Mapping[str, Any]] = {}
         table = about.inner("variables")
         about.known(table, CHANNELS, "variables.")
         for channel, entry in table.items():
@@ -92,13 +82,11 @@ class FmuSimulator(External):
             if not isinstance(entry, Mapping) or not isinstance(entry.get("name"), str):
                 raise about.error(where, "expected a table with name, factor and offset")
             about.known(entry, ("name", "factor", "offset"), f"{where}.")
-            found[channel] = {
-                "name": entry["name"],
-                "factor": about.number_of(entry, "factor", f"{where}.factor", 1.0),
-                "offset": about.number_of(entry, "offset", f"{where}.offset", 0.0),
-            }
-            if found[channel]["factor"] == 0.0:
+            factor = about.number_of(entry, "factor", f"{where}.factor", 1.0)
+            if factor == 0.0:
                 raise about.error(f"{where}.factor", "is 0")
+            offset = about.number_of(entry, "offset", f"{where}.offset", 0.0)
+            found[channel] = {"name": entry["name"], "factor": factor, "offset": offset}
         return found
 
     def _check_names(self) -> None:
@@ -158,8 +146,8 @@ class FmuSimulator(External):
             elif channel in stage.inputs:
                 raise self.about.error(
                     f"variables.{channel}.name",
-                    f"{made.name} is of causality {made.causality!r}, but the stage {stage.name} is "
-                    "fed with what was measured",
+                    f"{made.name} is of causality {made.causality!r}, but the stage {stage.name} "
+                    "is fed with what was measured",
                     "give this stage an FMU in which it is an input: "
                     f'file = {{ {stage.name} = "..." }}',
                 )
@@ -217,7 +205,8 @@ class FmuSimulator(External):
         first = min(float(t[0]) for t in [*times, wanted])
         last = max(float(t[-1]) for t in [*times, wanted])
         step = self._step_s or unit.step_s or STEP_S
-        axis = first + step * np.arange(int(np.ceil((last - first) / step - 1e-9)) + 1)
+        count = int(np.ceil((last - first) / step - 1e-9)) + 1
+        axis = first + step * np.arange(count, dtype=np.float64)
         if not unit.variable_step:
             return axis
         edges = [
@@ -244,7 +233,7 @@ class StaticFmuSimulator(StaticExternal, FmuSimulator):
             return np.zeros(pressure_kpa.shape)
         made = unit.run(
             trial, self._start(unit, values), inputs, self._output(stage),
-            step * np.arange(pressure_kpa.size + 1),
+            step * np.arange(pressure_kpa.size + 1, dtype=np.float64),
         )  # fmt: skip
         return made[1:].reshape(pressure_kpa.shape)
 
@@ -312,9 +301,7 @@ class _Unit:
             self._folder, self._described, fmi_type="CoSimulation", logger=note
         )
 
-    def variable(
-        self, key: str, name: str, factor: float = 1.0, offset: float = 0.0
-    ) -> _Variable:
+    def variable(self, key: str, name: str, factor: float = 1.0, offset: float = 0.0) -> _Variable:
         """A variable with the units of a channel. Raises `GapError` if the FMU has none."""
         own = self.variables.get(name)
         if own is None:

@@ -7,9 +7,9 @@ straight lines, commands hold their last value.
 
 from __future__ import annotations
 
-import numpy as np
-
 from collections.abc import Mapping
+
+import numpy as np
 
 from gap.data.simulator import Stage
 from gap.data.trial import COMMANDS, Channel, Trial
@@ -23,14 +23,13 @@ _SAME_S = 1e-7
 def wanted_times(trial: Trial, stage: Stage) -> Array | None:
     """Where a prediction is wanted: at the samples of the stage's output.
 
-    The force of a hung load is wanted where its length was seen. None where nothing was measured
-    that the prediction could be compared with.
+    The force of a hung load is wanted where its length was seen as well. None where nothing was
+    measured that the prediction could be compared with.
     """
-    if stage.output in trial:
-        return trial[stage.output].time_s
+    times = [trial[stage.output].time_s] if stage.output in trial else []
     if stage.name == "force" and trial.load_kg > 0.0 and "length_mm" in trial:
-        return trial["length_mm"].time_s
-    return None
+        times.append(trial["length_mm"].time_s)
+    return np.unique(np.concatenate(times)) if times else None
 
 
 def length_of(trial: Trial) -> Channel | float | None:
@@ -108,4 +107,4 @@ def time_axis(sources: Mapping[str, Channel | float], wanted: Array, step_s: flo
     first = np.repeat(axis[:-1], parts)
     number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     inner = first + number * np.repeat(np.diff(axis) / parts, parts)
-    return np.r_[inner, axis[-1]]
+    return np.append(inner, axis[-1])

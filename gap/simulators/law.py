@@ -39,7 +39,10 @@ def open_law(about: Description) -> External:
 
 def parameter_name(name: str, unit: str) -> str:
     """The name of a law's parameter with its unit: stiffness in N/mm is `stiffness_n_per_mm`."""
-    words = "".join(c if c.isalnum() or c == "/" else " " for c in unit.replace("%", " percent "))
+    words = "".join(
+        c if c.isalnum() or c == "/" else " "
+        for c in unit.replace("%", " percent ").replace("^", "")
+    )
     top, _, bottom = words.partition("/")
     parts = [part for part in top.lower().split() if part != "1"]
     if bottom:

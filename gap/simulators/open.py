@@ -98,15 +98,13 @@ def open_data_with(data: Path, simulator: Path | None) -> DataSet:
 def _python(about: Description) -> External:
     if not about.flag("static"):
         return PythonSimulator(about)
-    if "force" not in [stage.name for stage in about.stages]:
-        raise about.error("static", "only the stage force can be without memory")
     return StaticPythonSimulator(about)
 
 
 def _fmu(about: Description) -> External:
-    from gap.simulators.fmu import open_fmu  # FMPy is optional
+    from gap.simulators.fmu import FmuSimulator, StaticFmuSimulator  # FMPy is optional
 
-    return open_fmu(about)
+    return StaticFmuSimulator(about) if about.flag("static") else FmuSimulator(about)
 
 
 _OPENERS: dict[str, Callable[[Description], External]] = {

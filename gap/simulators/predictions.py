@@ -23,6 +23,8 @@ from plant.arrays import Array
 from plant.constants import nominal
 
 _SLACK_S = 1e-6
+_SLACK_STEPS = 1.5
+"""A table with steps of its own need not end on the last measured sample."""
 
 
 class Predictions(External):
@@ -118,7 +120,7 @@ class _Table:
         bad = np.flatnonzero(~np.isfinite(made))
         if len(bad):
             raise self._error(trial, f"{stage.output} is empty at {wanted[bad[0]]:g}")
-        return made
+        return np.asarray(made)
 
     def _between(
         self, trial: Trial, stage: Stage, rows: np.ndarray, value: Array, wanted: Array
@@ -131,7 +133,9 @@ class _Table:
             raise self._error(trial, f"{stage.output} is empty")
         if not np.all(np.diff(time_s) > 0.0):
             raise self._error(trial, "time_s does not ascend")
-        if wanted[0] < time_s[0] - _SLACK_S or wanted[-1] > time_s[-1] + _SLACK_S:
+        step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+        slack = _SLACK_S + _SLACK_STEPS * step
+        if wanted[0] < time_s[0] - slack or wanted[-1] > time_s[-1] + slack:
             raise self._error(
                 trial, f"is predicted from {time_s[0]:g} to {time_s[-1]:g} s, measured from "
                 f"{wanted[0]:g} to {wanted[-1]:g} s",

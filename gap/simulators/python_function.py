@@ -64,7 +64,7 @@ class PythonSimulator(External):
 
 
 class StaticPythonSimulator(StaticExternal, PythonSimulator):
-    """A function of pressure and length; a pressure stage beside it keeps its memory."""
+    """A function of pressure and length alone."""
 
     def _law(
         self, pressure_kpa: Array, length_mm: Array, values: Mapping[str, float], trial: str
@@ -73,12 +73,6 @@ class StaticPythonSimulator(StaticExternal, PythonSimulator):
         # The function may work on its arguments: they are copies.
         given = named.call(trial, pressure_kpa.copy(), length_mm.copy(), dict(values))
         return named.array(trial, given, pressure_kpa.shape)
-
-    def _stage(
-        self, trial: Trial, stage: Stage, wanted: Array, values: Mapping[str, float]
-    ) -> Array | None:
-        binding = StaticExternal if stage.name == "force" else PythonSimulator
-        return binding._stage(self, trial, stage, wanted, values)
 
     def _name(self) -> str:
         return f"function {self._functions['force'].name}"
@@ -115,9 +109,7 @@ class _Named:
                 trial, f"returned a {type(given).__name__}, expected an array of numbers"
             ) from None
         if made.shape != shape:
-            raise self.error(
-                trial, f"returned an array of shape {made.shape}, expected {shape}"
-            )
+            raise self.error(trial, f"returned an array of shape {made.shape}, expected {shape}")
         return made
 
 

@@ -174,6 +174,10 @@ NONE(fmi3GetIntervalDecimal) NONE(fmi3GetIntervalFraction) NONE(fmi3GetShiftDeci
 NONE(fmi3GetShiftFraction) NONE(fmi3SetIntervalDecimal) NONE(fmi3SetIntervalFraction)
 NONE(fmi3SetShiftDecimal) NONE(fmi3SetShiftFraction) NONE(fmi3EvaluateDiscreteStates)
 NONE(fmi3UpdateDiscreteStates) NONE(fmi3EnterStepMode) NONE(fmi3GetOutputDerivatives)
-NONE(fmi3ActivateModelPartition)
+NONE(fmi3ActivateModelPartition) NONE(fmi3CompletedIntegratorStep)
+NONE(fmi3EnterContinuousTimeMode) NONE(fmi3GetContinuousStateDerivatives)
+NONE(fmi3GetContinuousStates) NONE(fmi3GetEventIndicators) NONE(fmi3GetNominalsOfContinuousStates)
+NONE(fmi3GetNumberOfContinuousStates) NONE(fmi3GetNumberOfEventIndicators)
+NONE(fmi3SetContinuousStates) NONE(fmi3SetTime)
 
 #endif
