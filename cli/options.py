@@ -25,6 +25,13 @@ RegionOption = Annotated[str, Option(help="Only pressures LOW-HIGH in kPa.")]
 RigOption = Annotated[str, Option("--rig", help="Rig file, or the name of a shipped one.")]
 RunsOption = Annotated[Path, Option("--runs", help="Folder of runs.")]
 SeedOption = Annotated[int | None, Option(help="Seed of a virtual bench.")]
+SimulatorOption = Annotated[
+    Path | None,
+    Option(
+        "--simulator",
+        help="Your own simulator: its description. It may name a program, which is then run.",
+    ),
+]
 WarmOption = Annotated[
     bool, Option("--warm", help="Also the warm columns of a thesis table, which are a formula.")
 ]

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from daq.store.run import Run
+    from gap.data.simulator import ExternalSimulator
     from gap.verdict import Verdict
 
 __all__ = ["RecordedRun", "diagnose", "open_run", "runs", "simulate"]
@@ -94,18 +95,30 @@ def runs(folder: str | Path = "runs") -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def diagnose(data: str | Path, without: Iterable[str] = ()) -> Verdict:
+def diagnose(
+    data: str | Path,
+    without: Iterable[str] = (),
+    simulator: str | Path | ExternalSimulator | None = None,
+) -> Verdict:
     """Diagnose a data set in the dataset format; see `gap.decision.diagnose.diagnose`.
 
     `verdict.as_dict()` is the object that `pamrig gap diagnose --json` prints.
+
+    Args:
+        data: the folder.
+        without: effects to remove from the catalogue.
+        simulator: your own, in the place of the built-in plant: its description
+            (docs/use/your-simulator.md), or an object with that interface. A description may name
+            a program, which is then run.
 
     Raises:
         gap.errors.GapError: the data cannot be used; names file, row and column.
     """
     from gap.data.reader import read_dataset
     from gap.decision.diagnose import diagnose as diagnose_dataset
+    from gap.simulators.open import with_simulator
 
-    return diagnose_dataset(read_dataset(data), without)
+    return diagnose_dataset(with_simulator(read_dataset(data), simulator), without)
 
 
 def simulate(scenario: str | Path, runs: str | Path = "runs") -> RecordedRun:

@@ -17,6 +17,7 @@ from cli.options import (
     OutFileOption,
     PlantOption,
     RunsOption,
+    SimulatorOption,
     WithoutOption,
 )
 from cli.output import print_json
@@ -70,55 +71,64 @@ def where(
         Path | None,
         typer.Option("--out", help="Figure of the residual to write (.png, .svg, .pdf)."),
     ] = None,
+    simulator: SimulatorOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Quality of the data, the gap by stage, and which comparisons show it."""
     from cli.gap.verdicts import where_command
 
-    where_command(data, out, as_json)
+    where_command(data, out, simulator, as_json)
 
 
-def diagnose(data: DataArgument, without: WithoutOption = "", as_json: JsonOption = False) -> None:
+def diagnose(
+    data: DataArgument,
+    without: WithoutOption = "",
+    simulator: SimulatorOption = None,
+    as_json: JsonOption = False,
+) -> None:
     """Name the effect behind the gap, or say why it cannot be named."""
     from cli.gap.verdicts import diagnose_command
 
-    diagnose_command(data, without, as_json)
+    diagnose_command(data, without, simulator, as_json)
 
 
 def shrink(
     data: DataArgument,
     without: WithoutOption = "",
     out: OutFileOption = None,
+    simulator: SimulatorOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """How far the named effect reduces the gap; writes the improved plant."""
     from cli.gap.verdicts import shrink_command
 
-    shrink_command(data, without, out, as_json)
+    shrink_command(data, without, out, simulator, as_json)
 
 
 def next_experiment(
     data: DataArgument,
     without: WithoutOption = "",
     out: OutFileOption = None,
+    simulator: SimulatorOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """The experiment or reference standard that would resolve what is open."""
     from cli.gap.verdicts import next_command
 
-    next_command(data, without, out, as_json)
+    next_command(data, without, out, simulator, as_json)
 
 
 def report(
     data: DataArgument,
     out: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("gap.html"),
     without: WithoutOption = "",
+    simulator: SimulatorOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Diagnose a data set and write the verdict as one self-contained HTML page."""
     from cli.gap.verdicts import report_command
 
-    report_command(data, out, without, as_json)
+    report_command(data, out, without, simulator, as_json)
 
 
 def export(

@@ -9,9 +9,9 @@ from typing import Any
 import typer
 
 from cli.output import print_json
-from gap.data.from_runs import open_data
 from gap.decision.diagnose import diagnose, diagnose_with_fit
 from gap.output import check_out, write_text
+from gap.simulators.open import open_data_with
 from gap.verdict import Status, Verdict, plain
 
 
@@ -24,9 +24,9 @@ def _summary(verdict: Verdict) -> str:
     return f"{verdict.status.replace('_', ' ')}: {verdict.reason}"
 
 
-def diagnose_command(data: Path, without: str, as_json: bool) -> None:
+def diagnose_command(data: Path, without: str, simulator: Path | None, as_json: bool) -> None:
     """`pamrig gap diagnose`."""
-    verdict = diagnose(open_data(data), _ids(without))
+    verdict = diagnose(open_data_with(data, simulator), _ids(without))
     if as_json:
         print_json(verdict.as_dict())
     else:
@@ -40,14 +40,14 @@ def _refuse(verdict: Verdict) -> None:
         raise typer.Exit(2)
 
 
-def where_command(data: Path, out: Path | None, as_json: bool) -> None:
+def where_command(data: Path, out: Path | None, simulator: Path | None, as_json: bool) -> None:
     """`pamrig gap where`: stages, comparisons, and curves of the residual."""
     from gap.reporting.map_figures import check_picture, write_courses
     from gap.validation.maps import residual_maps
     from gap.validation.where import MEANING, stage_errors
 
     check_picture(out)
-    verdict, problem, fit = diagnose_with_fit(open_data(data))
+    verdict, problem, fit = diagnose_with_fit(open_data_with(data, simulator))
     found = stage_errors(problem, fit) if problem is not None and fit is not None else None
     courses = residual_maps(problem, fit) if problem is not None and fit is not None else []
     drawn = out is not None and bool(courses)
@@ -88,13 +88,15 @@ def where_command(data: Path, out: Path | None, as_json: bool) -> None:
     _refuse(verdict)
 
 
-def shrink_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:
+def shrink_command(
+    data: Path, without: str, out: Path | None, simulator: Path | None, as_json: bool
+) -> None:
     """`pamrig gap shrink`: the gap before and after, by block and by what was held out."""
     from gap.validation.improved_plant import improved_plant
     from gap.validation.shrinkage import as_lines, shrinkage
 
     check_out(out)
-    verdict, problem, fit = diagnose_with_fit(open_data(data), _ids(without))
+    verdict, problem, fit = diagnose_with_fit(open_data_with(data, simulator), _ids(without))
     table = verdict.as_dict()
     # An effect that the verdict does not stand by is no improvement of the plant.
     named = (
@@ -128,12 +130,14 @@ def shrink_command(data: Path, without: str, out: Path | None, as_json: bool) ->
     _refuse(verdict)
 
 
-def next_command(data: Path, without: str, out: Path | None, as_json: bool) -> None:
+def next_command(
+    data: Path, without: str, out: Path | None, simulator: Path | None, as_json: bool
+) -> None:
     """`pamrig gap next`."""
     from gap.design.advise import protocol_text
 
     check_out(out)
-    verdict = diagnose(open_data(data), _ids(without))
+    verdict = diagnose(open_data_with(data, simulator), _ids(without))
     experiment = verdict.next_experiment
     written = None
     if experiment is not None and out is not None:
@@ -156,14 +160,16 @@ def next_command(data: Path, without: str, out: Path | None, as_json: bool) -> N
     typer.echo("\n".join(lines))
 
 
-def report_command(data: Path, out: Path, without: str, as_json: bool) -> None:
+def report_command(
+    data: Path, out: Path, without: str, simulator: Path | None, as_json: bool
+) -> None:
     """`pamrig gap report`: the diagnosis as an HTML page."""
     from gap.reporting.examination import examine
     from gap.reporting.report import write_report
     from gap.reporting.text import headline
 
     check_out(out)
-    examined = examine(open_data(data), _ids(without))
+    examined = examine(open_data_with(data, simulator), _ids(without))
     write_report(examined, out)
     if as_json:
         print_json({"report": str(out), "verdict": examined.verdict.as_dict()})

@@ -1,0 +1,164 @@
+"""What the bindings share: parameters, checks of what came back, predictions of a trial."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from gap.data.simulator import Parameter, Stage
+from gap.data.trial import Channel, Trial
+from gap.errors import GapError
+from gap.simulators.cached import Cached
+from gap.simulators.description import Description
+from gap.simulators.inputs import sampled, stage_sources, wanted_times
+from plant.arrays import Array
+from plant.effects.effects import Effects
+
+NO_TIME = "is a table of settled points, without time"
+NO_TIME_REMEDY = "state static = true if the force depends on pressure and length alone"
+
+
+class External(ABC):
+    """A simulator with memory: it needs the inputs of a whole trial.
+
+    Args:
+        about: its description.
+        base: what the simulator itself knows of its parameters.
+    """
+
+    def __init__(self, about: Description, base: Iterable[Parameter] = ()) -> None:
+        self.about = about
+        self._parameters = about.parameters(base)
+        self._covariance = about.covariance(self._parameters)
+        self._nominal = {p.name: p.nominal for p in self._parameters}
+        self._kept = Cached()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Everything that a fit may change."""
+        return self._parameters
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The stages that it stands for, in the order of the chain."""
+        return self.about.stages
+
+    @property
+    def covariance(self) -> Array | None:
+        """Prior covariance of the parameters, shape (parameters, parameters)."""
+        return self._covariance
+
+    @property
+    def model_error_n(self) -> float:
+        """One sd of the error in N of the form of its force stage."""
+        return self.about.model_error_n
+
+    @property
+    def origin(self) -> str:
+        """The file that describes it."""
+        return str(self.about.path)
+
+    @property
+    def effects(self) -> Effects:
+        """Effects that its description switches on beside it."""
+        return self.about.effects
+
+    def simulate(self, trial: Trial, parameters: Mapping[str, float]) -> dict[str, Channel]:
+        """Predicted channels by stage; see `gap.data.simulator.Simulator`.
+
+        Raises:
+            KeyError: a parameter that this simulator does not have.
+            GapError: the simulator failed; names the file, the trial and the point.
+        """
+        values = self._values(parameters)
+        return self._kept.get(trial, values, lambda: self._predicted(trial, values))
+
+    def _values(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        for name in parameters:
+            if name not in self._nominal:
+                raise KeyError(name)
+        return {**self._nominal, **{name: float(value) for name, value in parameters.items()}}
+
+    def _predicted(self, trial: Trial, values: Mapping[str, float]) -> dict[str, Channel]:
+        found: dict[str, Channel] = {}
+        for stage in self.stages:
+            wanted = wanted_times(trial, stage)
+            if wanted is None:
+                continue
+            made = self._stage(trial, stage, wanted, values)
+            if made is not None:
+                found[stage.name] = Channel(wanted, made)
+        return found
+
+    @abstractmethod
+    def _stage(
+        self, trial: Trial, stage: Stage, wanted: Array, values: Mapping[str, float]
+    ) -> Array | None:
+        """Predicted output of a stage at `wanted`; None if the trial lacks its inputs."""
+
+    def _needs_time(self, trial: Trial) -> None:
+        if trial.settled:
+            raise GapError(f"{self.origin}: trial {trial.name}", NO_TIME, NO_TIME_REMEDY)
+
+
+class StaticExternal(External):
+    """A simulator whose force stage is a function of pressure and length alone."""
+
+    def force_n(
+        self, pressure_kpa: Array, length_mm: Array, parameters: Mapping[str, float]
+    ) -> Array:
+        """Pull in N at gauge pressures and lengths of equal shape.
+
+        Raises:
+            KeyError: a parameter that this simulator does not have.
+            GapError: it has no finite value at a point.
+        """
+        return self._force(pressure_kpa, length_mm, self._values(parameters), "")
+
+    def _force(
+        self, pressure_kpa: Array, length_mm: Array, values: Mapping[str, float], trial: str
+    ) -> Array:
+        p = np.asarray(pressure_kpa, dtype=np.float64)
+        length = np.asarray(length_mm, dtype=np.float64)
+        force = self._law(p, length, values, trial)
+        bad = np.flatnonzero(~np.isfinite(force.ravel()))
+        if len(bad):
+            at = int(bad[0])
+            raise GapError(
+                f"{self.origin}{f': trial {trial}' if trial else ''}",
+                f"{self._name()} has no finite force at {p.flat[at]:.6g} kPa and "
+                f"{length.flat[at]:.6g} mm",
+                self._outside(),
+            )
+        return force
+
+    def _stage(
+        self, trial: Trial, stage: Stage, wanted: Array, values: Mapping[str, float]
+    ) -> Array | None:
+        sources = stage_sources(trial, stage, self.about.inputs)
+        if sources is None:
+            return None
+        p, length = (sampled(name, sources[name], wanted) for name in ("pressure_kpa", "length_mm"))
+        return self._force(p, length, values, trial.name)
+
+    @abstractmethod
+    def _law(
+        self, pressure_kpa: Array, length_mm: Array, values: Mapping[str, float], trial: str
+    ) -> Array:
+        """Force in N, NaN where there is none; the shape of the pressure."""
+
+    def _name(self) -> str:
+        """What stands behind it, for messages."""
+        return f"the {self.about.kind}"
+
+    def _outside(self) -> str:
+        """What to do about a point without a force."""
+        return ""
+
+
+def first_line(error: BaseException) -> str:
+    """Kind and first line of an exception from code that is not ours."""
+    text = (str(error).strip().splitlines() or [""])[0][:200]
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
