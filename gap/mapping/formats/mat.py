@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,15 @@ import numpy as np
 from gap.errors import GapError
 from gap.mapping.formats.arrays import one_column, split_name
 from gap.mapping.formats.hdf5 import Hdf5File
-from gap.mapping.formats.source import Column, Source, first_line, missing, plain, texts
+from gap.mapping.formats.source import (
+    MOST_VALUES,
+    Column,
+    Source,
+    first_line,
+    missing,
+    plain,
+    texts,
+)
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -34,11 +43,16 @@ class MatFile:
     """
 
     def __init__(self, path: Path) -> None:
-        from scipy.io import loadmat
+        from scipy.io import loadmat, whosmat
 
         self._path = path
         try:
+            declared = sum(math.prod(shape) for _, shape, _ in whosmat(path))
+            if declared > MOST_VALUES:
+                raise GapError(str(path), f"declares {declared} values, allowed {MOST_VALUES}")
             content = loadmat(path, struct_as_record=True, squeeze_me=False)
+        except GapError:
+            raise
         except Exception as error:  # scipy raises whatever the parser meets
             raise GapError(str(path), f"is not a MATLAB file ({first_line(error)})") from None
         self._arrays: dict[str, Any] = {}
