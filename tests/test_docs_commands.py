@@ -17,6 +17,7 @@ import pytest
 import typer
 
 from cli.main import app
+from import_sets import prepare_page
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.toml_reader import find_config
 
@@ -46,6 +47,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "mytest.toml").write_text(find_config("isometric-short", "protocols")[0])
     rows = [f"{p},{60 + k},{p * 0.07 + k:.3f}" for k in range(3) for p in (200, 300, 400)]
     (folder / "mine.csv").write_text("pressure_kpa,length_mm,force_n\n" + "\n".join(rows) + "\n")
+    prepare_page(folder)
     run(folder, "pamrig isometric --protocol isometric-short")
     prepare = HOUSE / "tests" / "docs_pictures.py"
     if prepare.exists():
