@@ -408,7 +408,8 @@ def _imported(run: Run, extra: Mapping[str, str]) -> Reduction:
     stream = run.samples("points")
     stated = run.manifest.get("stated_uncertainty") or {}
     found, notes = imported_rows(run, [e for e in run.events if e.get("kind") == "point"])
-    rows, slack = [], []
+    rows: list[dict[str, Any]] = []
+    slack: list[dict[str, Any]] = []
     for point, position in found:
         row: dict[str, Any] = {
             "n_samples": 1,
