@@ -18,7 +18,7 @@ from plant.models.caldwell import Caldwell
 from plant.models.law import Law
 from plant.models.memory import Creep, MaxwellSlip, PrandtlIshlinskii
 from plant.models.model import Domain, Model, Parameter
-from plant.models.rubber import BraidBladder, LinerBraid, Sarosi
+from plant.models.rubber import BraidBladder, Fluidic, LinerBraid, Sarosi, SarosiFive
 from plant.models.units import to_si
 
 VERSION = 1
@@ -38,6 +38,8 @@ LAWS: dict[str, Law] = {
     "tondu-lopez": TonduLopez(),
     "tondu-lopez-kp": TonduLopezPressure(),
     "sarosi": Sarosi(),
+    "sarosi-five": SarosiFive(),
+    "fluidic": Fluidic(),
     "braid-bladder": BraidBladder(),
     "liner-braid": LinerBraid(),
     "prandtl-ishlinskii": PrandtlIshlinskii(terms.QUASI_STATIC),
