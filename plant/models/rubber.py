@@ -121,7 +121,9 @@ class Fluidic(SeparableLaw):
     c = 1/sin^2(theta0), eps = 1 - L / L_0. The first term is Chou and Hannaford (1996) written in
     the rest geometry, with the end factor k of Tondu and Lopez (2000). The fibres of a fluidic
     muscle lie in its membrane: near the rest length the membrane pulls (F_e, fading with eps_e),
-    and the pressure must first overcome F_0.
+    and the pressure must first overcome F_0. Beyond the rest length, x = eps / eps_e < 0, the
+    exponential goes on as 1 - x + x^2 / 2, which has its value, slope and curvature at x = 0: no
+    measured point is far out there, and an exponential would soon be without bound.
 
     r0 and theta0 are constants of the force. They are not the dimensions of the muscle and give
     no gas volume: see `plant.models.model.Geometry`.
@@ -132,10 +134,13 @@ class Fluidic(SeparableLaw):
         "offset_force",
     )  # fmt: skip
 
-    def _elastic(self, q: Array, length: Array) -> tuple[Array, Array]:
-        """Contraction and the fading factor of the membrane."""
-        contraction = 1.0 - length / q[2]
-        return contraction, np.exp(contraction * (-1.0 / q[5]))
+    def _elastic(self, q: Array, length: Array) -> tuple[Array, Array, Array]:
+        """Scaled contraction x = eps / eps_e, fading factor of the membrane, minus its derivative."""
+        x = (1.0 - length / q[2]) * (1.0 / q[5])
+        fading = np.exp(-np.maximum(x, 0.0))
+        beyond = np.minimum(x, 0.0)
+        slope = fading - beyond
+        return x, slope + 0.5 * beyond * beyond, slope
 
     def arm(self, q: Array, length: Array) -> Array:
         """That of the braid with tapered ends."""
@@ -155,14 +160,14 @@ class Fluidic(SeparableLaw):
 
     def passive_slope(self, q: Array, length: Array) -> Array:
         """With respect to L."""
-        return np.asarray(self._elastic(q, length)[1] * (q[4] / (q[5] * q[2])))
+        return np.asarray(self._elastic(q, length)[2] * (q[4] / (q[5] * q[2])))
 
     def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
         """With respect to all seven parameters."""
         rows = _TAPERED.jacobian(q[:4], p, length, t)
-        contraction, fading = self._elastic(q, length)
-        by_rest = fading * (-q[4] / q[5]) * length / (q[2] * q[2])
-        elastic = [fading, fading * contraction * (q[4] / (q[5] * q[5])), -np.ones_like(length)]
+        x, fading, slope = self._elastic(q, length)
+        by_rest = slope * (-q[4] / q[5]) * length / (q[2] * q[2])
+        elastic = [fading, slope * x * (q[4] / q[5]), -np.ones_like(length)]
         return np.concatenate([rows[:2], [rows[2] + by_rest], rows[3:], elastic])
 
 
