@@ -229,6 +229,19 @@ def test_repeated_points_give_the_noise_whatever_the_law() -> None:
         assert sizes.noise_n == pytest.approx(1.0, rel=0.15)
 
 
+def test_where_noise_and_error_cannot_be_told_apart_both_are_upper_limits() -> None:
+    """No repeats, and at each length too few pressures for a neighbour on both sides."""
+    points = industrial("fluidic", noise=1.0)
+    moved = np.linspace(-1e-3, 1e-3, len(points))
+    apart = dataclasses.replace(points, length_m=points.length_m + moved)
+    found = found_on("fluidic", apart)
+    sizes = misfit(found, apart)
+    assert sizes.noise_from == "scatter"
+    assert sizes.noise_n == found.sd_n
+    held = held_pressures(found.model, apart)[0]
+    assert sizes.model_error_n == pytest.approx(np.sqrt(np.mean(held**2)))
+
+
 def test_a_wrong_law_has_the_systematic_error_that_it_has_without_noise() -> None:
     clean, noisy = industrial("fluidic"), industrial("fluidic", noise=1.0)
     true_error = np.sqrt(np.mean(held_pressures(sized("chou-hannaford", clean), clean)[0] ** 2))

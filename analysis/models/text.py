@@ -47,8 +47,8 @@ NOISE_FROM = {
     "scatter": "scatter of the fit, an upper limit",
 }
 ERROR_FROM = {
-    "held-out pressures": "error at held-out pressures, less the noise",
-    "residuals": "residuals, less the noise",
+    "held-out pressures": "error at held-out pressures",
+    "residuals": "residuals",
 }
 ACROSS = ("turns", "radius", "diameter", "diameter_at_90")
 """Parameters that look like dimensions across the muscle."""
@@ -56,9 +56,11 @@ ACROSS = ("turns", "radius", "diameter", "diameter_at_90")
 
 def misfit_text(sizes: Misfit, model: Model) -> str:
     """Noise, systematic error, and what the fit says about the gas volume."""
+    apart = sizes.noise_from != "scatter"
     lines = [
         f"noise {sizes.noise_n:.3g} N ({NOISE_FROM[sizes.noise_from]})",
-        f"systematic error of the law {sizes.model_error_n:.3g} N ({ERROR_FROM[sizes.error_from]})",
+        f"systematic error of the law {sizes.model_error_n:.3g} N ("
+        f"{ERROR_FROM[sizes.error_from]}{', less the noise' if apart else ', an upper limit'})",
     ]
     across = [p.name for p in model.parameters if p.name in ACROSS]
     if across:

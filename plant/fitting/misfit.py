@@ -25,7 +25,8 @@ class Misfit:
     """Noise of a force reading (1 sd) and rms systematic error of the law, in N, with their origin.
 
     `noise_from` is "repeats", "roughness" (of the residuals along the pressure) or "scatter" (of
-    the fit: an upper limit). `error_from` is "held-out pressures" or "residuals".
+    the fit). `error_from` is "held-out pressures" or "residuals". With "scatter" the two cannot be
+    told apart, and each is an upper limit that contains the other.
     """
 
     noise_n: float
@@ -42,6 +43,7 @@ def misfit(found: Fit, points: Points) -> Misfit:
     length (Gasser, Sroka and Jennen-Steinmetz 1986), which a smooth error of the law hardly enters.
     Otherwise the scatter of the fit. Systematic error: what the points at held-out pressures miss
     by (every other pressure is fitted), less the noise in quadrature; 0 if the noise explains it.
+    The scatter of the fit is not subtracted, because it contains the systematic error.
     """
     noise, noise_from = _noise(found, points)
     try:
@@ -51,7 +53,7 @@ def misfit(found: Fit, points: Points) -> Misfit:
         )
     except PlantError:
         missed, error_from = np.full(1, found.sd_n), "residuals"
-    square = float(np.mean(np.square(missed))) - noise**2
+    square = float(np.mean(np.square(missed))) - (0.0 if noise_from == "scatter" else noise**2)
     return Misfit(noise, noise_from, float(np.sqrt(max(square, 0.0))), error_from)
 
 

@@ -135,7 +135,7 @@ class Fluidic(SeparableLaw):
     )  # fmt: skip
 
     def _elastic(self, q: Array, length: Array) -> tuple[Array, Array, Array]:
-        """Scaled contraction x = eps / eps_e, fading factor of the membrane, minus its derivative."""
+        """Contraction x = eps / eps_e, fading factor of the membrane, minus its derivative."""
         x = (1.0 - length / q[2]) * (1.0 / q[5])
         fading = np.exp(-np.maximum(x, 0.0))
         beyond = np.minimum(x, 0.0)
