@@ -23,10 +23,12 @@ from analysis.formats.point_checks import (
     NUMBERS,
     REQUIRED,
     SENSOR_RANGE,
+    SLACK,
     TRIAL_COLUMNS,
     check_columns,
     check_required,
     number,
+    truth,
 )
 from daq.errors import PamrigError
 from daq.store.tablefile import check_csv, read_parquet
@@ -114,7 +116,7 @@ def _points(
     for line, cells in raw:
         if not columns:
             columns = list(cells)
-            notes += check_columns(columns, name, (*NUMBERS, *LABELS))
+            notes += check_columns(columns, name, (*NUMBERS, *LABELS, SLACK))
             check_required(columns, name, trials)
         full = _joined(cells, trials, name, line)
         row = _typed(full, name, line, outside)
@@ -180,6 +182,8 @@ def _typed(
         value = cells.get(column)
         if value is not None and str(value) != "":
             row["repeat" if column == "replicate" else column] = str(value)
+    if truth(cells.get(SLACK), name, line, SLACK):
+        row[SLACK] = True
     direction = row.get("direction", "")
     if direction not in DIRECTIONS:
         raise PamrigError(
