@@ -101,7 +101,7 @@ def jammed(form: float, reach: float, x: float) -> float:
     near = max(wide - x, 0.0)
     if form == 3.0:  # threads in contact
         return float((near / wide) ** 1.5)
-    end = 2.0 * wide + 4.0  # finitely extensible
+    end = 2.0 * wide + 4.3  # finitely extensible
     near = min(near, 0.95 * end)
     return float(near / (1.0 - (near / end) ** 2) * (1.0 - (wide / end) ** 2) / wide)
 
@@ -215,7 +215,7 @@ def wall_rate(over: float, tau: float) -> float:
 def sag_rate(form: float, gain: float, tau: float, inflow: float, fall: float) -> float:
     """Rate of the fall of the supply, kPa/s."""
     if form == 3.0:  # receiver filled again through an orifice
-        return float(gain * inflow - fall / tau * math.sqrt(30.0 / (abs(fall) + 2.0)))
+        return float(gain * inflow - fall / tau * math.sqrt(27.0 / (abs(fall) + 2.3)))
     if form == 4.0:  # friction of the line: goes with the flow squared
         return float((gain * inflow * inflow - fall) / 0.004)
     opening = (inflow + 1.0) ** (1.0 / 3.0) - 1.0  # a regulator falls most as it begins to open
@@ -257,7 +257,7 @@ def edge_after(form: float, due: float, before: float) -> float:
 def slide_drag(form: float, v: float, z: float) -> float:
     """Friction of the slide over its sliding friction."""
     if form == 3.0:  # LuGre with some damping of the bristles
-        return float(z + 0.02 * math.tanh(v / 3.0))
+        return float(z + 0.017 * math.tanh(v / 3.0))
     return z
 
 
@@ -283,6 +283,6 @@ def lever(length: float) -> float:
 def label_shift(form: float, length: float) -> float:
     """Error of a held length over the stated one."""
     if form == 3.0:  # the screw's own error repeats with its pitch
-        return float(1.0 + 0.12 * math.sin(2.0 * math.pi * length / 4.0))
+        return float(1.0 + 0.12 * math.sin(2.0 * math.pi * length / 2.6))
     tilt = (length - STATED_MM) / 10.0  # an arm that tilts as it is drawn out
     return float(1.0 + 0.05 * tilt * tilt)

@@ -66,7 +66,7 @@ def _friction(rng: Rng, form: int, c: np.ndarray) -> tuple[float, float, float]:
 
 
 def _viscosity(rng: Rng, form: int, c: np.ndarray) -> tuple[float, float, float]:
-    low, high = {1: (8.0, 20.0), 3: (5.0, 16.0), 4: (0.4, 2.5)}.get(form, (0.55, 0.8))
+    low, high = {1: (8.0, 20.0), 3: (5.0, 16.0), 4: (0.45, 2.6)}.get(form, (0.55, 0.8))
     return float(rng.uniform(low, high)), 0.0, 0.0
 
 

@@ -245,7 +245,7 @@ _TABLE: dict[str, tuple[tuple[str, str], ...]] = {
         ("o", "none needed"),
         ("o (1 + 0.02 (L-60))", "scale's own gain; ISO 230-2:2014"),
         ("o (1 +- 0.1) by mounting", "ISO 230-2:2014 (repeatability)"),
-        ("o (1 + 0.12 sin(2 pi L/4))", "ISO 230-2:2014 (periodic error of a screw)"),
+        ("o (1 + 0.12 sin(2 pi L/2.6))", "ISO 230-2:2014 (periodic error of a screw)"),
         ("o (1 + 0.05 ((L-60)/10)^2)", "Abbe 1890; Bryan, Precis. Eng. 1 (1979) 129"),
     ),
     "camera_scale": (

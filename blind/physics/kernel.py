@@ -146,7 +146,7 @@ def slopes(
                 z = y[n.Y_SLIP + i]
                 dy[n.Y_SLIP + i] = rate / (0.3 + 0.6 * i) * (1.0 - way * z * abs(z) ** 2)
         elif e[n.BRAID_FRICTION, 0] >= 3.0:
-            dy[n.Y_SLIP] = alternatives.slip_rate(e[n.BRAID_FRICTION, 0], rate, y[n.Y_SLIP], 0.4)
+            dy[n.Y_SLIP] = alternatives.slip_rate(e[n.BRAID_FRICTION, 0], rate, y[n.Y_SLIP], 0.37)
         else:
             z = y[n.Y_SLIP]
             sharp = 3.0 if e[n.BRAID_FRICTION, 0] == 0.0 else 1.0

@@ -288,8 +288,8 @@ def relaxation(form: float, shape: float) -> np.ndarray:
     elif form == 1.0:
         times[:2], weights[:2] = (0.12 * shape, 1.6 * shape), (0.45, 0.55)
     elif form >= 3.0:
-        times[:] = np.geomspace(0.4, 1500.0, n.MEMORIES)
-        t = np.geomspace(0.2, 600.0, 80)
+        times[:] = np.geomspace(0.37, 1700.0, n.MEMORIES)
+        t = np.geomspace(0.19, 700.0, 80)
         goal = t**shape / 60.0**shape if form == 3.0 else 1.0 - np.exp(-((t / shape) ** 0.45))
         weights[:], _ = nnls(1.0 - np.exp(-t[:, None] / times), goal)
     else:
