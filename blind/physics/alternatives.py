@@ -25,10 +25,10 @@ def lost_pressure(form: float, limit: float, p: float) -> float:
     if p <= 0.0 or limit <= 0.0:
         return 0.0
     if form == 3.0:  # a balloon passes its greatest pressure before it meets the braid
-        x = p / limit
-        return p if x <= 1.0 else float(limit * (1.0 + (x - 1.0) * math.exp(0.6 * (1.0 - x * x))))
-    half = 0.5 * limit  # thresholds of the places along the liner follow Erlang's law, k = 2
-    return float(half * (2.0 - (2.0 + p / half) * math.exp(-p / half)))
+        x = p / 80.0
+        return float(min(p, limit * (1.0 + 0.5 * x * math.exp(1.0 - x))))
+    wide = 130.0  # places along the liner meet the braid one after the other
+    return float(min(p, limit * p / (p + wide) * (FULL_KPA + wide) / FULL_KPA))
 
 
 @compiled
@@ -160,10 +160,12 @@ def leak(form: float, g: float, p: float, pa: float, density: float) -> float:
     if p <= pa:
         return 0.0
     full = g * density * 1e9 * (STATED_KPA + 101.325)
-    if form == 3.0:  # permeation through the rubber
-        return float(full * (p - pa) / STATED_KPA)
-    top = (STATED_KPA + 101.325) ** 2 - 101.325**2  # turbulent in a smooth gap
-    return float(full * ((p * p - pa * pa) / top) ** (4.0 / 7.0))
+    top = (STATED_KPA + 101.325) ** 2 - 101.325**2
+    if form == 3.0:  # a crack that gapes: cubic law
+        gape = (1.0 + (p - pa) / 170.0) / (1.0 + STATED_KPA / 170.0)
+        return float(full * (p * p - pa * pa) / top * gape**3)
+    # permeation past a lip that the pressure presses down
+    return float(full * (p - pa) / STATED_KPA * math.exp((STATED_KPA - (p - pa)) / 260.0))
 
 
 @compiled
@@ -249,8 +251,8 @@ def edge_after(form: float, due: float, before: float) -> float:
     if form == 3.0:  # a short pulse is degraded: its end comes early
         return float(due - 0.45 * width * math.exp(-max(width, 0.0) / 5e-3))
     if form == 4.0:  # pulses below a limit are rejected
-        return float(math.nan) if width < 1.6e-3 else due
-    return float(max(due, before + 3.5e-3))  # dead time after each stroke
+        return float(math.nan) if width < 2.6e-3 else due
+    return float(max(due, before + 6.5e-3))  # dead time after each stroke
 
 
 @compiled
@@ -280,9 +282,16 @@ def lever(length: float) -> float:
 
 
 @compiled
+def chain(length: float, longest: float) -> float:
+    """Weight of a chain that is lifted off its heap over that at 60 mm."""
+    lifted = max(longest - length, 0.0) / (longest - STATED_MM)
+    return float(0.55 + 0.45 * lifted * lifted)
+
+
+@compiled
 def label_shift(form: float, length: float) -> float:
     """Error of a held length over the stated one."""
     if form == 3.0:  # the screw's own error repeats with its pitch
         return float(1.0 + 0.12 * math.sin(2.0 * math.pi * length / 2.6))
-    tilt = (length - STATED_MM) / 10.0  # an arm that tilts as it is drawn out
-    return float(1.0 + 0.05 * tilt * tilt)
+    tilt = (length - STATED_MM) / 6.2  # an arm that tilts as it is drawn out
+    return float(1.0 + 0.37 * tilt * tilt)

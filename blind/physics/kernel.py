@@ -175,6 +175,8 @@ def slopes(
             pull += GRAVITY * e[n.PAYLOAD, 1] * 0.15 * math.tanh((60.0 - length) / 5.0)
         elif e[n.PAYLOAD, 0] == 3.0:
             pull += GRAVITY * e[n.PAYLOAD, 1] * (alternatives.lever(length) - 1.0)
+        elif e[n.PAYLOAD, 0] == 4.0:
+            pull += GRAVITY * e[n.PAYLOAD, 1] * (alternatives.chain(length, c[n.L_MAX]) - 1.0)
         if length > c[n.L_MAX]:
             pull -= c[n.STOP_K] * (length - c[n.L_MAX]) + c[n.STOP_C] * v
         elif length < c[n.L_MIN]:
@@ -197,8 +199,6 @@ def slopes(
         if e[n.STICK, 0] >= 0.0:  # the slide is tight in one place, both ways
             near = (length - e[n.STICK, 2]) / 1.0
             pull -= e[n.STICK, 1] * math.exp(-near * near) * math.tanh(v / 0.5)
-        if e[n.PAYLOAD, 0] == 4.0:  # part of it turns: a pulley's inertia hangs on the thread too
-            real += 0.5 * abs(e[n.PAYLOAD, 1])
         accel = 1e3 * pull / real
         dy[n.Y_L] = v
         dy[n.Y_V] = accel

@@ -33,19 +33,19 @@ def pressure_span(form: float, tap: Floats) -> Floats:
     """Error of a pressure gauge's span over the stated one, 1 at 300 kPa (forms held out)."""
     x = tap / 300.0
     if form == 3.0:  # straight from end to end, bowed in between
-        return np.asarray(0.8 + 0.2 * x * (2.0 - x))
+        return np.asarray(0.64 + 0.36 * x * (2.0 - x))
     if form == 4.0:  # the membrane stiffens
-        return np.asarray(1.08 - 0.08 * x**2)
-    return np.asarray(1.0 + 0.12 * np.sin(np.pi * x))  # S-shaped
+        return np.asarray(1.13 - 0.13 * x**2)
+    return np.asarray(1.0 + 0.17 * np.sin(np.pi * x))  # S-shaped
 
 
 def force_span(form: float, force: Floats) -> Floats:
     """Error of a force sensor's span over the stated one, 1 at 60 N (forms held out)."""
     x = force / 60.0
     if form == 3.0:  # the beam bends away from its load
-        return np.asarray(1.0 / (0.93 + 0.07 * x * x))
+        return np.asarray(1.0 / (0.87 + 0.13 * x * x))
     if form == 4.0:
-        return np.asarray(0.84 + 0.16 * np.tanh(np.abs(x)) / np.tanh(1.0))
+        return np.asarray(0.66 + 0.34 * np.tanh(np.abs(x)) / np.tanh(1.0))
     return np.asarray(0.88 + 0.36 * np.maximum(np.abs(x) - 2.0 / 3.0, 0.0))  # meets a stop
 
 
@@ -54,7 +54,7 @@ def picture_scale(form: float, length: Floats) -> Floats:
     x = length - 60.0
     if form == 3.0:  # a plane that is not the sensor's: projective
         return np.asarray(1.0 / (1.0 - 0.017 * x))
-    return np.asarray(1.0 + 0.0014 * x * x)  # curved field
+    return np.asarray(1.0 + 0.0043 * x * x)  # curved field
 
 
 def picture_bend(form: float, x: Floats) -> Floats:
@@ -80,9 +80,9 @@ def read_pressure(tap: Floats, t: Floats, trial: Trial, e: Floats) -> Floats:
     elif form == 2.0:
         out += zero * (1.0 + 0.05 * (1 if trial.mounting % 2 else -1))
     elif form == 3.0:  # warms up through the session
-        out += zero * (1.06 - 0.2 * np.exp(-trial.start_s / 2400.0))
+        out += zero * (1.12 - 0.55 * np.exp(-trial.start_s / 2400.0))
     elif form == 4.0:  # settles anew in each trial
-        out += zero * (1.03 - 0.11 * np.exp(-t / 7.0))
+        out += zero * (1.03 - 0.28 * np.exp(-t / 7.0))
     elif form >= 0.0:
         out += zero
     if e[n.RIPPLE, 0] >= 0.0:
@@ -106,9 +106,9 @@ def read_force(force: Floats, t: Floats, trial: Trial, e: Floats) -> Floats:
     elif form == 2.0:
         out += zero * (1.0 + 0.05 * (1 if trial.mounting % 2 else -1))
     elif form == 3.0:  # follows the room, which follows the heating
-        out += zero * (1.0 + 0.08 * np.cos(2.0 * np.pi * trial.start_s / 5400.0))
-    elif form == 4.0:  # follows the muscle's temperature
-        out += zero * (1.0 + 0.013 * (trial.temperature_c - 21.0))
+        out += zero * (1.0 + 0.22 * np.cos(2.0 * np.pi * trial.start_s / 5400.0))
+    elif form == 4.0:  # creeps back after the load before
+        out += zero * (0.78 + 0.32 * (1.0 - np.exp(-t / 9.0)))
     elif form >= 0.0:
         out += zero
     if e[n.MAINS, 0] >= 0.0:
