@@ -14,7 +14,8 @@ import pandas as pd
 import pytest
 
 from cli.main import main
-from gap.data.dataset import CHANNELS, COMMANDS, DataSet
+from gap.data.dataset import DataSet
+from gap.data.trial import CHANNELS, COMMANDS
 from gap.data.reader import read_dataset
 from gap.decision.diagnose import diagnose
 from gap.mapping.cost import costs_of

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from gap.data.dataset import CHANNELS, COMMANDS
+from gap.data.trial import CHANNELS, COMMANDS
 from gap.errors import GapError
 from gap.mapping.cutting import (
     FIRST_NS,

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gap.data.dataset import Channel, DataSet, Trial
+from gap.data.dataset import DataSet
+from gap.data.trial import Channel, Trial
 from gap.effects.candidates import CANDIDATES, Candidate
 from gap.model.grid import make_grid
 from gap.model.residuals import Model

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gap.data.dataset import CALIBRATION, CHANNELS, COMMANDS
+from gap.data.dataset import CALIBRATION
+from gap.data.trial import CHANNELS, COMMANDS
 from gap.errors import GapError
 from gap.mapping.formats.opened import FORMATS
 from gap.mapping.formats.text import DELIMITERS, TextLayout

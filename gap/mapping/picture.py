@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gap.data.dataset import CHANNELS, COMMANDS, DataSet
+from gap.data.dataset import DataSet
+from gap.data.trial import CHANNELS, COMMANDS
 from gap.errors import GapError
 
 _AXIS = {

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gap.data.dataset import DataSet, Trial
+from gap.data.dataset import DataSet
+from gap.data.trial import Trial
 from gap.mapping.assemble import MuscleSet
 from gap.mapping.mapping import Mapping, Measured, State
 from plant.arrays import Array
