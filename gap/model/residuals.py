@@ -19,10 +19,6 @@ from plant.effects.arguments import Context, Points
 
 SCALE = {"pressure": 1e-3, "force": 1.0, "load": 1.0, "camera": 1e3}
 
-_KEPT = 8
-"""Predictions of the chamber that are kept. Effects of muscle and load leave the gas as it is, so
-about a third of what a search asks for was computed a moment ago."""
-
 
 @dataclass
 class Model:
@@ -32,7 +28,6 @@ class Model:
     order: Array = field(init=False)
     tared: Array = field(init=False)
     fall_pa: float = 0.0
-    _gas: dict[bytes, tuple[Array, float]] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         order = np.array([trial.order for trial in self.grid.data.trials], dtype=np.float64)
@@ -91,33 +86,23 @@ class Model:
         return points.reading - (true + laws.read_minus_true(active, true, c))
 
     def _pressure(self, points: Points, c: PlantConstants, active: Active) -> Array:
+        grid = self.grid
+        q = self._parameters(c, active)
         true = laws.true_length(points, active, c)
         length = np.ascontiguousarray(np.clip(true, 1e-4, 0.999 * c.braid_length_m))
-        out, self.fall_pa = self._chamber(points, self._parameters(c, active), length)
+        supply = grid.supply
+        out = np.empty(len(points.reading))
+        fall = np.zeros(1)
+        reading = np.ascontiguousarray(points.reading)
+        chamber.predict(
+            q, points.first, points.time_s, reading, length, supply, grid.first_edge,
+            grid.edge_s, grid.edge_to, grid.edge_of, out, fall,
+        )  # fmt: skip
+        self.fall_pa = float(fall[0])
         for term in terms(active):
             if term.diagnosis.pressure_shown is not None:
                 out = term.diagnosis.pressure_shown(out, points, term.amount)
         return np.asarray(np.clip(points.reading - out, -3e6, 3e6))
-
-    def _chamber(self, points: Points, q: Array, length: Array) -> tuple[Array, float]:
-        """Predicted readings, Pa, and the largest fall of the supply, Pa."""
-        grid = self.grid
-        key = q.tobytes() + length.tobytes()
-        found = self._gas.pop(key, None)
-        if found is None:
-            out = np.empty(len(points.reading))
-            fall = np.zeros(1)
-            reading = np.ascontiguousarray(points.reading)
-            chamber.predict(
-                q, points.first, points.time_s, reading, length, grid.supply, grid.first_edge,
-                grid.edge_s, grid.edge_to, grid.edge_of, out, fall,
-            )  # fmt: skip
-            out.flags.writeable = False
-            found = out, float(fall[0])
-            if len(self._gas) >= _KEPT:
-                del self._gas[next(iter(self._gas))]
-        self._gas[key] = found  # the last one asked for stands last
-        return found
 
     def _parameters(self, c: PlantConstants, active: Active) -> Array:
         return chamber.parameters(c, active, self.grid.data.constants.supply_pa)
