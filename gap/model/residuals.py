@@ -91,7 +91,7 @@ class Model:
 
     def _features(self, points: Points, raw: Array) -> Array:
         total = np.bincount(points.row, weights=raw * points.weight)
-        return np.asarray(total / np.bincount(points.row, weights=points.weight))
+        return np.asarray(total / points.row_weight)
 
     def _rest(self, points: Points, active: Active, context: Context) -> Array:
         """What the last tare took away from each reading, N."""
