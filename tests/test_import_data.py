@@ -15,8 +15,8 @@ import pytest
 
 from cli.main import main
 from gap.data.dataset import DataSet
-from gap.data.trial import CHANNELS, COMMANDS
 from gap.data.reader import read_dataset
+from gap.data.trial import CHANNELS, COMMANDS
 from gap.decision.diagnose import diagnose
 from gap.mapping.cost import costs_of
 from gap.mapping.mapping import read_mapping
