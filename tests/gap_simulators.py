@@ -22,6 +22,7 @@ class StaticBraid:
     parameters: tuple[Parameter, ...]
     covariance: Array | None = None
     model_error_n: float = 0.0
+    noise_n: float = 0.0
     origin: str = "braid.toml"
     factor: float = 1.0
 
@@ -61,6 +62,10 @@ class BraidWithMemory:
 
     @property
     def model_error_n(self) -> float:
+        return 0.0
+
+    @property
+    def noise_n(self) -> float:
         return 0.0
 
     @property

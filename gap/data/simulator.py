@@ -108,6 +108,14 @@ class ExternalSimulator(Simulator, Protocol):
         ...
 
     @property
+    def noise_n(self) -> float:
+        """One sd of a single reading of the force in N; 0 where it is not known.
+
+        It holds where the data have no replicates that would show it.
+        """
+        ...
+
+    @property
     def origin(self) -> str:
         """The file that describes it, for messages."""
         ...

@@ -176,12 +176,15 @@ def _start_white(model: Model, residual: Array) -> Array:
     """White variance of each row before learning, from the roughness of each block's points."""
     rows = model.grid.rows
     white = np.ones(len(rows))
+    simulator = model.grid.data.simulator
     for number, block in enumerate(BLOCKS):
         here = rows.block == number
         if not here.any():
             continue
         settled = model.grid.data.settled
         sd = _roughness(residual[here], rows, here) if settled else WHITE[block]
+        if settled and simulator is not None and block in ("force", "load"):
+            sd = max(sd, simulator.noise_n)
         samples = 1.0 if settled else rows.samples[here]
         white[here] = np.maximum(sd, 0.3 * WHITE[block]) ** 2 / samples
     return white

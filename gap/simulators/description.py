@@ -27,7 +27,7 @@ from plant.arrays import Array
 from plant.effects.effects import Effects
 from plant.errors import PlantError
 
-SHARED = ("kind", "title", "stages", "model_error_n", "inputs", "parameters", "covariance",
+SHARED = ("kind", "title", "stages", "model_error_n", "noise_n", "inputs", "parameters", "covariance",
           "effects")  # fmt: skip
 KINDS: dict[str, tuple[str, ...]] = {
     "python": ("function", "static", "step_s"),
@@ -63,6 +63,7 @@ class Description:
         kind: one of `KINDS`.
         stages: that the simulator stands for, in the order of the chain.
         model_error_n: one sd in N of the error of the form of the force stage.
+        noise_n: one sd in N of a single reading of the force, where it is known; else 0.
         inputs: values for channels that a trial has not measured, by `INPUTS`.
         effects: effects that the simulator is known to lack, switched on from the start.
     """
@@ -72,6 +73,7 @@ class Description:
     kind: str
     stages: tuple[Stage, ...]
     model_error_n: float
+    noise_n: float
     inputs: Mapping[str, float]
     effects: Effects
 
@@ -250,7 +252,7 @@ def read_description(path: Path) -> Description:
         table, kind = {"kind": "law", "model": path.name}, "law"
     if not isinstance(kind, str) or kind not in KINDS:
         raise GapError(f"{path}: kind", f"expected one of {', '.join(KINDS)}, got {_shown(kind)}")
-    bare = Description(path, table, kind, (), 0.0, {}, Effects())
+    bare = Description(path, table, kind, (), 0.0, 0.0, {}, Effects())
     bare.known(table, (*SHARED, *KINDS[kind]), "")
     stages = _stages(bare)
     if [stage.name for stage in stages] != ["force"]:
@@ -262,7 +264,14 @@ def read_description(path: Path) -> Description:
     bare.known(stated, INPUTS, "inputs.")
     inputs = {key: bare.number_of(stated, key, f"inputs.{key}", None) for key in stated}
     return Description(
-        path, table, kind, stages, bare.number("model_error_n", 0.0, 0.0), inputs, _effects(bare)
+        path,
+        table,
+        kind,
+        stages,
+        bare.number("model_error_n", 0.0, 0.0),
+        bare.number("noise_n", 0.0, 0.0),
+        inputs,
+        _effects(bare),
     )
 
 

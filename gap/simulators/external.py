@@ -56,6 +56,11 @@ class External(ABC):
         return self.about.model_error_n
 
     @property
+    def noise_n(self) -> float:
+        """One sd of a single reading of the force in N; 0 where it is not known."""
+        return self.about.noise_n
+
+    @property
     def origin(self) -> str:
         """The file that describes it."""
         return str(self.about.path)

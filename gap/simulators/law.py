@@ -121,10 +121,13 @@ def _with_fit(about: Description, model: Model, path: Path | None) -> Descriptio
     table = dict(about.table)
     if "covariance" in fitted and "covariance" not in table:
         table["covariance"] = _renamed(fitted["covariance"], model)
-    error = about.model_error_n
-    if "model_error_n" not in table and "model_error_n" in fitted:
-        error = about.number_of(fitted, "model_error_n", "model_error_n of the model", 0.0, 0.0)
-    return dataclasses.replace(about, table=table, model_error_n=error)
+    error, noise = (
+        about.number_of(fitted, key, f"{key} of the model", 0.0, 0.0)
+        if key not in table and key in fitted
+        else stated
+        for key, stated in (("model_error_n", about.model_error_n), ("noise_n", about.noise_n))
+    )
+    return dataclasses.replace(about, table=table, model_error_n=error, noise_n=noise)
 
 
 def _renamed(covariance: object, model: Model) -> object:
