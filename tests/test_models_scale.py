@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import subprocess
+import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +26,10 @@ from plant.fitting.misfit import misfit, with_misfit
 from plant.fitting.scale import scaled
 from plant.fitting.thesis_points import thesis_points
 from plant.models import catalogue
-from plant.models.model import Geometry, Model
+from plant.models.model import Geometry, Model, OutsideDomain
 from plant.models.units import powers
 from plant.scene.model_table import model_table
+from plant.scene.scene import Scene, Unit
 
 runner = CliRunner()
 STATIC = [
@@ -163,6 +167,54 @@ def test_points_below_the_least_force_are_left_out() -> None:
     assert fit(sized("sarosi-five", pulling), pulling).rmse_n < 1e-6
     with pytest.raises(PlantError, match="largest force"):
         points.pulling(1e4)
+
+
+def loose() -> Model:
+    """A fitted fluidic muscle whose law is -188 N without pressure, and that pulls only."""
+    return dataclasses.replace(catalogue.get("fluidic").with_values(FLUIDIC), pulls_only=True)
+
+
+def test_a_model_that_pulls_only_is_0_where_its_law_is_negative_and_the_law_elsewhere() -> None:
+    p, length = np.linspace(0, 650e3, 27)[:, None], np.linspace(0.195, 0.249, 19)
+    law = dataclasses.replace(loose(), pulls_only=False)
+    as_it_is, found = (m.force(p, length, outside="ignore") for m in (law, loose()))
+    assert as_it_is.min() < -150.0
+    assert np.array_equal(found[as_it_is > 0], as_it_is[as_it_is > 0])
+    assert np.all(found[as_it_is <= 0] == 0.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OutsideDomain)
+        by_length = [m.dforce_dl(p, length) for m in (law, loose())]
+        by_pressure = [m.dforce_dp(p, length) for m in (law, loose())]
+    for one, other in (by_length, by_pressure):
+        assert np.array_equal(other[as_it_is > 0], one[as_it_is > 0])
+        assert np.all(other[as_it_is <= 0] == 0.0)
+
+
+def test_a_scene_keeps_the_sharp_corner_of_a_model_that_pulls_only() -> None:
+    c = dataclasses.replace(
+        nominal(), length_min_m=0.2, length_max_m=0.247, braid_length_m=0.28, turns=8.0
+    )
+    law = dataclasses.replace(loose(), pulls_only=False)
+    forces = {
+        (m.pulls_only, p): float(
+            Scene([Unit("muscle", c, model=m, rest_m=0.22, pressure_pa=p)]).forces_n[0]
+        )
+        for m in (law, loose()) for p in (50e3, 150e3, 500e3)
+    }  # fmt: skip
+    assert forces[False, 50e3] < -50.0
+    assert forces[True, 50e3] == 0.0
+    assert forces[True, 500e3] == forces[False, 500e3]
+    of_the_law = float(law.force(500e3, 0.22, outside="ignore"))
+    assert forces[True, 500e3] == pytest.approx(of_the_law, abs=0.02)
+
+
+def test_pulls_only_is_kept_in_the_model_file_and_is_true_or_false(tmp_path: Path) -> None:
+    path = tmp_path / "m.toml"
+    path.write_text(catalogue.to_toml(loose()), encoding="utf-8")
+    assert catalogue.load(path) == loose()
+    path.write_text(path.read_text().replace("pulls_only = true", "pulls_only = 1"))
+    with pytest.raises(PlantError, match="pulls_only = 1; expected true or false"):
+        catalogue.load(path)
 
 
 # ---- held-out pressures ---------------------------------------------------------------------
@@ -391,6 +443,8 @@ def test_fit_of_a_large_muscle_from_import_to_model_file(desk: Path) -> None:
     model = catalogue.load(desk / "big.toml")
     assert model.values["elastic_force"] == pytest.approx(150.0, rel=0.05)
     assert model.noise_n == pytest.approx(0.5, rel=0.3)
+    assert model.pulls_only
+    assert "its force is 0 where the law is negative" in text
     again = call("fit", "last", "--model", "big.toml", "--least-force", "5")
     assert "times as long" not in again
 
@@ -404,6 +458,15 @@ def test_compare_takes_start_values_and_holds_out_pressures(desk: Path) -> None:
     value = json.loads(call(*words, "--models", "fluidic", "--json"))
     assert value["scores"][0]["worst_percent"] < 1.0
     assert len(value["held_out_kpa"]) == len(value["fitted_kpa"]) - len(value["fitted_kpa"]) % 2
+
+
+def test_a_bad_model_file_ends_with_status_2_and_one_line(desk: Path) -> None:
+    (desk / "bad.toml").write_text(written().replace("matrix = [", "matrix = [[1.0],"))
+    command = [sys.executable, "-m", "cli.main", "fit", "last", "--model", "bad.toml"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "bad.toml [covariance]: matrix has to be 2 rows of 2 numbers" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,8 @@ def misfit_text(sizes: Misfit, model: Model) -> str:
     across = [p.name for p in model.parameters if p.name in ACROSS]
     if across:
         lines.append(f"{', '.join(across)}: of the force; a fit to force gives no gas volume")
+    if model.pulls_only:
+        lines.append("the model pulls only: its force is 0 where the law is negative")
     if model.geometry is not None:
         g = model.geometry
         lines.append(
@@ -188,10 +190,12 @@ def model_json(model: Model) -> dict[str, Any]:
     value = {f.name: getattr(model, f.name) for f in dataclasses.fields(model) if f.name != "law"}
     value["parameters"] = [dataclasses.asdict(p) for p in model.parameters]
     value["domain"] = dataclasses.asdict(model.domain)
-    for key in ("geometry", "covariance", "noise_n", "model_error_n"):
+    for key in ("geometry", "covariance", "noise_n", "model_error_n", "pulls_only"):
         found = value.pop(key)
-        if found is not None:
-            value[key] = found if isinstance(found, float) else dataclasses.asdict(found)
+        if dataclasses.is_dataclass(found) and not isinstance(found, type):
+            value[key] = dataclasses.asdict(found)
+        elif found is not None and found is not False:
+            value[key] = found
     return value
 
 

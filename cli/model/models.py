@@ -81,6 +81,8 @@ def fit(
         if start:
             chosen = _within_bounds(chosen.with_values(_numbers(start)))
         names = tuple(n.strip() for n in free.split(",") if n.strip()) or None
+        if least_force is not None:
+            chosen = dataclasses.replace(chosen, pulls_only=True)
         found, sizes = with_misfit(fit(chosen, points, free=names, robust=robust), points)
     except PlantError as error:
         raise PamrigError(

@@ -52,7 +52,7 @@ LAWS: dict[str, Law] = {
 _NUMBERS = ("value", "low", "high")
 _TOP = (
     "name", "title", "law", "equations", "source", "version", "data", "data_sha256", "notes",
-    "noise_n", "model_error_n", "domain", "geometry", "parameters", "covariance",
+    "pulls_only", "noise_n", "model_error_n", "domain", "geometry", "parameters", "covariance",
 )  # fmt: skip
 _DOMAIN = ("pressure_kpa", "length_mm", "temperature_c")
 _GEOMETRY = ("rest_length_mm", "diameter_mm")
@@ -99,6 +99,8 @@ def to_toml(model: Model, heading: str = "") -> str:
     lines += [f"source = {_text(model.source)}", f"version = {model.version}"]
     lines += [f"data = {_text(model.data)}", f"data_sha256 = {_text(model.data_sha256)}"]
     lines += ["notes = [", *(f"    {_text(note)}," for note in model.notes), "]"]
+    if model.pulls_only:
+        lines.append("pulls_only = true")
     for key in ("noise_n", "model_error_n"):
         if getattr(model, key) is not None:
             lines.append(f"{key} = {_number(getattr(model, key))}")
@@ -186,7 +188,15 @@ def _model(table: Mapping[str, Any], origin: str) -> Model:
         covariance=covariance,
         noise_n=_size(table, "noise_n", origin),
         model_error_n=_size(table, "model_error_n", origin),
+        pulls_only=_truth(table, "pulls_only", origin),
     )
+
+
+def _truth(table: Mapping[str, Any], key: str, origin: str) -> bool:
+    value = table.get(key, False)
+    if not isinstance(value, bool):
+        raise PlantError(f"{origin}: {key} = {value!r}; expected true or false")
+    return value
 
 
 def _geometry(table: Mapping[str, Any], origin: str) -> Geometry | None:

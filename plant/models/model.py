@@ -89,6 +89,8 @@ class Model:
         covariance: of the fitted parameters, or None.
         noise_n: scatter of a force reading, 1 sd, or None; see `plant.fitting.misfit`.
         model_error_n: size of the systematic error of the law within the domain, or None.
+        pulls_only: the muscle hangs loose where the law is negative, and its force is 0 there: a
+            hard corner, without smoothing. False: the law is used as it is, negative too.
     """
 
     name: str
@@ -106,6 +108,7 @@ class Model:
     covariance: Covariance | None = None
     noise_n: float | None = None
     model_error_n: float | None = None
+    pulls_only: bool = False
 
     @property
     def q(self) -> Array:
@@ -158,7 +161,7 @@ class Model:
         path: History | None = None,
         outside: Outside = "warn",
     ) -> Array:
-        """Force in N; arguments broadcast against each other.
+        """Force in N; arguments broadcast against each other. At least 0 if `pulls_only`.
 
         For a law with memory the order of the points is their history.
         Raises `PlantError` where the law has no value (for example beyond the length of the braid),
@@ -174,6 +177,8 @@ class Model:
                 out = static_force(self.law, q, p, length, t)
         if not np.isfinite(np.sum(out)):
             self._refuse(p, length, out)
+        if self.pulls_only:
+            out = np.maximum(out, 0.0)
         return out.reshape(shape)
 
     def dforce_dp(
@@ -259,7 +264,11 @@ class Model:
         self, pressure_pa: npt.ArrayLike, length_m: npt.ArrayLike, temperature_c: npt.ArrayLike
     ) -> tuple[Array, Array, Array]:
         p, length, t = self._inputs(pressure_pa, length_m, temperature_c, "warn")
-        found = self.law.slopes(self.q, p.ravel(), length.ravel(), t.ravel())
+        arguments = (self.q, p.ravel(), length.ravel(), t.ravel())
+        found = self.law.slopes(*arguments)
+        if self.pulls_only:
+            pulls = self.law.force(*arguments) > 0.0
+            found = (found[0] * pulls, found[1] * pulls, found[2] * pulls)
         return found[0].reshape(p.shape), found[1].reshape(p.shape), found[2].reshape(p.shape)
 
     def _refuse(self, p: Array, length: Array, out: Array) -> None:

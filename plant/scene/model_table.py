@@ -52,7 +52,9 @@ def model_table(model: Model, c: PlantConstants, temperature_c: float = 21.0) ->
 
     A model of the form p f(L) + g(L) has its own gas volume, that of its measured geometry at the
     rest length; without a geometry it is set equal to the braid's volume in the middle of the
-    range. Otherwise the gas volume is that of the bench's braid.
+    range. Otherwise the gas volume is that of the bench's braid. The table holds the law itself,
+    negative too; the kernel sets the force of a model that only pulls to at least 0, so that the
+    corner stays sharp.
 
     Raises:
         PlantError: the model has no value somewhere in the range.

@@ -167,7 +167,8 @@ class Scene:
             params[k, at.STEP_MAX] = STEP_MAX_S * step_share
             params[k, at.STEP_SAFETY] = STEP_SAFETY * step_share
             reach[k] = self._reach(unit)
-            shape[k, sc.PULLS_ONLY] = 1.0 if unit.tendon else 0.0
+            loose = unit.tendon or (isinstance(unit.model, Model) and unit.model.pulls_only)
+            shape[k, sc.PULLS_ONLY] = 1.0 if loose else 0.0
             if isinstance(unit.model, Piston):
                 kinds[k], shape[k, sc.AREA] = sc.CYLINDER, unit.model.area_m2
             elif unit.model is not None:
