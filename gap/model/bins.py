@@ -75,6 +75,28 @@ def turning_points(time_s: Array, value: Array, least: float) -> Array:
     return np.array(turns)
 
 
+_OUT_OF_STEP = 0.01
+"""Share of a trial by which its turning points may differ from those of its first replicate."""
+
+
+def in_step(time_s: Array, turns: Array, course: Array) -> Array:
+    """Times of a trial on the clock of its first replicate, shape of `time_s`.
+
+    A trial driven by hand turns earlier or later than its replicates; bins that end at the turning
+    points of one would mix both ways of another. Where the trial turns as often, time between
+    turning points is stretched; where it turns at the same times, it is left alone.
+
+    Args:
+        course: start, turning points and end of the first replicate, ascending.
+    """
+    own = np.r_[time_s[0], turns, time_s[-1]]
+    if len(turns) == 0 or len(own) != len(course) or np.any(np.diff(own) <= 0.0):
+        return time_s
+    if np.abs(own - course).max() <= _OUT_OF_STEP * float(np.ptp(course)):
+        return time_s
+    return np.interp(time_s, own, course)
+
+
 def fold(time_s: Array, value: Array, turns: Array, parts: int) -> Whole:
     """Bins of a signal that swings faster than bins in time can follow: shape of `time_s`.
 

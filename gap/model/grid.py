@@ -339,7 +339,9 @@ def _assign(
             float(t[0]), float(t[-1]), spacing, marks if block != "camera" else np.empty(0),
             turns, _MOST[block],
         )  # fmt: skip
-    piece.bin = np.searchsorted(ends[key], t, side="right")
+        ends[trial.slot, f"{block} course"] = np.r_[t[0], turns, t[-1]]
+    course = ends[trial.slot, f"{block} course"]
+    piece.bin = np.searchsorted(ends[key], bins.in_step(t, turns, course), side="right")
 
 
 def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points, Rows]:

@@ -60,11 +60,16 @@ class _Law(External):
             about, [Parameter(name, p.value, p.sd or 0.0) for name, p in names.items()]
         )
         self.model = model
+        self._bounds = {name: (p.low, p.high) for name, p in names.items()}
         self._own = {name: p.name for name, p in names.items()}
         self._temperature_c = about.number("temperature_c", ROOM_C)
 
     def _q(self, values: Mapping[str, float]) -> Array:
-        own = {self._own[name]: value for name, value in values.items()}
+        # A parameter that was fitted to its bound has an interval beyond it, where no law holds.
+        own = {
+            self._own[name]: min(max(value, self._bounds[name][0]), self._bounds[name][1])
+            for name, value in values.items()
+        }
         return self.model.with_values(own).q
 
     def _inputs(self, pressure_kpa: Array, length_mm: Array) -> tuple[Array, Array, Array]:
