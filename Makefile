@@ -4,8 +4,6 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 RUNS   ?= out/demo
 READY  := $(VENV)/.ready
-SMALL  := not campaign and not look
-WAITING = $(shell grep -l realtime tests/test_*.py)
 # The tests start many programs, each of which would translate all libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -24,14 +22,8 @@ demo: $(READY)   ## an isometric test on the virtual bench, then the thesis's me
 
 # Tests run side by side, each on a processor of its own.
 test: export OPENBLAS_NUM_THREADS = 1
-test: $(READY)   ## all tests at their small sizes: those that compute, then those that wait
-	@$(BIN)/python -m tests.compiling
-	@$(BIN)/python -m pytest -m "$(SMALL) and not realtime" -n logical --dist worksteal; \
-	computing=$$?; \
-	$(BIN)/python -m pytest -m "$(SMALL) and realtime" -n 3 --dist worksteal $(WAITING) || \
-	{ echo "Those that failed in real time once more, alone:"; \
-	  $(BIN)/python -m pytest -m "$(SMALL) and realtime" --last-failed -p no:xdist $(WAITING); }; \
-	exit $$((computing | $$?))
+test: $(READY)   ## all tests at their small sizes
+	@$(BIN)/python -m tests.suite
 
 golden: $(READY)   ## golden outputs compared with tests/golden.json.gz; stopped, it goes on
 	$(BIN)/python -m tests.golden make out/golden

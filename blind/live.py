@@ -18,7 +18,7 @@ from blind.design import draw_design, true_constants
 from blind.mimic import measure
 from blind.noise import draw_noise
 from blind.physics import numbers as n
-from blind.physics.bench import Trial, no_effect, nominal, with_keys
+from blind.physics.bench import Trial, label_shift, no_effect, nominal, with_keys
 from blind.physics.entries import CATALOGUE, ENTRIES, OUTSIDE, Hidden, draw
 from blind.physics.kernel import QUEUE, SINCE, TIMES, VALVE_CELLS, command, slopes
 from blind.physics.laws import relaxation
@@ -172,13 +172,7 @@ class LiveBench:
         self._drive = (False, 0.0)
 
     def _true_length(self, written: float) -> float:
-        row = self.effects[n.LABEL]
-        shift = row[1] if row[0] >= 0.0 else 0.0
-        if row[0] == 1.0:
-            shift *= 1.0 + 0.02 * (written - 60.0)
-        elif row[0] == 2.0:
-            shift *= 1.0 + (0.1 if self.trial.mounting % 2 else -0.1)
-        return float(written + shift)
+        return written + label_shift(self.effects, written, self.trial.mounting)
 
     def step(
         self,

@@ -1,8 +1,9 @@
 """Blind sets by stream and number: what is hidden in each, and how large it is made.
 
 Streams: `practice` may be looked at freely; `reserved` keeps its answers until a verdict is
-stored; `smoke` is a small one for the tests. Numbers run from 0; every block of sixty holds the
-same mixture of kinds.
+stored; `smoke` is a small one for the tests. `held_out` draws the forms that are held out, for the
+campaign of `gap.check` alone; `beside` is the same benches, protocols and noise with forms that are
+seen. Numbers run from 0; every block of sixty holds the same mixture of kinds.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ from blind.physics.stepping import OUT_FALL
 from blind.recalibrate import Recalibration
 
 Rng = np.random.Generator
-STREAMS = {"practice": 101, "reserved": 202, "smoke": 303, "live": 404}
+STREAMS = {
+    "practice": 101, "reserved": 202, "smoke": 303, "live": 404, "held_out": 505, "beside": 505,
+}  # fmt: skip
+HELD_OUT, BESIDE = "held_out", "beside"
 BLOCK = (
     ["nominal"] * 10 + ["single"] * 25 + ["pair"] * 5 + ["outside"] * 5
     + ["degenerate"] * 3 + ["unfit"] * 2 + ["left_out"] * 10
@@ -147,8 +151,23 @@ def choose(kind: str, count: int, rng: Rng) -> tuple[list[str], float | None]:
     return [], None
 
 
-def blind_set(stream: str, number: int, small: bool = False) -> BlindSet:
-    """Draw a set; the same stream and number always give the same one."""
+class HeldOutStreamError(ValueError):
+    """A set of the stream of held-out forms was asked for, and not by the campaign."""
+
+
+def blind_set(stream: str, number: int, small: bool = False, held_out: bool = False) -> BlindSet:
+    """Draw a set; the same stream and number always give the same one.
+
+    `held_out` admits the stream of held-out forms: for the campaign alone.
+
+    Raises:
+        HeldOutStreamError: `stream` is that of held-out forms and `held_out` is not given.
+    """
+    if stream == HELD_OUT and not held_out:
+        raise HeldOutStreamError(
+            f"stream {HELD_OUT!r} is kept from practice, learning and tests: "
+            "only `pamrig gap check --held-out` makes it"
+        )
     rng = np.random.default_rng(np.random.SeedSequence([STREAMS[stream], number]))
     kind, count = kind_and_count(number)
     ids, aim = choose(kind, count, rng)
@@ -168,7 +187,7 @@ def blind_set(stream: str, number: int, small: bool = False) -> BlindSet:
     if ids:
         recalibration = Recalibration(design, noise)
         for name in ids:
-            one = draw(ENTRIES[name], rng, design.stated)
+            one = draw(ENTRIES[name], rng, design.stated, held_out=stream == HELD_OUT)
             if aim is not None:
                 one = sized(one, aim, recalibration, design)
             hidden.append(one)

@@ -37,7 +37,7 @@ def _group(name: str, summary: str) -> typer.Typer:
 runs_app = _group("runs", "List, show, verify and rebuild recorded runs.")
 add_runs(runs_app)
 add_models(_group("models", "Models of the muscle: list, compare, audit."))
-add_imports(_group("import", "Make a run from data measured elsewhere."))
+add_imports(_group("import", "Make a run or a data set from data measured elsewhere."))
 add_calibration(_group("calibrate", "Calibrate an instrument."))
 add_gap(
     _group(
@@ -58,15 +58,18 @@ def main() -> None:
     # How a sum is split among threads decides its last digit, and that which of two equals leads.
     # Read when numpy is loaded; the products of a diagnosis are too small to gain by threads.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from cli.output import plain_output
     from daq.errors import PamrigError, printable
+    from plant.errors import PlantError
 
-    try:
-        app(standalone_mode=True)
-    except PamrigError as error:
-        typer.echo(printable(f"pamrig: {error}"), err=True)
-        sys.exit(2)
-    except BrokenPipeError:
-        sys.exit(1)
+    with plain_output():
+        try:
+            app(standalone_mode=True)
+        except (PamrigError, PlantError) as error:
+            typer.echo(printable(f"pamrig: {error}"), err=True)
+            sys.exit(2)
+        except BrokenPipeError:
+            sys.exit(1)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,10 @@ class Cause(StrEnum):
         "a gap that a fault of the recording would explain better than any effect, but the trials "
         "do not agree on the fault"
     )
+    NOMINAL_UNFIT = (
+        "the nominal plant is not that of these data: {findings}. Fit a model of your muscle first "
+        "(pamrig fit) and give it with --simulator, or state the muscle in bench.toml"
+    )
     NOTHING_TO_COMPARE = (
         "no trial has channels that the plant relates: pressure with force, pressure with valve "
         "commands, or pressure with a hung load and its length, each with a length"
@@ -47,6 +51,10 @@ class Cause(StrEnum):
     OUTSIDE = (
         "a gap of which the best entry ({names}) explains {percent:.0f} %, in a way that points to "
         "something the catalogue does not hold"
+    )
+    UNDETERMINED = (
+        "a gap that {names} would fit, but with an amount that these data leave open over its "
+        "whole range or that stands at the end of it"
     )
     DRIFT_LEFT = (
         "a gap of which {names} explains a part and no drift over the trials: the contrast {name} "

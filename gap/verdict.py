@@ -22,6 +22,19 @@ class Status(StrEnum):
     NO_GAP_ABOVE_FLOOR = "no_gap_above_floor"
     BELOW_RESOLUTION = "below_resolution"
     DATA_UNFIT = "data_unfit"
+    NOMINAL_UNFIT = "nominal_unfit"
+
+    @property
+    def explained(self) -> bool:
+        """Whether the verdict stands by the entries that it offers."""
+        return self in _EXPLAINED
+
+
+_EXPLAINED = frozenset(
+    (
+        Status.NAMED, Status.NAMED_FORM_INADEQUATE, Status.INDISTINGUISHABLE, Status.MIMICABLE,
+    )
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -70,6 +70,7 @@ def write_set(
     overrides: Mapping[str, Any] | None = None,
     late_s: float = 0.0,
     opens_late_s: Sequence[float] = (),
+    rate_hz: float = 500.0,
 ) -> Path:
     """Write a data set in the dataset format with `effects` of the plant switched on.
 
@@ -91,7 +92,7 @@ def write_set(
             [(at + late_s * replicate, *to) for at, *to in uneven(events, opens_late_s)]
         )
         truth = run_commands(
-            constants, acted, duration, 1000.0, on, source=source, load="isotonic" if mass else
+            constants, acted, duration, rate_hz, on, source=source, load="isotonic" if mass else
             "isometric", length_m=length * 1e-3, mass_kg=mass or 1.0,
         )  # fmt: skip
         trials.append(

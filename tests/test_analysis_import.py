@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from analysis.formats.importer import import_points, import_thesis
+from analysis.models.points import run_points
 from analysis.reduction.points import reduce_isometric
 from analysis.regression.force_lines import per_length
 from daq.clock import VirtualClock
@@ -114,7 +115,8 @@ H = "pressure_kpa,length_mm,force_n"
         ("pressure_kpa,length_mm\n200,60\n", ["column force_n", "missing"]),
         (f"{H}\n200000,60,5\n", ["row 2 column pressure_kpa", "200000", "0 to 1000 kpa", "unit"]),
         (f"{H}\n200,0.06,5\n", ["row 2 column length_mm", "0.06", "unit"]),
-        (f"{H}\n200,60,5\n300,60,5500\n", ["row 3 column force_n", "5500"]),
+        (f"{H}\n200,60,5\n300,60,55000\n", ["row 3 column force_n", "55000"]),
+        (f"{H},slack\n200,60,5,maybe\n", ["row 2 column slack", "true or false", "'maybe'"]),
         (f"{H}\n-200,60,5\n", ["row 2 column pressure_kpa", "-200"]),
         (f"{H}\n200,60,five\n", ["row 2 column force_n", "expected a number", "'five'"]),
         (f"{H}\n200,60,inf\n", ["row 2 column force_n", "finite"]),
@@ -155,6 +157,38 @@ def test_values_somewhat_outside_the_sensor_are_noted_not_refused(tmp_path: Path
     path.write_text(f"{H}\n1200,60,70\n")
     reduction = reduce_isometric(open_run(import_points(path, tmp_path / "runs", VirtualClock())))
     assert any("pressure_kpa: 1 values outside" in note for note in reduction.notes)
+
+
+def test_the_advised_column_repeat_is_kept_beside_the_replicate_of_the_trial(
+    tmp_path: Path,
+) -> None:
+    """The refusal of equal rows advises `repeat`; the dataset format has a `replicate` as well."""
+    folder = tmp_path / "set"
+    folder.mkdir()
+    (folder / "trials.csv").write_text("trial,replicate\na,1\n")
+    (folder / "samples.csv").write_text(f"trial,{H}\na,200,60,5\na,200,60,5\n")
+    with pytest.raises(PamrigError, match="named repeat"):
+        import_points(folder, tmp_path / "runs", VirtualClock())
+    (folder / "samples.csv").write_text(f"trial,repeat,{H}\na,1,200,60,5\na,2,200,60,5\n")
+    run = open_run(import_points(folder, tmp_path / "runs", VirtualClock()))
+    assert list(reduce_isometric(run).table["repeat"]) == [1, 2]
+
+
+def test_slack_points_are_listed_and_are_no_measurement(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(f"{H},slack\n200,60,5,false\n200,50,0,true\n300,60,8,\n300,50,0,1\n")
+    run = open_run(import_points(path, tmp_path / "runs", VirtualClock()))
+    reduction = reduce_isometric(run)
+    assert list(reduction.table["force_n"]) == [5.0, 8.0]
+    assert [row["order"] for row in reduction.excluded] == [2, 4]
+    assert all("slack" in row["reason"] for row in reduction.excluded)
+    assert any("2 points are slack" in note for note in reduction.notes)
+    assert list(run_points(run).force_n) == [5.0, 8.0]
+
+
+def test_a_large_industrial_muscle_is_imported(tmp_path: Path) -> None:
+    table = imported(tmp_path, f"{H}\n600,300,1460.1\n600,296,5900\n")
+    assert list(table["force_n"]) == [1460.1, 5900.0]
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,13 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 
 from cli.main import app
+from import_sets import prepare_page
+from plant.models import catalogue
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.toml_reader import find_config
 
@@ -46,11 +49,26 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "mytest.toml").write_text(find_config("isometric-short", "protocols")[0])
     rows = [f"{p},{60 + k},{p * 0.07 + k:.3f}" for k in range(3) for p in (200, 300, 400)]
     (folder / "mine.csv").write_text("pressure_kpa,length_mm,force_n\n" + "\n".join(rows) + "\n")
+    prepare_page(folder)
+    (folder / "big.csv").write_text(large_muscle())
     run(folder, "pamrig isometric --protocol isometric-short")
     prepare = HOUSE / "tests" / "docs_pictures.py"
     if prepare.exists():
         subprocess.run([sys.executable, str(prepare), str(folder)], check=True, timeout=900)
     return folder
+
+
+def large_muscle() -> str:
+    """Settled points of a muscle of 10 mm and 250 mm, slack where its force would be negative."""
+    p, x = np.meshgrid(np.linspace(50e3, 650e3, 13), np.linspace(0.2, 0.25, 6), indexing="ij")
+    law = catalogue.get("fluidic").with_values(
+        {"radius": 7.2, "braid_angle": 29.0, "rest_length": 250.0, "elastic_force": 150.0,
+         "elastic_strain": 2.5, "offset_force": 188.0}
+    )  # fmt: skip
+    force = law.force(p, x, outside="ignore") + np.random.default_rng(1).normal(size=p.shape)
+    rows = zip(p.ravel() / 1e3, x.ravel() * 1e3, np.maximum(force, 0.0).ravel(), strict=True)
+    text = "\n".join(f"{a:.1f},{b:.1f},{c:.2f}" for a, b, c in rows)
+    return f"pressure_kpa,length_mm,force_n\n{text}\n"
 
 
 def argv(command: str) -> list[str]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bench_process import call_pamrig
 from gap.data.reader import read_dataset
 from gap.decision.at_bound import relieving
 from gap.decision.classify import nearest_confounder
@@ -116,10 +115,7 @@ def test_a_rival_that_needs_another_size_is_a_mimic_at_that_size() -> None:
 
 def test_the_command_prints_one_object_and_no_more(tmp_path: Path) -> None:
     settled_set(tmp_path / "set", {})
-    done = subprocess.run(
-        [sys.executable, "-m", "cli.main", "gap", "diagnose", str(tmp_path / "set"), "--json"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = call_pamrig("gap", "diagnose", tmp_path / "set", "--json")
     assert done.returncode == 0, done.stderr
 
     def refuse(word: str) -> Any:

@@ -123,7 +123,7 @@ def test_runs_of_one_bench_are_joined_and_a_taken_folder_is_refused(
     recorded: tuple[Run, Any], tmp_path: Path
 ) -> None:
     run = recorded[0]
-    other = run_bench(tmp_path / "more", derive=True)[1]
+    other = run_bench(tmp_path / "more")[1]
     made = export_runs([other, run], tmp_path / "both")
     assert made.trials == 6
     assert made.slots == 2
@@ -135,7 +135,8 @@ def test_runs_of_one_bench_are_joined_and_a_taken_folder_is_refused(
 
 def test_runs_follow_each_other_and_other_settings_are_no_replicates(tmp_path: Path) -> None:
     """A simulated hour passes in seconds: by the clock such runs would overlap."""
-    changes = ({}, {}, {"pressures_kpa": (120.0, 240.0)})
+    few = {"pressures_kpa": (200.0,)}
+    changes = (few, few, {"pressures_kpa": (120.0,)})
     runs = [open_run(run_bench(tmp_path / "runs", repeats=1, **c)[0].folder) for c in changes]
     trials = pd.read_csv(export_runs(runs, tmp_path / "set").folder / "trials.csv")
     assert list(trials["note"]) == [run.run_id for run in runs for _ in range(2)]

@@ -23,7 +23,8 @@ NEW = "hysteresis"
 @pytest.fixture(scope="module")
 def earlier_and_all(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitProblem, FitProblem]:
     folder = tmp_path_factory.mktemp("liner")
-    write_set(folder, {"liner_threshold": {"threshold_kpa": 25.0}}, seed=12, replicates=2)
+    liner = {"liner_threshold": {"threshold_kpa": 25.0}}
+    write_set(folder, liner, seed=12, replicates=2, rate_hz=1000.0)
     data = read_dataset(folder)
     known = tuple(trial for trial in data.trials if trial.protocol != NEW)
     return FitProblem.of(dataclasses.replace(data, trials=known)), FitProblem.of(data)

@@ -50,6 +50,13 @@ def test_missing_columns_are_no_error(tmp_path: Path) -> None:
     assert np.isnan(data.trials[0].held_length_mm)
 
 
+@pytest.mark.parametrize("trials", ["trial,order\na,\nb,\n", "trial\na\nb\n"])
+def test_rows_are_no_order_where_the_file_states_none(tmp_path: Path, trials: str) -> None:
+    data = read_dataset(folder(tmp_path, trials, "trial,pressure_kpa\na,1\nb,2\n"))
+    assert np.isnan([trial.order for trial in data.trials]).all()
+    assert any("order of the trials is not known" in note for note in data.notes)
+
+
 def test_a_last_number_that_may_be_cut_short_is_noted(tmp_path: Path) -> None:
     samples = "trial,time_s,pressure_kpa\na,0,120.5\na,1,12"
     (note,) = read_dataset(folder(tmp_path, "trial\na\n", samples)).notes

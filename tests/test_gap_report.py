@@ -75,7 +75,7 @@ def test_the_letter_of_a_real_data_set_tells_the_verdict_and_its_reasons(
         assert part in page
     # Stages, two maps, courses and ladder are drawn.
     assert liner.verdict.stages
-    assert page.count("data:image/svg+xml;base64,") == 5
+    assert page.count("data:image/svg+xml;base64,") == 6
     labels = [rung.label for rung in liner.ladder]
     assert labels[:2] == ["as stated", "recalibrated"]
     assert liner.ladder[-1].rms < 0.5 * liner.ladder[1].rms

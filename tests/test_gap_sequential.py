@@ -9,14 +9,14 @@ import pytest
 from gap.decision.sequential import SequentialVerdict, joint
 from gap.reporting.text import conclusion_text
 from gap.validation.prediction import Prediction, families
-from gap.verdict import Explanation, Gap, Verdict
+from gap.verdict import Explanation, Gap, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
 
 def verdict_with(status: str, effects: tuple[str, ...] = ()) -> Verdict:
     ids = [tuple(effect.split("+")) for effect in effects]
     found = tuple(Explanation(i, "+".join(CATALOGUE[e].family for e in i), 0.4, {}) for i in ids)
-    return Verdict(status, "", None, found, 0.0, 1.0, None, (), (), {}, None, {})
+    return Verdict(Status(status), "", None, found, 0.0, 1.0, None, (), (), {}, None, {})
 
 
 def predicted(without: float, left: float, rival: float, by: str = "creep") -> Prediction:

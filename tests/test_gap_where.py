@@ -47,18 +47,26 @@ HIDDEN: dict[str, tuple[dict[str, Any], str, float]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def examined(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Fitted]:
-    """Benches with one effect or none, each fitted with it."""
-    made = {}
-    for name, (effects, key, amount) in HIDDEN.items():
-        folder = write_set(tmp_path_factory.mktemp("where") / name, effects, 3, replicates=2)
+class Benches(dict[str, Fitted]):
+    """Benches with one effect or none, each fitted with it; made when first asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._folder = folder
+
+    def __missing__(self, name: str) -> Fitted:
+        effects, key, amount = HIDDEN[name]
+        folder = write_set(self._folder / name, effects, 3, replicates=2)
         problem = FitProblem.of(open_data(folder))
         fits = [problem.fit_afresh([s], [amount]) for s in problem.candidates if s.key == key]
-        made[name] = Fitted(
-            folder, problem, min(fits, key=lambda f: f.cost) if fits else problem.base
-        )
-    return made
+        fit = min(fits, key=lambda f: f.cost) if fits else problem.base
+        self[name] = Fitted(folder, problem, fit)
+        return self[name]
+
+
+@pytest.fixture(scope="module")
+def examined(tmp_path_factory: pytest.TempPathFactory) -> Benches:
+    return Benches(tmp_path_factory.mktemp("where"))
 
 
 # ---------------------------------------------------------------------------- Shapley's axioms

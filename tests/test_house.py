@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 from conftest import PACKAGES, slow_tests
@@ -36,14 +37,33 @@ MICROPYTHON = {
 }
 
 
+@cache
+def import_nodes(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    """What a file imports, at any depth of its code."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def imports(path: Path) -> set[str]:
     """First parts of all modules a file imports, at any depth of its code."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in import_nodes(path):
         if isinstance(node, ast.Import):
             found |= {name.name.split(".")[0] for name in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             found.add(node.module.split(".")[0])
+    return found
+
+
+@cache
+def definitions(path: Path) -> set[str]:
+    """Functions and classes of a file, and the functions of its classes as CLASS.FUNCTION."""
+    found: set[str] = set()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+            inner = node.body if isinstance(node, ast.ClassDef) else []
+            found |= {f"{node.name}.{n.name}" for n in inner if isinstance(n, ast.FunctionDef)}
     return found
 
 
@@ -54,7 +74,7 @@ def module_name(name: str) -> str:
 def imported(path: Path, known: dict[str, Path]) -> set[str]:
     """Modules of this repository that a file imports anywhere in its code."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in import_nodes(path):
         if isinstance(node, ast.Import):
             found |= {name.name for name in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
@@ -125,10 +145,5 @@ def test_no_module_imports_itself_through_others() -> None:
 def test_every_test_that_is_listed_as_slow_exists() -> None:
     for line in slow_tests():
         path, *names = line.partition("[")[0].split("::")
-        tree: ast.AST = ast.parse((HOUSE / path).read_text(encoding="utf-8"))
-        for name in names:
-            inside = {
-                n.name: n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.ClassDef)
-            }
-            assert name in inside, line
-            tree = inside[name]
+        inside = definitions(HOUSE / path)
+        assert ".".join(names) in inside, line

@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from analysis.reduction.points import reduce_isometric
 from analysis.regression.calibration_line import Reference, fit_line
+from bench_runs import quick, run_isometric
 from cli.main import app
 from daq.errors import ConfigError
 from daq.interrupt import StopFlag, Stopped
-from daq.store.run import open_run
+from daq.store.run import Run, open_run
 from rigs.calibration.force import calibrate_force
 from rigs.calibration.pressure import calibrate_pressure
-from rigs.calibration.run import middle, up_and_down
+from rigs.calibration.run import Calibrated, middle, up_and_down
 from rigs.rigfile.calibration_file import load_calibration, write_calibration
-from rigs.rigfile.config import load_rig
+from rigs.rigfile.config import RigConfig, load_rig
 
 RAW = np.array([0.0, 400.0, 800.0, 1600.0, 2400.0, 1600.0, 800.0, 400.0, 0.0])
 WEIGHTS = Reference("set W-3, class M1", u_gain=1e-4)
@@ -212,12 +214,28 @@ def named(folder: Path, file: str, rig: str = "virtual-instruments") -> str:
     return str(path)
 
 
-def test_a_rig_file_names_it_and_a_run_freezes_it(tmp_path: Path) -> None:
-    from bench_runs import quick, run_isometric
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
+    """The pressure sensor, calibrated to 300 kPa."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    config = load_rig("virtual-instruments")
+    return calibrate_pressure(config, [0, 100, 200, 300], folder, seconds=0.5)
 
-    done = calibrate_pressure(load_rig("virtual-instruments"), [0, 200, 400, 600], tmp_path / "c")
-    write_calibration(tmp_path / "p.toml", done.file, done.points)
-    config = load_rig(named(tmp_path, "p.toml"))
+
+@pytest.fixture(scope="module")
+def used(calibrated: Calibrated, tmp_path_factory: pytest.TempPathFactory) -> tuple[RigConfig, Run]:
+    """A rig with this calibration, and a run on it at 200 and at 500 kPa."""
+    folder = tmp_path_factory.mktemp("used")
+    write_calibration(folder / "p.toml", calibrated.file, calibrated.points)
+    config = load_rig(named(folder, "p.toml"))
+    plan = quick(config, lengths_mm=(60.0,), pressures_kpa=(200.0, 500.0))
+    return config, open_run(run_isometric(config, plan, folder / "runs", derive=False).folder)
+
+
+def test_a_rig_file_names_it_and_a_run_freezes_it(
+    calibrated: Calibrated, used: tuple[RigConfig, Run]
+) -> None:
+    done, (config, run) = calibrated, used
     assert config.calibrations["pressure_kpa"] == done.file.calibration.__class__(
         **{**vars(done.file.calibration), "u_offset": config.calibrations["pressure_kpa"].u_offset,
            "u_gain": config.calibrations["pressure_kpa"].u_gain}
@@ -225,31 +243,13 @@ def test_a_rig_file_names_it_and_a_run_freezes_it(tmp_path: Path) -> None:
     assert config.calibrations["pressure_kpa"].u_offset == pytest.approx(
         done.file.calibration.u_offset, rel=1e-5
     )
-    result = run_isometric(
-        config,
-        quick(config, lengths_mm=(60.0,), pressures_kpa=(200.0,)),
-        tmp_path / "runs",
-        derive=False,
-    )
-    frozen = open_run(result.folder).calibration("pressure_kpa")
+    frozen = run.calibration("pressure_kpa")
     assert frozen == config.calibrations["pressure_kpa"]
     assert frozen.id.startswith("P-VB-0004-")
 
 
-def test_a_measurement_outside_its_domain_says_so(tmp_path: Path) -> None:
-    from analysis.reduction.points import reduce_isometric
-    from bench_runs import quick, run_isometric
-
-    done = calibrate_pressure(load_rig("virtual-instruments"), [0, 100, 200, 300], tmp_path / "c")
-    write_calibration(tmp_path / "p.toml", done.file, done.points)
-    config = load_rig(named(tmp_path, "p.toml"))
-    result = run_isometric(
-        config,
-        quick(config, lengths_mm=(60.0,), pressures_kpa=(200.0, 500.0)),
-        tmp_path / "runs",
-        derive=False,
-    )
-    notes = reduce_isometric(open_run(result.folder)).notes
+def test_a_measurement_outside_its_domain_says_so(used: tuple[RigConfig, Run]) -> None:
+    notes = reduce_isometric(used[1]).notes
     assert any("pressure_kpa: 2 points outside the calibrated" in note for note in notes), notes
 
 
@@ -264,12 +264,9 @@ def test_a_measurement_outside_its_domain_says_so(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_file_that_does_not_belong_here_is_refused(
-    tmp_path: Path, change: tuple[str, str], words: str
+    calibrated: Calibrated, tmp_path: Path, change: tuple[str, str], words: str
 ) -> None:
-    done = calibrate_pressure(
-        load_rig("virtual-instruments"), [0, 200, 400], tmp_path / "c", seconds=0.5
-    )
-    write_calibration(tmp_path / "p.toml", done.file, done.points)
+    write_calibration(tmp_path / "p.toml", calibrated.file, calibrated.points)
     text = (tmp_path / "p.toml").read_text()
     assert change[0] in text
     (tmp_path / "p.toml").write_text(text.replace(*change))
@@ -277,10 +274,10 @@ def test_a_file_that_does_not_belong_here_is_refused(
         load_rig(named(tmp_path, "p.toml"))
 
 
-def test_a_file_is_not_overwritten_unasked(tmp_path: Path) -> None:
-    path = tmp_path / "f.toml"
-    done = calibrate_force(load_rig("virtual"), [0, 2, 5], tmp_path / "c", weights=WEIGHTS)
-    write_calibration(path, done.file, done.points)
+def test_a_file_is_not_overwritten_unasked(calibrated: Calibrated, tmp_path: Path) -> None:
+    path, file = tmp_path / "p.toml", calibrated.file
+    write_calibration(path, file, calibrated.points)
     with pytest.raises(ConfigError, match="exists already"):
-        write_calibration(path, done.file, done.points)
-    assert load_calibration(str(path), "rig", "force_n", "g").reference == WEIGHTS.name
+        write_calibration(path, file, calibrated.points)
+    back = load_calibration(str(path), "rig", "pressure_kpa", file.calibration.raw_unit)
+    assert back.reference == file.reference

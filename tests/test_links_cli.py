@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from bench_process import call_pamrig
 from plant.links import dynamics as dyn
 from plant.links import load_arm
 
 
 def links(tmp_path: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "cli.main", "links", *words],
-        env=os.environ | {"PAMRIG_CACHE": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PAMRIG_CACHE", str(tmp_path))
+        return call_pamrig("links", *words)
 
 
 def test_text_is_the_default(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def test_figures_are_written(tmp_path: Path) -> None:
 
 def test_models_list_names_all_with_their_equations() -> None:
     value = json.loads(call("models", "list", "--json"))
-    assert len(value) == 20
+    assert len(value) == 22
     caldwell = next(m for m in value if m["name"] == "caldwell")
     assert caldwell["equations"][0] == "4-9"
     assert all(p["unit"] for m in value for p in m["parameters"])

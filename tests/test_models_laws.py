@@ -210,6 +210,36 @@ def test_liner_braid_uses_the_plants_own_liner() -> None:
     assert np.allclose(model.force(p, length), expected, rtol=1e-9, atol=1e-9)
 
 
+def test_sarosi_five_is_its_formula_in_bar_and_percent() -> None:
+    values = {"a1": 470.0, "a2": -0.61, "a3": -8.9, "a4": 271.0, "a5": -315.0, "rest_length": 300.0}
+    model = catalogue.get("sarosi-five").with_values(values)
+    bar, percent = 4.5, 6.0
+    expected = (bar + 470.0) * np.exp(-0.61 * percent) - 8.9 * percent * bar + 271.0 * bar - 315.0
+    length = 300e-3 * (1 - percent / 100)
+    assert model.force(bar * 1e5, length, outside="ignore") == pytest.approx(expected, rel=1e-12)
+
+
+def test_fluidic_is_chou_and_hannaford_in_rest_geometry_with_membrane_and_offset() -> None:
+    """With no membrane and no offset the law is the braid, whose b and n follow from r0, theta0."""
+    r, angle, rest = 5.0, 25.0, 250.0
+    braid_mm = rest / np.cos(np.radians(angle))
+    turns = braid_mm * np.sin(np.radians(angle)) / (2 * np.pi * r)
+    braid = catalogue.get("chou-hannaford").with_values({"braid_length": braid_mm, "turns": turns})
+    bare = catalogue.get("fluidic").with_values(
+        {"radius": r, "braid_angle": angle, "rest_length": rest, "end_factor": 1.0,
+         "elastic_force": 0.0, "offset_force": 0.0}
+    )  # fmt: skip
+    full = bare.with_values({"elastic_force": 150.0, "elastic_strain": 2.5, "offset_force": 190.0})
+    p, length = np.array([1e5, 3e5, 7e5]), np.array([0.2, 0.24, 0.249])
+    assert np.allclose(
+        bare.force(p, length, outside="ignore"), braid.force(p, length, outside="ignore")
+    )
+    extra = 150.0 * np.exp(-(1 - length / 0.25) / 0.025) - 190.0
+    assert np.allclose((full.force(p, length, outside="ignore") - extra), bare.force(
+        p, length, outside="ignore"
+    ))  # fmt: skip
+
+
 def test_caldwell_pulls_nothing_at_its_minimum_energy_state() -> None:
     model = catalogue.get("caldwell")
     h = model.values["thread_length"] * 1e-3

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from analysis.findings.simulation import scene_figure
 from analysis.formats.export import export_run
 from analysis.reporting.derived import derive_all
 from analysis.run_table import reduce_run
+from bench_process import call_pamrig
 from daq.errors import ConfigError, RecordError
 from daq.interrupt import StopFlag
 from daq.store.run import open_run
@@ -234,10 +234,7 @@ def test_a_bad_scenario_is_refused_with_file_and_key(
 
 def test_the_command_line_refuses_with_status_2_and_prints_json(tmp_path: Path) -> None:
     def pamrig_command(*words: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "cli.main", "simulate", *words, "--out", str(tmp_path / "runs")],
-            capture_output=True, text=True, timeout=900, check=False,
-        )  # fmt: skip
+        return call_pamrig("simulate", *words, "--out", tmp_path / "runs")
 
     bad = written(tmp_path, scenario_text().replace("mass_g = 200.0", "mass_g = -200.0"))
     done = pamrig_command(bad)

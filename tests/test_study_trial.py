@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bench_process import call_pamrig
 from plant.constants import nominal
 from plant.simulator.bench import FINE_STEP_SHARE, BenchSim
 from rigs.virtual.board.as_printed import install_as_printed
@@ -177,10 +176,7 @@ def test_each_study_answers_in_small(module, tmp_path: Path) -> None:  # type: i
 
 
 def test_the_command_writes_figures_and_one_json_value(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "cli.main", "study", "delay", "--json", "--out", str(tmp_path)],
-        capture_output=True, text=True, timeout=900, check=False,
-    )  # fmt: skip
+    done = call_pamrig("study", "delay", "--json", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["study"] == "delay"
     assert (tmp_path / "study-delay.png").stat().st_size > 10_000

@@ -80,11 +80,11 @@ def _cover(scene: Scene, edge: float, side: int, width, rows, smear: float):
     u = x[None, :] * c - y[:, None] * s
     reach = 8.5 * scene.blur + 2.0  # beyond it the normal distribution is 0 or 1 to 1e-16
     if width is None and rows is None:
-        d = (u - edge) * side
+        d = (u[: 1 if scene.tilt_deg == 0.0 else None] - edge) * side  # upright: rows are alike
         out = (d > 0).astype(np.float64)
         near = np.abs(d) < reach
         out[near] = half_plane(d[near], tilt, scene.blur)
-        return out
+        return np.broadcast_to(out, u.shape)
     nodes, weights = np.polynomial.legendre.leggauss(5)
     width = 4000.0 if width is None else width
     v0, v1 = (-4000.0, 4000.0) if rows is None else (r - scene.height / 2 for r in rows)
@@ -124,8 +124,11 @@ def clean(scene: Scene):
 
 
 def digitise(frame, noise: float, rng):
-    noisy = frame + noise * rng.standard_normal(frame.shape) if noise > 0 else frame
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    noisy = rng.standard_normal(frame.shape) if noise > 0 else np.zeros(frame.shape)
+    noisy *= noise
+    noisy += frame
+    np.rint(noisy, out=noisy)
+    return np.clip(noisy, 0, 255, out=noisy).astype(np.uint8)
 
 
 def picture(scene: Scene, rng):

@@ -118,7 +118,7 @@ def import_points(path: Path | str, root: Path | str, clock: Clock) -> Path:
     return _write(points.rows, manifest, root, clock)
 
 
-EVENT_EXTRAS = ("valve", "mass_kg", "cycle_max_kpa")
+EVENT_EXTRAS = ("valve", "mass_kg", "cycle_max_kpa", "slack")
 """Labels that only some tables have."""
 
 

@@ -22,7 +22,12 @@ NUMBERS = (
     "set_pressure_kpa",
     "set_length_mm",
 )
-LABELS = ("trial", "slot", "repeat", "replicate", "mounting", "direction", "order")
+LABELS = ("trial", "slot", "replicate", "repeat", "mounting", "direction", "order")
+"""`repeat` and `replicate` are one label; `repeat` comes later, so it is kept where both occur:
+it can number the points of one trial, and `replicate` cannot."""
+SLACK = "slack"
+"""Column that is true where the muscle hangs loose: its force of 0 is no measurement."""
+TRUTHS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False, "": False}
 TRIAL_COLUMNS = (
     "trial", "slot", "replicate", "protocol", "mounting", "order", "held_length_mm", "load_kg",
     "temperature_c", "start_s", "note",
@@ -38,7 +43,11 @@ SENSOR_RANGE = {
     "held_length_mm": (10.0, 200.0),
     "temperature_c": (10.0, 60.0),
 }
-"""Ranges of the sensors of the bench. Ten times beyond them another unit is assumed."""
+"""Ranges of the sensors of the bench. Ten times beyond them another unit is assumed, except in
+``HARD_CEILING`` and ``HARD_FLOOR``."""
+
+HARD_CEILING = {"force_n": 10e3}
+"""Industrial muscles of 40 mm pull 6000 N."""
 
 HARD_FLOOR = {"pressure_kpa": -101.325, "set_pressure_kpa": -101.325, "temperature_c": -273.15}
 
@@ -81,7 +90,7 @@ def number(cell: Any, name: str, line: int, column: str, outside: dict[str, list
     """The cell as a number, NaN if empty. Values outside the sensor range are added to ``outside``.
 
     Raises:
-        PamrigError: it is not a number, or ten times outside the range of the sensor.
+        PamrigError: it is not a number, or far outside the range of the sensor.
     """
     where = f"{name} row {line} column {column}"
     if cell is None or cell == "":
@@ -103,7 +112,7 @@ def number(cell: Any, name: str, line: int, column: str, outside: dict[str, list
         return value
     low, high = SENSOR_RANGE[column]
     floor = HARD_FLOOR.get(column, 10.0 * low if low < 0 else low / 10.0)
-    if value > 10.0 * high or value < floor:
+    if value > HARD_CEILING.get(column, 10.0 * high) or value < floor:
         unit = column.rsplit("_", 1)[1]
         raise PamrigError(
             where,
@@ -113,6 +122,22 @@ def number(cell: Any, name: str, line: int, column: str, outside: dict[str, list
     if not low <= value <= high:
         outside.setdefault(column, []).append(line)
     return value
+
+
+def truth(cell: Any, name: str, line: int, column: str) -> bool:
+    """The cell as true or false; empty is false.
+
+    Raises:
+        PamrigError: it is neither.
+    """
+    text = "" if cell is None else str(cell).strip().lower()
+    if text not in TRUTHS:
+        raise PamrigError(
+            f"{name} row {line} column {column}",
+            f"expected true or false, got {str(cell)[:40]!r}",
+            "leave it empty for false",
+        )
+    return TRUTHS[text]
 
 
 def check_columns(columns: list[str], name: str, known: tuple[str, ...]) -> list[str]:

@@ -23,14 +23,19 @@ from analysis.formats.point_checks import (
     NUMBERS,
     REQUIRED,
     SENSOR_RANGE,
+    SLACK,
     TRIAL_COLUMNS,
     check_columns,
     check_required,
     number,
+    truth,
 )
 from daq.errors import PamrigError
 from daq.store.tablefile import check_csv, read_parquet
 from plant import tomlfile
+
+MOST_POINTS = 1_000_000
+"""Settled points of one file; a test of a month has a hundredth of it."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +119,7 @@ def _points(
     for line, cells in raw:
         if not columns:
             columns = list(cells)
-            notes += check_columns(columns, name, (*NUMBERS, *LABELS))
+            notes += check_columns(columns, name, (*NUMBERS, *LABELS, SLACK))
             check_required(columns, name, trials)
         full = _joined(cells, trials, name, line)
         row = _typed(full, name, line, outside)
@@ -180,6 +185,8 @@ def _typed(
         value = cells.get(column)
         if value is not None and str(value) != "":
             row["repeat" if column == "replicate" else column] = str(value)
+    if truth(cells.get(SLACK), name, line, SLACK):
+        row[SLACK] = True
     direction = row.get("direction", "")
     if direction not in DIRECTIONS:
         raise PamrigError(
@@ -213,7 +220,13 @@ def _read_table(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
         raise PamrigError(
             path.name, f"is not UTF-8 text (byte {error.start})", "save it as CSV in UTF-8"
         ) from error
-    lines = csv.reader(text.splitlines())
+    try:
+        yield from _read_rows(path, csv.reader(text.splitlines()))
+    except csv.Error as error:
+        raise PamrigError(path.name, f"is not CSV: {error}", "save it as CSV again") from None
+
+
+def _read_rows(path: Path, lines: Any) -> Iterator[tuple[int, dict[str, Any]]]:
     header = [cell.strip() for cell in next(lines, [])]
     if len(header) == 1 and re.search(r"[;\t]", header[0]):
         raise PamrigError(
@@ -236,6 +249,9 @@ def _read_table(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 def _read_parquet(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     table = read_parquet(path)
+    if len(table) > MOST_POINTS:
+        what = f"has {len(table)} rows, allowed are {MOST_POINTS} settled points"
+        raise PamrigError(path.name, what, "give settled points, not samples")
     for index, row in enumerate(table.astype(object).where(table.notna(), None).to_dict("records")):
         yield index + 1, {str(name): value for name, value in row.items()}
 

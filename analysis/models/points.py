@@ -98,6 +98,7 @@ def run_points(run: Run) -> Points:
         sensors=sensors,
         length_label=np.array([f"{x:g} mm" for x in lengths]),
         mounting_label=rows["mounting"].astype(str).to_numpy(dtype=np.str_),
+        pressure_label=np.array([f"{p:g} kPa" for p in nominal_kpa(rows)]),
         cell=np.array(cells),
         path=History(None, start),
         source=f"run {run.run_id}",

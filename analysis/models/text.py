@@ -5,14 +5,17 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from plant.fitting.compare import Comparison
+    from plant.fitting.compare import Comparison, PressureComparison
     from plant.fitting.data import Points
     from plant.fitting.fit import Fit
+    from plant.fitting.misfit import Misfit
+    from plant.fitting.scale import Scaling
     from plant.models.model import Model
 
 
@@ -35,6 +38,79 @@ def fit_text(found: Fit, points: Points) -> str:
     else:
         lines.append("no sensor errors are stated: the intervals are from the scatter only")
     lines += found.identifiability.lines()
+    return "\n".join(lines)
+
+
+NOISE_FROM = {
+    "repeats": "scatter of repeated points",
+    "roughness": "roughness of the residuals along the pressure",
+    "scatter": "scatter of the fit, an upper limit",
+}
+ERROR_FROM = {
+    "held-out pressures": "error at held-out pressures",
+    "residuals": "residuals",
+}
+ACROSS = ("turns", "radius", "diameter", "diameter_at_90")
+"""Parameters that look like dimensions across the muscle."""
+
+
+def misfit_text(sizes: Misfit, model: Model) -> str:
+    """Noise, systematic error, and what the fit says about the gas volume."""
+    apart = sizes.noise_from != "scatter"
+    lines = [
+        f"noise {sizes.noise_n:.3g} N ({NOISE_FROM[sizes.noise_from]})",
+        f"systematic error of the law {sizes.model_error_n:.3g} N ("
+        f"{ERROR_FROM[sizes.error_from]}{', less the noise' if apart else ', an upper limit'})",
+    ]
+    across = [p.name for p in model.parameters if p.name in ACROSS]
+    if across:
+        lines.append(f"{', '.join(across)}: of the force; a fit to force gives no gas volume")
+    if model.geometry is not None:
+        g = model.geometry
+        lines.append(
+            f"gas volume {g.volume_m3 * 1e6:.4g} ml at {g.rest_length_mm:g} mm, from the stated "
+            f"diameter of {g.diameter_mm:g} mm"
+        )
+    return "\n".join(lines)
+
+
+def start_lines(scalings: Iterable[Scaling]) -> list[str]:
+    """A line on the start values, if those of some models were scaled to the muscle."""
+    changed = [s for s in scalings if s.changed]
+    if not changed:
+        return []
+    s = changed[0]
+    low, high = (f(s.force for s in changed) for f in (min, max))
+    force = f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
+    rest = ""
+    if s.rest_length_mm is not None:
+        why = "stated" if s.stated else "longest length of the data; see --rest-length"
+        rest = f"; rest length {s.rest_length_mm:g} mm ({why})"
+    return [
+        f"start values and bounds of a muscle {s.length:.3g} times as long and {force} times as "
+        f"strong as that of the shipped values{rest}"
+    ]
+
+
+def pressures_text(found: PressureComparison) -> str:
+    """The result of a comparison at held-out pressures as text."""
+    lines = [
+        f"{found.points} points of {found.source}; fitted to {len(found.fitted_kpa)} pressures "
+        f"({found.fitted_kpa[0]} to {found.fitted_kpa[-1]}), scored at the "
+        f"{len(found.held_out_kpa)} between and beyond",
+        f"largest force {found.largest_force_n:g} N; the length is the error of the force over the "
+        "stiffness",
+        f"{'model':20}{'par':>4}{'rmse N':>9}{'worst N':>9}{'rmse %':>9}{'worst %':>9}"
+        f"{'rmse mm':>9}{'worst mm':>10}",
+    ]
+    for s in found.scores:
+        if s.trouble:
+            lines.append(f"{s.model:20}{s.parameters:>4}  {s.trouble}")
+            continue
+        lines.append(
+            f"{s.model:20}{s.parameters:>4}{s.rmse_n:>9.3f}{s.worst_n:>9.2f}{s.rmse_percent:>9.2f}"
+            f"{s.worst_percent:>9.2f}{s.rmse_mm:>9.3f}{s.worst_mm:>10.2f}"
+        )
     return "\n".join(lines)
 
 
@@ -99,7 +175,7 @@ def fit_json(found: Fit, points: Points) -> dict[str, Any]:
     }
 
 
-def comparison_json(found: Comparison) -> dict[str, Any]:
+def comparison_json(found: Comparison | PressureComparison) -> dict[str, Any]:
     """The result of a comparison as JSON."""
     value = dataclasses.asdict(found)
     for score in value["scores"]:
@@ -112,6 +188,10 @@ def model_json(model: Model) -> dict[str, Any]:
     value = {f.name: getattr(model, f.name) for f in dataclasses.fields(model) if f.name != "law"}
     value["parameters"] = [dataclasses.asdict(p) for p in model.parameters]
     value["domain"] = dataclasses.asdict(model.domain)
+    for key in ("geometry", "covariance", "noise_n", "model_error_n"):
+        found = value.pop(key)
+        if found is not None:
+            value[key] = found if isinstance(found, float) else dataclasses.asdict(found)
     return value
 
 

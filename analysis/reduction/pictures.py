@@ -60,9 +60,6 @@ def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> Ga
     lens distortion if the calibration of the camera has it. A picture that is too small gives an
     untrusted measurement without a region; its reason states this.
     """
-    # For the compiler a read-only array is another type, and the code is compiled again. During
-    # a test, with frames from a socket, this would stop the heartbeat for some seconds.
-    gray = np.require(gray, np.uint8, ["C", "W"])
     region, sync, lens = (camera.get(key) for key in ("region", "sync", "lens"))
     try:
         gap = measure_gap(

@@ -31,6 +31,7 @@ CODES = 4096
 """The 12-bit pressure counts range from 0 to 4095. At both ends the sensor may be saturated."""
 
 BALANCE_STEP_G = 0.001
+SLACK_REASON = "slack: the muscle hangs loose, so its force is no measurement"
 
 MeasureGap = Callable[[npt.NDArray[np.uint8]], Any]
 
@@ -407,7 +408,8 @@ def _imported(run: Run, extra: Mapping[str, str]) -> Reduction:
     stream = run.samples("points")
     stated = run.manifest.get("stated_uncertainty") or {}
     found, notes = imported_rows(run, [e for e in run.events if e.get("kind") == "point"])
-    rows = []
+    rows: list[dict[str, Any]] = []
+    slack: list[dict[str, Any]] = []
     for point, position in found:
         row: dict[str, Any] = {
             "n_samples": 1,
@@ -421,8 +423,10 @@ def _imported(run: Run, extra: Mapping[str, str]) -> Reduction:
             u = given if math.isfinite(given) else number_or_nan(stated.get(f"u_{name}"))
             row[f"u_{name}"] = row[f"u_{name}_noise"] = u
             row[f"u_{name}_cal"] = math.nan
-        rows.append(row)
+        (slack if point.get("slack") else rows).append(row)
     table = points_frame(rows, extra)
+    if slack:
+        notes.insert(0, f"{len(slack)} points are slack, left out: their force is no measurement")
     unknown = [name for name in QUANTITIES if table[f"u_{name}"].isna().any()]
     if unknown:
         notes.append(f"no uncertainty is known for all of {', '.join(unknown)}: left empty (NaN)")
@@ -430,7 +434,8 @@ def _imported(run: Run, extra: Mapping[str, str]) -> Reduction:
         "uncertainties of imported points are as given or stated; no calibration is known,"
         " so they do not include errors that are common to all points"
     )
-    return Reduction(table, tuple(notes), {})
+    listed = tuple({"reason": SLACK_REASON, **row} for row in slack)
+    return Reduction(table, tuple(notes), {}, excluded=listed)
 
 
 def _applied(calibration: Calibration, raw: npt.NDArray[Any]) -> npt.NDArray[np.float64]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from blind.physics import alternatives
 from blind.physics import numbers as n
 from blind.physics.laws import relaxation
 from blind.physics.stepping import run
@@ -119,6 +120,20 @@ def no_effect() -> Floats:
 IDLE = (np.array([0.0, 1e9]), np.zeros(2))
 
 
+def label_shift(e: Floats, written_mm: float, mounting: int) -> float:
+    """True minus written length, mm, of a muscle that is held."""
+    if e[n.LABEL, 0] < 0.0:
+        return 0.0
+    shift = float(e[n.LABEL, 1])
+    if e[n.LABEL, 0] == 1.0:  # the scale is misread a little more when long
+        shift *= 1.0 + 0.02 * (written_mm - 60.0)
+    elif e[n.LABEL, 0] == 2.0:  # set anew at each mounting
+        shift *= 1.0 + (0.1 if mounting % 2 else -0.1)
+    elif e[n.LABEL, 0] >= 3.0:
+        shift *= alternatives.label_shift(e[n.LABEL, 0], written_mm)
+    return shift
+
+
 def run_trial(trial: Trial, c: Floats, e: Floats, times: Floats, scale: float = 1.0) -> Floats:
     """States of one trial at ascending instants; columns are `stepping.OUT_*`.
 
@@ -137,13 +152,7 @@ def run_trial(trial: Trial, c: Floats, e: Floats, times: Floats, scale: float = 
     set_t, set_v = trial.regulator or IDLE
     len_t, len_v = trial.length or IDLE
     if trial.held_mm is not None:
-        shift = 0.0
-        if e[n.LABEL, 0] >= 0.0:
-            shift = e[n.LABEL, 1]
-            if e[n.LABEL, 0] == 1.0:  # the scale is misread a little more when long
-                shift *= 1.0 + 0.02 * (trial.held_mm - 60.0)
-            elif e[n.LABEL, 0] == 2.0:  # set anew at each mounting
-                shift *= 1.0 + (0.1 if trial.mounting % 2 else -0.1)
+        shift = label_shift(e, trial.held_mm, trial.mounting)
         len_t, len_v = np.array([0.0, 1e9]), np.full(2, trial.held_mm + shift)
     w = np.zeros((2, n.MEMORIES))
     w[1] = 1.0

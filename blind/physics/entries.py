@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from blind.physics import numbers as n
+from blind.physics.forms import SEEN, HeldOutError, held_out_of
 
 Rng = np.random.Generator
 Shape = Callable[[Rng, int, "np.ndarray"], tuple[float, float, float]]
@@ -51,6 +52,8 @@ ROW = {name: i for i, name in enumerate((*n.EFFECT_IDS, *n.OUTSIDE_IDS))}
 
 def _bladder(rng: Rng, form: int, c: np.ndarray) -> tuple[float, float, float]:
     rest = float(rng.uniform(61.0, 69.0))
+    if form >= 3:  # Gent's limit of the first invariant, beyond all lengths of these muscles
+        return rest, float(rng.uniform(0.9, 2.5)), 0.0
     return rest, 0.01 if form == 1 else float(rng.uniform(8.0, 15.0)), 0.0
 
 
@@ -63,12 +66,12 @@ def _friction(rng: Rng, form: int, c: np.ndarray) -> tuple[float, float, float]:
 
 
 def _viscosity(rng: Rng, form: int, c: np.ndarray) -> tuple[float, float, float]:
-    low, high = (8.0, 20.0) if form == 1 else (0.55, 0.8)
+    low, high = {1: (8.0, 20.0), 3: (5.0, 16.0), 4: (0.45, 2.6)}.get(form, (0.55, 0.8))
     return float(rng.uniform(low, high)), 0.0, 0.0
 
 
 def _creep(rng: Rng, form: int, c: np.ndarray) -> tuple[float, float, float]:
-    low, high = ((10.0, 30.0), (10.0, 30.0), (1.0, 5.0))[form]
+    low, high = ((10.0, 30.0), (10.0, 30.0), (1.0, 5.0), (0.18, 0.42), (4.0, 18.0))[form]
     return float(rng.uniform(low, high)), 0.0, 0.0
 
 
@@ -84,7 +87,8 @@ def _droop(rng: Rng, form: int, c: np.ndarray) -> tuple[float, float, float]:
     tau = float(rng.uniform(0.05, 0.4))
     # For a fall of 40 kPa at a full flow of 960 mg/s; scaled to the headline on the design.
     filling = 960.0 * tau * (1.0 - np.exp(-0.06 / tau))
-    return (40.0 / 960.0**0.8 if form == 2 else 40.0 / filling), tau, 0.0
+    gain = {2: 40.0 / 960.0**0.8, 4: 40.0 / 960.0**2, 5: 40.0 / 8.87}.get(form, 40.0 / filling)
+    return gain, tau, 0.0
 
 
 def _slide(rng: Rng, form: int, c: np.ndarray) -> tuple[float, float, float]:
@@ -186,7 +190,11 @@ ENTRIES = {entry.id: entry for entry in (*CATALOGUE, *OUTSIDE)}
 class Hidden:
     """One effect as drawn: entry, form (0 plainest, 1 and 2 the alternatives), strength, shape.
 
-    `strength` is the headline parameter's distance from neutral.
+    `strength` is the headline parameter's distance from neutral. Forms from 3 on are held out: an
+    effect in one of them is made for the campaign alone, which says so by `held_out`.
+
+    Raises:
+        HeldOutError: A form is held out, or does not exist, and the caller is not the campaign.
     """
 
     id: str
@@ -194,6 +202,12 @@ class Hidden:
     strength: float
     shape: tuple[float, float, float] = (0.0, 0.0, 0.0)
     variant: str | None = None
+    held_out: bool = False
+
+    def __post_init__(self) -> None:
+        allowed = (*SEEN, *held_out_of(self.id)) if self.held_out else SEEN
+        if self.form not in allowed:
+            raise HeldOutError(self.id, self.form)
 
     @property
     def entry(self) -> Entry:
@@ -212,13 +226,15 @@ class Hidden:
 
     def as_dict(self) -> dict[str, object]:
         """The effect as plain JSON values."""
-        return {
+        plain: dict[str, object] = {
             "id": self.id,
             "family": self.entry.family,
             "stage": self.entry.stage,
             "form": self.form,
             "parameters": self.parameters,
         }
+        # Sets of the other streams keep the answers that they were sealed with.
+        return {**plain, "held_out": True} if self.held_out else plain
 
     def put(self, e: np.ndarray) -> None:
         """Switch it on in an effect matrix."""
@@ -237,9 +253,24 @@ def scaled(hidden: Hidden, factor: float) -> Hidden:
     return replace(hidden, strength=hidden.strength * factor, shape=shape)
 
 
-def draw(entry: Entry, rng: Rng, c: np.ndarray, form: int | None = None) -> Hidden:
-    """An effect of usual strength with its form, shape, sign and edge or side drawn."""
-    chosen = int(rng.integers(1, 3)) if form is None else form
+def draw(
+    entry: Entry, rng: Rng, c: np.ndarray, form: int | None = None, held_out: bool = False
+) -> Hidden:
+    """An effect of usual strength with its form, shape, sign and edge or side drawn.
+
+    `held_out` draws from the forms that are held out, where the entry has any (an effect from
+    outside the catalogue has none): for the campaign alone.
+
+    Raises:
+        HeldOutError: `form` is held out and `held_out` is not given.
+    """
+    kept = held_out_of(entry.id) if held_out else ()
+    if form is not None:
+        chosen = form
+    elif kept:
+        chosen = int(rng.choice(kept))
+    else:
+        chosen = int(rng.integers(1, 3))
     shape = entry.shape(rng, chosen, c) if entry.shape else (0.0, 0.0, 0.0)
     variant = str(rng.choice(entry.variants)) if entry.variants else None
     sign = -1.0 if entry.either_sign and rng.random() < 0.5 else 1.0
@@ -247,4 +278,4 @@ def draw(entry: Entry, rng: Rng, c: np.ndarray, form: int | None = None) -> Hidd
         sign = 1.0 if rng.random() < 0.8 else -1.0
     if entry.id == "wear":
         sign = -1.0 if rng.random() < 0.7 else 1.0
-    return Hidden(entry.id, chosen, sign * entry.usual, shape, variant)
+    return Hidden(entry.id, chosen, sign * entry.usual, shape, variant, bool(kept))

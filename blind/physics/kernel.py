@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from blind.physics import alternatives
 from blind.physics import numbers as n
 from blind.physics.compiled import compiled
 from blind.physics.laws import GAS, leak_flow, muscle_force, valve_flow, volume, volume_slope
@@ -99,6 +100,12 @@ def slopes(
             flow = (p - y[n.Y_SIDE]) / tau
             dy[n.Y_SIDE] = flow
             gain -= extra * flow
+        elif form == 3.0:
+            vol += extra * alternatives.swollen(gauge) + p * extra * alternatives.swelling(gauge)
+        elif form == 4.0:
+            flow = alternatives.side_flow(p - y[n.Y_SIDE], e[n.VOLUME, 2])
+            dy[n.Y_SIDE] = flow
+            gain -= extra * flow
         k = c[n.EXPONENT]
         if e[n.POLYTROPIC, 0] >= 0.0:
             k = 1.0 + e[n.POLYTROPIC, 1]
@@ -107,13 +114,22 @@ def slopes(
                     k = 1.0 + 1.15 * e[n.POLYTROPIC, 1]
                 elif outflow > inflow:
                     k = 1.0 + 0.85 * e[n.POLYTROPIC, 1]
+            elif e[n.POLYTROPIC, 0] == 4.0:
+                k = alternatives.exponent(e[n.POLYTROPIC, 1], t - max(vs[SINCE], vs[SINCE + 1]))
         dp = k * (gain - p * dv) / vol
         if e[n.POLYTROPIC, 0] == 1.0:  # and the wall brings it back to room temperature
             dy[n.Y_ISO] = (gain - y[n.Y_ISO] * dv) / vol
             dp -= (p - y[n.Y_ISO]) / e[n.POLYTROPIC, 2]
+        elif e[n.POLYTROPIC, 0] == 3.0:
+            dy[n.Y_ISO] = (gain - y[n.Y_ISO] * dv) / vol
+            dp -= alternatives.wall_rate(p - y[n.Y_ISO], e[n.POLYTROPIC, 2])
         if e[n.DROOP, 0] >= 0.0:
             if e[n.DROOP, 0] == 2.0:  # a regulator that sags with the flow
                 dy[n.Y_FALL] = (e[n.DROOP, 2] * inflow**0.8 - fall) / 0.006
+            elif e[n.DROOP, 0] >= 3.0:
+                dy[n.Y_FALL] = alternatives.sag_rate(
+                    e[n.DROOP, 0], e[n.DROOP, 2], e[n.DROOP, 3], inflow, fall
+                )
             else:  # a small receiver behind a restriction
                 dy[n.Y_FALL] = e[n.DROOP, 2] * inflow - fall / e[n.DROOP, 3]
     dy[n.Y_P] = dp
@@ -129,6 +145,8 @@ def slopes(
             for i in range(4):
                 z = y[n.Y_SLIP + i]
                 dy[n.Y_SLIP + i] = rate / (0.3 + 0.6 * i) * (1.0 - way * z * abs(z) ** 2)
+        elif e[n.BRAID_FRICTION, 0] >= 3.0:
+            dy[n.Y_SLIP] = alternatives.slip_rate(e[n.BRAID_FRICTION, 0], rate, y[n.Y_SLIP], 0.37)
         else:
             z = y[n.Y_SLIP]
             sharp = 3.0 if e[n.BRAID_FRICTION, 0] == 0.0 else 1.0
@@ -141,6 +159,10 @@ def slopes(
             dy[n.Y_TAP] *= 1.15 / (1.0 + 0.3 * abs(gauge - y[n.Y_TAP]) / 200.0)
         if e[n.P_LAG, 0] == 2.0:
             dy[n.Y_TAP + 1] = (y[n.Y_TAP] - y[n.Y_TAP + 1]) / (0.25 * tau)
+        elif e[n.P_LAG, 0] >= 3.0:
+            dy[n.Y_TAP], dy[n.Y_TAP + 1] = alternatives.tap_rates(
+                e[n.P_LAG, 0], tau, gauge, y[n.Y_TAP], y[n.Y_TAP + 1], pa
+            )
     accel = 0.0
     if mass > 0.0:
         real = mass
@@ -151,6 +173,10 @@ def slopes(
             pull += GRAVITY * e[n.PAYLOAD, 1] * 0.03 * (60.0 - length)
         elif e[n.PAYLOAD, 0] == 1.0:  # hangs on a soft guide
             pull += GRAVITY * e[n.PAYLOAD, 1] * 0.15 * math.tanh((60.0 - length) / 5.0)
+        elif e[n.PAYLOAD, 0] == 3.0:
+            pull += GRAVITY * e[n.PAYLOAD, 1] * (alternatives.lever(length) - 1.0)
+        elif e[n.PAYLOAD, 0] == 4.0:
+            pull += GRAVITY * e[n.PAYLOAD, 1] * (alternatives.chain(length, c[n.L_MAX]) - 1.0)
         if length > c[n.L_MAX]:
             pull -= c[n.STOP_K] * (length - c[n.L_MAX]) + c[n.STOP_C] * v
         elif length < c[n.L_MIN]:
@@ -164,6 +190,10 @@ def slopes(
                 way = 1.0 if v > 0.0 else -1.0
                 dy[n.Y_SLIDE] = v / e[n.SLIDE, 2] * (1.0 - way * z)
                 pull -= e[n.SLIDE, 1] * z
+            elif e[n.SLIDE, 0] >= 3.0:
+                rate, z = v / e[n.SLIDE, 2], y[n.Y_SLIDE]
+                dy[n.Y_SLIDE] = alternatives.slip_rate(e[n.SLIDE, 0], rate, z, 3.0 / e[n.SLIDE, 2])
+                pull -= e[n.SLIDE, 1] * alternatives.slide_drag(e[n.SLIDE, 0], v, z)
             else:
                 pull -= e[n.SLIDE, 1] * math.tanh(v / 0.1)
         if e[n.STICK, 0] >= 0.0:  # the slide is tight in one place, both ways
@@ -176,8 +206,8 @@ def slopes(
 
 
 @compiled
-def delay_s(y: Array, vs: Array, c: Array, e: Array, side: int, on: bool) -> float:
-    """Delay between a command's edge and the valve's, s."""
+def delay_s(t: float, y: Array, vs: Array, c: Array, e: Array, side: int, on: bool) -> float:
+    """Delay between a command's edge at t and the valve's, s."""
     at = n.IN_ON + 4 * side + (0 if on else 2)
     if side == 0:
         p = c[n.SUPPLY] - c[n.ATMOSPHERE]
@@ -193,12 +223,18 @@ def delay_s(y: Array, vs: Array, c: Array, e: Array, side: int, on: bool) -> flo
             ms += 0.12 * e[n.DELAY, 1] * math.sin(2.4 * vs[FILLS] + 1.0)
         elif e[n.DELAY, 0] == 2.0:
             ms += 0.08 * e[n.DELAY, 1] * math.cos(1.7 * vs[FILLS])
+        elif e[n.DELAY, 0] >= 3.0:
+            rested = t - vs[SINCE + side]
+            ms += alternatives.late(e[n.DELAY, 0], e[n.DELAY, 1], vs[FILLS], rested)
+            ms -= e[n.DELAY, 1]
     if e[n.DELAY_SLOPE, 0] >= 0.0 and e[n.DELAY_SLOPE, 2] == edge:
         s = e[n.DELAY_SLOPE, 1]
         if e[n.DELAY_SLOPE, 0] == 1.0:  # quadratic, its slope exact at 300 kPa
             ms += s * (0.5 * p + p * p / 1200.0)
         elif e[n.DELAY_SLOPE, 0] == 2.0:  # saturating, its slope exact at 300 kPa
             ms += s * 600.0 * math.exp(0.5) * (1.0 - math.exp(-p / 600.0))
+        elif e[n.DELAY_SLOPE, 0] >= 3.0:
+            ms += alternatives.late_with_pressure(e[n.DELAY_SLOPE, 0], s, p)
         else:
             ms += s * p
     if e[n.COIL, 0] >= 0.0 and on:
@@ -214,7 +250,7 @@ def command(t: float, side: int, on: bool, y: Array, vs: Array, c: Array, e: Arr
     vs[COMMAND + side] = 1.0 if on else 0.0
     if on:
         vs[FILLS] += 1.0
-    due = t + delay_s(y, vs, c, e, side, on)
+    due = t + delay_s(t, y, vs, c, e, side, on)
     base = TIMES + 2 * QUEUE * side
     count = int(vs[LENGTH + side])
     if e[n.TRANSPORT, 0] < 0.0:  # inertial: what has not happened yet is forgotten
@@ -224,6 +260,11 @@ def command(t: float, side: int, on: bool, y: Array, vs: Array, c: Array, e: Arr
             return
     elif e[n.TRANSPORT, 0] == 2.0 and count > 0:  # edges never overtake: a spool
         due = max(due, vs[base + count - 1] + 5e-4)
+    elif e[n.TRANSPORT, 0] >= 3.0 and count > 0:
+        due = alternatives.edge_after(e[n.TRANSPORT, 0], due, vs[base + count - 1])
+        if math.isnan(due):  # neither edge happens
+            vs[LENGTH + side] = count - 1
+            return
     while count > 0 and vs[base + count - 1] >= due:
         count -= 1
     if count < QUEUE:

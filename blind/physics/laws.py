@@ -1,9 +1,9 @@
 """Force, volume and flow: the nominal equations and every addition to them, compiled.
 
 Units: kPa, mm, N, mm/s, degC; mass flow in mg/s, volumes in ml (1 kPa ml = 1e-3 J).
-Forms are numbered: 0 is the plainest one, 1 and 2 are the alternatives that blind data use.
-Sources: nominal force and volume Chou and Hannaford 1996; flow ISO 6358; slip elements of
-Dahl 1968 and of Maxwell/Iwan type; relaxation as a Prony series.
+Forms are numbered: 0 is the plainest one, 1 and 2 are the alternatives that blind data use, and
+those from 3 on are held out (`blind.physics.alternatives`). Nominal force and volume: Chou and
+Hannaford 1996; flow: ISO 6358. The equation and the source of every form: `blind.physics.forms`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ import math
 from typing import Any
 
 import numpy as np
+from scipy.optimize import nnls
 
+from blind.physics import alternatives
 from blind.physics import numbers as n
 from blind.physics.compiled import compiled
 
@@ -34,6 +36,8 @@ def lost_pressure(p: float, e: Array) -> float:
         return limit * p * p / (p * p + c * c) if p > 0.0 else 0.0
     if form == 0.0:
         return min(max(p, 0.0), limit) if limit > 0.0 else 0.0
+    if form >= 3.0:
+        return alternatives.lost_pressure(form, limit, p)
     return 0.0
 
 
@@ -50,9 +54,39 @@ def effective_length(length: float, p: float, c: Array, e: Array) -> float:
     elif form == 2.0:  # ... with the swelling beyond the stretched diameter
         top = c[n.L_MAX] + 6.0
         out -= s * max(top - length, 0.0) / (top - 60.0)
+    elif form >= 3.0:
+        out -= s * alternatives.shortening(form, length, p, c)
     if e[n.BACKLASH, 0] >= 0.0:  # play in the mount is taken up as the muscle pulls
         out -= e[n.BACKLASH, 1] * math.exp(-max(p, 0.0) / e[n.BACKLASH, 2])
     return out
+
+
+@compiled
+def warmth_factor(p: float, c: Array, e: Array) -> float:
+    """Factor of the braid's force at the muscle's temperature."""
+    form, s = e[n.WARMTH, 0], e[n.WARMTH, 1] / 100.0
+    warm = c[n.MUSCLE_C] - WARM_REFERENCE_C
+    if form == 0.0:
+        return float(1.0 + s * warm * p / 500.0)
+    if form == 1.0:  # saturates with pressure
+        return float(1.0 + s * warm * (p / (p + 100.0)) * 1.2)
+    if form == 2.0:  # exponential in temperature, square root in pressure
+        return math.exp(s * warm * math.sqrt(max(p, 0.0) / 500.0))
+    return alternatives.warmth(form, s, warm, p)
+
+
+@compiled
+def wear_factor(c: Array, e: Array) -> float:
+    """Factor of the braid's force after the trials it has seen."""
+    form, s = e[n.WEAR, 0], e[n.WEAR, 1] / 100.0
+    if form == 0.0:
+        return float(1.0 + s * c[n.TRIAL] / 100.0)
+    if form == 1.0:  # running in: fast at first
+        return float(1.0 + s * math.log(1.0 + c[n.TRIAL] / 25.0) / math.log(5.0))
+    if form == 2.0:  # ages faster and faster
+        x = c[n.TRIAL] / 100.0
+        return float(1.0 + s * x * (0.6 + 0.4 * x))
+    return alternatives.wear(form, s, c[n.TRIAL])
 
 
 @compiled
@@ -69,23 +103,13 @@ def braid_force(p: float, length: float, c: Array, e: Array) -> float:
         b *= 1.0 + s * p / 500.0 * swell
     elif form == 2.0:  # slack is taken up first: stiffer under load
         b *= 1.0 + s * (1.0 - math.exp(-p / 300.0)) / (1.0 - math.exp(-500.0 / 300.0))
+    elif form >= 3.0:
+        b *= 1.0 + s * alternatives.stretch(form, p)
     force = 1e-3 * pe * (3.0 * le * le - b * b) / (4.0 * math.pi * c[n.TURNS] ** 2)
-    form, s = e[n.WARMTH, 0], e[n.WARMTH, 1] / 100.0
-    warm = c[n.MUSCLE_C] - WARM_REFERENCE_C
-    if form == 0.0:
-        force *= 1.0 + s * warm * p / 500.0
-    elif form == 1.0:  # saturates with pressure
-        force *= 1.0 + s * warm * (p / (p + 100.0)) * 1.2
-    elif form == 2.0:  # exponential in temperature, square root in pressure
-        force *= math.exp(s * warm * math.sqrt(max(p, 0.0) / 500.0))
-    form, s = e[n.WEAR, 0], e[n.WEAR, 1] / 100.0
-    if form == 0.0:
-        force *= 1.0 + s * c[n.TRIAL] / 100.0
-    elif form == 1.0:  # running in: fast at first
-        force *= 1.0 + s * math.log(1.0 + c[n.TRIAL] / 25.0) / math.log(5.0)
-    elif form == 2.0:  # ages faster and faster
-        x = c[n.TRIAL] / 100.0
-        force *= 1.0 + s * x * (0.6 + 0.4 * x)
+    if e[n.WARMTH, 0] >= 0.0:
+        force *= warmth_factor(p, c, e)
+    if e[n.WEAR, 0] >= 0.0:
+        force *= wear_factor(c, e)
     return float(force)
 
 
@@ -102,6 +126,8 @@ def static_force(p: float, length: float, c: Array, e: Array) -> float:
             beta = e[n.BLADDER, 3]
             x60 = 60.0 - e[n.BLADDER, 2]
             force += k * (x + beta * x**3) / (1.0 + 3.0 * beta * x60 * x60)
+        elif form >= 3.0:
+            force += alternatives.spring(form, k, e[n.BLADDER, 2], e[n.BLADDER, 3], length)
         else:  # exponential (Fung), slope k at 60 mm
             s = e[n.BLADDER, 3]
             force += k * s * (math.exp(x / s) - 1.0) / math.exp((60.0 - e[n.BLADDER, 2]) / s)
@@ -113,6 +139,8 @@ def static_force(p: float, length: float, c: Array, e: Array) -> float:
             force -= lost * max(reach - x, 0.0) / reach
         elif form == 1.0:
             force -= lost * math.exp(-x / reach)
+        elif form >= 3.0:
+            force -= lost * alternatives.jammed(form, reach, x)
         elif x < 2.5 * reach:  # locking braid: quadratic
             force -= lost * ((2.5 * reach - x) / (2.5 * reach)) ** 2
     if e[n.BUCKLE, 0] >= 0.0:  # a fold in one place of the map
@@ -134,6 +162,8 @@ def viscous_force(v: float, e: Array) -> float:
     if form == 2.0:  # power law, smooth at rest
         m = e[n.VISCOSITY, 2]
         return float(10.0 * d * v / 10.0 * ((v * v + 0.01) / 100.01) ** (0.5 * (m - 1.0)))
+    if form >= 3.0:
+        return alternatives.rate_force(form, d, e[n.VISCOSITY, 2], v)
     return 0.0
 
 
@@ -141,6 +171,9 @@ def viscous_force(v: float, e: Array) -> float:
 def friction_level(p: float, e: Array) -> float:
     """Half the loop's height at gauge pressure p, N: exactly the headline at 300 kPa."""
     share = e[n.BRAID_FRICTION, 2]
+    if e[n.BRAID_FRICTION, 0] >= 3.0:
+        shares = alternatives.level(e[n.BRAID_FRICTION, 0], share, p)
+        return float(e[n.BRAID_FRICTION, 1] * shares)
     return float(e[n.BRAID_FRICTION, 1] * (1.0 - share + share * max(p, 0.0) / 300.0))
 
 
@@ -204,6 +237,8 @@ def valve_flow(p1: float, p2: float, side: int, opened_ms: float, c: Array, e: A
             conductance *= 1.0 + (r - 1.0) * (1.0 - 0.5 * math.exp(-opened_ms / 1.5))
         elif e[n.AREA, 0] == 2.0:  # discharge coefficient moves with the pressure ratio
             conductance *= 1.0 + (r - 1.0) * (0.9 + 0.2 * min(p2 / max(p1, 1.0), 1.0))
+        elif e[n.AREA, 0] >= 3.0:
+            conductance *= alternatives.area(e[n.AREA, 0], r, p1, p2)
         else:
             conductance *= r
     if e[n.CRITICAL, 0] >= 0.0:
@@ -212,6 +247,9 @@ def valve_flow(p1: float, p2: float, side: int, opened_ms: float, c: Array, e: A
             m = 0.48
         elif e[n.CRITICAL, 0] == 2.0:
             m = 0.53
+        elif e[n.CRITICAL, 0] >= 3.0:
+            choked = conductance * RHO * p1 * 1e9 * math.sqrt(T_REF / c[n.GAS_K])
+            return float(choked * alternatives.choking(e[n.CRITICAL, 0], p1, p2, ratio))
     return float(orifice(p1, p2, conductance, ratio, m, c[n.GAS_K]))
 
 
@@ -228,6 +266,8 @@ def leak_flow(p: float, c: Array, e: Array) -> float:
         flow = g * RHO * 1e9 * ref * (p * p - pa * pa) / (ref * ref - 101.325**2)
     elif form == 2.0:  # long capillary: chokes late
         flow = orifice(p, pa, g, 0.2, 0.5, c[n.GAS_K])
+    elif form >= 3.0:
+        flow = alternatives.leak(form, g, p, pa, RHO * math.sqrt(T_REF / c[n.GAS_K]))
     if e[n.WEEP, 0] >= 0.0:  # a relief seat that weeps above its pressure
         over = max(p - pa - e[n.WEEP, 2], 0.0)
         flow += e[n.WEEP, 1] * over * over / (40.0 + over)
@@ -238,7 +278,8 @@ def relaxation(form: float, shape: float) -> np.ndarray:
     """Weights and times (s) of a Prony series whose growth is 1 at 60 s; shape (2, MEMORIES).
 
     Form 0: one exponential of `shape` seconds; 1: two Kelvin elements; 2: logarithmic (equal
-    weights in equal steps of the logarithm of time, from `shape` on).
+    weights in equal steps of the logarithm of time, from `shape` on); 3: a power of time with the
+    exponent `shape`; 4: a stretched exponential of `shape` seconds, exponent 0.45.
     """
     times = np.ones(n.MEMORIES)
     weights = np.zeros(n.MEMORIES)
@@ -246,6 +287,11 @@ def relaxation(form: float, shape: float) -> np.ndarray:
         times[0], weights[0] = shape, 1.0
     elif form == 1.0:
         times[:2], weights[:2] = (0.12 * shape, 1.6 * shape), (0.45, 0.55)
+    elif form >= 3.0:
+        times[:] = np.geomspace(0.37, 1700.0, n.MEMORIES)
+        t = np.geomspace(0.19, 700.0, 80)
+        goal = t**shape / 60.0**shape if form == 3.0 else 1.0 - np.exp(-((t / shape) ** 0.45))
+        weights[:], _ = nnls(1.0 - np.exp(-t[:, None] / times), goal)
     else:
         times[:] = np.geomspace(0.15 * shape, 900.0, n.MEMORIES)
         weights[:] = 1.0

@@ -29,12 +29,49 @@ class Readings:
     fall: float
 
 
+def pressure_span(form: float, tap: Floats) -> Floats:
+    """Error of a pressure gauge's span over the stated one, 1 at 300 kPa (forms held out)."""
+    x = tap / 300.0
+    if form == 3.0:  # straight from end to end, bowed in between
+        return np.asarray(0.64 + 0.36 * x * (2.0 - x))
+    if form == 4.0:  # the membrane stiffens
+        return np.asarray(1.13 - 0.13 * x**2)
+    return np.asarray(1.0 + 0.17 * np.sin(np.pi * x))  # S-shaped
+
+
+def force_span(form: float, force: Floats) -> Floats:
+    """Error of a force sensor's span over the stated one, 1 at 60 N (forms held out)."""
+    x = force / 60.0
+    if form == 3.0:  # the beam bends away from its load
+        return np.asarray(1.0 / (0.87 + 0.13 * x * x))
+    if form == 4.0:
+        return np.asarray(0.66 + 0.34 * np.tanh(np.abs(x)) / np.tanh(1.0))
+    return np.asarray(0.88 + 0.36 * np.maximum(np.abs(x) - 2.0 / 3.0, 0.0))  # meets a stop
+
+
+def picture_scale(form: float, length: Floats) -> Floats:
+    """Error of the camera's scale over the stated one, 1 at 60 mm (forms held out)."""
+    x = length - 60.0
+    if form == 3.0:  # a plane that is not the sensor's: projective
+        return np.asarray(1.0 / (1.0 - 0.017 * x))
+    return np.asarray(1.0 + 0.0043 * x * x)  # curved field
+
+
+def picture_bend(form: float, x: Floats) -> Floats:
+    """Distortion over that at the end of the range, x from -1 to 1 (forms held out)."""
+    if form == 3.0:  # tangent against angle, a fisheye's
+        return np.asarray((np.tan(0.9 * x) - 0.9 * x) / (np.tan(0.9) - 0.9))
+    return np.asarray(0.45 * x * x + 0.55 * x**3)  # the lens's elements are decentred
+
+
 def read_pressure(tap: Floats, t: Floats, trial: Trial, e: Floats) -> Floats:
     """Gauge pressure as shown."""
     out = tap.copy()
     form, gain = e[n.P_GAIN, 0], e[n.P_GAIN, 1] / 100.0
     if form == 1.0:  # bends: exact at 300 kPa
         out *= 1.0 + gain * (0.9 + 0.1 * tap / 300.0)
+    elif form >= 3.0:
+        out *= 1.0 + gain * pressure_span(form, tap)
     elif form >= 0.0:
         out *= 1.0 + gain
     form, zero = e[n.P_ZERO, 0], e[n.P_ZERO, 1]
@@ -42,6 +79,10 @@ def read_pressure(tap: Floats, t: Floats, trial: Trial, e: Floats) -> Floats:
         out += zero * (1.0 + 0.06 * np.sin(1.9 * trial.order))
     elif form == 2.0:
         out += zero * (1.0 + 0.05 * (1 if trial.mounting % 2 else -1))
+    elif form == 3.0:  # warms up through the session
+        out += zero * (1.12 - 0.55 * np.exp(-trial.start_s / 2400.0))
+    elif form == 4.0:  # settles anew in each trial
+        out += zero * (1.03 - 0.28 * np.exp(-t / 7.0))
     elif form >= 0.0:
         out += zero
     if e[n.RIPPLE, 0] >= 0.0:
@@ -55,6 +96,8 @@ def read_force(force: Floats, t: Floats, trial: Trial, e: Floats) -> Floats:
     form, gain = e[n.F_GAIN, 0], e[n.F_GAIN, 1] / 100.0
     if form == 1.0:  # bends: exact at 60 N
         out *= 1.0 + gain * (0.9 + 0.1 * force / 60.0)
+    elif form >= 3.0:
+        out *= 1.0 + gain * force_span(form, force)
     elif form >= 0.0:
         out *= 1.0 + gain
     form, zero = e[n.F_ZERO, 0], e[n.F_ZERO, 1]
@@ -62,6 +105,10 @@ def read_force(force: Floats, t: Floats, trial: Trial, e: Floats) -> Floats:
         out += zero * (1.0 + 0.06 * np.sin(2.3 * trial.order + 1.0))
     elif form == 2.0:
         out += zero * (1.0 + 0.05 * (1 if trial.mounting % 2 else -1))
+    elif form == 3.0:  # follows the room, which follows the heating
+        out += zero * (1.0 + 0.22 * np.cos(2.0 * np.pi * trial.start_s / 5400.0))
+    elif form == 4.0:  # creeps back after the load before
+        out += zero * (0.78 + 0.32 * (1.0 - np.exp(-t / 9.0)))
     elif form >= 0.0:
         out += zero
     if e[n.MAINS, 0] >= 0.0:
@@ -81,6 +128,8 @@ def read_length(length: Floats, c: Floats, e: Floats) -> Floats:
         out *= 1.0 + scale * (1.0 + 0.012 * (60.0 - length))
     elif form == 2.0:
         out *= 1.0 + scale * (1.0 - 0.008 * (60.0 - length))
+    elif form >= 3.0:
+        out *= 1.0 + scale * picture_scale(form, length)
     elif form >= 0.0:
         out *= 1.0 + scale
     form, bend = e[n.DISTORTION, 0], e[n.DISTORTION, 1]
@@ -90,6 +139,8 @@ def read_length(length: Floats, c: Floats, e: Floats) -> Floats:
             out += bend * (0.75 * x**3 + 0.25 * x**5)
         elif form == 2.0:  # division model
             out += bend * x**3 * 1.25 / (1.0 + 0.25 * x * x)
+        elif form >= 3.0:
+            out += bend * picture_bend(form, x)
         else:
             out += bend * x**3
     if e[n.PIXELS, 0] >= 0.0:
@@ -106,6 +157,12 @@ def frame_delay_s(t: Floats, e: Floats) -> Floats:
         return np.asarray(delay * (1.0 + 0.12 * np.sin(2.0 * np.pi * t / 1.7)))
     if form == 2.0:
         return np.asarray(delay * (1.0 + 0.1 * np.sign(np.sin(2.0 * np.pi * t / 0.9))))
+    if form == 3.0:  # two clocks beat: later and later, then a frame is dropped
+        return np.asarray(delay * (0.86 + 0.28 * np.mod(t / 1.37, 1.0)))
+    if form == 4.0:  # a busy line now and then
+        return np.asarray(
+            delay * (0.93 + 0.35 * np.maximum(np.sin(2.0 * np.pi * t / 2.3), 0.2) ** 3)
+        )
     return np.full_like(t, delay)
 
 

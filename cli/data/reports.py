@@ -1,4 +1,4 @@
-"""`pamrig report`, `pamrig view` and `pamrig import thesis|points`."""
+"""`pamrig report`, `pamrig view` and `pamrig import thesis|points|data`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cli.data.import_data import import_data
 from cli.options import RUNS, JsonOption, OutOption, RunArgument, RunsOption, WarmOption
 from cli.output import print_json, writing
 
@@ -63,6 +64,7 @@ def add_imports(app: typer.Typer) -> None:
     """Add the commands of `pamrig import`."""
     app.command("thesis")(import_thesis)
     app.command("points")(import_points)
+    app.command("data")(import_data)
 
 
 def import_thesis(

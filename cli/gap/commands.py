@@ -54,6 +54,13 @@ def check(
     ledger: Annotated[Path, typer.Option(help="Ledger of reserved sets.")] = Path(
         "docs/evidence/gap-check-ledger.csv"
     ),
+    held_out: Annotated[
+        bool,
+        typer.Option(
+            "--held-out",
+            help="Forms of effects that practice, learning and tests never see, beside seen ones.",
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Diagnose data whose effect is withheld, and score the verdicts."""
@@ -61,7 +68,7 @@ def check(
 
     check_command(
         stream=stream, sets=sets, out=out, jobs=jobs, scheduler=scheduler, baselines=baselines,
-        page=page, purpose=purpose, ledger=ledger, as_json=as_json,
+        page=page, purpose=purpose, ledger=ledger, as_json=as_json, held_out=held_out,
     )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from cli.output import print_json
 from gap.decision.diagnose import diagnose, diagnose_with_fit
 from gap.output import check_out, write_text
 from gap.simulators.open import open_data_with
-from gap.verdict import Verdict, plain
+from gap.verdict import Status, Verdict, plain
 
 
 def _ids(text: str) -> list[str]:
@@ -30,6 +31,13 @@ def diagnose_command(data: Path, without: str, simulator: Path | None, as_json: 
         print_json(verdict.as_dict())
     else:
         typer.echo("\n".join(_verdict_text(verdict)))
+    _refuse(verdict)
+
+
+def _refuse(verdict: Verdict) -> None:
+    """End with status 2 where the nominal plant is that of another muscle: there is no result."""
+    if verdict.status is Status.NOMINAL_UNFIT:
+        raise typer.Exit(2)
 
 
 def where_command(data: Path, out: Path | None, simulator: Path | None, as_json: bool) -> None:
@@ -77,6 +85,7 @@ def where_command(data: Path, out: Path | None, simulator: Path | None, as_json:
     elif out is not None:
         lines.append(f"{out} was not written: there is no residual to draw")
     typer.echo("\n".join(lines))
+    _refuse(verdict)
 
 
 def shrink_command(
@@ -89,10 +98,15 @@ def shrink_command(
     check_out(out)
     verdict, problem, fit = diagnose_with_fit(open_data_with(data, simulator), _ids(without))
     table = verdict.as_dict()
-    named = bool(verdict.effects)
+    # An effect that the verdict does not stand by is no improvement of the plant.
+    named = (
+        verdict.status.explained
+        and fit is not None
+        and bool(verdict.effects)
+        and set(verdict.effects[0].ids) == set(fit.ids)
+    )
     found: dict[str, Any] = {}
     if problem is not None and fit is not None:
-        # An effect that the verdict does not stand by is no improvement of the plant.
         kept = fit if named else problem.base
         found = plain(shrinkage(problem, kept, named))
         if out is not None:
@@ -113,6 +127,7 @@ def shrink_command(
     elif out is not None:
         lines.append(f"{out} was not written: these data do not improve the plant")
     typer.echo("\n".join(lines))
+    _refuse(verdict)
 
 
 def next_command(
@@ -167,13 +182,14 @@ def _next_text(verdict: Verdict, written: str | None) -> list[str]:
     lines = [_summary(verdict)]
     experiment = verdict.next_experiment
     if experiment is None:
-        return [*lines, "next        another experiment would not resolve anything"]
+        return [*lines, "next        no experiment of the library would resolve what is open"]
     settings = ", ".join(f"{k} {v}" for k, v in experiment.settings.items())
     lines.append(f"next        {experiment.trials} x {experiment.protocol} ({settings})")
-    lines.append(
-        f"separation  {experiment.separation_now:.1f} now, {experiment.separation_after:.1f} after "
-        f"({' against '.join(experiment.between)})"
-    )
+    if math.isfinite(experiment.separation_after):
+        lines.append(
+            f"separation  {experiment.separation_now:.1f} now, {experiment.separation_after:.1f} "
+            f"after ({' against '.join(experiment.between)})"
+        )
     lines.append(f"why         {experiment.why}")
     if written:
         lines.append(
@@ -211,7 +227,8 @@ def _gap_text(verdict: Verdict) -> list[str]:
         f"gap         without fit {gap.before:.3g}, recalibrated {gap.recalibrated:.3g}"
         + (f", after {gap.after:.3g}" if gap.after is not None else "")
         + (f", floor {gap.floor:.3g}" if gap.floor is not None else "")
-        + f" {gap.unit} (held out by {gap.held_out})"
+        + f" {gap.unit} "
+        + (f"(held out by {gap.held_out})" if gap.held_out else "(one setting: nothing held out)")
     ]
     if gap.closed is not None and gap.closed_low is not None and gap.closed_high is not None:
         lines.append(

@@ -15,9 +15,24 @@ from daq.errors import PamrigError
 
 if TYPE_CHECKING:
     from plant.fitting.data import Points
-    from plant.models.model import Model
+    from plant.fitting.scale import Scaling
+    from plant.models.model import Geometry, Model
 
 PRESETS = ("table-4-3",)
+RestOption = Annotated[
+    float | None,
+    typer.Option(
+        "--rest-length", min=1.0, max=1e5, help="Length in mm, slack and without pressure."
+    ),
+]
+DiameterOption = Annotated[
+    float | None,
+    typer.Option("--diameter", min=0.1, max=1e4, help="Inner diameter in mm at that length."),
+]
+LeastOption = Annotated[
+    float | None,
+    typer.Option("--least-force", help="Points with less force in N are slack and left out."),
+]
 MAX_SUBSET_COLUMNS = 10
 
 
@@ -35,6 +50,9 @@ def fit(
         str, typer.Option(help="Parameters to fit, separated by commas; default: all not fixed.")
     ] = "",
     start: Annotated[str, typer.Option(help="Start values, or values to hold: a=1,b=2.")] = "",
+    rest_length: RestOption = None,
+    diameter: DiameterOption = None,
+    least_force: LeastOption = None,
     region: RegionOption = "",
     robust: Annotated[
         bool, typer.Option("--robust", help="Reduce the weight of outliers.")
@@ -50,18 +68,20 @@ def fit(
 ) -> None:
     """Fit a muscle model to a run: values, intervals, and what the data do not determine."""
     from analysis.models.points import load_points
-    from analysis.models.text import emit, fit_json, fit_text
+    from analysis.models.text import emit, fit_json, fit_text, misfit_text, start_lines
     from plant.errors import PlantError
     from plant.fitting.fit import fit
+    from plant.fitting.misfit import with_misfit
     from plant.models import catalogue
 
-    points = _region(load_points(run, runs, warm), region)
+    geometry = _geometry(rest_length, diameter)
     try:
-        chosen = catalogue.load(model)
+        points = _pulling(_region(load_points(run, runs, warm), region), least_force)
+        chosen, scaling = _sized(catalogue.load(model), model, points, geometry)
         if start:
-            chosen = chosen.with_values(_numbers(start))
+            chosen = _within_bounds(chosen.with_values(_numbers(start)))
         names = tuple(n.strip() for n in free.split(",") if n.strip()) or None
-        found = fit(chosen, points, free=names, robust=robust)
+        found, sizes = with_misfit(fit(chosen, points, free=names, robust=robust), points)
     except PlantError as error:
         raise PamrigError(
             f"fit of {model} to {run}", str(error), "see `pamrig models list`"
@@ -78,6 +98,9 @@ def fit(
         emit(fit_json(found, points))
         return
     typer.echo(fit_text(found, points))
+    typer.echo(misfit_text(sizes, found.model))
+    for line in start_lines([scaling]):
+        typer.echo(line)
     if tables:
         typer.echo("\n" + _tables(found.model, points))
     for path, what in ((out, "model file"), (figure, "figure")):
@@ -114,8 +137,14 @@ def compare(
         str, typer.Option(help="Models, separated by commas; default: all suitable ones.")
     ] = "",
     holdout: Annotated[
-        str, typer.Option(help="Groups: length, temperature, mounting or load.")
+        str, typer.Option(help="Groups: length, pressure, temperature, mounting or load.")
     ] = "length",
+    start: Annotated[
+        str, typer.Option(help="Model files whose values are the start values of their laws.")
+    ] = "",
+    least_force: LeastOption = None,
+    rest_length: RestOption = None,
+    diameter: DiameterOption = None,
     train: Annotated[str, typer.Option(help="Fit to this run or table, score on DATA.")] = "",
     region: RegionOption = "",
     nested: Annotated[
@@ -132,31 +161,47 @@ def compare(
         _print_preset(preset, as_json)
         return
     from analysis.models.points import load_points
-    from analysis.models.text import comparison_json, comparison_text, emit
+    from analysis.models.text import (
+        comparison_json,
+        comparison_text,
+        pressures_text,
+        start_lines,
+    )
     from plant.errors import PlantError
-    from plant.fitting.compare import compare
+    from plant.fitting.compare import compare, compare_pressures
     from plant.fitting.data import joined
     from plant.models import catalogue
 
     if not data:
         raise PamrigError("pamrig models compare", "no data", "name runs or thesis tables: c01")
+    geometry = _geometry(rest_length, diameter)
     try:
         points = _region(joined([load_points(name, runs, warm) for name in data]), region)
-        chosen = [catalogue.load(n.strip()) for n in models.split(",") if n.strip()]
+        points = _pulling(points, least_force)
         training = _region(load_points(train, runs, warm), region) if train else None
-        found = compare(chosen or _suitable(training or points), points, holdout, nested, training)
+        training = _pulling(training, least_force) if training else None
+        named = [n.strip() for n in models.split(",") if n.strip()]
+        chosen = [(n, catalogue.load(n)) for n in named]
+        chosen = chosen or [(m.name, m) for m in _suitable(training or points)]
+        sized = [_sized(m, name, training or points, geometry) for name, m in chosen]
+        starting = _started([m for m, _ in sized], start)
+        if holdout == "pressure":
+            _refuse_for_pressure(nested=nested, train=bool(train), figure=figure is not None)
+            held = compare_pressures(starting, points)
+        else:
+            found = compare(starting, points, holdout, nested, training)
     except PlantError as error:
         raise PamrigError(" ".join(data), str(error), "see docs/use/models.md") from None
+    notes = start_lines([scaling for _, scaling in sized])
+    if holdout == "pressure":
+        _print(comparison_json(held), pressures_text(held), notes, as_json)
+        return
     if figure is not None:
         from analysis.models.figures import comparison_figure
 
         _save(comparison_figure(found), figure)
-    if as_json:
-        emit(comparison_json(found))
-        return
-    typer.echo(comparison_text(found))
-    if figure is not None:
-        typer.echo(f"figure: {figure}")
+    drawn = [f"figure: {figure}"] if figure is not None else []
+    _print(comparison_json(found), comparison_text(found), [*notes, *drawn], as_json)
 
 
 def audit_thesis(as_json: JsonOption = False) -> None:
@@ -222,6 +267,80 @@ def _tables(model: Model, points: Points) -> str:
     except PlantError as error:
         raise PamrigError("--tables", str(error), "leave --tables out") from None
     return text
+
+
+def _print(value: Any, text: str, notes: list[str], as_json: bool) -> None:
+    if as_json:
+        from analysis.models.text import emit
+
+        emit(value)
+        return
+    typer.echo("\n".join([text, *notes]))
+
+
+def _geometry(rest_length: float | None, diameter: float | None) -> Geometry | None:
+    from plant.models.model import Geometry
+
+    if rest_length is None and diameter is None:
+        return None
+    if rest_length is None or diameter is None:
+        given, other = ("--diameter", "--rest-length")[:: 1 if rest_length is None else -1]
+        raise PamrigError(given, f"{other} is missing", "state both: they give the gas volume")
+    return Geometry(rest_length, diameter)
+
+
+def _pulling(points: Points, least_force: float | None) -> Points:
+    return points if least_force is None else points.pulling(least_force)
+
+
+def _sized(
+    model: Model, given: str, points: Points, geometry: Geometry | None
+) -> tuple[Model, Scaling]:
+    """A shipped model scaled to the muscle of the points; a model file keeps its own values."""
+    from plant.fitting.scale import Scaling, scaled
+
+    if not given.endswith(".toml"):
+        return scaled(model, points, geometry)
+    model = dataclasses.replace(model, geometry=geometry or model.geometry)
+    return model, Scaling(1.0, 1.0, None, False)
+
+
+def _within_bounds(model: Model) -> Model:
+    for p in model.parameters:
+        if not p.low <= p.value <= p.high:
+            raise PamrigError(
+                f"--start {p.name}={p.value:g}",
+                f"outside its bounds {p.low:g} to {p.high:g} {p.unit}",
+                "choose a value inside, or edit the bounds in a model file",
+            )
+    return model
+
+
+def _started(models: list[Model], start: str) -> list[Model]:
+    """The models with the values and bounds of these model files, each for its own law."""
+    from plant.models import catalogue
+
+    for path in (n.strip() for n in start.split(",") if n.strip()):
+        given = catalogue.load(path)
+        if not any(m.law is given.law for m in models):
+            raise PamrigError(
+                f"--start {path}",
+                f"its law is not among {', '.join(m.name for m in models)}",
+                "name its model in --models",
+            )
+        models = [
+            dataclasses.replace(m, parameters=given.parameters) if m.law is given.law else m
+            for m in models
+        ]
+    return models
+
+
+def _refuse_for_pressure(**given: bool) -> None:
+    for name, present in given.items():
+        if present:
+            raise PamrigError(
+                "--holdout pressure", f"cannot be combined with --{name}", f"leave out --{name}"
+            )
 
 
 def _suitable(points: Points) -> list[Model]:

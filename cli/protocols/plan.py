@@ -23,6 +23,7 @@ from daq.clock import RealClock
 from daq.errors import ConfigError, PamrigError, RecordError
 from daq.interrupt import StopFlag, stop_on_signals
 from daq.record.disk import disk_error
+from daq.record.safe_read import read_inside
 from daq.record.sealed import read_lines, seal_line, write_all
 from daq.store.run import Run, open_run
 from rigs.execution.procedure import Plan
@@ -86,7 +87,7 @@ def load_plan(path: Path) -> TestPlan:
         ConfigError: names file, key and remedy.
     """
     t = load_toml(str(path), "plans")
-    text = path.read_bytes()
+    text = _bytes(path)
     here = path.resolve().parent
     rig = t.text("rig", "")
     seed = t.integer("seed", 0, 2**63 - 1, -1) if "seed" in t else None
@@ -128,6 +129,10 @@ def load_plan(path: Path) -> TestPlan:
     return out
 
 
+def _bytes(path: Path) -> bytes:
+    return read_inside(path.resolve().parent, path.resolve().name)
+
+
 def _beside(here: Path, name: str) -> str:
     """The path of a file beside the plan, or the name unchanged."""
     beside = here / name
@@ -144,22 +149,24 @@ def progress(plan: TestPlan) -> Progress:
     out = Progress()
     if not plan.journal.is_file():
         return out
-    for line in read_lines(plan.journal.read_bytes()):
+    for line in read_lines(_bytes(plan.journal)):
         if line.fields is None:
             if not line.raw.endswith(b"\n"):
                 break  # cut off by a crash; the runs themselves show their state
             raise RecordError(str(plan.journal), "is damaged", "start again with --again")
         fields = line.fields
-        if fields["crc32"] != plan.crc32:
+        if type(fields.get("test")) is not int or not isinstance(fields.get("run_id"), str):
+            raise RecordError(str(plan.journal), "is not a journal", "start again with --again")
+        if fields.get("crc32") != plan.crc32:
             raise ConfigError(
                 str(plan.path),
                 "was changed since it was started",
                 "restore it, or start again with --again",
             )
-        if fields["what"] == "begun":
-            out.started[int(fields["test"])] = str(fields["run_id"])
-        elif fields["what"] == "done":
-            out.done[int(fields["test"])] = str(fields["run_id"])
+        if fields.get("what") == "begun":
+            out.started[fields["test"]] = fields["run_id"]
+        elif fields.get("what") == "done":
+            out.done[fields["test"]] = fields["run_id"]
     return out
 
 

@@ -15,6 +15,7 @@ import io
 import json
 import math
 import os
+import re
 import sys
 import zlib
 from collections.abc import Iterator
@@ -23,6 +24,10 @@ from typing import Any, NamedTuple
 
 _LINE_TAIL = b',"crc":"%08x"}\n'
 _FILE_TAIL = b',\n  "crc": "%08x"\n}\n'
+
+
+_RARE = re.compile(rb"\d{19}|[eE]\+?\d{3}|NaN|Infinity|\\u[dD]")
+"""Where a value may be that :func:`_writable` refuses; few lines have any."""
 
 
 class SealError(ValueError):
@@ -60,7 +65,22 @@ def _open(data: bytes, tail: bytes) -> dict[str, Any]:
         raise SealError("the JSON is nested too deeply") from None
     if not isinstance(fields, dict):
         raise SealError("not a JSON object")
+    if _RARE.search(body) and not _writable(fields):
+        raise SealError("a number or text that this format cannot hold")
     return fields
+
+
+def _writable(value: Any) -> bool:
+    """True for values as :func:`seal_file` writes them: finite, integers of 64 bits, Unicode."""
+    if isinstance(value, dict):
+        return all(_writable(key) and _writable(inner) for key, inner in value.items())
+    if isinstance(value, list):
+        return all(map(_writable, value))
+    if isinstance(value, str):
+        return not any(0xD800 <= ord(character) <= 0xDFFF for character in value)
+    if isinstance(value, float):
+        return math.isfinite(value)
+    return not isinstance(value, int) or -(2**63) <= value < 2**64
 
 
 def _check_fields(fields: dict[str, Any]) -> None:

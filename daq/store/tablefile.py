@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 MOST_COLUMNS = 500
 MOST_CELLS = 200_000_000
 """1.6 GB as numbers; two hours at 1 kHz with all channels need a third of it."""
+FREE_CELLS = 20_000_000
+"""160 MB as numbers: as much a file may declare whatever its size."""
+CELLS_PER_BYTE = 16
+"""What more than that must have at least a byte for so many cells; measured noise needs more."""
 LARGEST_CSV = 2 << 30
 LARGEST_HEAD = 100_000
 MOST_TEXT = 64 << 20
@@ -64,7 +68,9 @@ def read_parquet(path: Path) -> pd.DataFrame:
         table = pq.read_table(path, read_dictionary=texts, use_threads=False)
         for name in texts:
             _check_text_size(path, name, table.column(name))
-        frame: pd.DataFrame = table.to_pandas(use_threads=False)
+        frame: pd.DataFrame = table.to_pandas(
+            use_threads=False, split_blocks=True, self_destruct=True
+        )
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
         raise PamrigError(str(path), f"is not a Parquet file: {first}") from error
@@ -77,6 +83,9 @@ def _check_declared_size(path: Path, about: Any) -> None:
     cells = about.num_rows * max(1, about.num_columns)
     if about.num_columns > MOST_COLUMNS or cells > MOST_CELLS:
         what = f"declares {about.num_rows} rows of {about.num_columns} columns"
+        raise PamrigError(str(path), what, _REMEDY)
+    if cells > max(FREE_CELLS, CELLS_PER_BYTE * path.stat().st_size):
+        what = f"declares {cells} cells in {path.stat().st_size} bytes"
         raise PamrigError(str(path), what, _REMEDY)
     groups = range(about.num_row_groups)
     declared = sum(about.row_group(k).total_byte_size for k in groups)

@@ -16,6 +16,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from blind.sets import BESIDE as BESIDE
+from blind.sets import HELD_OUT as HELD_OUT
 from gap.check.examine import Task, examine
 from gap.errors import CheckError
 
@@ -26,7 +28,10 @@ RESULTS, SEALS = "results.jsonl", "seals.jsonl"
 
 @dataclass(frozen=True)
 class Plan:
-    """What a campaign runs: sets of a stream, where its files go, and with what."""
+    """What a campaign runs: sets of a stream, where its files go, and with what.
+
+    `held_out` admits the stream of forms that are held out from everything else.
+    """
 
     stream: str
     numbers: tuple[int, ...]
@@ -37,6 +42,7 @@ class Plan:
     jobs: int = 0
     scheduler: str | None = None
     quiet: bool = False
+    held_out: bool = False
 
 
 def parse_numbers(text: str) -> tuple[int, ...]:
@@ -103,7 +109,7 @@ def run_campaign(plan: Plan) -> list[dict[str, Any]]:
     left = [i for i in plan.numbers if (plan.stream, i) not in done]
     tasks = [
         Task(plan.stream, i, plan.small, str((plan.out / SEALS).resolve()), plan.engine,
-             plan.baselines) for i in left
+             plan.baselines, plan.held_out) for i in left
     ]  # fmt: skip
     start = time.monotonic()
     with results.open("a", encoding="utf-8") as file:

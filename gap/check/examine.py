@@ -30,7 +30,8 @@ class Task:
     """The task of a worker: which set, where seals go, and what else to run on it.
 
     `engine` names the diagnosis as `module:function`; it takes a folder and the ids struck from
-    the catalogue, and returns a verdict (exchange form) or an object with `as_dict`.
+    the catalogue, and returns a verdict (exchange form) or an object with `as_dict`. `held_out`
+    admits the stream of forms that are held out.
     """
 
     stream: str
@@ -39,6 +40,7 @@ class Task:
     seals: str
     engine: str
     baselines: bool
+    held_out: bool = False
 
 
 def call_engine(engine: str, folder: Path, without: Sequence[str]) -> dict[str, Any]:
@@ -75,7 +77,7 @@ def diagnosed(engine: str, folder: Path, without: Sequence[str]) -> dict[str, An
 
 def examine(task: Task) -> dict[str, Any]:
     """Make, seal, diagnose, open and score one set; returns the line for the results file."""
-    one = blind_set(task.stream, task.number, task.small)
+    one = blind_set(task.stream, task.number, task.small, task.held_out)
     with tempfile.TemporaryDirectory(prefix="blind-") as temporary:
         folder = Path(temporary) / "data"
         write(record(one), folder, as_csv=task.number % 5 == 4)

@@ -140,3 +140,51 @@ def write_page(path: Path, found: dict[str, Any]) -> None:
         "",
     ]
     path.write_text("\n".join(lines), encoding="utf-8")
+
+
+FORMS_NOTE = """The sets come in pairs: the same bench, protocols, sizes in floors and noise, once
+with a form of the hidden effect that practice sets have (`beside`) and once with a form that
+neither the diagnosis nor its tests nor its learnt reliability has met (`held_out`). Equations and
+sources of all forms: [forms of the blind bench](blind-forms.md). Sets without an effect of the
+catalogue (nominal, outside, unfit) have no form: they are diagnosed once and count on both sides.
+Intervals are Wilson intervals at 95 %. Scores are those of the [blind check](gap-check.md).
+"""
+
+
+def write_forms_page(path: Path, found: dict[str, Any]) -> None:
+    """Write the page of seen and held-out forms side by side."""
+    forms = found["forms"]
+    lines = [
+        "# Forms held out",
+        "",
+        f"{forms['seen_sets']} sets with seen forms and {forms['held_out_sets']} with held-out "
+        f"ones, numbers {found['first']} to {found['last']} of their streams. Made by:",
+        "",
+        "```",
+        f"pamrig gap check --held-out --sets {found['first']}-{found['last']} "
+        "--out out/held-out --page docs/evidence/gap-check-forms.md",
+        "```",
+        "",
+        FORMS_NOTE,
+        "| figure | seen forms | held-out forms |",
+        "|---|---|---|",
+        *(
+            f"| {line['figure']} | {cell(line['seen'])} | {cell(line['held_out'])} |"
+            for line in forms["figures"]
+        ),
+        "",
+        "## By form",
+        "",
+        "Singles of at least 1.5 floors without a confounder. Forms from 3 on are held out.",
+        "",
+        "| effect | form | sets | right family | right name | wrong name |",
+        "|---|---|---|---|---|---|",
+        *(
+            f"| {e['effect']} | {e['form']} | {e['sets']} | {e['family']} | {e['named']} "
+            f"| {e['wrong']} |"
+            for e in forms["by_form"]
+        ),
+        "",
+    ]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines), encoding="utf-8")

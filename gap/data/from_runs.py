@@ -215,12 +215,14 @@ def _stated(run: Run) -> dict[str, Any]:
     beside = Path(str(run.manifest.get("rig", {}).get("source", ""))).parent / "bench.toml"
     if beside.is_file():
         return _read(beside)
-    text = run.manifest.get("rig", {}).get("text", "")
     try:
-        table = tomlfile.loads(text)
+        table = tomlfile.loads(str(run.manifest.get("rig", {}).get("text", "")))
     except tomllib.TOMLDecodeError:
         return {}
-    stated = table.get("virtual", {}).get("plant", {})
+    virtual = table.get("virtual", {})
+    stated = virtual.get("plant", {}) if isinstance(virtual, dict) else {}
+    if not isinstance(stated, dict):
+        return {}
     return {key: value for key, value in stated.items() if key in KEYS or key in CHOICES}
 
 

@@ -35,6 +35,10 @@ TRIAL_NUMBERS = (
 )  # fmt: skip
 SAMPLE_NUMBERS = ("time_s", *COMMANDS, *CHANNELS)
 MOST_UNCERTAIN = 1000.0
+ORDER_UNKNOWN = (
+    "the order of the trials is not known (trials.csv, column order): no effect that depends on it "
+    "can be found"
+)
 
 
 def read_dataset(folder: str | Path) -> DataSet:
@@ -147,7 +151,10 @@ def _join(
             notes.append(f"trial {name} has no samples and is left out")
             continue
         made.append(_trial(samples, trials, row, np.sort(rows), columns, facts, direction))
-    made.sort(key=lambda trial: trial.order)
+    if all(np.isfinite(trial.order) for trial in made):
+        made.sort(key=lambda trial: trial.order)
+    elif len(made) > 1:
+        notes.append(ORDER_UNKNOWN)
     return DataSet(str(path), tuple(made), constants, effects, tuple(notes))
 
 
@@ -177,7 +184,7 @@ def _trial(
         replicate=text["replicate"],
         protocol=text["protocol"] or "unnamed",
         mounting=text["mounting"],
-        order=float(order) if np.isfinite(order) else float(row),
+        order=float(order),
         held_length_mm=float(facts["held_length_mm"][row]),
         load_kg=float(facts["load_kg"][row]),
         temperature_c=float(facts["temperature_c"][row]),

@@ -35,6 +35,7 @@ class Trial:
     """One trial as the dataset format describes it; NaN where a number is not known.
 
     Attributes:
+        order: place among the trials as they were measured; NaN where nobody stated it.
         slot: names the setting; trials of one slot are replicates of each other.
         tare_length_mm: where the muscle was held, vented, when the force was last set to zero.
         settled: a table of settled points, without time.

@@ -12,7 +12,7 @@ from gap.decision.confounders import Confounder, ConfounderSearch
 from gap.decision.posterior import credible_set, posterior
 from gap.decision.reliability import shipped_reliability
 from gap.decision.traits import traits_of
-from gap.design.advise import advise
+from gap.design.advise import advise, more_replicates
 from gap.effects.candidates import DEFECTS
 from gap.estimation.agreement import shared_chi2
 from gap.estimation.cross_validation import HeldOut, gap_of, held_out
@@ -25,7 +25,8 @@ from gap.selection.per_stroke import with_per_stroke_delays
 from gap.selection.pruning import prune
 from gap.selection.search import SearchResult, why_not
 from gap.validation.where import contrasts_of, remaining_drift, stage_shares
-from gap.verdict import Explanation, Gap, Status, Verdict
+from gap.verdict import Experiment, Explanation, Gap, Status, Verdict
+from plant.constants import KEYS
 from plant.effects.catalogue import CATALOGUE
 
 NAMED = (Status.NAMED, Status.NAMED_FORM_INADEQUATE)
@@ -163,8 +164,9 @@ def _unexplained(case: _Case) -> _Finding:
     if case.floor_source == "replicates":
         # What replicates do not share is noise, whatever the model of the noise states.
         unseen = min(unseen, max(case.shared, 0.0))
+    sure = unseen > config.unexplained_chance * case.chance
     unseen /= max(len(problem.rows), 1)
-    if unseen > config.unexplained_per_row:
+    if sure and unseen > config.unexplained_per_row:
         why: Reason | None = reason(Cause.UNEXPLAINED, block=case.block(problem.base))
     else:
         why = _hidden_gap(case)
@@ -240,7 +242,13 @@ def _explained(case: _Case) -> _Finding:
             unknown=max(found.unknown, config.drift_unknown),
             reason=reason(Cause.DRIFT_LEFT, names=names, name=drift.name, z=drift.z),
         )
-    entries = credible_set(found, config)
+    entries = [entry for entry in credible_set(found, config) if _determined(case, entry[0].fit)]
+    if not entries:
+        return replace(
+            finding,
+            unknown=max(found.unknown, config.unknown),
+            reason=reason(Cause.UNDETERMINED, names=names),
+        )
     status, why = _status(case, entries, nearest_confounder(search, problem.base.cost, one), two)
     right, partly = reliability["right"], reliability["right"] + reliability["part"]
     several = len(fit.ids) > 1
@@ -250,6 +258,35 @@ def _explained(case: _Case) -> _Finding:
         why = reason(Cause.UNRELIABLE, names=names, percent=100 * right)
     stage = CATALOGUE[fit.ids[0]].stage
     return replace(finding, status=status, reason=why, stage=stage, entries=entries)
+
+
+def _determined(case: _Case, fit: FitResult) -> bool:
+    """Whether the data determine the amounts of an entry.
+
+    They do not where an interval holds the whole range of the catalogue, and no effect with it; nor
+    where an amount stands at the end of its range, unless the entry explains the gap nonetheless.
+    """
+    problem, config = case.problem, case.config
+    estimates = headline_estimates(problem, fit, shipped_reliability().form)
+    explains = fit is case.search.best.fit and case.share >= config.form_share
+    for name in fit.ids:
+        entry = CATALOGUE[name]
+        if entry.headline is None:
+            continue
+        # With two effects of one parameter name the later has its id in front.
+        estimate = estimates.get(f"{name}_{entry.headline}", estimates.get(entry.headline))
+        if estimate is None or estimate.low is None or estimate.high is None:
+            continue
+        low, high = entry.parameters[0].low, entry.parameters[0].high
+        neutral = entry.neutral_in(problem.data.constants)
+        if estimate.low < min(low, neutral) and estimate.high > high:
+            return False
+        near = config.end_of_range * (high - low)
+        ends = [end for end in (low, high) if end != neutral]
+        at_end = min(abs(float(estimate.value) - end) for end in ends) < near
+        if at_end and not explains:
+            return False
+    return True
 
 
 def _confounders(case: _Case) -> tuple[Confounder | None, Confounder | None]:
@@ -319,12 +356,13 @@ def _status(
 def _gap(case: _Case, named: bool) -> Gap:
     """The gap of the block that shows it best."""
     block = case.block(case.search.best.fit)
-    return gap_of(block, case.held[block], named, case.floor_source, "slot")
+    scheme = "slot" if len(case.problem.data.slots) > 1 else None
+    return gap_of(block, case.held[block], named, case.floor_source, scheme)
 
 
 def _verdict(case: _Case, finding: _Finding) -> Verdict:
     """Complete a finding: gap, stages, limits and the next experiment."""
-    problem, search, entries = case.problem, case.search, finding.entries
+    problem, search = case.problem, case.search
     none, unknown = finding.none, finding.unknown
     effects = _explanations(problem, case.config, finding)
     whole = none + unknown + sum(effect.probability for effect in effects)
@@ -340,13 +378,38 @@ def _verdict(case: _Case, finding: _Finding) -> Verdict:
         stages=stage_shares(problem, search.best.fit, case.held) if case.held else (),
         contrasts=contrasts_of(problem),
         limits=detection_limits(problem, SELECTION.least_gain),
-        next_experiment=advise(
-            problem, entries[0][0].fit if entries else None, _to_tell_apart(case, finding)
-        ),
+        next_experiment=_next_experiment(case, finding),
         why_not=why_not(problem, search, {i for e in effects for i in e.ids}),
-        notes=problem.data.notes,
+        notes=(*problem.data.notes, *_shifted_constants(case)),
         evidence={"found": list(search.best.fit.ids), **finding.evidence},
     )
+
+
+def _next_experiment(case: _Case, finding: _Finding) -> Experiment | None:
+    """What to measure next: missing replicates first, else what tells rivals apart."""
+    if finding.status is Status.BELOW_RESOLUTION:
+        return more_replicates(case.problem, case.config.needed_replicates)
+    best = finding.entries[0][0].fit if finding.entries else None
+    return advise(case.problem, best, _to_tell_apart(case, finding))
+
+
+def _shifted_constants(case: _Case) -> tuple[str, ...]:
+    """Notes on stated constants that the fit moved beyond what their tolerance allows."""
+    problem, fit = case.problem, case.search.best.fit
+    made = []
+    moved, stated = problem.constants(fit.shift), problem.data.constants
+    values = problem.simulator_values(fit.shift)
+    for name, sd in zip(problem.names, fit.shift.tolist(), strict=True):
+        if abs(sd) < case.config.at_bound_sd:
+            continue
+        if name in KEYS:
+            ends = f"stated {stated.value(name):.4g}, in the fit {moved.value(name):.4g}"
+        elif name.startswith("simulator "):
+            ends = f"in the fit {values[name.removeprefix('simulator ')]:.4g}"
+        else:
+            continue
+        made.append(f"{name} stands {abs(sd):.1f} sd from its stated value ({ends}): check it")
+    return tuple(made)
 
 
 def _to_tell_apart(case: _Case, finding: _Finding) -> list[FitResult]:

@@ -20,6 +20,8 @@ class DecisionConfig:
     unexplained_per_row: float = 0.2
     """Gap per row, shared by replicates, that is unknown if no effect explains it. Fewer missed
     effects from outside the catalogue. Set on: not recorded."""
+    unexplained_chance: float = 4.0
+    """The same gap in units of chance: in few rows a large gap per row is chance."""
     at_bound_chance: float = 3.0
     """Gap, in units of chance, that is real where a constant is at the end of its tolerance."""
     at_bound_sd: float = 2.9
@@ -45,6 +47,11 @@ class DecisionConfig:
     """Share of the gap below which the form of the named effect is inadequate."""
     closed_share: float = 0.5
     """Held-out closed fraction that the lower end of its interval must exceed."""
+
+    # Amount of the named effect
+    end_of_range: float = 0.005
+    """Distance from the end of the catalogue's range, in units of it, that is at the end: the data
+    ask for more than the effect can be."""
 
     # Confounders
     confounder_share: float = 0.9

@@ -14,6 +14,7 @@ from gap.decision.classify import classify
 from gap.effects.candidates import CANDIDATES
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.estimation.fitness import UnfitPlant, unfit_nominal
 from gap.reason import Cause, Reason, reason
 from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
@@ -66,12 +67,33 @@ def diagnose_with_search(
     )
     if not len(problem.rows):
         return nothing_to_compare(data), None, None
+    misfits = unfit_nominal(problem)
+    if misfits:
+        return _unfit_plant(data, misfits), None, None
     if excess_chi2(problem, problem.base) > SELECTION.timing_excess_per_row * len(problem.rows):
         timing_fault = channel_with_timing_fault(problem)
         if timing_fault is not None:
             return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
     verdict, search = classify(problem, search_effects(problem))
     return verdict, problem, search
+
+
+def _unfit_plant(data: DataSet, found: list[UnfitPlant]) -> Verdict:
+    return Verdict(
+        status=Status.NOMINAL_UNFIT,
+        reason=reason(Cause.NOMINAL_UNFIT, findings="; ".join(map(str, found))),
+        stage=None,
+        effects=(),
+        probability_none=0.0,
+        probability_unknown=1.0,
+        notes=data.notes,
+        evidence={
+            "misfits": [
+                {"misfit": one.misfit, "place": one.place, "found": one.found, "limit": one.limit}
+                for one in found
+            ]
+        },
+    )
 
 
 def _unfit(found: list[Unfit]) -> Verdict:

@@ -87,6 +87,24 @@ def advise(
     return again if again is not None else _standard(best, between, now)
 
 
+def more_replicates(problem: FitProblem, needed: int) -> Experiment:
+    """The settings that were measured once more, as often as the noise needs to be known.
+
+    Args:
+        needed: replicates beyond the first, over all slots.
+    """
+    slots = problem.data.slots
+    first = problem.data.trials[0]
+    missing = max(needed - problem.noise.freedom, 1)
+    repeats = 1 + -(-missing // len(slots))
+    return Experiment(
+        first.protocol, {"repeats": repeats}, float("nan"), float("nan"),
+        (repeats - 1) * len(slots), (),
+        "replicates are missing: without them nothing tells a gap from noise; measure each "
+        "setting again, best in another order and mounting",
+    )  # fmt: skip
+
+
 def _library(problem: FitProblem, best: FitResult) -> list[LibraryExperiment]:
     """The library, or nothing where the plant as known cannot be simulated."""
     try:

@@ -43,6 +43,18 @@ class EstimationConfig:
     form_error: float = 0.1
     """Error (1 sd, of the logarithm) of the form of an effect for which none is stated."""
 
+    # Fitness of the nominal plant
+    misfit_share: float = 0.5
+    """Rms error of the recalibrated plant, as a share of the rms of what was read, from which the
+    plant is that of another muscle. No effect of the catalogue at the end of its range makes half
+    of all force. Set on: practice sets 9100 to 9127, and measured muscles of two other makes."""
+    far_sd: float = 12.0
+    """Shift of a constant of the muscle, in sd, from which the plant is that of another muscle: at
+    1 % of the turns and 0.3 % of the braid 12 % and 4 %. Set on: the same."""
+    beyond_braid: float = 0.05
+    """Length beyond the braid's, as a share of it, from which the muscle is another one: a taut
+    braid does not stretch by more. Set on: the same."""
+
     # Replicates
     same_edges_s: float = 2e-3
     """Difference of two edges of a command from which replicates were not run alike."""

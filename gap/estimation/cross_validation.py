@@ -15,7 +15,9 @@ from scipy.stats import t as student
 
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import damped_step, gather, tolerance
+from gap.estimation.noise import at_equal_inputs
 from gap.model.features import BLOCKS, UNITS
+from gap.model.grid import same_conditions
 from gap.verdict import Gap
 from plant.arrays import Array
 
@@ -162,6 +164,7 @@ def floor_squares(problem: FitProblem, of_trial: npt.NDArray[np.int64]) -> dict[
     Bessel-corrected within slots; slots without replicates get the noise model's variance.
     """
     rows = problem.rows
+    alike = same_conditions(problem.data)
     count = int(of_trial.max(initial=-1)) + 1
     made = {
         name: np.zeros(count) for number, name in enumerate(BLOCKS) if np.any(rows.block == number)
@@ -186,6 +189,14 @@ def floor_squares(problem: FitProblem, of_trial: npt.NDArray[np.int64]) -> dict[
                 made[name][unit] += sum(_expected(problem, t, number) for t in members)
                 continue
             keep = [a[np.isin(rows.bin[a], list(common))] for a in at]
+            # A floor is what replicates differ by at equal conditions.
+            equal = np.all(
+                [at_equal_inputs(rows, keep[0], other, alike) for other in keep[1:]], axis=0
+            )
+            if equal.sum() < 3:
+                made[name][unit] += sum(_expected(problem, t, number) for t in members)
+                continue
+            keep = [a[equal] for a in keep]
             slow = np.zeros(len(rows)) if problem.noise.trend is None else problem.noise.trend
             table = np.stack([(problem.base.residual - slow)[a] for a in keep])
             span = np.mean([rows.span_s[a] for a in keep], axis=0)
@@ -203,14 +214,20 @@ def _expected(problem: FitProblem, trial: int, number: int) -> float:
     return float((variance * problem.rows.span_s[rows])[here].sum())
 
 
-def gap_of(block: str, held: HeldOut, named: bool, source: str | None, scheme: str) -> Gap:
-    """The verdict's gap of one block."""
-    closed = held.closed() if named else None
+def gap_of(block: str, held: HeldOut, named: bool, source: str | None, scheme: str | None) -> Gap:
+    """The verdict's gap of one block; without a scheme nothing is held out, as in a single slot."""
+    closed = held.closed() if named and scheme else None
+    recalibrated, after = held.rms("recalibrated"), held.rms("after")
+    if scheme is None and held.fitted is not None:
+        total = max(float(held.weight.sum()), 1e-12)
+        recalibrated, after = (
+            float(np.sqrt(max(float(squares.sum()), 0.0) / total)) for squares in held.fitted
+        )
     return Gap(
         unit=UNITS[block],
         before=held.rms("before"),
-        recalibrated=held.rms("recalibrated"),
-        after=held.rms("after") if named else None,
+        recalibrated=recalibrated,
+        after=after if named else None,
         floor=held.rms("floor"),
         floor_source=source,
         closed=closed[0] if closed else None,

@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from gap.effects.candidates import CANDIDATES
 from gap.estimation.config import ESTIMATION
-from gap.model.features import BLOCKS
+from gap.model.features import BLOCKS, Rows
+from gap.model.grid import same_conditions
 from gap.model.residuals import Model
 from gap.model.sensitivities import (
     UNSEEN_GAS,
@@ -110,10 +111,8 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     prior = dict(noise.scales)
     classes = _classes(model)
     clear = rows.doubt**2 + rows.adrift**2 < 0.3 * noise.white
-    pairs = [
-        _Pair(noise, rows.block, rows.bin, classes, clear, a, b, residual)
-        for a, b in _couples(model)
-    ]
+    alike = same_conditions(data)
+    pairs = [_Pair(noise, rows, alike, classes, clear, a, b, residual) for a, b in _couples(model)]
     pairs = [pair for pair in pairs if len(pair.d) > 3]
     noise.pairs = len(pairs)
     noise.freedom = sum(len(members) - 1 for members in data.slots.values())
@@ -195,17 +194,21 @@ def _classes(model: Model) -> Whole:
     return np.asarray(rows.block * 8 + octave)
 
 
-def _roughness(residual: Array, rows: object, here: npt.NDArray[np.bool_]) -> float:
+def _roughness(residual: Array, rows: Rows, here: npt.NDArray[np.bool_]) -> float:
     """Spread of second differences along each table, as one sd of white noise."""
-    trial = rows.trial[here]  # type: ignore[attr-defined]
-    pressure = rows.pressure[here]  # type: ignore[attr-defined]
+    trial = rows.trial[here]
+    inputs = (rows.pressure[here], rows.length[here])
+    spans = [max(float(np.ptp(x)), 1e-12) for x in inputs]
     bends: list[Array] = []
     for t in np.unique(trial):
         at = np.flatnonzero(trial == t)
         if len(at) < 4:
             continue
-        order = at[np.argsort(pressure[at], kind="stable")]
-        p = pressure[order]
+        # Along what varies in this table: pressure at a held length, length at a held pressure.
+        along = max(range(2), key=lambda k: float(np.ptp(inputs[k][at])) / spans[k])
+        x = inputs[along]
+        order = at[np.argsort(x[at], kind="stable")]
+        p = x[order]
         y = residual[order]
         share = (p[1:-1] - p[:-2]) / np.maximum(p[2:] - p[:-2], 1e-9)
         bend = y[1:-1] - (1.0 - share) * y[:-2] - share * y[2:]
@@ -215,14 +218,27 @@ def _roughness(residual: Array, rows: object, here: npt.NDArray[np.bool_]) -> fl
     return 1.4826 * float(np.median(np.abs(np.concatenate(bends))))
 
 
+def at_equal_inputs(rows: Rows, one: Whole, other: Whole, alike: Array) -> npt.NDArray[np.bool_]:
+    """Whether rows of forces and loads were taken at equal conditions; True for other rows.
+
+    Args:
+        one, other: rows that are compared, of equal blocks.
+        alike: `gap.model.grid.same_conditions`.
+    """
+    pressure = np.abs(rows.pressure[one] - rows.pressure[other]) <= alike[0]
+    length = np.abs(rows.length[one] - rows.length[other]) <= alike[1]
+    forces = np.isin(rows.block[one], [BLOCKS.index(name) for name in ("force", "load")])
+    return np.asarray(~forces | (pressure & length))
+
+
 class _Pair:
     """Difference of two replicates over the bins both have, reduced to small matrices."""
 
     def __init__(
         self,
         noise: Noise,
-        block: Whole,
-        bins: Whole,
+        rows: Rows,
+        alike: Array,
         classes: Whole,
         clear: npt.NDArray[np.bool_],
         a: int,
@@ -230,10 +246,12 @@ class _Pair:
         residual: Array,
     ) -> None:
         rows_a, rows_b = noise.trial_rows[a], noise.trial_rows[b]
-        key_a = block[rows_a] * 1_000_000 + bins[rows_a]
-        key_b = block[rows_b] * 1_000_000 + bins[rows_b]
+        key_a = rows.block[rows_a] * 1_000_000 + rows.bin[rows_a]
+        key_b = rows.block[rows_b] * 1_000_000 + rows.bin[rows_b]
         _, ia, ib = np.intersect1d(key_a, key_b, return_indices=True)
         both = clear[rows_a[ia]] & clear[rows_b[ib]]
+        # Forces at different pressures differ for that reason alone.
+        both &= at_equal_inputs(rows, rows_a[ia], rows_b[ib], alike)
         ia, ib = ia[both], ib[both]
         self.block = classes[rows_a[ia]]
         self.d = residual[rows_a[ia]] - residual[rows_b[ib]]

@@ -87,3 +87,36 @@ def fold(time_s: Array, value: Array, turns: Array, parts: int) -> Whole:
     low, high = np.quantile(value, [0.02, 0.98])
     third = np.clip(4 * (value - low) / max(high - low, 1e-12), 0, 3).astype(np.int64)
     return np.asarray((part * 2 + half % 2) * 4 + third)
+
+
+def matched(condition: Array, known: Array, alike: Array) -> tuple[Whole, Array]:
+    """Bin of each settled point of a replicate, by its condition.
+
+    A point takes the bin of its own row where that has the same condition, else the nearest bin
+    with the same condition that no other point has, else a new one.
+
+    Args:
+        condition: one row a point: what was set, shape (points, n).
+        known: condition of each bin so far, shape (bins, n).
+        alike: largest difference of equal conditions, shape (n,).
+
+    Returns:
+        Bins of the points, and the conditions of all bins.
+    """
+    scale = np.maximum(alike, 1e-12)
+    found = np.full(len(condition), -1, dtype=np.int64)
+    free = np.ones(len(known), dtype=bool)
+    for row, one in enumerate(condition[: len(known)]):
+        if np.all(np.abs(one - known[row]) <= scale):
+            found[row], free[row] = row, False
+    for row in np.flatnonzero(found < 0).tolist():
+        apart = np.abs(condition[row] - known[: len(free)]) / scale
+        near = np.flatnonzero(free & np.all(apart <= 1.0, axis=1))
+        if len(near):
+            at = int(near[np.argmin(apart[near].sum(axis=1))])
+            found[row], free[at] = at, False
+        else:
+            found[row] = len(known)
+            known = np.vstack([known, condition[row]])
+            free = np.r_[free, False]
+    return found, known

@@ -55,6 +55,7 @@ def make_grid(data: DataSet) -> Grid:
     gathered: dict[str, list[_Piece]] = {name: [] for name in BLOCKS}
     supply: list[Array] = []
     regulated: list[bool] = []
+    alike = np.r_[same_conditions(data), 0.5]
     for index, trial in enumerate(data.trials):
         signal = Signal.of(trial, data.constants)
         marks = np.unique(edges[index][0]) if len(edges[index][0]) else np.empty(0)
@@ -63,7 +64,7 @@ def make_grid(data: DataSet) -> Grid:
             piece.trial = index
             if block == "pressure":
                 supply.append(piece.extra)
-            _assign(piece, block, trial, marks, ends)
+            _assign(piece, block, trial, marks, ends, alike)
             gathered[block].append(piece)
     points: dict[str, Points] = {}
     rows: list[Rows] = []
@@ -91,6 +92,22 @@ def make_grid(data: DataSet) -> Grid:
         supply=np.concatenate(supply) if supply else np.empty(0),
         regulated=tuple(regulated),
     )
+
+
+_SAME = 0.02
+"""Share of the range of pressure, and of length, by which equal conditions may differ."""
+
+
+def same_conditions(data: DataSet) -> Array:
+    """Difference of pressure (Pa) and length (m) up to which two conditions are the same."""
+    made = []
+    for name, scale, held in (("pressure_kpa", 1e3, ()), ("length_mm", 1e-3, ("held_length_mm",))):
+        values = [trial[name].value for trial in data.trials if len(trial.get(name))]
+        values += [np.array([getattr(trial, key)]) for trial in data.trials for key in held]
+        whole = np.concatenate(values) if values else np.zeros(1)
+        known = whole[np.isfinite(whole)]
+        made.append(_SAME * scale * float(np.ptp(known)) if len(known) else 0.0)
+    return np.array(made)
 
 
 @dataclass
@@ -141,7 +158,8 @@ def _pieces(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> list[t
         free = signal.free_of_stops(piece.time_s)
         if free.sum() >= 3 or trial.settled:
             made.append(("load", _kept(piece, free)))
-    if signal.held and "length_mm" in trial:
+    # A length that never moves, not even by noise, is a label copied into a column.
+    if signal.held and "length_mm" in trial and np.ptp(trial["length_mm"].value) > 0.0:
         piece = _piece(trial, signal, trial["length_mm"], 1e-3, data)
         piece.floor = np.zeros(len(piece.time_s))
         made.append(("camera", piece))
@@ -288,14 +306,24 @@ _MOST = {"pressure": 320, "force": 240, "load": 160, "camera": 12}
 
 
 def _assign(
-    piece: _Piece, block: str, trial: Trial, marks: Array, ends: dict[tuple[str, str], Array]
-) -> None:
-    """Give every point of a piece its bin; replicates share the bins of their slot."""
+    piece: _Piece, block: str, trial: Trial, marks: Array, ends: dict[tuple[str, str], Array],
+    alike: Array,
+) -> None:  # fmt: skip
+    """Give every point of a piece its bin; replicates share the bins of their slot.
+
+    Settled points share a bin where their conditions differ by less than `alike`: in Pa, m and
+    direction.
+    """
     t = piece.time_s
-    if piece.settled:
-        piece.bin = np.round(t).astype(np.int64)
-        return
     key = (trial.slot, block)
+    if piece.settled:
+        condition = np.stack([piece.pressure, piece.length, piece.direction], axis=1)
+        if key not in ends:
+            ends[key] = condition
+            piece.bin = np.arange(len(t))
+        else:
+            piece.bin, ends[key] = bins.matched(condition, ends[key], alike)
+        return
     turns = np.empty(0)
     swing = piece.length if moving(piece.length) else piece.pressure
     if block in ("force", "load"):

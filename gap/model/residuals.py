@@ -32,7 +32,7 @@ class Model:
 
     Attributes:
         nominal: the data set's simulator on these points; None for the built-in plant.
-        order: of the trials, from 0.
+        order: of the trials, from 0; all zero where it is not known.
         tared: length in m at which the force of each trial was set to zero.
         fall_pa: largest fall of the supply in the last prediction of pressure.
     """
@@ -57,7 +57,8 @@ class Model:
                 known.error if known is not None else None,
             )  # fmt: skip
         order = np.array([trial.order for trial in self.grid.data.trials], dtype=np.float64)
-        self.order = order - order.min() if len(order) else order
+        stated = len(order) > 0 and bool(np.isfinite(order).all())
+        self.order = order - order.min() if stated else np.zeros(len(order))
         tared_mm = [trial.tare_length_mm for trial in self.grid.data.trials]
         self.tared = 1e-3 * np.array(tared_mm, dtype=np.float64)
 
@@ -73,6 +74,13 @@ class Model:
                 made[block] = self._features(points, raw) * SCALE[block]
         return made
 
+    def readings(self, block: str) -> Array | None:
+        """What was read, one value a row of a block, in its unit; None without a reading."""
+        points = self.grid.points.get(block)
+        if points is None or not np.isfinite(points.reading).all():
+            return None
+        return self._features(points, points.reading) * SCALE[block]
+
     def stacked(self, parts: dict[str, Array]) -> Array:
         """All rows in one vector; blocks that are absent in `parts` are zero."""
         whole = np.zeros(len(self.grid.rows))
@@ -83,7 +91,7 @@ class Model:
 
     def _features(self, points: Points, raw: Array) -> Array:
         total = np.bincount(points.row, weights=raw * points.weight)
-        return np.asarray(total / np.bincount(points.row, weights=points.weight))
+        return np.asarray(total / points.row_weight)
 
     def _rest(self, points: Points, active: Active, context: Context) -> Array:
         """What the last tare took away from each reading, N."""

@@ -11,7 +11,7 @@ import numpy as np
 from gap.data.dataset import DataSet
 from gap.decision.diagnose import diagnose_with_search
 from gap.estimation.cross_validation import held_out
-from gap.estimation.fit_problem import FitProblem
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
 from gap.selection.search import SearchResult
 from gap.validation.maps import Course, residual_maps
@@ -46,6 +46,23 @@ class Field:
 
 
 @dataclass(frozen=True)
+class Trace:
+    """One trial as measured and as predicted, over time or, where settled, over pressure.
+
+    Attributes:
+        x: time in s or pressure in kPa, ascending, shape (rows,).
+        measured, recalibrated, after: in the gap's unit, shape (rows,).
+    """
+
+    trial: str
+    settled: bool
+    x: Array
+    measured: Array
+    recalibrated: Array
+    after: Array
+
+
+@dataclass(frozen=True)
 class Examination:
     """Verdict, ladder, residuals and their courses; only the verdict where nothing compares."""
 
@@ -55,6 +72,7 @@ class Examination:
     field: Field | None
     digest: str
     courses: tuple[Course, ...] = ()
+    traces: tuple[Trace, ...] = ()
 
 
 def examine(data: DataSet, without: Iterable[str] = ()) -> Examination:
@@ -70,10 +88,22 @@ def examine(data: DataSet, without: Iterable[str] = ()) -> Examination:
     block = _block(problem, search, verdict)
     if block is None:
         return Examination(data, verdict, (), None, digest)
+    fit = standing_fit(problem, search, verdict)
     return Examination(
-        data, verdict, _ladder(problem, search, block), _field(problem, search, block), digest,
-        tuple(residual_maps(problem, search.best.fit)),
+        data, verdict, _ladder(problem, fit, block), _field(problem, fit, block), digest,
+        tuple(residual_maps(problem, fit)), _traces(problem, fit, block),
     )  # fmt: skip
+
+
+def standing_fit(problem: FitProblem, search: SearchResult, verdict: Verdict) -> FitResult:
+    """The fit of the first entry that the verdict stands by; else the recalibrated plant."""
+    if not verdict.effects or not verdict.status.explained:
+        return problem.base
+    first = verdict.effects[0].ids
+    for hypothesis in (search.best, *search.rivals):
+        if set(hypothesis.fit.ids) == set(first):
+            return hypothesis.fit
+    return problem.fit_effects(first)
 
 
 def fingerprint(data: DataSet) -> str:
@@ -100,8 +130,7 @@ def _block(problem: FitProblem, search: SearchResult, verdict: Verdict) -> str |
     return min(there, key=lambda b: abs(held[b].rms("recalibrated") - gap.recalibrated))
 
 
-def _ladder(problem: FitProblem, search: SearchResult, block: str) -> tuple[Rung, ...]:
-    best = search.best.fit
+def _ladder(problem: FitProblem, best: FitResult, block: str) -> tuple[Rung, ...]:
     base = held_out(problem, problem.base)[block]
     rungs = [Rung("as stated", base.rms("before")), Rung("recalibrated", base.rms("recalibrated"))]
     ids = list(dict.fromkeys(candidate.id for candidate in best.candidates))
@@ -113,7 +142,42 @@ def _ladder(problem: FitProblem, search: SearchResult, block: str) -> tuple[Rung
     return tuple(rungs)
 
 
-def _field(problem: FitProblem, search: SearchResult, block: str) -> Field:
+_TRACES = 3
+
+
+def _traces(problem: FitProblem, fit: FitResult, block: str) -> tuple[Trace, ...]:
+    """Measured and predicted in the settings whose gap is largest, the first replicate of each."""
+    measured = problem.model.readings(block)
+    if measured is None:
+        return ()
+    at = np.flatnonzero(problem.rows.block == BLOCKS.index(block))
+    of_trial = problem.rows.trial[at]
+    ranked: list[tuple[float, int]] = []
+    for members in problem.data.slots.values():
+        here = at[of_trial == members[0]]
+        if len(here) >= _LEAST_ROWS:
+            ranked.append((-float(np.mean(problem.base.residual[here] ** 2)), members[0]))
+    return tuple(
+        _trace(problem, fit, at[of_trial == t], measured[of_trial == t], t)
+        for _, t in sorted(ranked)[:_TRACES]
+    )
+
+
+_LEAST_ROWS = 4
+
+
+def _trace(problem: FitProblem, fit: FitResult, here: Array, measured: Array, number: int) -> Trace:
+    trial = problem.data.trials[number]
+    x = problem.rows.pressure[here] * 1e-3 if trial.settled else problem.rows.time_s[here]
+    order = np.argsort(x, kind="stable")
+    return Trace(
+        trial.name, trial.settled, x[order], measured[order],
+        (measured - problem.base.residual[here])[order],
+        (measured - fit.residual[here])[order],
+    )  # fmt: skip
+
+
+def _field(problem: FitProblem, fit: FitResult, block: str) -> Field:
     here = problem.rows.block == BLOCKS.index(block)
     rows = problem.rows
     orders = np.array([trial.order for trial in problem.data.trials])
@@ -125,6 +189,6 @@ def _field(problem: FitProblem, search: SearchResult, block: str) -> Field:
         order=orders[rows.trial[here]],
         time_s=rows.time_s[here],
         before=problem.base.residual[here],
-        after=search.best.fit.residual[here],
+        after=fit.residual[here],
         weight=rows.span_s[here],
     )

@@ -35,6 +35,7 @@ def figures(examined: Examination) -> dict[str, str]:
         made: dict[str, Figure | None] = {
             "ladder": ladder(examined),
             "stages": stages(examined.verdict.stages),
+            "traces": traces(examined),
             "maps": maps(examined.field) if examined.field is not None else None,
             "courses": courses_figure(examined.courses, bool(examined.verdict.effects)),
             "order": course(examined.field) if examined.field is not None else None,
@@ -106,6 +107,36 @@ def stages(shares: tuple[Share, ...]) -> Figure | None:
     return figure
 
 
+def traces(examined: Examination) -> Figure | None:
+    """Measured and predicted in a few trials, before and after what was found."""
+    shown, field = examined.traces, examined.field
+    if not shown or field is None:
+        return None
+    from matplotlib import pyplot
+
+    made = pyplot.subplots(1, len(shown), figsize=(7.2, 2.7), layout="constrained", squeeze=False)
+    figure: Figure = made[0]
+    grid = made[1]
+    pyplot.close(figure)
+    explained = not np.array_equal(field.before, field.after)
+    for axes, trace in zip(grid[0], shown, strict=True):
+        mark = "o" if trace.settled else ""
+        axes.plot(trace.x, trace.measured, color=INK, lw=1.2, marker=mark, ms=3, label="measured")
+        axes.plot(trace.x, trace.recalibrated, color=BLUE, lw=1.2, ls="--", label="recalibrated")
+        if explained:
+            axes.plot(
+                trace.x, trace.after, color=GREEN, lw=1.2, ls=":", label="with what was found"
+            )
+        axes.set_title(f"trial {trace.trial}", fontsize=9.5)
+        axes.set_xlabel("pressure, kPa" if trace.settled else "time, s")
+    grid[0][0].set_ylabel(f"{_QUANTITY.get(field.block, field.block)}, {field.unit}")
+    grid[0][0].legend(loc="best", fontsize=8)
+    return figure
+
+
+_QUANTITY = {"camera": "length shown"}
+
+
 def maps(field: Field) -> Figure | None:
     """Mean residual over pressure and length, before and after, on one scale of colour."""
     before, after = (_cells(field, values) for values in (field.before, field.after))
@@ -133,7 +164,7 @@ def maps(field: Field) -> Figure | None:
 
 def course(field: Field) -> Figure | None:
     """Mean and spread of the residual in each trial, in the order of measurement."""
-    orders = np.unique(field.order)
+    orders = np.unique(field.order[np.isfinite(field.order)])
     if len(orders) < 3:
         return None
     figure, axes = _figure(6.9, 2.4)

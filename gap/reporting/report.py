@@ -53,14 +53,14 @@ def context(examined: Examination) -> dict[str, Any]:
         "status": verdict.status,
         "headline": headline(verdict),
         "reason": str(verdict.reason),
-        "careful": CAREFUL if verdict.effects else "",
+        "careful": CAREFUL if verdict.effects and verdict.status.explained else "",
         "gap": gap_sentences(verdict),
         "explanations": _explanations(verdict),
         "figures": figures(examined),
         "contrasts": sorted(verdict.contrasts, key=lambda c: -abs(c.z)),
         "near": near[:NEAREST],
         "far": near[NEAREST:],
-        "next": experiment_sentence(verdict.next_experiment) if verdict.next_experiment else "",
+        "next": _next(verdict),
         "next_why": sentence(verdict.next_experiment.why) if verdict.next_experiment else "",
         "told_apart": told_apart(verdict.effects),
         "limits": limits(verdict),
@@ -70,11 +70,17 @@ def context(examined: Examination) -> dict[str, Any]:
         "slots": len(data.slots),
         "mountings": len({trial.mounting for trial in data.trials}),
         "protocols": ", ".join(sorted({trial.protocol for trial in data.trials})),
-        "notes": data.notes,
+        "notes": verdict.notes,
         "digest": examined.digest,
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "version": _version(),
     }
+
+
+def _next(verdict: Verdict) -> str:
+    if verdict.next_experiment is None:
+        return ""
+    return experiment_sentence(verdict.next_experiment, named=len(verdict.effects) == 1)
 
 
 def _explanations(verdict: Verdict) -> list[dict[str, str]]:

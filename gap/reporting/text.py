@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,10 +16,11 @@ HEADS = {
     "named_form_inadequate": "Found, but not in full",
     "indistinguishable": "One of several",
     "mimicable": "One, or others acting together",
-    "unknown": "Something that the catalogue does not hold",
+    "unknown": "A gap whose cause is not known",
     "no_gap_above_floor": "No gap above the floor",
     "below_resolution": "Too few replicates to say",
     "data_unfit": "The data are not fit to be diagnosed",
+    "nominal_unfit": "The nominal plant is not that of these data",
 }
 CAREFUL = (
     "These data are consistent with it; that it is the cause is shown by taking it away, or by the "
@@ -36,7 +38,7 @@ class Rival:
 
 def headline(verdict: Verdict) -> str:
     """The verdict in one sentence."""
-    if not verdict.effects:
+    if not verdict.effects or not verdict.status.explained:
         return sentence(str(verdict.reason))
     best = verdict.effects[0]
     what = " and ".join(f"{name} ({CATALOGUE[name].summary})" for name in best.ids)
@@ -53,7 +55,7 @@ def headline(verdict: Verdict) -> str:
     others = ", ".join(" + ".join(effect.ids) for effect in verdict.effects[1:4])
     if not others:
         return sentence(str(verdict.reason))
-    return sentence(f"It is {what}, or {others}: these data fit all of them")
+    return sentence(f"{what}, or {others}: these data fit all of them")
 
 
 def _closed(verdict: Verdict) -> str:
@@ -66,7 +68,11 @@ def _closed(verdict: Verdict) -> str:
         interval = f" ({low} to {high} %)" if low != high else ""
     return (
         f" and closes {100 * min(gap.closed, 1.0):.0f} %{interval} of the gap above the floor, "
-        f"on data held out by {gap.held_out}"
+        + (
+            f"on data held out by {gap.held_out}"
+            if gap.held_out
+            else "on the data that it was fitted to"
+        )
     )
 
 
@@ -108,7 +114,7 @@ def gap_sentences(verdict: Verdict) -> list[str]:
         f"As stated, the plant is off by {gap.before:.3g} {gap.unit}; recalibrated within the "
         f"tolerances of its constants by {gap.recalibrated:.3g} {gap.unit}."
     ]
-    if gap.after is not None and verdict.effects:
+    if gap.after is not None and verdict.effects and verdict.status.explained:
         text.append(f"With what was found {gap.after:.3g} {gap.unit} remain.")
     if gap.floor is not None:
         source = {
@@ -128,8 +134,11 @@ def told_apart(effects: tuple[Explanation, ...]) -> list[tuple[str, str]]:
     return [(name, CATALOGUE[name].told_apart_by) for name in names]
 
 
-def experiment_sentence(experiment: Experiment) -> str:
-    """The next experiment, with the separation it promises."""
+def experiment_sentence(experiment: Experiment, named: bool = True) -> str:
+    """The next experiment, with the separation it promises.
+
+    `named`: one explanation was named, so that an experiment can only make it surer.
+    """
     if not experiment.trials:
         return sentence(experiment.protocol)
     settings = ", ".join(_setting(k, v) for k, v in experiment.settings.items())
@@ -138,9 +147,11 @@ def experiment_sentence(experiment: Experiment) -> str:
     count = f"{experiment.trials} trial{'s' if experiment.trials != 1 else ''} of {what}"
     already = (
         "These data tell them apart already, as far as the forms of the catalogue go. To be surer: "
-        if experiment.separation_now >= DESIGN.enough_sd
+        if named and experiment.separation_now >= DESIGN.enough_sd
         else ""
     )
+    if not math.isfinite(experiment.separation_after):
+        return sentence(count)
     return already + sentence(
         f"{count}: the separation{between} would rise from {experiment.separation_now:.1f} to "
         f"{experiment.separation_after:.1f} standard deviations ({DESIGN.enough_sd:g} are right 95 "

@@ -24,6 +24,9 @@ from gap.validation.chain import Chain
 from gap.verdict import Share
 from plant.arrays import Array
 
+_MOST_SHARE = 2.0
+"""Share beyond which the whole is a small difference of large parts, and shares say nothing."""
+
 
 @dataclass(frozen=True)
 class Waterfall:
@@ -49,7 +52,7 @@ class Waterfall:
         n = len(value)
         total = value.sum(axis=0)
         whole = float(total.sum())
-        if n == 0 or whole <= 0.0:
+        if n == 0 or whole <= 0.0 or np.abs(total).max() > _MOST_SHARE * whole:
             return ()
         if n < 3:
             return self._sorted(total / whole, np.full(len(total), np.inf))

@@ -177,7 +177,9 @@ def _order(problem: FitProblem, residual: Array, here: Mask) -> float | None:
             rows = problem.noise.trial_rows[trial]
             rows = rows[here[rows]]
             if len(rows):
-                means.append((problem.data.trials[trial].order, float(residual[rows].mean())))
+                order = problem.data.trials[trial].order
+                if np.isfinite(order):
+                    means.append((order, float(residual[rows].mean())))
         if len(means) > 1:
             table = np.array(means)
             table -= table.mean(axis=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,11 @@ class Points:
     mass: Floats
     reading: Floats
     direction: Floats
+
+    @cached_property
+    def row_weight(self) -> Floats:
+        """Sum of the weights of each row's points."""
+        return np.bincount(self.row, weights=self.weight).astype(np.float64, copy=False)
 
 
 @dataclass(frozen=True)

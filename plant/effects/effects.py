@@ -32,6 +32,8 @@ class Effects:
         Raises `PlantError` for an unknown effect or parameter, a missing headline parameter, and
         a value of the wrong type or out of range.
         """
+        if config is not None and not isinstance(config, Mapping):
+            raise PlantError(f"{origin} = {config!r:.40}: expected a table with a table an effect")
         values: dict[str, Mapping[str, float | str]] = {}
         for name, table in (config or {}).items():
             values[name] = _read(_entry(name, origin), table, f"{origin}.{name}")

@@ -51,6 +51,8 @@ def _finger(table: Mapping[str, Any], origin: str) -> Finger:
     rows = table["pair"]
     if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
         raise PlantError(f"{origin}: expected tables [[pair]], got {rows!r:.40}")
+    if not isinstance(table["arm"], (str, Mapping)):
+        raise PlantError(f"{origin}: arm = {table['arm']!r:.40}; expected a name, file or table")
     arm = load_arm(table["arm"])
     pairs = tuple(_pair(row, f"{origin}, pair {i + 1}") for i, row in enumerate(rows))
     stops = table.get("stops", {})

@@ -172,6 +172,118 @@ def compare(
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class PressureScore:
+    """Errors of one model at the pressures that it was not fitted to.
+
+    Attributes:
+        model: name; `parameters` is the number of fitted parameters.
+        rmse_n, worst_n: over the held-out points; `worst_n` keeps its sign.
+        rmse_percent, worst_percent: the same over the largest force of all points, in percent.
+        rmse_mm, worst_mm: the same as a length: the error of the force over the stiffness dF/dL of
+            the fitted model in the point.
+        residual_n: held-out residuals, shape (m,).
+        trouble: why there is no score; such a model is ranked last.
+    """
+
+    model: str
+    parameters: int
+    rmse_n: float
+    worst_n: float
+    rmse_percent: float
+    worst_percent: float
+    rmse_mm: float
+    worst_mm: float
+    residual_n: Array
+    trouble: str = ""
+
+
+@dataclass(frozen=True)
+class PressureComparison:
+    """Models ranked by their rmse at held-out pressures, best first."""
+
+    scores: tuple[PressureScore, ...]
+    fitted_kpa: tuple[str, ...]
+    held_out_kpa: tuple[str, ...]
+    points: int
+    largest_force_n: float
+    source: str
+
+
+LEAST_PRESSURES = 4
+"""Fewer pressures leave less than two to fit."""
+
+
+def held_pressures(
+    model: Model, points: Points, free: tuple[str, ...] | None = None
+) -> tuple[Array, npt.NDArray[np.bool_], Model]:
+    """Residuals of a fit to every other pressure, at the other pressures.
+
+    The lowest pressure is fitted, the next is held out, and so on.
+
+    Returns:
+        residuals in N, shape (m,); mask of the held-out points, shape (n,); the fitted model.
+
+    Raises:
+        PlantError: fewer than four pressures, or no fit.
+    """
+    labels = points.labels("pressure")
+    groups = _ordered(labels, points, "pressure")
+    if len(groups) < LEAST_PRESSURES:
+        raise PlantError(
+            f"{points.source}: {len(groups)} pressure group(s); every other pressure is held out, "
+            f"so at least {LEAST_PRESSURES} are needed: measure more, or use another holdout"
+        )
+    out = np.isin(labels, groups[1::2])
+    fitted = fit(model, points.take(~out), free=free).model
+    residual = _residual(fitted, points.take(out))
+    if not np.all(np.isfinite(residual)):
+        raise PlantError(
+            f"model {model.name} has no value for some held-out points: outside the range of the "
+            "fitted geometry"
+        )
+    return residual, out, fitted
+
+
+def compare_pressures(models: Sequence[Model], points: Points) -> PressureComparison:
+    """Fit each model to every other pressure and score it at the others.
+
+    Raises:
+        PlantError: fewer than four pressures, or no models.
+    """
+    groups = _ordered(points.labels("pressure"), points, "pressure")
+    if len(groups) < LEAST_PRESSURES and models:
+        held_pressures(models[0], points)  # raises, with the reason
+    if not models:
+        raise PlantError("no model to compare; name at least one")
+    largest = float(np.max(np.abs(points.force_n)))
+    scores = [_pressure_score(m, points, largest) for m in models]
+    return PressureComparison(
+        tuple(sorted(scores, key=lambda s: s.rmse_n)), groups[::2], groups[1::2], len(points),
+        largest, points.source,
+    )  # fmt: skip
+
+
+def _pressure_score(model: Model, points: Points, largest: float) -> PressureScore:
+    count = sum(not p.fixed for p in model.parameters)
+    try:
+        residual, out, fitted = held_pressures(model, points)
+    except PlantError as error:
+        return PressureScore(model.name, count, *(np.inf,) * 6, np.empty(0), str(error))
+    at = points.take(out)
+    _, stiffness, _ = fitted.law.slopes(
+        fitted.q, at.pressure_pa, at.length_m, at.temperature_c, at.path
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        length_mm = residual / np.abs(stiffness) * 1e3
+    worst, far = (float(x[np.argmax(np.abs(x))]) for x in (residual, length_mm))
+    rms = _rms(residual)
+    return PressureScore(
+        model.name, count, rms, worst, 100 * rms / largest, 100 * worst / largest,
+        _rms(length_mm), far, residual,
+    )  # fmt: skip
+
+
 def floors(points: Points) -> Floors:
     """Repeatability and scatter between lengths of the data."""
     repeat, count = np.nan, 0
@@ -295,7 +407,11 @@ def _regions(residual: Array, points: Points) -> dict[str, float]:
 
 
 def _ordered(labels: npt.NDArray[np.str_], points: Points, holdout: str) -> tuple[str, ...]:
-    known = {"length": points.length_m, "temperature": points.temperature_c}
+    known = {
+        "length": points.length_m,
+        "temperature": points.temperature_c,
+        "pressure": points.pressure_pa,
+    }
     by = (known | {"load": points.force_n}).get(holdout)
     names = np.unique(labels)
     if by is None:

@@ -38,7 +38,8 @@ class Points:
         pressure_pa, length_m, temperature_c, force_n: the readings.
         sd_pressure_pa, sd_length_m, sd_force_n: noise of each reading, 1 sd; None if unknown.
         sensors: common errors of all readings of a sensor; empty if unknown.
-        length_label, temperature_label, mounting_label: groups that a fold can hold out.
+        length_label, temperature_label, mounting_label, pressure_label: groups that a fold can
+            hold out.
         cell: name of the set-points; repeated points have the same name.
         path: order of the points, for laws with memory.
         source: origin of the data.
@@ -55,6 +56,7 @@ class Points:
     length_label: Labels | None = None
     temperature_label: Labels | None = None
     mounting_label: Labels | None = None
+    pressure_label: Labels | None = None
     cell: Labels | None = None
     path: History | None = None
     source: str = ""
@@ -85,25 +87,42 @@ class Points:
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
     def labels(self, kind: str) -> Labels:
-        """Names of groups: "length", "temperature", "mounting" or "load" (isotonic tests)."""
+        """Names of groups: "length", "pressure", "temperature", "mounting" or "load" (isotonic)."""
         given = getattr(self, f"{kind}_label", None)
         if given is not None:
             return np.asarray(given)
         if kind == "length":
             return np.array([f"{x:.2f} mm" for x in self.length_m * 1e3])
+        if kind == "pressure":
+            return np.array([f"{x:.0f} kPa" for x in self.pressure_pa / 1e3])
         if kind == "temperature":
             return np.array([f"{x:.0f} degC" for x in self.temperature_c])
         if kind == "mounting":
             return np.full(len(self), "m1")
         if kind == "load":
             return np.array([f"{x:.2f} N" for x in self.force_n])
-        raise PlantError(f"cannot hold out {kind!r}; choose length, temperature, mounting or load")
+        raise PlantError(
+            f"cannot hold out {kind!r}; choose length, pressure, temperature, mounting or load"
+        )
 
     def trials(self) -> npt.NDArray[np.int64]:
         """Number of the trial of each point; all 0 if the trials are unknown."""
         if self.path is None or self.path.start is None:
             return np.zeros(len(self), dtype=np.int64)
         return np.cumsum(self.path.start)
+
+    def pulling(self, least_n: float) -> Points:
+        """The points with at least this force; below, the muscle counts as slack.
+
+        Raises `PlantError` if none is left.
+        """
+        use = self.force_n >= least_n
+        if not np.any(use):
+            raise PlantError(
+                f"{self.source}: no point pulls {least_n:g} N, the largest force is "
+                f"{self.force_n.max():g} N; state a smaller least force"
+            )
+        return self.take(use)
 
     def sha256(self) -> str:
         """Hash of the readings, independent of the machine."""

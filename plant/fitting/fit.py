@@ -19,12 +19,13 @@ from plant.errors import PlantError
 from plant.fitting.data import Points
 from plant.fitting.identify import Identifiability, examine
 from plant.models.model import Domain, Model
+from plant.models.uncertainty import Covariance
 
 MAX_ROUNDS = 8
 HUBER = 1.345
+"""Number of robust standard deviations beyond which a robust fit reduces the weight."""
 CONFIDENCE = 0.95
 """Level of the intervals of a fit."""
-"""Number of robust standard deviations beyond which a robust fit reduces the weight."""
 
 
 @dataclass(frozen=True)
@@ -324,7 +325,7 @@ def _result(
         )  # fmt: skip
     noise_scale = scale if problem.noisy else float("nan")
     return Fit(
-        model=_labelled(fitted, points, estimates),
+        model=_labelled(fitted, points, estimates, covariance),
         estimates=tuple(estimates),
         covariance=covariance,
         free=names,
@@ -337,8 +338,12 @@ def _result(
     )
 
 
-def _labelled(model: Model, points: Points, estimates: list[Estimate]) -> Model:
-    """The model with domain, source and hash of the data, and standard deviations."""
+def _labelled(model: Model, points: Points, estimates: list[Estimate], covariance: Array) -> Model:
+    """The model with domain, source and hash of the data, standard deviations and covariance.
+
+    `covariance` is that of the fitted parameters; parameters that the data do not determine are
+    left out of the model's covariance, so it is positive.
+    """
     from dataclasses import replace
 
     def span(values: Array, factor: float) -> tuple[float, float]:
@@ -354,9 +359,16 @@ def _labelled(model: Model, points: Points, estimates: list[Estimate]) -> Model:
         replace(p, sd=None if p.fixed or not np.isfinite(sds[p.name]) else sds[p.name])
         for p in model.parameters
     )
+    fitted = [e for e in estimates if e.state != "fixed"]
+    known = [k for k, e in enumerate(fitted) if np.isfinite(e.sd) and e.sd > 0]
+    part = covariance[np.ix_(known, known)]
+    part = (part + part.T) / 2.0  # symmetric to the last bit
+    matrix = tuple(tuple(float(x) for x in row) for row in part)
+    stated = Covariance(tuple(fitted[k].name for k in known), matrix) if known else None
     return replace(
-        model, domain=domain, data=points.source, data_sha256=points.sha256(), parameters=parameters
-    )
+        model, domain=domain, data=points.source, data_sha256=points.sha256(),
+        parameters=parameters, covariance=stated,
+    )  # fmt: skip
 
 
 def _free_names(model: Model, free: tuple[str, ...] | None) -> tuple[str, ...]:

@@ -17,8 +17,9 @@ from plant.models.braid import ChouHannaford, Hasselroth, TonduLopez, TonduLopez
 from plant.models.caldwell import Caldwell
 from plant.models.law import Law
 from plant.models.memory import Creep, MaxwellSlip, PrandtlIshlinskii
-from plant.models.model import Domain, Model, Parameter
-from plant.models.rubber import BraidBladder, LinerBraid, Sarosi
+from plant.models.model import Domain, Geometry, Model, Parameter
+from plant.models.rubber import BraidBladder, Fluidic, LinerBraid, Sarosi, SarosiFive
+from plant.models.uncertainty import covariance_lines, read_covariance
 from plant.models.units import to_si
 
 VERSION = 1
@@ -38,6 +39,8 @@ LAWS: dict[str, Law] = {
     "tondu-lopez": TonduLopez(),
     "tondu-lopez-kp": TonduLopezPressure(),
     "sarosi": Sarosi(),
+    "sarosi-five": SarosiFive(),
+    "fluidic": Fluidic(),
     "braid-bladder": BraidBladder(),
     "liner-braid": LinerBraid(),
     "prandtl-ishlinskii": PrandtlIshlinskii(terms.QUASI_STATIC),
@@ -47,6 +50,14 @@ LAWS: dict[str, Law] = {
 """All laws; a model file names one of them."""
 
 _NUMBERS = ("value", "low", "high")
+_TOP = (
+    "name", "title", "law", "equations", "source", "version", "data", "data_sha256", "notes",
+    "noise_n", "model_error_n", "domain", "geometry", "parameters", "covariance",
+)  # fmt: skip
+_DOMAIN = ("pressure_kpa", "length_mm", "temperature_c")
+_GEOMETRY = ("rest_length_mm", "diameter_mm")
+_PARAMETER = (*_NUMBERS, "unit", "sd", "fixed", "meaning")
+LARGEST_MM = 1e5
 
 
 def names() -> tuple[str, ...]:
@@ -87,10 +98,17 @@ def to_toml(model: Model, heading: str = "") -> str:
     lines += [f"equations = [{', '.join(_text(e) for e in model.equations)}]"]
     lines += [f"source = {_text(model.source)}", f"version = {model.version}"]
     lines += [f"data = {_text(model.data)}", f"data_sha256 = {_text(model.data_sha256)}"]
-    lines += ["notes = [", *(f"    {_text(note)}," for note in model.notes), "]", "", "[domain]"]
-    for axis in ("pressure_kpa", "length_mm", "temperature_c"):
+    lines += ["notes = [", *(f"    {_text(note)}," for note in model.notes), "]"]
+    for key in ("noise_n", "model_error_n"):
+        if getattr(model, key) is not None:
+            lines.append(f"{key} = {_number(getattr(model, key))}")
+    lines += ["", "[domain]"]
+    for axis in _DOMAIN:
         low, high = getattr(model.domain, axis)
         lines.append(f"{axis} = [{_number(low)}, {_number(high)}]")
+    if model.geometry is not None:
+        lines += ["", "[geometry]"]
+        lines += [f"{key} = {_number(getattr(model.geometry, key))}" for key in _GEOMETRY]
     for p in model.parameters:
         lines += ["", f"[parameters.{p.name}]"]
         lines += [f"value = {_number(p.value)}", f"unit = {_text(p.unit)}"]
@@ -100,6 +118,8 @@ def to_toml(model: Model, heading: str = "") -> str:
         if p.fixed:
             lines.append("fixed = true")
         lines.append(f"meaning = {_text(p.meaning)}")
+    if model.covariance is not None:
+        lines += covariance_lines(model.covariance)
     return "\n".join(lines) + "\n"
 
 
@@ -128,6 +148,7 @@ def _model(table: Mapping[str, Any], origin: str) -> Model:
             f"{origin}: version = {table.get('version')!r}, this program reads {VERSION}; "
             "fit the model again"
         )
+    tomlfile.check_keys(table, _TOP, origin)
     law = LAWS[law_name]
     given = _within(table, "parameters", origin)
     if set(given) != set(law.parameters):
@@ -139,28 +160,54 @@ def _model(table: Mapping[str, Any], origin: str) -> Model:
             f"{'; unknown ' + ', '.join(extra) if extra else ''}"
         )
     domain = _within(table, "domain", origin)
-    pressure, length, temperature = (
-        _range(domain, axis, origin) for axis in ("pressure_kpa", "length_mm", "temperature_c")
+    tomlfile.check_keys(domain, _DOMAIN, f"{origin} [domain]")
+    pressure, length, temperature = (_range(domain, axis, origin) for axis in _DOMAIN)
+    parameters = tuple(
+        _parameter(n, _within(given, n, f"{origin} [parameters]"), origin) for n in law.parameters
     )
+    covariance = None
+    if "covariance" in table:
+        stated = {p.name: p.sd for p in parameters if p.sd is not None}
+        covariance = read_covariance(
+            _within(table, "covariance", origin), law.parameters, stated, origin
+        )
     return Model(
         name=str(table.get("name", law_name)),
         title=str(table.get("title", "")),
         law=law,
-        parameters=tuple(
-            _parameter(n, _within(given, n, f"{origin} [parameters]"), origin)
-            for n in law.parameters
-        ),
+        parameters=parameters,
         domain=Domain(pressure, length, temperature),
         equations=_texts(table, "equations", origin),
         source=str(table.get("source", "")),
         data=str(table.get("data", "")),
         data_sha256=str(table.get("data_sha256", "")),
         notes=_texts(table, "notes", origin),
+        geometry=_geometry(table, origin),
+        covariance=covariance,
+        noise_n=_size(table, "noise_n", origin),
+        model_error_n=_size(table, "model_error_n", origin),
     )
+
+
+def _geometry(table: Mapping[str, Any], origin: str) -> Geometry | None:
+    if "geometry" not in table:
+        return None
+    given, where = _within(table, "geometry", origin), f"{origin} [geometry]"
+    tomlfile.check_keys(given, _GEOMETRY, where)
+    return Geometry(
+        *(tomlfile.number_in_range(given.get(k), k, 0.1, LARGEST_MM, where) for k in _GEOMETRY)
+    )
+
+
+def _size(table: Mapping[str, Any], key: str, origin: str) -> float | None:
+    if key not in table:
+        return None
+    return tomlfile.number_in_range(table[key], key, 0.0, 1e9, origin)
 
 
 def _parameter(name: str, table: Mapping[str, Any], origin: str) -> Parameter:
     where = f"{origin} [parameters.{name}]"
+    tomlfile.check_keys(table, _PARAMETER, where)
     numbers = [_real(table.get(key), key, where) for key in _NUMBERS]
     value, low, high = numbers
     if not low <= value <= high:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from plant.arrays import Array
 from plant.errors import PlantError
 from plant.models.law import History, Law, static_force
+from plant.models.uncertainty import Covariance
 from plant.models.units import to_si
 
 AXES = (("pressure_kpa", 1e3), ("length_mm", 1e-3), ("temperature_c", 1.0))
@@ -53,6 +55,23 @@ class Domain:
 
 
 @dataclass(frozen=True)
+class Geometry:
+    """Measured dimensions of a muscle: length and inner diameter, slack and without pressure.
+
+    They give the gas volume. The force does not: a law of force has constants of its own, in which
+    friction, membrane and ends are included.
+    """
+
+    rest_length_mm: float
+    diameter_mm: float
+
+    @property
+    def volume_m3(self) -> float:
+        """Gas volume at the rest length, a cylinder."""
+        return math.pi / 4.0 * (self.diameter_mm * 1e-3) ** 2 * self.rest_length_mm * 1e-3
+
+
+@dataclass(frozen=True)
 class Model:
     """A law with its values and their origin; immutable.
 
@@ -66,6 +85,10 @@ class Model:
         version: of the file format and the law; raised when a meaning changes.
         data: source of the data of the fit; `data_sha256` is its hash.
         notes: remarks for the user.
+        geometry: measured dimensions of the muscle, or None.
+        covariance: of the fitted parameters, or None.
+        noise_n: scatter of a force reading, 1 sd, or None; see `plant.fitting.misfit`.
+        model_error_n: size of the systematic error of the law within the domain, or None.
     """
 
     name: str
@@ -79,6 +102,10 @@ class Model:
     data: str = ""
     data_sha256: str = ""
     notes: tuple[str, ...] = ()
+    geometry: Geometry | None = None
+    covariance: Covariance | None = None
+    noise_n: float | None = None
+    model_error_n: float | None = None
 
     @property
     def q(self) -> Array:
@@ -103,6 +130,7 @@ class Model:
     def with_values(self, values: Mapping[str, float]) -> Model:
         """A copy with some values replaced, in the parameters' own units.
 
+        It has no uncertainties: those belong to the values of the fit.
         Raises `PlantError` for an unknown name or a value that is not finite.
         """
         for name, value in values.items():
@@ -113,7 +141,9 @@ class Model:
             dataclasses.replace(p, value=float(values.get(p.name, p.value)), sd=None)
             for p in self.parameters
         )
-        return dataclasses.replace(self, parameters=changed)
+        return dataclasses.replace(
+            self, parameters=changed, covariance=None, noise_n=None, model_error_n=None
+        )
 
     def with_q(self, q: Array) -> Model:
         """A copy with all values replaced, in SI."""
@@ -164,14 +194,28 @@ class Model:
         """Partial derivative by length in N/m: the stiffness at constant pressure."""
         return self._slopes(pressure_pa, length_m, temperature_c)[1]
 
-    def volume(self, length_m: npt.ArrayLike, at_length_m: float, at_volume_m3: float) -> Array:
+    def volume(
+        self,
+        length_m: npt.ArrayLike,
+        at_length_m: float | None = None,
+        at_volume_m3: float | None = None,
+    ) -> Array:
         """Gas volume in m3 consistent with the force: V = V_0 - integral of f dL.
 
-        `at_volume_m3` is the volume at the length `at_length_m`. Raises `PlantError` for a model
-        that is not of the form F = p f(L) + g(L).
+        `at_volume_m3` is the volume at the length `at_length_m`; default: that of the measured
+        geometry. A fit to force gives the change of the volume, never the volume itself. Raises
+        `PlantError` for a model that is not of the form F = p f(L) + g(L), or without a volume.
         """
         length = np.asarray(length_m, dtype=np.float64)
         q = self.q
+        if at_length_m is None or at_volume_m3 is None:
+            if self.geometry is None:
+                raise PlantError(
+                    f"model {self.name}: a fit to force gives no gas volume; state the rest length "
+                    "and the diameter of the muscle"
+                )
+            at_length_m = self.geometry.rest_length_mm * 1e-3
+            at_volume_m3 = self.geometry.volume_m3
         zero = self.law.swept(q, np.array([at_length_m]))[0]
         return np.asarray(self.law.swept(q, length) - zero + at_volume_m3)
 

@@ -1,14 +1,15 @@
-"""Models with rubber parts: Sarosi's exponential, a bladder spring, a liner threshold."""
+"""Models with rubber parts: Sarosi's exponentials, industrial fluidic muscles, bladder, liner."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from plant.arrays import Array
-from plant.models.braid import ChouHannaford
+from plant.models.braid import ChouHannaford, TonduLopez
 from plant.models.law import Law, Past, SeparableLaw, Slopes
 
 _BRAID = ChouHannaford()
+_TAPERED = TonduLopez()
 
 
 class Sarosi(SeparableLaw):
@@ -59,6 +60,115 @@ class Sarosi(SeparableLaw):
         by_k = lead * q[2] + p * q[3]
         by_rest = by_k * length / (q[6] * q[6])
         return np.stack([p * e, e, lead * k, p * k, p, np.ones_like(p), by_rest])
+
+
+_SAROSI = Sarosi()
+LEAD_N_PER_PA = 1e-5
+"""1 N/bar: the factor of the pressure in front of the exponential of `SarosiFive`."""
+
+
+class SarosiFive(SeparableLaw):
+    """Sarosi's form with five constants: F = (p + a1) exp(a2 k) + a3 k p + a4 p + a5.
+
+    F in N, p in bar gauge, k = 100 (1 - L / L_0) in percent. The lead of the exponential is 1 N/bar
+    by definition, so the numbers hold in these units only; `Sarosi` has it as a parameter. The
+    exponential is the membrane near the rest length, a5 the force that must be overcome before
+    the muscle pulls. J. Sarosi, "New approximation algorithm for the force of fluidic muscles",
+    SACI 2012, and later papers. Empirical: not for other muscles, not outside the data.
+    """
+
+    parameters = ("a1", "a2", "a3", "a4", "a5", "rest_length")
+
+    @staticmethod
+    def _six(q: Array) -> Array:
+        """Parameters of the form with six constants."""
+        a1, a2, a3, a4, a5, rest = q
+        return np.array([LEAD_N_PER_PA, a1, a2, a3, a4, a5, rest])
+
+    def arm(self, q: Array, length: Array) -> Array:
+        """exp(a2 k) + a3 k + a4."""
+        return _SAROSI.arm(self._six(q), length)
+
+    def arm_slope(self, q: Array, length: Array) -> Array:
+        """With respect to L."""
+        return _SAROSI.arm_slope(self._six(q), length)
+
+    def swept(self, q: Array, length: Array) -> Array:
+        """Minus the integral of `arm`."""
+        return _SAROSI.swept(self._six(q), length)
+
+    def passive(self, q: Array, length: Array) -> Array:
+        """a1 exp(a2 k) + a5."""
+        return _SAROSI.passive(self._six(q), length)
+
+    def passive_slope(self, q: Array, length: Array) -> Array:
+        """With respect to L."""
+        return _SAROSI.passive_slope(self._six(q), length)
+
+    def force(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
+        """Both parts, with one exponential."""
+        return _SAROSI.force(self._six(q), p, length, t)
+
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
+        """With respect to a1 to a5 and L_0."""
+        return _SAROSI.jacobian(self._six(q), p, length, t)[1:]
+
+
+class Fluidic(SeparableLaw):
+    """An industrial fluidic muscle: braid with tapered ends, elastic membrane, and an offset.
+
+    F = pi r0^2 p (a (1 - k eps)^2 - c) + F_e exp(-eps / eps_e) - F_0, a = 3/tan^2(theta0),
+    c = 1/sin^2(theta0), eps = 1 - L / L_0. The first term is Chou and Hannaford (1996) written in
+    the rest geometry, with the end factor k of Tondu and Lopez (2000). The fibres of a fluidic
+    muscle lie in its membrane: near the rest length the membrane pulls (F_e, fading with eps_e),
+    and the pressure must first overcome F_0. Beyond the rest length, x = eps / eps_e < 0, the
+    exponential goes on as 1 - x + x^2 / 2, which has its value, slope and curvature at x = 0: no
+    measured point is far out there, and an exponential would soon be without bound.
+
+    r0 and theta0 are constants of the force. They are not the dimensions of the muscle and give
+    no gas volume: see `plant.models.model.Geometry`.
+    """
+
+    parameters = (
+        "radius", "braid_angle", "rest_length", "end_factor", "elastic_force", "elastic_strain",
+        "offset_force",
+    )  # fmt: skip
+
+    def _elastic(self, q: Array, length: Array) -> tuple[Array, Array, Array]:
+        """Contraction x = eps / eps_e, fading factor of the membrane, minus its derivative."""
+        x = (1.0 - length / q[2]) * (1.0 / q[5])
+        fading = np.exp(-np.maximum(x, 0.0))
+        beyond = np.minimum(x, 0.0)
+        slope = fading - beyond
+        return x, slope + 0.5 * beyond * beyond, slope
+
+    def arm(self, q: Array, length: Array) -> Array:
+        """That of the braid with tapered ends."""
+        return _TAPERED.arm(q[:4], length)
+
+    def arm_slope(self, q: Array, length: Array) -> Array:
+        """That of the braid with tapered ends."""
+        return _TAPERED.arm_slope(q[:4], length)
+
+    def swept(self, q: Array, length: Array) -> Array:
+        """That of the braid with tapered ends."""
+        return _TAPERED.swept(q[:4], length)
+
+    def passive(self, q: Array, length: Array) -> Array:
+        """F_e exp(-eps / eps_e) - F_0."""
+        return np.asarray(q[4] * self._elastic(q, length)[1] - q[6])
+
+    def passive_slope(self, q: Array, length: Array) -> Array:
+        """With respect to L."""
+        return np.asarray(self._elastic(q, length)[2] * (q[4] / (q[5] * q[2])))
+
+    def jacobian(self, q: Array, p: Array, length: Array, t: Array, path: Past = None) -> Array:
+        """With respect to all seven parameters."""
+        rows = _TAPERED.jacobian(q[:4], p, length, t)
+        x, fading, slope = self._elastic(q, length)
+        by_rest = slope * (-q[4] / q[5]) * length / (q[2] * q[2])
+        elastic = [fading, slope * x * (q[4] / q[5]), -np.ones_like(length)]
+        return np.concatenate([rows[:2], [rows[2] + by_rest], rows[3:], elastic])
 
 
 class BraidBladder(SeparableLaw):

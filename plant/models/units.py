@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 
 from plant.errors import PlantError
 
@@ -34,15 +35,37 @@ def to_si(unit: str) -> float:
     `mm`, `1/%`, `N/mm`, `N/(kPa mm^3 degC)`. Raises `PlantError` for anything else.
     """
     top, slash, bottom = unit.partition("/")
-    bottom = bottom.strip()
-    if bottom.startswith("(") and bottom.endswith(")"):
-        bottom = bottom[1:-1]
     factor = _product(top, unit)
-    return factor / _product(bottom, unit) if slash else factor
+    return factor / _product(_without_brackets(bottom), unit) if slash else factor
+
+
+def powers(unit: str) -> dict[str, int]:
+    """Names in a unit with their powers: `N/(kPa mm^3)` has N 1, kPa -1, mm -3.
+
+    Raises `PlantError` for a text that is no unit.
+    """
+    top, slash, bottom = unit.partition("/")
+    found: dict[str, int] = {}
+    sides = [(top, 1), (_without_brackets(bottom), -1)] if slash else [(top, 1)]
+    for text, sign in sides:
+        for name, power in _words(text, unit):
+            found[name] = found.get(name, 0) + sign * power
+    return found
+
+
+def _without_brackets(bottom: str) -> str:
+    bottom = bottom.strip()
+    return bottom[1:-1] if bottom.startswith("(") and bottom.endswith(")") else bottom
 
 
 def _product(text: str, unit: str) -> float:
     factor = 1.0
+    for name, power in _words(text, unit):
+        factor *= BASE[name] ** power
+    return factor
+
+
+def _words(text: str, unit: str) -> Iterator[tuple[str, int]]:
     for word in text.split() or [""]:
         match = _FACTOR.match(word)
         if match is None or match[1] not in BASE:
@@ -50,5 +73,4 @@ def _product(text: str, unit: str) -> float:
                 f"unit {unit!r}: cannot read {word!r}; known names: {', '.join(BASE)}, "
                 "for example N/(kPa mm^3)"
             )
-        factor *= BASE[match[1]] ** int(match[2] or 1)
-    return factor
+        yield match[1], int(match[2] or 1)

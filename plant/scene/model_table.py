@@ -50,8 +50,9 @@ class ModelTable:
 def model_table(model: Model, c: PlantConstants, temperature_c: float = 21.0) -> ModelTable:
     """Tabulate a model over the pressures and lengths of a bench.
 
-    A model of the form p f(L) + g(L) has its own gas volume, set equal to the braid's volume in the
-    middle of the range. Otherwise the gas volume is that of the bench's braid.
+    A model of the form p f(L) + g(L) has its own gas volume, that of its measured geometry at the
+    rest length; without a geometry it is set equal to the braid's volume in the middle of the
+    range. Otherwise the gas volume is that of the bench's braid.
 
     Raises:
         PlantError: the model has no value somewhere in the range.
@@ -125,6 +126,8 @@ def _without_memory(model: Model):  # type: ignore[no-untyped-def]
 
 def _volume(model: Model, c: PlantConstants, length: Array) -> Array:
     middle = 0.5 * (c.length_min_m + c.length_max_m)
+    if model.law.separable and model.geometry is not None:
+        return model.volume(length)
     if model.law.separable:
         anchor = float(braid_volume(middle, c.braid_length_m, c.turns))
         return model.volume(length, middle, anchor)

@@ -141,9 +141,11 @@ def load_command_form(name: str) -> CommandForm:
 
 
 def _setting(t: Table, name: str) -> SetForm:
-    words = tuple(str(word) for word in t.raw("words", []))
-    if words and len(words) != 2:
-        raise t.fail("words", f"expected two words, for 0 and 1, got {list(words)!r}")
+    given = t.raw("words", [])
+    listed = isinstance(given, list) and len(given) in (0, 2)
+    if not listed or not all(isinstance(word, str) for word in given):
+        raise t.fail("words", f"expected two words, for 0 and 1, got {given!r:.40}")
+    words = tuple(given)
     low = 0.0 if words else t.number("low", -1e9, 1e9)
     default = re.compile("|".join(map(re.escape, ("0", "1", *words)))) if words else NUMBER
     form = SetForm(

@@ -171,7 +171,7 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
     if force_source not in root:
         raise root.fail("force_source", f"there is no table [{force_source}]", "add it")
     files = {"length_mm": length, "force_n": _cell(instruments, force_source)}
-    serials = {q: root.raw(t, {}).get("serial", "") for q, t in SENSORS.items()}
+    serials = {q: root.table(t, optional=True).raw("serial", "") for q, t in SENSORS.items()}
     calibrations = _calibrations(root.table("calibrations"), files, serials)
     valve = _valve(root.table("valve"))
     rig = RigConfig(
@@ -255,7 +255,7 @@ def _conditions(t: Table) -> Conditions:
 
 
 def _port(t: Table) -> tuple[str, int, str]:
-    return t.text("port"), t.integer("baud", 300, 4_000_000), t.text("serial", "")
+    return t.text("port"), t.integer("baud", 300, 4_000_000), t.ascii("serial", "")
 
 
 def _device(t: Table) -> Device:
@@ -317,7 +317,7 @@ def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
     length, lens = _camera_calibration(t) if "calibration" in t else (None, None)
     out = CameraDevice(
         source=t.text("source"),
-        serial=t.text("serial", ""),
+        serial=t.ascii("serial", ""),
         jpeg_quality=t.integer("jpeg_quality", 50, 100, 95),
         region=_box(t, "region") if "region" in t else None,
         sync=_sync(t.table("sync")) if "sync" in t else None,
@@ -395,7 +395,7 @@ def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
         draw_calibration_errors=t.flag("draw_calibration_errors", True),
         source=t.text("source", "valve", choices=("valve", "regulator")),
         load=t.text("load", "muscle", choices=("muscle", "ram")),
-        plant=dict(t.raw("plant", {})),
+        plant=dict(t.table("plant", optional=True).values()),
         effects=effects,
         pressure_noise_kpa=sensors.number("pressure_noise_kpa", 0, 50, 0.5, unit="kPa"),
         force_noise_n=sensors.number("force_noise_n", 0, 10, 0.005, unit="N"),

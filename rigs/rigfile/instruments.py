@@ -151,7 +151,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
 
 
 def _port(t: Table) -> tuple[str, int, str]:
-    return t.text("port"), t.integer("baud", 300, 4_000_000, 9600), t.text("serial", "")
+    return t.text("port"), t.integer("baud", 300, 4_000_000, 9600), t.ascii("serial", "")
 
 
 def _text(t: Table, name: str) -> TextDevice:

@@ -72,7 +72,7 @@ def read_pressure_source(root: Table, scheme: str, by_hand: bool) -> PressureSou
     return PressureSourceSettings(
         t.text("port"),
         t.integer("baud", 300, 4_000_000, 9600),
-        t.text("serial", ""),
+        t.ascii("serial", ""),
         kind=kind,
         own={key: t.raw(key) for key in t.keys() if key not in common},  # noqa: SIM118
         file=root.source,

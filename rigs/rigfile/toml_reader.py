@@ -88,6 +88,13 @@ class Table:
             raise self.fail(key, f"{value!r} is not one of {', '.join(choices)}")
         return value
 
+    def ascii(self, key: str, default: Any = ...) -> str:
+        """Printable ASCII of up to 200 characters: what a device can be sent or can answer."""
+        value = self.text(key, default)
+        if not (value.isascii() and (value.isprintable() or not value)) or len(value) > 200:
+            raise self.fail(key, f"{value[:40]!r}: expected up to 200 printable ASCII characters")
+        return value
+
     def texts(
         self, key: str, choices: tuple[str, ...], default: Any = ..., least: int = 1
     ) -> tuple[str, ...]:
@@ -148,6 +155,11 @@ class Table:
     def raw(self, key: str, default: Any = None) -> Any:
         """The value as parsed, for a table that another package reads."""
         return self._take(key, default)
+
+    def values(self) -> dict[str, Any]:
+        """The whole table as parsed, for another package to read."""
+        self._seen.update(self._values)
+        return dict(self._values)
 
     def keys(self) -> list[str]:
         """All keys of the table."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import ConfigError
+from plant import tomlfile
 from plant.constants import PlantConstants, shipped
 from plant.effects.effects import Effects
 from plant.errors import PlantError
@@ -120,7 +121,7 @@ def load_scenario(name: str, plant: Path | None = None) -> Scenario:
     if plant is not None:
         constants, effects = load_plant(plant)
         # The run stores the text of its scenario: add the plant that replaced the original one.
-        used = plant.read_text(encoding="utf-8").splitlines()
+        used = tomlfile.read_text(plant).splitlines()
         text = "\n".join([text.rstrip(), f"# plant taken from {plant}:", *("# " + x for x in used)])
     mechanism = read_mechanism(t, constants, effects)
     muscles = _muscles(t, constants, effects, mechanism)

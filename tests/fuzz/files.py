@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import random
 import tempfile
 import zlib
 from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pandas as pd
 
+from analysis.formats.export import tables_of
 from analysis.layouts.layouts import measured_edges
 from analysis.reduction.pictures import decode, measure_stored
+from analysis.reporting.report import report_json
 from analysis.run_table import reduce_run
 from daq.calibration import Calibration
 from daq.clock import VirtualClock
@@ -23,17 +28,28 @@ from daq.record.sealed import seal_line
 from daq.record.writer import RecordWriter
 from daq.store.annotations import annotate
 from daq.store.derive import derive
+from daq.store.info import run_info
 from daq.store.run import Run, open_run
 from daq.store.store import show
 from daq.store.verify import verify
 from gap.data.reader import read_dataset
+from plant.constants import load_constants
 from plant.errors import PlantError
+from plant.finger.reader import load_finger, load_valve
+from plant.links.reader import load_arm
 from plant.models.catalogue import load as load_model
 from rigs.calibration.frames import open_frames
+from rigs.protocols.names import PROTOCOLS
+from rigs.protocols.registry import procedure
+from rigs.rigfile.command_form import load_command_form
 from rigs.rigfile.config import load_rig
+from rigs.rigfile.form import load_form
+from rigs.rigfile.plant_file import load_plant
 from rigs.rigfile.toml_reader import load_toml
+from studies.simulation.scenario import load_scenario
 
 from .loop import Target
+from .structure import change_csv, change_json, change_toml
 
 LINK = (PamrigError,)
 KEYS = (b"[", b"]", b"= ", b'"', b"{", b"}", b".", b"\n", b"[[", b"true", b"1e400", b"inf")
@@ -56,15 +72,58 @@ def _shipped(name: str) -> bytes:
 RIGS = ("rigs/virtual", "rigs/virtual-instruments")
 
 
+def _text(*folder: str) -> list[bytes]:
+    """The shipped TOML files of a folder."""
+    there = files("configs").joinpath(*folder).iterdir()
+    named = sorted((e for e in there if e.name.endswith(".toml")), key=lambda e: e.name)
+    return [entry.read_bytes() for entry in named]
+
+
 def _rig() -> Target:
     run = _file(".toml", lambda p: load_rig(str(p)))
-    return Target("rig file", "a bench in TOML", run, [*map(_shipped, RIGS)], LINK, KEYS)
+    corpus = [*map(_shipped, RIGS)]
+    return Target("rig file", "a bench in TOML", run, corpus, LINK, KEYS, change=change_toml)
+
+
+def _protocol() -> Target:
+    """A protocol file read as each protocol in turn."""
+    rigs = [load_rig(name) for name in ("virtual-instruments", "virtual-ram")]
+    kinds = [procedure(name) for name in PROTOCOLS]
+
+    def read(path: Path) -> None:
+        for rig in rigs:
+            for kind in kinds:
+                with contextlib.suppress(PamrigError):
+                    kind.read(str(path), rig).as_dict()
+
+    run = _file(".toml", read)
+    return Target("protocol file", "a test in TOML", run, _text("protocols"), LINK, KEYS,
+                  change=change_toml)  # fmt: skip
+
+
+def _plant_files() -> Target:
+    """Arms, fingers, valves, constants, scenarios and instruments, each read as every kind."""
+    readers: tuple[Callable[[str], object], ...] = (
+        load_arm, load_finger, load_valve, load_constants, load_scenario, load_form,
+        load_command_form, lambda p: load_plant(Path(p)),
+    )  # fmt: skip
+
+    def read(path: Path) -> None:
+        for reader in readers:
+            with contextlib.suppress(PamrigError, PlantError):
+                reader(str(path))
+
+    folders = (("plant", "links"), ("plant", "fingers"), ("plant", "valves"), ("plant",))
+    corpus = [data for folder in (*folders, ("scenarios",), ("instruments",))
+              for data in _text(*folder)]  # fmt: skip
+    return Target("plant files", "arms, valves, scenarios, instruments", _file(".toml", read),
+                  corpus, LINK, KEYS, change=change_toml)  # fmt: skip
 
 
 def _toml() -> Target:
     corpus = [_shipped(name) for name in (*RIGS, "protocols/isometric-short")]
     run = _file(".toml", lambda p: load_toml(str(p), "rigs"))
-    return Target("TOML", "any TOML file", run, corpus, LINK, KEYS)
+    return Target("TOML", "any TOML file", run, corpus, LINK, KEYS, change=change_toml)
 
 
 def _model() -> Target:
@@ -72,7 +131,7 @@ def _model() -> Target:
     names = sorted(e.name for e in folder.iterdir() if e.name.endswith(".toml"))[:4]
     corpus = [folder.joinpath(name).read_bytes() for name in names]
     return Target("model file", "a fitted law in TOML", _file(".toml", load_model), corpus,
-                  (PlantError,), KEYS)  # fmt: skip
+                  (PlantError,), KEYS, change=change_toml)  # fmt: skip
 
 
 # ---- records -----------------------------------------------------------------------------
@@ -127,7 +186,8 @@ def _folder(name: str, names: Sequence[str], ended: bool) -> Target:
     folder = _record(Path(tempfile.mkdtemp(prefix="fuzz")), ended)
     sound = {name: (folder / name).read_bytes() for name in names}
     looks: tuple[Callable[[Run], object], ...] = (
-        reduce_run, lambda r: r.samples("valve"), lambda r: measured_edges(r)(r.frame_bytes(0))
+        reduce_run, lambda r: r.samples("valve"), lambda r: measured_edges(r)(r.frame_bytes(0)),
+        report_json, tables_of, lambda r: r.table,
     )  # fmt: skip
 
     def run(data: bytes) -> None:
@@ -137,7 +197,9 @@ def _folder(name: str, names: Sequence[str], ended: bool) -> Target:
         try:
             strange = open_run(folder)
             verify(strange)
-            show(strange)
+            run_info(strange)
+            with contextlib.suppress(PamrigError):
+                show(strange)
             for look in looks:
                 try:
                     look(strange)
@@ -161,10 +223,41 @@ def _folder(name: str, names: Sequence[str], ended: bool) -> Target:
             return data[:1] + b"PAhd%b" % zlib.crc32(body[8:end]).to_bytes(4, "little") + body[8:]
         return data
 
+    def change(data: bytes, rng: random.Random) -> bytes:
+        """Members of a sealed file or line replaced, and sealed again."""
+        if not data:
+            return data
+        name, body = names[data[0] % len(names)], data[1:]
+        try:
+            if name.endswith(".jsonl"):
+                lines = body.split(b"\n")[:-1]
+                at = rng.randrange(len(lines))
+                fields = json.loads(lines[at])
+                fields.pop("crc", None)
+                lines[at] = _sealed_line(change_json(fields, rng))[:-1]
+                return data[:1] + b"\n".join(lines) + b"\n"
+            if name.endswith(".json"):
+                fields = json.loads(body)
+                fields.pop("crc", None)
+                return data[:1] + _sealed_file(change_json(fields, rng))
+        except (ValueError, RecursionError, AttributeError, IndexError):
+            pass
+        return seal(data)
+
     corpus = [bytes([k]) + sound[name] for k, name in enumerate(names)]
     words = (b"[[[[", b'"n":', b'"file":"../x"', b'"rows":', b"{}", b"null", b'"offset":-1', b"1e9")
     return Target(name, "a record, " + ("ended" if ended else "broken off"), run, corpus, LINK,
-                  words, seal)  # fmt: skip
+                  words, seal, change)  # fmt: skip
+
+
+def _sealed_line(fields: dict[str, Any]) -> bytes:
+    body = json.dumps(fields, separators=(",", ":"), default=str)[:-1].encode()
+    return b'%s,"crc":"%08x"}\n' % (body, zlib.crc32(body))
+
+
+def _sealed_file(fields: dict[str, Any]) -> bytes:
+    body = json.dumps(fields, indent=2, default=str).removesuffix("\n}").encode()
+    return b'%s,\n  "crc": "%08x"\n}\n' % (body, zlib.crc32(body))
 
 
 def _line(line: bytes) -> bytes:
@@ -211,8 +304,17 @@ def _exchange() -> Target:
             path.write_bytes(sound[path])
 
     corpus = [bytes([k]) + sound[path] for k, path in enumerate(paths)]
-    words = (b",", b"\n", b'"', b"pressure_bar", b"1e308", b"inf", b"t1", b"up", b"=", b"[")
-    return Target("dataset folder", "a data set, CSV and Parquet", run, corpus, LINK, words)
+    words = (b",", b"\n", b'"', b"pressure_bar", b"1e308", b"inf", b"t1", b"up", b"=", b"[",
+             b"1e-300", b"\xed\xa0\x80")  # fmt: skip
+
+    def change(data: bytes, rng: random.Random) -> bytes:
+        path = paths[data[0] % len(paths)] if data else csv
+        if path.suffix == ".toml":
+            return data[:1] + change_toml(data[1:], rng)
+        return data[:1] + change_csv(data[1:], rng) if path.suffix == ".csv" else data
+
+    return Target("dataset folder", "a data set, CSV and Parquet", run, corpus, LINK, words,
+                  change=change)  # fmt: skip
 
 
 def _pictures() -> list[bytes]:
@@ -243,6 +345,8 @@ TARGETS: dict[str, Callable[[], Target]] = {
     "TOML": _toml,
     "rig file": _rig,
     "model file": _model,
+    "protocol file": _protocol,
+    "plant files": _plant_files,
     "run folder": lambda: _folder("run folder", ENDED, True),
     "killed run": lambda: _folder("killed run", KILLED, False),
     "dataset folder": _exchange,

@@ -38,6 +38,7 @@ class Target:
         errors: the documented ones.
         words: pieces that the format is made of.
         seal: makes a mutated input pass outer checks, such as a CRC; half of the inputs.
+        change: changes the structure of an input, in place of its bytes; half of the inputs.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Target:
     errors: tuple[type[BaseException], ...]
     words: tuple[bytes, ...] = ()
     seal: Callable[[bytes], bytes] | None = None
+    change: Callable[[bytes, random.Random], bytes] | None = None
 
 
 @dataclass
@@ -124,9 +126,12 @@ class Loop:
             while tally.inputs < upto and time.monotonic() - start < most_s:
                 corpus = self.corpus
                 base = corpus[-1 - int(rng.random() ** 2 * len(corpus))]
-                data = mutated(base, rng, self._words, corpus)
-                if target.seal is not None and rng.random() < 0.5:
-                    data = target.seal(data)
+                if target.change is not None and rng.random() < 0.5:
+                    data = target.change(base, rng)[:LARGEST]
+                else:
+                    data = mutated(base, rng, self._words, corpus)
+                    if target.seal is not None and rng.random() < 0.5:
+                        data = target.seal(data)
                 self._one(data)
                 tally.inputs += 1
                 if self._marks.news() and len(corpus) < MOST_KEPT:

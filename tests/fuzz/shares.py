@@ -8,7 +8,7 @@ be afforded.
 from __future__ import annotations
 
 SHARES = {
-    "framer": 0.2250,
+    "framer": 0.2210,
     "codec": 0.1500,
     "valve driver": 0.0800,
     "MT-SICS": 0.1650,
@@ -20,6 +20,8 @@ SHARES = {
     "TOML": 0.0040,
     "rig file": 0.0030,
     "model file": 0.0035,
+    "protocol file": 0.0020,
+    "plant files": 0.0020,
     "run folder": 0.0015,
     "killed run": 0.0010,
     "dataset folder": 0.0015,

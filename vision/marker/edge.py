@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from vision.gray import Box, clip_region, to_gray
@@ -29,7 +30,9 @@ def measure_gap(
         RegionError: the region lies outside the frame or is too small.
         FrameError: the array is not a picture.
     """
-    gray = to_gray(frame)
+    # One type, which may be written to: for any other the compiler translates all of it again,
+    # and a first colour picture, or in mid-test a first frame from a socket, takes 15 s.
+    gray = np.require(to_gray(frame), np.float32, ["C", "W"])
     box = clip_region(region, gray.shape[1], gray.shape[0])
 
     return fit_pair(gray, box, exclude)

@@ -129,6 +129,7 @@ def score(answer: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
         "table": answer["table"],
         "trials": answer["trials"],
         "hidden": sorted(hidden),
+        "forms": [e.get("form") for e in sorted(answer["effects"], key=lambda e: str(e["id"]))],
         "family": "+".join(sorted(families)),
         "truth": truth,
         "size": size_of(answer),

@@ -62,10 +62,10 @@ def _force(
     from plant.physics import paths
 
     travel = points.path / (shape["kpa"] * 1e3) - length / (shape["mm"] * 1e-3)
-    # Settled points bring their own direction where the table does not hold the whole path.
     slip = np.zeros(len(p))
     paths.slip(points.first, without_noise_turns(points, travel), slip)
-    slip = np.where(points.direction != 0.0, points.direction, slip)
+    # The rows of a table of settled points are no path: only a stated direction tells.
+    slip = np.where(points.settled, points.direction, slip)
     if shape["pressure"]:
         return -slip * (np.maximum(p, 0.0) / MIDDLE_PRESSURE_PA)
     return -slip * np.where(p > _PRESSED_PA, 1.0, 0.0)

@@ -75,7 +75,8 @@ def _force(
     if "settled" not in shape:
         # Fresh at the first sample; else what pulls there has done so for long.
         slow -= base[np.minimum(points.first[:-1], len(base) - 1)][points.trial]
-    return -gain(0.01, np.array([tau])) * slow
+    # A table of settled points holds no time: its rows are not seconds.
+    return np.where(points.settled, 0.0, -gain(0.01, np.array([tau])) * slow)
 
 
 CREEP = Effect(

@@ -26,13 +26,6 @@ SYMBOLS: dict[str, Any] = {
 }
 """Symbols of the appendix; d and dd are first and second time derivatives."""
 
-_PRINTED = (
-    "(m1*lg1**2 + I1 + m1*l1**2)*theta1dd + m2*l1*lg2**2*cos(theta2 - theta1)*theta1dd"
-    " - m2*l1*lg2*cos(theta2 - theta1)*theta2d**2 + (m1*lg1 + m2*l1)*g*cos(theta1)",
-    "m2*l1*lg2*cos(theta2 - theta1)*theta1dd + (m2*lg2**2 + I2)*theta2dd"
-    " + m2*l1*lg2*sin(theta2 - theta1)*theta2d**2 + m2*lg2*g*cos(theta2)",
-)
-
 
 @dataclass(frozen=True)
 class Difference:
@@ -46,8 +39,22 @@ class Difference:
 
 def printed_equations() -> tuple[Any, Any]:
     """The two torques as Appendix A-2 prints them."""
-    first, second = (sympy.sympify(text, locals=SYMBOLS) for text in _PRINTED)
-    return first, second
+    m1, m2, l1, lg1, lg2, i1, i2, g = (
+        SYMBOLS[name] for name in ("m1", "m2", "l1", "lg1", "lg2", "I1", "I2", "g")
+    )
+    theta1, theta2 = SYMBOLS["theta1"], SYMBOLS["theta2"]
+    theta1dd, theta2d, theta2dd = (SYMBOLS[name] for name in ("theta1dd", "theta2d", "theta2dd"))
+    across, along = sympy.sin(theta2 - theta1), sympy.cos(theta2 - theta1)
+    return (
+        (m1 * lg1**2 + i1 + m1 * l1**2) * theta1dd
+        + m2 * l1 * lg2**2 * along * theta1dd
+        - m2 * l1 * lg2 * along * theta2d**2
+        + (m1 * lg1 + m2 * l1) * g * sympy.cos(theta1),
+        m2 * l1 * lg2 * along * theta1dd
+        + (m2 * lg2**2 + i2) * theta2dd
+        + m2 * l1 * lg2 * across * theta2d**2
+        + m2 * lg2 * g * sympy.cos(theta2),
+    )
 
 
 def derived_equations() -> tuple[Any, Any]:
@@ -73,9 +80,10 @@ def derived_equations() -> tuple[Any, Any]:
 def differences() -> list[Difference]:
     """Differences between print and derivation, factor by factor."""
     found = []
-    factors = [SYMBOLS["theta1dd"], SYMBOLS["theta2dd"], "theta1d**2", "theta2d**2", "g"]
+    s = SYMBOLS
+    factors = [s["theta1dd"], s["theta2dd"], s["theta1d"] ** 2, s["theta2d"] ** 2, s["g"]]
     for number, pair in enumerate(zip(printed_equations(), derived_equations(), strict=True), 1):
-        for factor in map(sympy.sympify, factors):
+        for factor in factors:
             old, new = (sympy.expand(side).coeff(factor) for side in pair)
             if sympy.expand(old - new) != 0:
                 found.append(Difference(number, str(factor), old, new))

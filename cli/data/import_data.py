@@ -1,0 +1,95 @@
+"""`pamrig import data`: data of others by a mapping file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cli.options import JsonOption
+from cli.output import print_json
+
+if TYPE_CHECKING:
+    from gap.mapping.cost import Costs
+    from gap.mapping.write import Imported
+
+SHOWN = 20
+
+
+def import_data(
+    mapping: Annotated[Path, typer.Argument(help="Mapping file (.toml).")],
+    out: Annotated[Path | None, typer.Option("--out", help="Data set folder to make.")] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option("--from", help="Folder of the data files; default: that of the mapping."),
+    ] = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Write nothing; report what was understood, and costs."),
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Picture of the first trial (.png, .svg).")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a data set for `pamrig gap` from files of another program, by a mapping file."""
+    from gap.errors import GapError
+    from gap.mapping.picture import draw_first_trial
+    from gap.mapping.write import import_data
+
+    if out is None and not dry_run:
+        raise GapError("--out", "is missing", "name the folder to make, or add --dry-run")
+    made = import_data(mapping, out or Path(mapping.stem), folder=folder, dry=dry_run)
+    if picture is not None:
+        draw_first_trial(made[0].data, picture)
+    if as_json:
+        print_json({"dry_run": dry_run, "sets": [one.to_dict() for one in made]})
+        return
+    for one in made:
+        _show(one, dry_run)
+    if dry_run:
+        typer.echo("dry run: nothing was written")
+
+
+def _show(one: Imported, dry_run: bool) -> None:
+    name = one.muscle or "the data"
+    what = f"{name}: {len(one.trials)} trials in {len(one.replicates)} slots"
+    typer.echo(what if dry_run else f"{one.folder}: {len(one.trials)} trials, {name}")
+    for channel in one.channels:
+        rate = f", {channel.rate_hz:.4g} Hz" if channel.rate_hz else ""
+        noise = f", noise {channel.noise:.2g}" if channel.noise is not None else ""
+        gaps = f", {channel.gaps} gaps to {channel.longest_gap_s:.3g} s" if channel.gaps else ""
+        typer.echo(
+            f"  {channel.name} from {channel.column} ({channel.unit}): {channel.low:.5g} to "
+            f"{channel.high:.5g}, {channel.samples} samples{rate}{noise}{gaps}"
+        )
+    for trial in one.trials[:SHOWN]:
+        time = "settled points" if trial.duration_s is None else f"{trial.duration_s:.4g} s"
+        range_ = (
+            ""
+            if trial.pressure_low_kpa is None
+            else f", {trial.pressure_low_kpa:.4g} to {trial.pressure_high_kpa:.4g} kPa"
+        )
+        typer.echo(
+            f"  trial {trial.name}: {trial.rows} rows, {time}{range_}, slot {trial.slot}, "
+            f"replicate {trial.replicate}"
+        )
+    if len(one.trials) > SHOWN:
+        typer.echo(f"  ... and {len(one.trials) - SHOWN} more trials")
+    groups = [f"{slot} {count}" for slot, count in one.replicates.items() if count > 1]
+    typer.echo(f"  replicates: {', '.join(groups[:SHOWN]) or 'none; noise cannot be measured'}")
+    if one.costs is not None:
+        _show_costs(one.costs)
+    for note in one.notes:
+        typer.echo(f"  note: {note}")
+
+
+def _show_costs(costs: Costs) -> None:
+    typer.echo(f"  effects that can show: {', '.join(costs.shown) or 'none'}")
+    for cost in costs.missing:
+        lost = ", ".join(cost.effects) or "nothing by itself"
+        families = f" (families {', '.join(cost.families)})" if cost.families else ""
+        typer.echo(f"  without {cost.column}, cannot be named: {lost}{families}")
+    if costs.together:
+        typer.echo(f"  needs several of the missing columns: {', '.join(costs.together)}")

@@ -1,0 +1,1 @@
+"""Data of others, brought into the dataset format by a mapping file."""

@@ -1,0 +1,1 @@
+"""Files of other programs as columns: CSV, Parquet, MAT, HDF5, TDMS, MCAP."""

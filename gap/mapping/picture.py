@@ -1,0 +1,55 @@
+"""A picture of the first trial of an import: every channel with its unit, over time or rows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gap.data.dataset import DataSet
+from gap.data.trial import CHANNELS, COMMANDS
+from gap.errors import GapError
+
+_AXIS = {
+    "supply_kpa": "supply / kPa", "pressure_kpa": "pressure / kPa (gauge)",
+    "length_mm": "length / mm", "force_n": "force / N", "temperature_c": "temperature / °C",
+    "inlet_cmd": "inlet / 0 or 1", "outlet_cmd": "outlet / 0 or 1",
+}  # fmt: skip
+
+
+def draw_first_trial(data: DataSet, path: Path) -> None:
+    """Draw the channels of the first trial below each other, samples as they are.
+
+    Args:
+        data: with at least one trial.
+        path: .png, .svg or .pdf.
+
+    Raises:
+        GapError: the file cannot be written, or its name ends in no format of a picture.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    trial = data.trials[0]
+    names = [name for name in (*CHANNELS, *COMMANDS) if name in trial]
+    figure = Figure(figsize=(7.0, 1.0 + 1.5 * len(names)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
+    for axis, name in zip(axes, names, strict=True):
+        channel = trial[name]
+        if name in COMMANDS:
+            axis.step(channel.time_s, channel.value, where="post", lw=1.0)
+        elif trial.settled:
+            axis.plot(channel.time_s + 1.0, channel.value, "o", ms=3)
+        else:
+            axis.plot(channel.time_s, channel.value, ".-", ms=2, lw=0.6)
+        axis.set_ylabel(_AXIS[name])
+        axis.grid(alpha=0.3)
+    axes[-1].set_xlabel("row of the table (no time)" if trial.settled else "time / s")
+    axes[0].set_title(f"trial {trial.name}, slot {trial.slot}", fontsize=10)
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise GapError(str(path), "is no picture", "name it .png, .svg or .pdf")
+    try:
+        figure.savefig(path, dpi=120)
+    except OSError as error:
+        raise GapError(str(path), f"cannot be written: {error.strerror}") from None

@@ -1,0 +1,348 @@
+"""One recording: a main file with its companions, its columns as channels on one clock."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from gap.errors import GapError
+from gap.mapping.formats.opened import open_source
+from gap.mapping.formats.source import Column, Source, Whole
+from gap.mapping.mapping import Fact, Mapping, Measured, State, Stream, TimeBase
+from gap.mapping.units import DIMENSION, ISO, conversion, time_factor_ns
+from plant.arrays import Array
+
+_PLACE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
+_LONGEST_NS = 9.0e18
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Found:
+    """A main file and what the names in its pattern stand for."""
+
+    path: Path
+    names: dict[str, str]
+
+    def filled(self, text: str) -> str:
+        """A text with the names put in."""
+        return _PLACE.sub(lambda place: self.names[place[1]], text)
+
+
+def find_files(mapping: Mapping, folder: Path) -> list[Found]:
+    """Main files of a mapping, in order of their names.
+
+    Raises:
+        GapError: a pattern that no file matches, or a file that two patterns match.
+    """
+    found: dict[Path, Found] = {}
+    for pattern in mapping.files:
+        rule = re.compile(_rule(pattern))
+        matched = []
+        for path in sorted(folder.glob(_PLACE.sub("*", pattern))):
+            fits = rule.fullmatch(path.relative_to(folder).as_posix())
+            if fits and path.is_file():
+                matched.append(Found(path, {**fits.groupdict(), "stem": path.stem}))
+        if not matched:
+            raise GapError(
+                f"{mapping.path}: source.files", f"no file {pattern!r} in {folder}",
+                "check the pattern, or state the folder with --from",
+            )  # fmt: skip
+        for one in matched:
+            if one.path in found:
+                raise GapError(f"{mapping.path}: source.files", f"{one.path} matches two patterns")
+            found[one.path] = one
+    return [found[path] for path in sorted(found)]
+
+
+def _rule(pattern: str) -> str:
+    parts: list[str] = []
+    seen: set[str] = set()
+    for part in re.split(r"(\{[a-z][a-z0-9_]*\}|\*|\?)", pattern):
+        name = part[1:-1]
+        if part == "*":
+            parts.append("[^/]*")
+        elif part == "?":
+            parts.append("[^/]")
+        elif _PLACE.fullmatch(part):
+            parts.append(f"(?P={name})" if name in seen else f"(?P<{name}>[^/]+?)")
+            seen.add(name)
+        else:
+            parts.append(re.escape(part))
+    return "".join(parts)
+
+
+@dataclass(frozen=True)
+class Series:
+    """Values of one column with their times in ns (None for settled points), all shape (n,)."""
+
+    column: Column
+    values: npt.NDArray[np.generic]
+    ns: Whole | None
+    dropped: int = 0
+
+
+@dataclass(eq=False)
+class Recording:
+    """The channels of one main file.
+
+    Attributes:
+        found: the main file.
+        channels: measured, in the units of the dataset, NaN removed unless the points are settled.
+        commands: 0 or 1.
+        direction: +1 up, -1 down, 0 unknown; settled points only.
+        dated: whether its times count from 1970, so that files share one clock.
+    """
+
+    found: Found
+    mapping: Mapping
+    folder: Path
+    channels: dict[str, Series] = field(default_factory=dict)
+    commands: dict[str, Series] = field(default_factory=dict)
+    direction: npt.NDArray[np.int64] | None = None
+    dated: bool = False
+    _sources: dict[Path, Source] = field(default_factory=dict)
+    _times: dict[tuple[Path, TimeBase, int], Whole] = field(default_factory=dict)
+    _dated: dict[bool, str] = field(default_factory=dict)
+
+    @property
+    def files(self) -> list[Path]:
+        """All files that were opened."""
+        return list(self._sources)
+
+    def series(self, stream: Stream) -> Series:
+        """A column with its times. Raises `GapError`."""
+        path = self.folder / self.found.filled(stream.file) if stream.file else self.found.path
+        column = self._column(path, stream.column)
+        base = stream.time or self.mapping.time
+        return Series(column, column.values, self._ns(path, base, column))
+
+    def _column(self, path: Path, name: str) -> Column:
+        if path not in self._sources:
+            self._sources[path] = open_source(path, self.mapping.kind, self.mapping.layout)
+        return self._sources[path].column(name)
+
+    def _ns(self, path: Path, base: TimeBase, column: Column) -> Whole | None:
+        """Times of a column in ns, ascending; None for settled points."""
+        if base.settled:
+            return None
+        key = (path, base, len(column) if not base.own else id(column))
+        if key not in self._times:
+            self._times[key] = self._read_times(path, base, column)
+        return self._times[key]
+
+    def _read_times(self, path: Path, base: TimeBase, column: Column) -> Whole:
+        named = f"{self.mapping.path}: time"
+        at = column
+        if base.own:
+            if column.own_ns is None:
+                raise GapError(
+                    named, f"{column.where} has no times of its own", "state column or rate_hz"
+                )
+            ns, dated = column.own_ns, column.dated
+        elif base.rate_hz is not None:
+            count = np.arange(len(column), dtype=np.float64)
+            ns, dated = np.round(count * (1e9 / base.rate_hz)).astype(np.int64), False
+        else:
+            at = self._column(path, base.column)
+            ns, dated = _nanoseconds(at, base.unit)
+        if len(ns) != len(column):
+            raise GapError(
+                column.where, f"has {len(column)} values, its time column {len(ns)}",
+                "state the time column of this channel: [channels.NAME.time]",
+            )  # fmt: skip
+        step = np.diff(ns)
+        wrong = np.flatnonzero(step <= 0)
+        if len(wrong):
+            k = int(wrong[0]) + 1
+            twice = "appears twice" if step[k - 1] == 0 else "runs backwards"
+            raise at.error(k, f"time {twice} ({(ns[k] - ns[0]) * 1e-9:.9g} s after the first)")
+        self._dated[dated] = at.where
+        if len(self._dated) == 2:
+            raise GapError(
+                self._dated[False], f"has no date, and {self._dated[True]} has one",
+                "their clocks cannot be joined",
+            )  # fmt: skip
+        self.dated = dated
+        return ns + round(base.offset_s * 1e9)
+
+
+def _nanoseconds(column: Column, unit: str) -> tuple[Whole, bool]:
+    """Times of a time column in ns, and whether they have a date."""
+    values = column.values
+    if unit == ISO or values.dtype.kind == "M":
+        if unit != ISO:
+            raise GapError(column.where, f"holds dates, not {unit}", f"state time.unit {ISO!r}")
+        if not column.is_text and values.dtype.kind != "M":
+            raise GapError(column.where, "holds numbers, not ISO 8601 times", "state time.unit")
+        made = pd.to_datetime(pd.Series(values), utc=True, format="ISO8601", errors="coerce")
+        bad = np.flatnonzero(made.isna().to_numpy())
+        if len(bad):
+            k = int(bad[0])
+            raise column.error(k, f"{str(values[k])[:40]!r} is not a date and time (ISO 8601)")
+        return made.dt.tz_localize(None).to_numpy().astype("datetime64[ns]").astype(np.int64), True
+    factor = time_factor_ns(unit, column.where)
+    number = numbers(column)
+    empty = np.flatnonzero(~np.isfinite(number))
+    if len(empty):
+        raise column.error(int(empty[0]), "has no time", "every row needs one")
+    far = np.flatnonzero(np.abs(number) > _LONGEST_NS / factor)
+    if len(far):
+        raise column.error(int(far[0]), f"{number[far[0]]:g} {unit} is no time of a test")
+    if values.dtype.kind == "i":
+        return values.astype(np.int64) * factor, False
+    return np.round(number * factor).astype(np.int64), False
+
+
+def numbers(column: Column) -> Array:
+    """Values as floats, NaN where empty. Raises `GapError` for a text or an infinite value."""
+    if column.is_text:
+        for k, word in enumerate(column.values.tolist()):
+            if word and not _is_number(word):
+                raise column.error(k, f"{word[:40]!r} is not a number")
+        return np.array([float(w) if w else np.nan for w in column.values.tolist()])
+    if column.values.dtype.kind == "M":
+        raise GapError(column.where, "holds dates, not numbers")
+    value = np.asarray(column.values, dtype=np.float64)
+    infinite = np.flatnonzero(np.isinf(value))
+    if len(infinite):
+        raise column.error(int(infinite[0]), "is infinite")
+    return value
+
+
+def _is_number(word: str) -> bool:
+    return re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", word) is not None
+
+
+def read_recording(mapping: Mapping, found: Found, folder: Path) -> Recording:
+    """Read all channels of one main file and its companions.
+
+    Raises:
+        GapError: names file, column and row.
+    """
+    made = Recording(found, mapping, folder)
+    muscle = mapping.labels["muscle"].text if "muscle" in mapping.labels else ""
+    for channel in mapping.channels:
+        rest = mapping.rest_length_mm(channel, found.filled(muscle))
+        made.channels[channel.name] = _measured(made, channel, rest)
+    for name, state in mapping.commands.items():
+        made.commands[name] = on_off(made, state)
+    if mapping.direction is not None:
+        series = made.series(mapping.direction.stream)
+        up = is_one_of(series.column, mapping.direction.up)
+        down = is_one_of(series.column, mapping.direction.down)
+        neither = np.flatnonzero(~up & ~down & ~_empty(series.column))
+        if len(neither) or (up & down).any():
+            k = int(neither[0]) if len(neither) else int(np.argmax(up & down))
+            what = f"{series.values[k]!r} is neither up nor down"
+            raise series.column.error(k, what, "state channels.direction.up and .down")
+        made.direction = up.astype(np.int64) - down.astype(np.int64)
+    if mapping.time.settled:
+        _check_lengths(made)
+    return made
+
+
+def _check_lengths(recording: Recording) -> None:
+    """Settled points: every column has the same number of rows."""
+    sizes = {name: len(series.values) for name, series in recording.channels.items()}
+    if recording.direction is not None:
+        sizes["direction"] = len(recording.direction)
+    first = next(iter(sizes))
+    for name, size in sizes.items():
+        if size != sizes[first]:
+            what = f"{name} has {size} values and {first} has {sizes[first]}"
+            raise GapError(str(recording.found.path), what, "settled points are rows")
+
+
+def _measured(recording: Recording, channel: Measured, rest_length_mm: float | None) -> Series:
+    series = recording.series(channel.stream)
+    column = series.column
+    raw = numbers(column)
+    empty = np.isnan(raw)
+    absent = np.isin(raw, channel.absent) if channel.absent else np.zeros(len(raw), dtype=bool)
+    if empty.any() and not channel.gaps:
+        raise column.error(
+            int(np.argmax(empty)), "is empty",
+            f'where that means no sample: channels.{channel.name}.empty_cells = "no sample"',
+        )  # fmt: skip
+    where = f"{recording.mapping.path}: channels.{channel.name}.unit"
+    convert = conversion(channel.unit, DIMENSION[channel.name], where, rest_length_mm)
+    value = convert(channel.factor * raw + channel.addend) - channel.ambient_kpa
+    value[absent] = np.nan
+    if not np.isfinite(value).any():
+        raise GapError(column.where, "has no value", f"channels.{channel.name} has nothing to read")
+    dropped = int(absent.sum())
+    if series.ns is None:
+        return Series(column, value, None, dropped)
+    here = np.isfinite(value)
+    return Series(column, value[here], series.ns[here], dropped)
+
+
+def on_off(recording: Recording, state: State) -> Series:
+    """A column that says on or off as 0 and 1. Raises `GapError`."""
+    series = recording.series(state.stream)
+    column = series.column
+    if state.on is not None:
+        on = is_one_of(column, state.on)
+        return Series(column, on.astype(np.float64), series.ns)
+    raw = numbers(column)
+    empty = np.flatnonzero(np.isnan(raw))
+    if len(empty):
+        raise column.error(int(empty[0]), "is empty", "a command is on or off")
+    if state.above is not None:
+        return Series(column, (raw > state.above).astype(np.float64), series.ns)
+    if state.bit is not None:
+        odd = np.flatnonzero((raw != np.floor(raw)) | (raw < 0) | (raw >= 2.0**53))
+        if len(odd):
+            raise column.error(int(odd[0]), f"{raw[odd[0]]:g} has no bits")
+        return Series(
+            column, ((raw.astype(np.int64) >> state.bit) & 1).astype(np.float64), series.ns
+        )
+    odd = np.flatnonzero((raw != 0.0) & (raw != 1.0))
+    if len(odd):
+        raise column.error(
+            int(odd[0]), f"{raw[odd[0]]:g} is neither 0 nor 1", "state bit, on or above"
+        )
+    return Series(column, raw, series.ns)
+
+
+def is_one_of(column: Column, among: tuple[str | float, ...]) -> Mask:
+    """Which values are one of several numbers or texts."""
+    words = {str(item) for item in among if isinstance(item, str)}
+    values = [item for item in among if not isinstance(item, str)]
+    if column.is_text:
+        words |= {f"{value:g}" for value in values}
+        return np.array([str(word) in words for word in column.values.tolist()], dtype=bool)
+    made = np.isin(numbers(column), values) if values else np.zeros(len(column), dtype=bool)
+    for word in words:
+        if _is_number(word):
+            made |= numbers(column) == float(word)
+    return np.asarray(made)
+
+
+def _empty(column: Column) -> Mask:
+    if column.is_text:
+        return np.array([not word for word in column.values.tolist()], dtype=bool)
+    return np.isnan(numbers(column))
+
+
+def words(column: Column) -> list[str]:
+    """Values as texts: whole numbers without a point, "" where empty."""
+    if column.is_text:
+        return [str(word) for word in column.values.tolist()]
+    if column.values.dtype.kind == "M":
+        return [str(value) for value in column.values]
+    return ["" if np.isnan(value) else f"{value:.12g}" for value in numbers(column).tolist()]
+
+
+def fact_value(name: str, fact: Fact, text: str, where: str) -> float:
+    """A number of a trial that stands in the file's name. Raises `GapError`."""
+    if not _is_number(text.replace(",", ".")):
+        raise GapError(where, f"{text!r} is not a number")
+    value = np.array([float(text.replace(",", "."))])
+    return float(conversion(fact.unit, DIMENSION[name], where, None)(value)[0])

@@ -1,0 +1,202 @@
+"""What a diagnosis must not claim: what data cannot hold, what no plant near theirs explains."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from cli.main import app
+from gap.data.dataset import DataSet
+from gap.data.reader import read_dataset
+from gap.decision.diagnose import diagnose, diagnose_with_fit
+from gap.estimation.cross_validation import held_out
+from gap.estimation.fit_problem import FitProblem
+from gap.model.bins import matched
+from gap.reporting.text import headline
+from gap.validation.shapley import Waterfall
+from gap.verdict import Explanation, Status, Verdict
+from gap_sets import settled_set
+from plant.effects.catalogue import CATALOGUE
+
+SETTLED = {"braid_friction": {"friction_n": 4.0}}
+
+
+def table(folder: Path, name: str = "samples") -> pd.DataFrame:
+    return pd.read_csv(folder / f"{name}.csv")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return settled_set(tmp_path / "caps", {"end_cap": {"shortening_mm": 1.5}})
+
+
+def test_rows_of_a_settled_table_are_no_seconds(folder: Path) -> None:
+    data = read_dataset(folder)
+    problem = FitProblem.of(data)
+    slow = {"creep", "viscosity", "pressure_lag", "camera_delay"}
+    columns = problem.signatures(problem.base)[:, len(problem.names) + 1 :]
+    for column, candidate in zip(columns.T, problem.candidates, strict=True):
+        if candidate.id in slow:
+            assert not column.any(), candidate.key
+
+
+def test_the_verdict_does_not_depend_on_the_order_of_settled_rows(folder: Path) -> None:
+    before = diagnose(read_dataset(folder))
+    table(folder)[::-1].to_csv(folder / "samples.csv", index=False)
+    after = diagnose(read_dataset(folder))
+    assert (after.status, after.effects[0].ids) == (before.status, before.effects[0].ids)
+    assert after.probability_unknown == pytest.approx(before.probability_unknown, abs=0.02)
+
+
+def test_settled_points_show_friction_only_where_their_direction_is_stated(folder: Path) -> None:
+    samples = table(folder)
+    for stated in (True, False):
+        samples["direction"] = "up" if stated else ""
+        samples.to_csv(folder / "samples.csv", index=False)
+        problem = FitProblem.of(read_dataset(folder))
+        columns = problem.signatures(problem.base)[:, len(problem.names) + 1 :]
+        rubs = [
+            column.any()
+            for column, candidate in zip(columns.T, problem.candidates, strict=True)
+            if candidate.id == "braid_friction"
+        ]
+        assert all(rubs) is stated
+        assert any(rubs) is stated
+
+
+def test_there_is_no_wear_where_nobody_stated_the_order(folder: Path) -> None:
+    trials = table(folder, "trials").drop(columns="order")
+    trials.to_csv(folder / "trials.csv", index=False)
+    data = read_dataset(folder)
+    assert "wear" not in diagnose(data).limits
+    assert any("order of the trials is not known" in note for note in data.notes)
+
+
+def test_a_floor_is_what_replicates_differ_by_at_equal_conditions(tmp_path: Path) -> None:
+    """Replicates that were set to other pressures differ for that reason alone."""
+    folder = settled_set(tmp_path / "shifted", {})
+    trials, samples = table(folder, "trials"), table(folder)
+    second = samples.trial.isin(trials.trial[trials.replicate == 2])
+    # 45 kPa less in every second replicate, with the force that goes with it.
+    length = samples.trial.map(trials.set_index("trial").held_length_mm)
+    b, n = 88.4, 1.855
+    slope = (3.0 * length**2 - b**2) / (4.0 * np.pi * n**2) * 1e-3
+    samples.loc[second, "pressure_kpa"] -= 45.0
+    samples.loc[second, "force_n"] -= 45.0 * slope[second]
+    samples.to_csv(folder / "samples.csv", index=False)
+    problem = FitProblem.of(read_dataset(folder))
+    floor = held_out(problem, problem.base)["force"].rms("floor")
+    assert floor < 0.5  # forces differ by up to 30 N between the pressures
+
+
+def test_settled_points_are_matched_by_condition() -> None:
+    known = np.array([[0.0, 60.0], [100.0, 60.0], [200.0, 60.0]])
+    again = np.array([[201.0, 60.0], [99.0, 60.0], [150.0, 60.0]])
+    found, all_of_them = matched(again, known, np.array([4.0, 0.5]))
+    assert found.tolist() == [2, 1, 3]
+    assert len(all_of_them) == 4
+
+
+def scaled(folder: Path, factor: float) -> None:
+    trials = table(folder, "trials")
+    trials["held_length_mm"] *= factor
+    trials.to_csv(folder / "trials.csv", index=False)
+
+
+def test_the_plant_of_another_muscle_is_refused(folder: Path) -> None:
+    scaled(folder, 4.0)
+    verdict = diagnose(read_dataset(folder))
+    assert verdict.status is Status.NOMINAL_UNFIT
+    assert "a length of 276.0 mm on a braid of 88.4 mm" in str(verdict.reason)
+    for command in ("diagnose", "where", "shrink"):
+        done = CliRunner().invoke(app, ["gap", command, str(folder)])
+        assert done.exit_code == 2
+        assert "pamrig fit" in done.output
+
+
+def test_forces_far_from_the_plant_are_refused(folder: Path) -> None:
+    samples = table(folder)
+    samples["force_n"] *= 3.0
+    samples.to_csv(folder / "samples.csv", index=False)
+    reason = str(diagnose(read_dataset(folder)).reason)
+    assert "turns would have to be off by" in reason
+    samples["force_n"] *= 2.0
+    samples.to_csv(folder / "samples.csv", index=False)
+    assert "N rms were read" in str(diagnose(read_dataset(folder)).reason)
+
+
+def test_a_length_that_is_a_copied_label_is_no_channel(folder: Path) -> None:
+    trials = table(folder, "trials").set_index("trial")
+    samples = table(folder)
+    samples["length_mm"] = samples.trial.map(trials.held_length_mm)
+    samples.to_csv(folder / "samples.csv", index=False)
+    assert "camera" not in FitProblem.of(read_dataset(folder)).grid.points
+
+
+def test_without_replicates_they_are_what_is_measured_next(tmp_path: Path) -> None:
+    folder = settled_set(tmp_path / "once", {}, replicates=1)
+    data = read_dataset(folder)
+    timed = replace(data, trials=tuple(replace(t, settled=False) for t in data.trials))
+    verdict = diagnose(timed)
+    assert verdict.status is Status.BELOW_RESOLUTION
+    assert verdict.next_experiment is not None
+    assert "replicates are missing" in verdict.next_experiment.why
+    assert verdict.as_dict()["next_experiment"]["separation_after"] is None
+
+
+def one_slot(data: DataSet) -> DataSet:
+    first = next(iter(data.slots.values()))
+    return replace(data, trials=tuple(data.trials[k] for k in first))
+
+
+def test_one_setting_holds_nothing_out(folder: Path) -> None:
+    gap = diagnose(one_slot(read_dataset(folder))).gap
+    assert gap is not None
+    assert gap.held_out is None
+    assert gap.closed is None
+
+
+def test_shares_of_a_small_whole_of_large_parts_are_not_stated() -> None:
+    ends = {"force": (1.0, 0.1)}
+    large = Waterfall(("valve", "muscle"), np.array([[50.0, -49.0]] * 5), ends)
+    assert large.shares(known=True) == ()
+    usual = Waterfall(("valve", "muscle"), np.array([[0.3, 0.7]] * 5), ends)
+    assert [s.stage for s in usual.shares(known=True)] == ["muscle", "valve"]
+
+
+def test_an_unknown_gap_is_not_said_to_be_something() -> None:
+    found = (Explanation(("creep",), "rate", 0.3), Explanation(("wear",), "drift", 0.2))
+    verdict = Verdict(Status.UNKNOWN, "a gap without a name", None, found, 0.1, 0.4)  # type: ignore[arg-type]
+    assert headline(verdict) == "A gap without a name."
+
+
+def test_the_improved_plant_has_no_effect_that_the_verdict_does_not_stand_by(
+    folder: Path, tmp_path: Path
+) -> None:
+    data = read_dataset(folder)
+    verdict, _, fit = diagnose_with_fit(data)
+    assert verdict.status.explained
+    assert fit is not None
+    out = tmp_path / "better.toml"
+    done = CliRunner().invoke(app, ["gap", "shrink", str(folder), "--out", str(out)])
+    assert done.exit_code == 0
+    written = set(tomllib.loads(out.read_text()).get("effects", {}))
+    assert written == set(verdict.effects[0].ids)
+    # Struck from the catalogue, the effect leaves a gap that nothing explains.
+    words = ["gap", "shrink", str(folder), "--out", str(out), "--without"]
+    done = CliRunner().invoke(app, [*words, ",".join(n for n in CATALOGUE if n != "creep")])
+    assert done.output.startswith("unknown")
+    assert "effects" not in tomllib.loads(out.read_text())
+
+
+def test_a_constant_at_the_end_of_its_tolerance_is_named(tmp_path: Path) -> None:
+    folder = settled_set(tmp_path / "label", {})
+    (folder / "bench.toml").write_text("braid_length_mm = 86.9\n[tolerance]\nturns = 0.001\n")
+    notes = diagnose(read_dataset(folder), set(CATALOGUE) - {"creep"}).notes
+    assert any("braid_length_mm stands" in note and "check it" in note for note in notes)
