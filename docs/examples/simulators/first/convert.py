@@ -1,6 +1,6 @@
 """Brings bench.csv into the dataset format: other names, other units, one table of trials.
 
-    python convert.py bench.csv mydata
+python convert.py bench.csv mydata
 """
 
 from __future__ import annotations
