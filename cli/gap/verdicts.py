@@ -92,7 +92,7 @@ def shrink_command(
     data: Path, without: str, out: Path | None, simulator: Path | None, as_json: bool
 ) -> None:
     """`pamrig gap shrink`: the gap before and after, by block and by what was held out."""
-    from gap.validation.improved_plant import improved_plant
+    from gap.validation.improved_simulator import improved_text
     from gap.validation.shrinkage import as_lines, shrinkage
 
     check_out(out)
@@ -110,7 +110,7 @@ def shrink_command(
         kept = fit if named else problem.base
         found = plain(shrinkage(problem, kept, named))
         if out is not None:
-            write_text(out, improved_plant(problem, kept))
+            write_text(out, improved_text(problem, kept, out.absolute().parent))
     written = out if found else None
     if as_json:
         print_json(

@@ -19,6 +19,7 @@ import numpy as np
 from gap.design.config import DESIGN
 from gap.design.foresight import Products, by_trial, on_experiment, products, separation, sum_of
 from gap.design.library import LibraryExperiment, library_experiments
+from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.output import toml_value
 from gap.verdict import Experiment
@@ -120,8 +121,15 @@ def _plan(
     present: Products,
     enough: float,
 ) -> _Plan | None:
-    """Repeats that an experiment needs; None where it would take too many."""
-    one = products(on_experiment(problem, option), best, rival)
+    """Repeats that an experiment needs; None where it would take too many.
+
+    None as well where the simulator in the place of the plant says nothing of such trials: a table
+    of predictions holds the trials that were made, and a surface has an edge.
+    """
+    try:
+        one = products(on_experiment(problem, option), best, rival)
+    except GapError:
+        return None
     for repeats in range(DESIGN.least_repeats, DESIGN.most_trials // len(option.trials) + 1):
         after = separation(present + one.times(repeats), best, rival)
         if after >= enough:
