@@ -7,7 +7,7 @@ READY  := $(VENV)/.ready
 # The tests start many programs, each of which would translate all libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test golden lint types bench campaign faults fuzz soak audit look board wheel lock clean
+.PHONY: demo test golden lint types bench campaign faults fuzz soak real audit look board wheel lock clean
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pamrig needs Python 3.11 or newer")'
@@ -47,6 +47,9 @@ TRIALS ?= 1000
 board: $(READY)   ## the firmware on an emulated RP2040: IMAGE=RPI_PICO.uf2 BOOTROM=bootrom.bin
 	@$(BIN)/python -m tests.board --image "$(IMAGE)" --bootrom "$(BOOTROM)" --seconds $(SECONDS) \
 	    --trials $(TRIALS) --processes 2 --page docs/evidence/board.md
+
+real: $(READY)   ## measured data of others, DATA=FOLDER: docs/evidence/real-data.md says which
+	$(BIN)/python -m tests.real "$(DATA)" --page docs/evidence/real-data.md
 
 audit: $(READY)   ## pins of the lock file, and known holes where pip-audit and a network are there
 	$(BIN)/python -m tests.audit

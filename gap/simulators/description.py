@@ -27,8 +27,8 @@ from plant.arrays import Array
 from plant.effects.effects import Effects
 from plant.errors import PlantError
 
-SHARED = ("kind", "title", "stages", "model_error_n", "noise_n", "inputs", "parameters", "covariance",
-          "effects")  # fmt: skip
+SHARED = ("kind", "title", "stages", "model_error_n", "noise_n", "inputs", "parameters",
+          "covariance", "effects")  # fmt: skip
 KINDS: dict[str, tuple[str, ...]] = {
     "python": ("function", "static", "step_s"),
     "fmu": ("file", "static", "step_s", "variables", "start"),

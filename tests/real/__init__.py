@@ -1,0 +1,1 @@
+"""Measured data of others put to the diagnosis: `make real DATA=FOLDER`."""

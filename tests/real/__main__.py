@@ -1,0 +1,244 @@
+"""`python -m tests.real FOLDER`: the diagnosis put to measured data from outside the repository.
+
+FOLDER holds one folder for each set (`martens-boblan`, `zillen`) with the published files in it;
+docs/evidence/real-data.md says where each is published. The mapping files and the analyses made by
+hand lie beside this file; the tables of the thesis are shipped. Every step is a command of `pamrig`
+that a user would give. Ends with status 1 where a verdict does not agree with the analysis by hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+HERE = Path(__file__).resolve().parent
+BY_HAND: dict[str, dict[str, Any]] = tomllib.loads((HERE / "by_hand.toml").read_text())
+MUSCLES = {"10-250": (10, 250), "20-300": (20, 300)}
+"""Inner diameter and rest length in mm of the muscles of Martens and Boblan, from their names."""
+CYLINDER = '''"""A pneumatic cylinder: piston area times gauge pressure."""
+
+
+def pull(pressure_kpa, length_mm, parameters):
+    return parameters["area_mm2"] * pressure_kpa * 1e-3 + parameters["offset_n"]
+'''
+CYLINDER_TOML = """kind = "python"
+function = "cylinder.py:pull"
+stages = ["force"]
+static = true
+
+[parameters.area_mm2]
+nominal = 490.0    # 51 N at 1 bar and 49 N more with each bar
+tolerance = 10.0
+
+[parameters.offset_n]
+nominal = 0.0
+tolerance = 5.0
+"""
+
+
+@dataclass
+class Outcome:
+    """What came out of one set, and whether it agrees with the analysis by hand."""
+
+    name: str
+    by_hand: str
+    verdict: dict[str, Any]
+    figures: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def agrees(self) -> bool:
+        wanted = BY_HAND[self.by_hand]
+        if self.verdict["status"] not in wanted["statuses"]:
+            return False
+        if self.figures.get("largest_percent", 0.0) > wanted.get("largest_percent", 1e9):
+            return False
+        ids = [set(effect["ids"]) for effect in self.verdict["effects"]]
+        return not wanted.get("one_of") or any(set(wanted["one_of"]) & one for one in ids)
+
+
+def pamrig(folder: Path, *words: object) -> dict[str, Any]:
+    """What a command prints as JSON; status 2 may come with a verdict that refuses the plant."""
+    command = [str(Path(sys.executable).with_name("pamrig")), *map(str, words), "--json"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if not done.stdout.strip():
+        raise SystemExit(f"{' '.join(command[1:])}\n{done.stderr}")
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def laid_out(data: Path, name: str, work: Path) -> Path | None:
+    """The files of a set beside its mapping, in a scratch folder; None where they are not there."""
+    if not (data / name).is_dir():
+        return None
+    folder = work / name
+    shutil.copytree(data / name, folder)
+    shutil.copy(HERE / name / "mapping.toml", folder)
+    pamrig(folder, "import", "data", "mapping.toml", "--out", "sets")
+    return folder
+
+
+def martens_boblan(folder: Path) -> list[Outcome]:
+    """Each muscle: the plant of the thesis, then a law fitted to every other pressure."""
+    made = []
+    for muscle, (diameter, rest) in MUSCLES.items():
+        whole = folder / "sets" / f"dmsp-{muscle}"
+        verdict = pamrig(folder, "gap", "diagnose", whole)
+        made.append(Outcome(f"DMSP-{muscle}, plant of the thesis", "martens-boblan-thesis-plant",
+                            verdict))  # fmt: skip
+        table = pd.read_csv(folder / f"martens-boblan-2017-dmsp-{muscle}.csv")
+        fitted = sorted(table.pressure_kpa.unique())[::2]
+        table[table.pressure_kpa.isin(fitted)].to_csv(folder / "fitted.csv", index=False)
+        table.to_csv(folder / "all.csv", index=False)
+        size = ("--rest-length", rest, "--diameter", diameter)
+        law = ("--model", "sarosi-five", "--least-force", 1)
+        runs = f"runs-{muscle}"
+        pamrig(folder, "import", "points", "fitted.csv", "--out", runs)
+        pamrig(folder, "fit", "last", "--runs", runs, *law, *size, "--out", f"law-{muscle}.toml")
+        pamrig(folder, "import", "points", "all.csv", "--out", runs)
+        compared = pamrig(
+            folder, "models", "compare", "last", "--runs", runs, "--models", "sarosi-five",
+            "--least-force", 1, "--holdout", "pressure", "--start", f"law-{muscle}.toml",
+        )  # fmt: skip
+        rest_of_it = folder / f"held-{muscle}"
+        rest_of_it.mkdir()
+        samples = pd.read_parquet(whole / "samples.parquet")
+        samples = samples[~samples.pressure_kpa.isin(fitted)]
+        samples.to_parquet(rest_of_it / "samples.parquet", index=False)
+        shutil.copy(whole / "trials.csv", rest_of_it)
+        verdict = pamrig(folder, "gap", "diagnose", rest_of_it, "--simulator", f"law-{muscle}.toml")
+        made.append(Outcome(
+            f"DMSP-{muscle}, sarosi-five fitted to every other pressure", "martens-boblan",
+            verdict, held_out_figures(compared),
+        ))  # fmt: skip
+    return made
+
+
+def held_out_figures(compared: dict[str, Any]) -> dict[str, float]:
+    """Largest error in percent of the largest force, and rms error of the length in mm."""
+    (score,) = compared["scores"]
+    return {
+        "largest_percent": float(score["worst_percent"]), "rms_mm": float(score["rmse_mm"]),
+    }  # fmt: skip
+
+
+def zillen(folder: Path) -> list[Outcome]:
+    """The cylinder as a Python function: area times pressure."""
+    (folder / "cylinder.py").write_text(CYLINDER)
+    (folder / "cylinder.toml").write_text(CYLINDER_TOML)
+    verdict = pamrig(folder, "gap", "diagnose", "sets", "--simulator", "cylinder.toml")
+    return [Outcome("Cylinder, area times pressure", "zillen", verdict)]
+
+
+def thesis(work: Path) -> list[Outcome]:
+    """C-3 and C-4 against a law fitted to C-1."""
+    from gap.decision.diagnose import diagnose
+    from gap.simulators.open import with_simulator
+    from gap.thesis.data import thesis_set
+
+    pamrig(work, "fit", "c01", "--model", "liner-braid", "--out", "c01.toml")
+    return [
+        Outcome(
+            f"Thesis table C-{name[-1]}, liner-braid fitted to C-1", f"thesis-c{name[-1]}",
+            diagnose(with_simulator(thesis_set(name), work / "c01.toml")).as_dict(),
+        )
+        for name in ("c03", "c04")
+    ]  # fmt: skip
+
+
+SOURCES = """\
+| folder | published as | licence |
+|---|---|---|
+| `martens-boblan` | M. Martens, I. Boblan, Actuators 2017, 6(4), 33, tables A1 and A2 (erratum 2018, 7(1), 9), as `martens-boblan-2017-dmsp-10-250.csv` and `-20-300.csv` with columns pressure_kpa, length_mm, force_n | CC BY 4.0 |
+| `zillen` | E. Zillen, thesis, TU Delft: friction runs of a 3D-printed cylinder, `zillen-friction-{1,3,5,7}bar.tsv` | CC0 1.0 |
+| none | tables C-1, C-3 and C-4 of the thesis, shipped | see docs/reference/plant.md |
+"""  # noqa: E501
+
+
+def page(outcomes: list[Outcome]) -> str:
+    """The page docs/evidence/real-data.md."""
+    lines = [
+        "# Measured data of others",
+        "",
+        "The diagnosis put to measurements that nobody made for it. The data are not part of this",
+        "repository, only the mapping files are. The analyses by hand were written down first",
+        "(`tests/real/by_hand.toml`).",
+        "",
+        "    make real DATA=FOLDER",
+        "",
+        SOURCES,
+        "| set | status | agrees with the analysis by hand |",
+        "|---|---|---|",
+        *(f"| {o.name} | {o.verdict['status']} | {'yes' if o.agrees else '**no**'} |"
+          for o in outcomes),
+        "",
+    ]  # fmt: skip
+    for outcome in outcomes:
+        lines += [f"## {outcome.name}", "", "By hand:"]
+        lines += [BY_HAND[outcome.by_hand]["analysis"].strip(), "", "The verdict:"]
+        lines += [f"{outcome.verdict['reason']}.", ""]
+        lines += [f"- {_entry(effect)}" for effect in outcome.verdict["effects"][:4]]
+        gap = outcome.verdict["gap"]
+        if gap["recalibrated"] is not None:
+            after = f", with the first entry {gap['after']:.3g}" if gap["after"] else ""
+            lines += ["", f"Error as stated {gap['before']:.3g} {gap['unit']} rms, recalibrated "
+                      f"{gap['recalibrated']:.3g}{after}, floor {gap['floor']:.3g}."]  # fmt: skip
+        if outcome.figures:
+            figures = outcome.figures
+            lines += [
+                "",
+                f"Held-out pressures: largest error {figures['largest_percent']:.2f} % of the "
+                f"largest force, length {figures['rms_mm']:.2f} mm rms.",
+            ]
+        lines.append("")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _entry(effect: dict[str, Any]) -> str:
+    values = ", ".join(
+        f"{name} {e['value']:.3g} ({e['low']:.3g} to {e['high']:.3g})"
+        for name, e in effect["parameters"].items()
+        if e["low"] is not None
+    )
+    return f"{' + '.join(effect['ids'])}, {100 * effect['probability']:.0f} %" + (
+        f": {values}" if values else ""
+    )
+
+
+def main() -> int:
+    """Run all sets that are there; 1 where a verdict does not agree."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--page", type=Path)
+    options = parser.parse_args()
+    if not options.data.is_dir():
+        parser.error(f"{options.data}: no such folder")
+    outcomes: list[Outcome] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        work = Path(scratch)
+        for name, study in (("martens-boblan", martens_boblan), ("zillen", zillen)):
+            folder = laid_out(options.data.resolve(), name, work)
+            if folder is None:
+                print(f"{options.data / name}: not there, left out", flush=True)
+                continue
+            outcomes += study(folder)
+        outcomes += thesis(work)
+    for outcome in outcomes:
+        print(f"{'agrees ' if outcome.agrees else 'DIFFERS'} {outcome.name}: "
+              f"{outcome.verdict['status']}")  # fmt: skip
+    if options.page is not None:
+        options.page.write_text(page(outcomes), encoding="utf-8")
+    return 0 if all(outcome.agrees for outcome in outcomes) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
