@@ -13,12 +13,19 @@ import pandas as pd
 from gap.errors import GapError
 from gap.mapping.formats.opened import open_source
 from gap.mapping.formats.source import Column, Source, Whole
-from gap.mapping.mapping import Fact, Mapping, Measured, State, Stream, TimeBase
+from gap.mapping.mapping import (
+    LONGEST_S,
+    Fact,
+    Mapping,
+    Measured,
+    State,
+    Stream,
+    TimeBase,
+)
 from gap.mapping.units import DIMENSION, ISO, conversion, time_factor_ns
 from plant.arrays import Array
 
 _PLACE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
-_LONGEST_NS = 9.0e18
 Mask = npt.NDArray[np.bool_]
 
 
@@ -147,6 +154,8 @@ class Recording:
             ns, dated = column.own_ns, column.dated
         elif base.rate_hz is not None:
             count = np.arange(len(column), dtype=np.float64)
+            if len(column) / base.rate_hz > LONGEST_S:
+                raise GapError(f"{named}.rate_hz", f"{base.rate_hz:g} Hz is no rate of a test")
             ns, dated = np.round(count * (1e9 / base.rate_hz)).astype(np.int64), False
         else:
             at = self._column(path, base.column)
@@ -191,7 +200,7 @@ def _nanoseconds(column: Column, unit: str) -> tuple[Whole, bool]:
     empty = np.flatnonzero(~np.isfinite(number))
     if len(empty):
         raise column.error(int(empty[0]), "has no time", "every row needs one")
-    far = np.flatnonzero(np.abs(number) > _LONGEST_NS / factor)
+    far = np.flatnonzero(np.abs(number) * (factor * 1e-9) > LONGEST_S)
     if len(far):
         raise column.error(int(far[0]), f"{number[far[0]]:g} {unit} is no time of a test")
     if values.dtype.kind == "i":
