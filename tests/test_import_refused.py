@@ -218,8 +218,20 @@ ROWS = "t,f,p,n,s\n0,1,1,a,0\n1,2,2,a,0\n2,3,3,b,1\n3,4,4,b,1\n"
 VALUES = (
     '""', '"f"', '"p"', '"column"', '"s"', '"ISO"', '"{x}"', '"*"', '"\\u0000"', '"strain %"', "0",
     "1", "-3", "99999999999999999", "1e308", "-0.0", "nan", "inf", "true", "[]", '["f", 1]', "[[]]",
-    "{}", "{ column = 1 }", "1979-05-27", "07:32:00", '"cycles"', '["gaps"]', '"gauge"', '"latin-1"',
+    "{}", "{ column = 1 }", "1979-05-27", "07:32:00", '"cycles"', '["gaps"]', '"gauge"',
 )  # fmt: skip
+
+
+def outcome(folder: Path, text: str) -> str:
+    """What an import says where it refuses, "" where it does not; any other error is a failure."""
+    told = ""
+    try:
+        imported(folder, text)
+    except GapError as error:
+        told = str(error)
+    assert (folder / "out").exists() == (told == ""), "a refused import leaves nothing"
+    shutil.rmtree(folder / "out", ignore_errors=True)
+    return told
 
 
 def test_the_mapping_that_is_varied_below_is_sound(tmp_path: Path) -> None:
@@ -243,13 +255,8 @@ def test_any_value_of_any_key_is_read_or_refused_by_name(
     for at, value in changes:
         lines[at] = f"{lines[at].partition(' =')[0]} = {value}"
     (tmp_path / "a.csv").write_text(ROWS)
-    try:
-        imported(tmp_path, "\n".join(lines))
-    except GapError as error:
-        assert error.where
-        assert not (tmp_path / "out").exists()
-    else:
-        shutil.rmtree(tmp_path / "out")
+    told = outcome(tmp_path, "\n".join(lines))
+    assert told == "" or ": " in told
 
 
 @settings(
@@ -271,10 +278,5 @@ def test_any_file_is_read_or_refused_by_name(
     for at, text in cuts:
         content = content[:at] + text + content[at + 1 :]
     (tmp_path / "a.csv").write_bytes(content[: max(keep, 12)])
-    try:
-        imported(tmp_path, FULL)
-    except GapError as error:
-        assert "a.csv" in str(error) or "mapping.toml" in str(error)
-        assert not (tmp_path / "out").exists()
-    else:
-        shutil.rmtree(tmp_path / "out")
+    told = outcome(tmp_path, FULL)
+    assert told == "" or "a.csv" in told or "mapping.toml" in told

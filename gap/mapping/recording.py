@@ -114,6 +114,8 @@ class Recording:
     direction: npt.NDArray[np.int64] | None = None
     dated: bool = False
     _sources: dict[Path, Source] = field(default_factory=dict)
+    _columns: dict[tuple[Path, str], Column] = field(default_factory=dict)
+    _words: dict[tuple[Path, str], list[str]] = field(default_factory=dict)
     _times: dict[tuple[Path, TimeBase, int], Whole] = field(default_factory=dict)
     _dated: dict[bool, str] = field(default_factory=dict)
 
@@ -132,7 +134,17 @@ class Recording:
     def _column(self, path: Path, name: str) -> Column:
         if path not in self._sources:
             self._sources[path] = open_source(path, self.mapping.kind, self.mapping.layout)
-        return self._sources[path].column(name)
+        if (path, name) not in self._columns:
+            self._columns[path, name] = self._sources[path].column(name)
+        return self._columns[path, name]
+
+    def texts(self, name: str) -> tuple[Series, list[str]]:
+        """A column of the main file, and its values as texts. Raises `GapError`."""
+        series = self.series(Stream(name))
+        key = (self.found.path, name)
+        if key not in self._words:
+            self._words[key] = words(series.column)
+        return series, self._words[key]
 
     def _ns(self, path: Path, base: TimeBase, column: Column) -> Whole | None:
         """Times of a column in ns, ascending; None for settled points."""
