@@ -244,7 +244,7 @@ def read_mapping(path: Path) -> Mapping:
     time = _time(base) if base is not None else TimeBase(own=True)
     channels, commands, direction = _channels(_required(root, "channels"), time, names)
     labels, facts, order = _trials(root.table("trials"), names)
-    cut = _cut(root.table("cut"), time, channels)
+    cut = _cut(root.table("cut"), time, channels, names)
     root.close()
     mapping = Mapping(
         path, text, files, kind, layout, time, channels, commands, direction, cut, order,
@@ -415,7 +415,9 @@ def _measured(name: str, table: Section, names: set[str]) -> Measured:
     )  # fmt: skip
 
 
-def _cut(table: Section | None, time: TimeBase, channels: tuple[Measured, ...]) -> Cut:
+def _cut(
+    table: Section | None, time: TimeBase, channels: tuple[Measured, ...], names: set[str]
+) -> Cut:
     if table is None:
         return Cut()
     by = table.texts("by", ("file",))
@@ -435,7 +437,7 @@ def _cut(table: Section | None, time: TimeBase, channels: tuple[Measured, ...]) 
         before = one.number("before_s", 0.0) or 0.0
         if not 0.0 <= before <= LONGEST_S:
             raise one.error("before_s", f"expected 0 or more, got {before:g}")
-        edges = _state(one, {_STEM})
+        edges = _state(one, names)
         one.close()
     cycles, hysteresis, start, ends = "", 0.0, "low", "drop"
     if "cycles" in by:
