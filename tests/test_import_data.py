@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
@@ -117,6 +118,34 @@ def test_a_dry_run_writes_nothing_and_says_what_it_understood(
     assert one["trials"][0]["duration_s"] == pytest.approx(3.99)
     assert "temperature_stiffening" in text
     assert "without temperature_c, cannot be named: temperature_stiffening" in text
+
+
+def test_the_picture_names_every_channel_with_its_unit(
+    desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(matplotlib.rcParams, "svg.fonttype", "none")
+    for name, labels in (
+        ("log", ["pressure / kPa (gauge)", "force / N", "inlet / 0 or 1", "time / s"]),
+        ("static", ["length / mm", "row of the table (no time)"]),
+    ):
+        picture = tmp_path / f"{name}.svg"
+        command = f"pamrig import data {desk / name}.toml --dry-run --picture {picture}"
+        pamrig(command, monkeypatch, capsys)
+        drawn = picture.read_text(encoding="utf-8")
+        for label in labels:
+            assert f">{label}</text>" in drawn
+
+
+def test_a_picture_of_no_known_format_is_refused_before_anything_is_written(
+    desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = f"pamrig import data {desk / 'log.toml'} --out {tmp_path / 'x'} --picture a.doc"
+    monkeypatch.setattr(sys, "argv", shlex.split(command))
+    with pytest.raises(SystemExit) as exit_:
+        main()
+    assert exit_.value.code == 2
+    assert "a.doc: is no picture" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
 
 
 # ---------------------------------------------------------------------------- costs

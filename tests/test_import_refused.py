@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from cli.main import main
 from gap.errors import GapError
@@ -175,3 +178,105 @@ def test_values_that_stand_for_nothing_are_counted(tmp_path: Path) -> None:
     assert "a.csv: force_n: 1 values stand for no measurement" in made.notes
     samples = pd.read_parquet(tmp_path / "out" / "samples.parquet")
     assert samples["force_n"].isna().tolist() == [False, True, False]
+
+
+FULL = """
+source.files = "a.csv"
+source.header = true
+source.decimal = "point"
+source.skip_lines = 0
+time.column = "t"
+time.unit = "s"
+time.offset_s = 0.0
+channels.force_n.column = "f"
+channels.force_n.unit = "N"
+channels.force_n.sign = -1
+channels.force_n.missing_values = [9]
+channels.pressure_kpa.column = "p"
+channels.pressure_kpa.unit = "bar"
+channels.pressure_kpa.reference = "gauge"
+channels.pressure_kpa.time.rate_hz = 2.0
+channels.inlet_cmd.column = "s"
+channels.inlet_cmd.bit = 0
+cut.by = ["column", "edges"]
+cut.columns = "n"
+cut.ignore = ["c"]
+cut.edges.column = "s"
+cut.edges.edge = "change"
+cut.parts = "replicates"
+trials.slot = "{stem}"
+trials.mounting = { column = "n" }
+trials.load_kg = { column = "s", unit = "kg" }
+trials.order = "time"
+calibration.force_zero_n = 0.1
+bench.supply_kpa = 600.0
+rest_length_mm = 66.0
+"""
+LINES = FULL.strip().splitlines()
+MANY = 4000 if os.environ.get("PAMRIG_CAMPAIGN") else 60
+ROWS = "t,f,p,n,s\n0,1,1,a,0\n1,2,2,a,0\n2,3,3,b,1\n3,4,4,b,1\n"
+VALUES = (
+    '""', '"f"', '"p"', '"column"', '"s"', '"ISO"', '"{x}"', '"*"', '"\\u0000"', '"strain %"', "0",
+    "1", "-3", "99999999999999999", "1e308", "-0.0", "nan", "inf", "true", "[]", '["f", 1]', "[[]]",
+    "{}", "{ column = 1 }", "1979-05-27", "07:32:00", '"cycles"', '["gaps"]', '"gauge"',
+)  # fmt: skip
+
+
+def outcome(folder: Path, text: str) -> str:
+    """What an import says where it refuses, "" where it does not; any other error is a failure."""
+    told = ""
+    try:
+        imported(folder, text)
+    except GapError as error:
+        told = str(error)
+    assert (folder / "out").exists() == (told == ""), "a refused import leaves nothing"
+    shutil.rmtree(folder / "out", ignore_errors=True)
+    return told
+
+
+def test_the_mapping_that_is_varied_below_is_sound(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(ROWS)
+    (made,) = imported(tmp_path, FULL)
+    assert [trial.name for trial in made.trials] == ["a-1", "b-1"]
+
+
+@settings(
+    max_examples=MANY, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    changes=st.lists(
+        st.tuples(st.integers(0, len(LINES) - 1), st.sampled_from(VALUES)), min_size=1, max_size=3
+    )
+)
+def test_any_value_of_any_key_is_read_or_refused_by_name(
+    changes: list[tuple[int, str]], tmp_path: Path
+) -> None:
+    lines = list(LINES)
+    for at, value in changes:
+        lines[at] = f"{lines[at].partition(' =')[0]} = {value}"
+    (tmp_path / "a.csv").write_text(ROWS)
+    told = outcome(tmp_path, "\n".join(lines))
+    assert told == "" or ": " in told
+
+
+@settings(
+    max_examples=MANY, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    cuts=st.lists(
+        st.tuples(st.integers(0, len(ROWS)), st.sampled_from(
+            [b"", b"\n", b",", b'"', b"\x00", b"\xff", b"e9", b"-", b"1e999", b"nan", b"\r", b" "]
+        )),
+        min_size=1, max_size=4,
+    ),
+    keep=st.integers(0, len(ROWS)),
+)  # fmt: skip
+def test_any_file_is_read_or_refused_by_name(
+    cuts: list[tuple[int, bytes]], keep: int, tmp_path: Path
+) -> None:
+    content = ROWS.encode()
+    for at, text in cuts:
+        content = content[:at] + text + content[at + 1 :]
+    (tmp_path / "a.csv").write_bytes(content[: max(keep, 12)])
+    told = outcome(tmp_path, FULL)
+    assert told == "" or "a.csv" in told or "mapping.toml" in told

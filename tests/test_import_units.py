@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gap.data.reader import read_dataset
@@ -97,6 +97,7 @@ def test_an_unknown_unit_gets_the_nearest_known() -> None:
         time_factor_ns("bar", "here")
 
 
+@settings(deadline=None, max_examples=15)  # writes and reads files
 @given(
     volts=st.lists(st.floats(-10, 10), min_size=2, max_size=6),
     scale=st.floats(0.1, 50),

@@ -35,11 +35,13 @@ def import_data(
 ) -> None:
     """Make a data set for `pamrig gap` from files of another program, by a mapping file."""
     from gap.errors import GapError
-    from gap.mapping.picture import draw_first_trial
+    from gap.mapping.picture import check_picture, draw_first_trial
     from gap.mapping.write import import_data
 
     if out is None and not dry_run:
         raise GapError("--out", "is missing", "name the folder to make, or add --dry-run")
+    if picture is not None:
+        check_picture(picture)
     made = import_data(mapping, out or Path(mapping.stem), folder=folder, dry=dry_run)
     if picture is not None:
         draw_first_trial(made[0].data, picture)
@@ -78,7 +80,7 @@ def _show(one: Imported, dry_run: bool) -> None:
     if len(one.trials) > SHOWN:
         typer.echo(f"  ... and {len(one.trials) - SHOWN} more trials")
     groups = [f"{slot} {count}" for slot, count in one.replicates.items() if count > 1]
-    typer.echo(f"  replicates: {', '.join(groups[:SHOWN]) or 'none; noise cannot be measured'}")
+    typer.echo(f"  replicates: {', '.join(groups[:SHOWN]) or 'none'}")
     if one.costs is not None:
         _show_costs(one.costs)
     for note in one.notes:

@@ -152,7 +152,10 @@ def _samples(recording: Recording, piece: Piece, name: str) -> tuple[pd.DataFram
         if recording.direction is not None:
             ways = np.array(["", "up", "down"], dtype=object)
             frame["direction"] = ways[recording.direction[rows]]
-        return frame.dropna(how="all", subset=list(recording.channels)), None
+        frame = frame.dropna(how="all", subset=list(recording.channels))
+        if frame.empty:
+            raise GapError(str(recording.found.path), f"trial {name} has no measured point")
+        return frame, None
     cuts: dict[str, tuple[Any, Array]] = {}
     for channel, series in recording.channels.items():
         assert series.ns is not None

@@ -68,8 +68,8 @@ def cut(recording: Recording, plan: Cut) -> list[Piece]:
 
 
 def _by_column(recording: Recording, piece: Piece, name: str, plan: Cut) -> list[Piece]:
-    series = recording.series(Stream(name))
-    texts = np.array(words(series.column), dtype=object)
+    series, found = recording.texts(name)
+    texts = np.array(found, dtype=object)
     if piece.rows is not None:
         _same_rows(recording, name, len(texts))
         chosen = texts[piece.rows]
@@ -233,8 +233,7 @@ def rows_outside(recording: Recording, pieces: list[Piece]) -> int:
 
 def constant_text(recording: Recording, piece: Piece, column: str, what: str) -> str:
     """The text that a column has throughout a piece. Raises `GapError` if it changes."""
-    series = recording.series(Stream(column))
-    texts = words(series.column)
+    series, texts = recording.texts(column)
     rows = _rows_in(series.ns, piece, len(texts))
     if not len(rows):
         raise GapError(series.column.where, f"has no row in trial {'-'.join(piece.labels) or 1}")

@@ -6,6 +6,7 @@ another type, stops with the file and the key.
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from collections.abc import Mapping as MappingOf
@@ -35,6 +36,9 @@ LABELS = ("slot", "replicate", "protocol", "mounting", "note", "muscle")
 FACTS = ("held_length_mm", "load_kg", "temperature_c", "tare_length_mm")
 _PLACE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
 _STEM = "stem"
+LONGEST_S = 3.0e9
+"""Largest time, in s: 64 bits hold three times as many nanoseconds. 1970 is half as far away."""
+LARGEST_BIT = 52
 
 
 @dataclass(frozen=True)
@@ -241,7 +245,7 @@ def read_mapping(path: Path) -> Mapping:
     time = _time(base) if base is not None else TimeBase(own=True)
     channels, commands, direction = _channels(_required(root, "channels"), time, names)
     labels, facts, order = _trials(root.table("trials"), names)
-    cut = _cut(root.table("cut"), time, channels)
+    cut = _cut(root.table("cut"), time, channels, names)
     root.close()
     mapping = Mapping(
         path, text, files, kind, layout, time, channels, commands, direction, cut, order,
@@ -302,6 +306,8 @@ def _time(table: Section, within: bool = False) -> TimeBase:
     offset = table.number("offset_s", 0.0) or 0.0
     if settled and offset:
         raise table.error("offset_s", "settled points have no time")
+    if abs(offset) > LONGEST_S:
+        raise table.error("offset_s", f"{offset:g} s is no time of a test")
     table.close()
     return TimeBase(column, unit, rate, own, settled, offset)
 
@@ -367,6 +373,8 @@ def _state(table: Section, names: set[str]) -> State:
     bit, on, above = table.count("bit"), table.scalars("on"), table.number("above")
     if sum(given is not None for given in (bit, on, above)) > 1:
         raise table.error("", "expected at most one of bit, on and above")
+    if bit is not None and bit > LARGEST_BIT:
+        raise table.error("bit", f"expected 0 to {LARGEST_BIT}, got {bit}")
     return State(_stream(table, names), bit, on, above)
 
 
@@ -408,7 +416,9 @@ def _measured(name: str, table: Section, names: set[str]) -> Measured:
     )  # fmt: skip
 
 
-def _cut(table: Section | None, time: TimeBase, channels: tuple[Measured, ...]) -> Cut:
+def _cut(
+    table: Section | None, time: TimeBase, channels: tuple[Measured, ...], names: set[str]
+) -> Cut:
     if table is None:
         return Cut()
     by = table.texts("by", ("file",))
@@ -426,9 +436,9 @@ def _cut(table: Section | None, time: TimeBase, channels: tuple[Measured, ...]) 
         one = _required(table, "edges")
         edge = one.choice("edge", ("rise", "fall", "both", "change"), "rise")
         before = one.number("before_s", 0.0) or 0.0
-        if before < 0.0:
+        if not 0.0 <= before <= LONGEST_S:
             raise one.error("before_s", f"expected 0 or more, got {before:g}")
-        edges = _state(one, {_STEM})
+        edges = _state(one, names)
         one.close()
     cycles, hysteresis, start, ends = "", 0.0, "low", "drop"
     if "cycles" in by:
@@ -498,9 +508,25 @@ def _muscle(table: Section) -> Muscle:
         where = table.where(f"calibration.{key}")
         if key not in CALIBRATION:
             raise GapError(where, "unknown key", f"known: {', '.join(CALIBRATION)}")
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
+        if not _is_number(value):
             raise GapError(where, f"expected a number, got {value!r}")
-    return Muscle(table.raw("bench"), calibration, table.positive("rest_length_mm"))
+    bench = table.raw("bench")
+    _check_bench(bench, table.where("bench"))
+    return Muscle(bench, calibration, table.positive("rest_length_mm"))
+
+
+def _is_number(value: object) -> bool:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return number and math.isfinite(value)  # type: ignore[arg-type]
+
+
+def _check_bench(table: MappingOf[str, Any], where: str) -> None:
+    """Refuse what no bench.toml holds; the plant checks names and ranges when it is read back."""
+    for key, value in table.items():
+        if isinstance(value, dict):
+            _check_bench(value, f"{where}.{key}")
+        elif not _is_number(value) and not isinstance(value, (str, bool)):
+            raise GapError(f"{where}.{key}", f"expected a number or a text, got {value!r}")
 
 
 def _muscles(root: Section) -> dict[str, Muscle]:

@@ -17,6 +17,12 @@ _AXIS = {
 }  # fmt: skip
 
 
+def check_picture(path: Path) -> None:
+    """Refuse a name that ends in no format of a picture. Raises `GapError`."""
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise GapError(str(path), "is no picture", "name it .png, .svg or .pdf")
+
+
 def draw_first_trial(data: DataSet, path: Path) -> None:
     """Draw the channels of the first trial below each other, samples as they are.
 
@@ -25,7 +31,7 @@ def draw_first_trial(data: DataSet, path: Path) -> None:
         path: .png, .svg or .pdf.
 
     Raises:
-        GapError: the file cannot be written, or its name ends in no format of a picture.
+        GapError: the file cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -47,8 +53,6 @@ def draw_first_trial(data: DataSet, path: Path) -> None:
         axis.grid(alpha=0.3)
     axes[-1].set_xlabel("row of the table (no time)" if trial.settled else "time / s")
     axes[0].set_title(f"trial {trial.name}, slot {trial.slot}", fontsize=10)
-    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise GapError(str(path), "is no picture", "name it .png, .svg or .pdf")
     try:
         figure.savefig(path, dpi=120)
     except OSError as error:

@@ -13,12 +13,19 @@ import pandas as pd
 from gap.errors import GapError
 from gap.mapping.formats.opened import open_source
 from gap.mapping.formats.source import Column, Source, Whole
-from gap.mapping.mapping import Fact, Mapping, Measured, State, Stream, TimeBase
+from gap.mapping.mapping import (
+    LONGEST_S,
+    Fact,
+    Mapping,
+    Measured,
+    State,
+    Stream,
+    TimeBase,
+)
 from gap.mapping.units import DIMENSION, ISO, conversion, time_factor_ns
 from plant.arrays import Array
 
 _PLACE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
-_LONGEST_NS = 9.0e18
 Mask = npt.NDArray[np.bool_]
 
 
@@ -107,6 +114,8 @@ class Recording:
     direction: npt.NDArray[np.int64] | None = None
     dated: bool = False
     _sources: dict[Path, Source] = field(default_factory=dict)
+    _columns: dict[tuple[Path, str], Column] = field(default_factory=dict)
+    _words: dict[tuple[Path, str], list[str]] = field(default_factory=dict)
     _times: dict[tuple[Path, TimeBase, int], Whole] = field(default_factory=dict)
     _dated: dict[bool, str] = field(default_factory=dict)
 
@@ -125,7 +134,17 @@ class Recording:
     def _column(self, path: Path, name: str) -> Column:
         if path not in self._sources:
             self._sources[path] = open_source(path, self.mapping.kind, self.mapping.layout)
-        return self._sources[path].column(name)
+        if (path, name) not in self._columns:
+            self._columns[path, name] = self._sources[path].column(name)
+        return self._columns[path, name]
+
+    def texts(self, name: str) -> tuple[Series, list[str]]:
+        """A column of the main file, and its values as texts. Raises `GapError`."""
+        series = self.series(Stream(name))
+        key = (self.found.path, name)
+        if key not in self._words:
+            self._words[key] = words(series.column)
+        return series, self._words[key]
 
     def _ns(self, path: Path, base: TimeBase, column: Column) -> Whole | None:
         """Times of a column in ns, ascending; None for settled points."""
@@ -147,6 +166,8 @@ class Recording:
             ns, dated = column.own_ns, column.dated
         elif base.rate_hz is not None:
             count = np.arange(len(column), dtype=np.float64)
+            if len(column) / base.rate_hz > LONGEST_S:
+                raise GapError(f"{named}.rate_hz", f"{base.rate_hz:g} Hz is no rate of a test")
             ns, dated = np.round(count * (1e9 / base.rate_hz)).astype(np.int64), False
         else:
             at = self._column(path, base.column)
@@ -191,7 +212,7 @@ def _nanoseconds(column: Column, unit: str) -> tuple[Whole, bool]:
     empty = np.flatnonzero(~np.isfinite(number))
     if len(empty):
         raise column.error(int(empty[0]), "has no time", "every row needs one")
-    far = np.flatnonzero(np.abs(number) > _LONGEST_NS / factor)
+    far = np.flatnonzero(np.abs(number) * (factor * 1e-9) > LONGEST_S)
     if len(far):
         raise column.error(int(far[0]), f"{number[far[0]]:g} {unit} is no time of a test")
     if values.dtype.kind == "i":

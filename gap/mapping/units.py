@@ -37,7 +37,6 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "mass": {
         "kg": (1.0, 0.0), "g": (1e-3, 0.0), "lb": (0.45359237, 0.0), "N": (1.0 / G_M_S2, 0.0),
     },
-    "number": {"1": (1.0, 0.0)},
 }  # fmt: skip
 """Unit -> (factor, addend): value in the dataset's unit = factor x value + addend."""
 RELATIVE: dict[str, tuple[float, float]] = {
@@ -57,7 +56,7 @@ _SPELLED = {"°C": "C", "degC": "C", "°F": "F", "degF": "F", "µm": "um", "μm"
 DIMENSION = {
     "supply_kpa": "pressure", "pressure_kpa": "pressure", "length_mm": "length",
     "held_length_mm": "length", "tare_length_mm": "length", "force_n": "force",
-    "temperature_c": "temperature", "load_kg": "mass", "order": "number",
+    "temperature_c": "temperature", "load_kg": "mass",
 }  # fmt: skip
 """Dimension of each number of the dataset format that a mapping can bring in."""
 

@@ -10,6 +10,7 @@ from gap.errors import GapError
 from gap.mapping.formats.source import Column, first_line, library, missing, plain, texts
 
 _NS = 1e9
+_LONGEST_S = 3e9
 
 
 class TdmsFile:
@@ -51,6 +52,10 @@ class TdmsFile:
         if not isinstance(step, (int, float)) or not step > 0.0:
             return plain(where, values)
         begin = float(channel.properties.get("wf_start_offset", 0.0))
+        if abs(begin) + len(values) * float(step) > _LONGEST_S:
+            raise GapError(
+                where, f"its waveform has steps of {step:g} s", "state column or rate_hz"
+            )
         own = np.round((begin + np.arange(len(values)) * float(step)) * _NS).astype(np.int64)
         start = channel.properties.get("wf_start_time")
         if isinstance(start, np.datetime64) and start.astype("datetime64[s]").astype(int) > 0:
