@@ -169,12 +169,16 @@ def leak(form: float, g: float, p: float, pa: float, density: float) -> float:
 
 
 @compiled
+def discharge(x: float) -> float:
+    """Coefficient of a sharp orifice over the pressure ratio (Perry 1949)."""
+    return 0.8414 + x * (-0.1002 + x * (0.8415 + x * (-3.9 + x * (4.6001 - 1.6827 * x))))
+
+
+@compiled
 def area(form: float, r: float, p1: float, p2: float) -> float:
     """Factor of a valve's conductance whose ratio is stated as r."""
     if form == 3.0:  # discharge coefficient of a sharp orifice
-        x = min(p2 / max(p1, 1.0), 1.0)
-        coefficient = 0.8414 + x * (-0.1002 + x * (0.8415 + x * (-3.9 + x * (4.6001 - 1.6827 * x))))
-        return float(1.0 + (r - 1.0) * coefficient / 0.749)
+        return float(1.0 + (r - 1.0) * discharge(min(p2 / max(p1, 1.0), 1.0)) / 0.749)
     return float(1.0 + (r - 1.0) * (1.0 + 0.0007 * (p1 - 400.0)))  # linear in supply pressure
 
 
@@ -184,13 +188,14 @@ def choking(form: float, p1: float, p2: float, ratio: float) -> float:
     if p1 <= p2:
         return 0.0
     x = p2 / p1
-    if form == 3.0:  # isentropic nozzle, its recovery stretched to the stated ratio
+    if form == 3.0:  # isentropic, stretched to the stated ratio, through a sharp orifice
         ideal = 0.5283
         if x <= ratio:
             return 1.0
         y = min(ideal + (x - ratio) * (1.0 - ideal) / (1.0 - ratio), 1.0)
         most = ideal ** (2.0 / 1.4) - ideal ** (2.4 / 1.4)
-        return float(math.sqrt(max(y ** (2.0 / 1.4) - y ** (2.4 / 1.4), 0.0) / most))
+        flow = math.sqrt(max(y ** (2.0 / 1.4) - y ** (2.4 / 1.4), 0.0) / most)
+        return float(flow * discharge(y) / discharge(ideal))
     crack = 4.0 / p1  # a check that needs some pressure to open, and a blunt passage
     x += crack
     if x >= 1.0:

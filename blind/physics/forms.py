@@ -155,7 +155,7 @@ _TABLE: dict[str, tuple[tuple[str, str], ...]] = {
         ("ellipse, m = 0.5", _ISO6358),
         ("m = 0.48", _ISO6358 + " (subsonic index)"),
         ("m = 0.53", _ISO6358 + " (subsonic index)"),
-        ("sqrt(y^1.43 - y^1.71), recovery stretched", "de Saint-Venant and Wantzel 1839"),
+        ("sqrt(y^1.43 - y^1.71) C_d(y)", "de Saint-Venant and Wantzel 1839; Perry 1949"),
         ("m = 0.58 with 4 kPa to crack", _ISO6358 + " (cracking pressure); Beater 2007"),
     ),
     "supply_droop": (

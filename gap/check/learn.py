@@ -2,14 +2,21 @@
 `gap/decision/reliability.toml`.
 
     pip install 'pamrig[learn]'
-    python -m gap.check.learn out/practice/results.jsonl ...
+    python -m gap.check.learn out/practice/results.jsonl ... --judge out/held-out/results.jsonl
 
 Learns from practice sets, and from reserved ones that have scored the diagnosis before and are
-booked in the ledger: they are no longer blind. Sets under changed conditions never teach it.
+booked in the ledger: they are no longer blind. Sets under changed conditions never teach it, nor
+do those of the campaign of held-out forms.
+
+The errors it states are those on forms and on effects that a forest has not seen: one is grown for
+each form, and for each effect, without any set that hides it. The two files are replaced only where
+the new forest is better than the shipped one on the held-out forms of `--judge`: the mean log loss
+is lower, and the 95 % interval of the difference (bootstrap over sets) does not reach zero.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import sys
@@ -25,11 +32,18 @@ from scipy.special import gammaln
 from scipy.stats import t as student
 
 from blind.seal import opened
-from blind.sets import BLOCK
+from blind.sets import BESIDE, BLOCK, HELD_OUT
 from gap.check.ledger import used_before
 from gap.check.scoring.score import parameter_row
-from gap.check.scoring.statistics import Z95
-from gap.decision.reliability import FEATURES, LEAST, OUTCOMES, Forest, features
+from gap.check.scoring.statistics import Z95, debiased_error
+from gap.decision.reliability import (
+    FEATURES,
+    LEAST,
+    OUTCOMES,
+    Forest,
+    features,
+    shipped_reliability,
+)
 from gap.errors import CheckError
 from plant.arrays import Array
 from plant.effects.catalogue import CATALOGUE
@@ -47,22 +61,37 @@ LEDGER = Path("docs/evidence/gap-check-ledger.csv")
 
 @dataclass(frozen=True)
 class Samples:
-    """Explanations: features, shape (sets, features), outcomes and weights (sets,)."""
+    """Explanations: features, shape (sets, features), outcomes and weights (sets,).
+
+    `forms` are the effects that each set hides, each with the number of its form.
+    """
 
     x: Array
     y: npt.NDArray[np.int64]
     weight: Array
+    forms: tuple[tuple[tuple[str, int], ...], ...] = ()
+
+    def without(self, left_out: npt.NDArray[np.bool_]) -> Samples:
+        """The samples that are not left out."""
+        kept = ~left_out
+        forms = tuple(f for f, keep in zip(self.forms, kept, strict=True) if keep)
+        return Samples(self.x[kept], self.y[kept], self.weight[kept], forms)
 
 
 def learnable(lines: Sequence[dict[str, Any]], ledger: Path = LEDGER) -> list[dict[str, Any]]:
     """The sets that may teach: each once, its last line; none under changed conditions.
 
     Raises:
-        CheckError: a reserved set that has not scored the diagnosis yet.
+        CheckError: a reserved set that has not scored the diagnosis yet, or a set of the campaign
+            of held-out forms.
     """
     kept = {}
     for line in lines:
         score = line["score"]
+        if score["stream"] in (HELD_OUT, BESIDE):
+            raise CheckError(
+                "learn", f"set {score['number']} of {score['stream']!r}: held-out forms never teach"
+            )
         if score["stream"] == "reserved" and not used_before(ledger, [score["number"]]):
             raise CheckError("learn", f"set {score['number']} is reserved and not in {ledger}")
         if not score["changed"]:
@@ -77,7 +106,7 @@ def samples(lines: Sequence[dict[str, Any]]) -> Samples:
     check, however many of that kind were made for practice.
     """
     kinds = [line["score"]["kind"] for line in lines]
-    x, y, weight = [], [], []
+    x, y, weight, forms = [], [], [], []
     for line in lines:
         score = line["score"]
         evidence = line["verdict"].get("evidence") or {}
@@ -95,7 +124,11 @@ def samples(lines: Sequence[dict[str, Any]]) -> Samples:
         y.append(OUTCOMES.index(outcome))
         share = kinds.count(score["kind"]) / len(kinds)
         weight.append(BLOCK.count(score["kind"]) / len(BLOCK) / share)
-    return Samples(np.array(x), np.array(y, dtype=np.int64), np.array(weight) / np.mean(weight))
+        effects = line["envelope"]["answer"]["effects"]
+        forms.append(tuple((str(e["id"]), int(e["form"])) for e in effects))
+    return Samples(
+        np.array(x), np.array(y, dtype=np.int64), np.array(weight) / np.mean(weight), tuple(forms)
+    )
 
 
 def fit(of: Samples) -> Forest:
@@ -129,11 +162,62 @@ def crossed(of: Samples) -> Array:
     fold = np.random.default_rng(0).permutation(len(of.x)) % FOLDS
     for k in range(FOLDS):
         rest = fold != k
-        forest = fit(Samples(of.x[rest], of.y[rest], of.weight[rest]))
-        for i in np.flatnonzero(~rest):
-            odds = np.maximum(forest.of(of.x[i]), LEAST)
-            made[i] = odds / odds.sum()
+        made[~rest] = answers(fit(of.without(~rest)), of.x[~rest])
     return made
+
+
+def answers(forest: Forest, x: Array) -> Array:
+    """Probabilities that a forest states, shape (sets, outcomes)."""
+    odds = np.array([np.maximum(forest.of(row), LEAST) for row in x]).reshape(-1, len(OUTCOMES))
+    return np.asarray(odds / odds.sum(axis=1, keepdims=True))
+
+
+def crossed_by(of: Samples, whole_effects: bool) -> Array:
+    """Probabilities by forests that have not met a set's form, or none of its effect's forms.
+
+    One forest for each form (or effect), grown without every set that hides it. A set that hides
+    two gets the mean of the two answers. Shape (sets, outcomes).
+    """
+    hidden = [{(e, 0 if whole_effects else form) for e, form in forms} for forms in of.forms]
+    total, count = np.zeros((len(of.x), len(OUTCOMES))), np.zeros(len(of.x))
+    for group in sorted(set().union(*hidden)):
+        out = np.array([group in one for one in hidden])
+        if not out.all():
+            total[out] += answers(fit(of.without(out)), of.x[out])
+            count[out] += 1.0
+    return np.asarray(total / np.maximum(count, 1.0)[:, None])
+
+
+def losses(of: Samples, p: Array) -> Array:
+    """Log loss of each set, shape (sets,)."""
+    return -np.log(np.maximum(p[np.arange(len(of.y)), of.y], LEAST / len(OUTCOMES)))
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Mean log loss of stated probabilities, and the calibration error of names (debiased)."""
+
+    log_loss: float
+    calibration: float
+
+    @classmethod
+    def of(cls, of: Samples, p: Array) -> Quality:
+        """Of the probabilities `p`, shape (sets, outcomes); a name is right in part or whole."""
+        loss = float(np.average(losses(of, p), weights=of.weight))
+        return cls(loss, debiased_error(p[:, 0] + p[:, 1], (of.y < 2).astype(float)))
+
+
+_DRAWS = 2000
+
+
+def better_by(of: Samples, old: Forest, new: Forest) -> tuple[float, float, float]:
+    """Mean fall of the log loss from `old` to `new`, with its 95 % interval over sets."""
+    fall = losses(of, answers(old, of.x)) - losses(of, answers(new, of.x))
+    rng = np.random.default_rng(4)
+    drawn = rng.integers(len(fall), size=(_DRAWS, len(fall)))
+    means = [float(np.average(fall[i], weights=of.weight[i])) for i in drawn]
+    low, high = np.quantile(means, [0.025, 0.975])
+    return float(np.average(fall, weights=of.weight)), float(low), float(high)
 
 
 def form_errors(lines: Sequence[dict[str, Any]]) -> dict[str, float]:
@@ -211,15 +295,43 @@ def store(forest: Forest, form: Mapping[str, float], sets: int, folder: Path) ->
     (folder / "reliability.toml").write_text(text, encoding="utf-8")
 
 
-def main(paths: Sequence[str]) -> int:
-    """Learn from results files and write the shipped reliability."""
-    read = [json.loads(text) for path in paths for text in Path(path).read_text().splitlines()]
-    lines = learnable(read)
-    of = samples(lines)
-    p = crossed(of)
+def read(paths: Sequence[Path]) -> list[dict[str, Any]]:
+    """Lines of results files."""
+    found = []
+    for path in paths:
+        try:
+            found += [json.loads(text) for text in path.read_text(encoding="utf-8").splitlines()]
+        except OSError as error:
+            raise CheckError(str(path), f"cannot be read: {error.strerror}") from None
+    return found
+
+
+def judges(lines: Sequence[dict[str, Any]]) -> Samples:
+    """Explanations of sets with held-out forms.
+
+    Raises:
+        CheckError: no such set is among the lines.
+    """
+    kept = [line for line in lines if line["score"]["stream"] == HELD_OUT]
+    if not kept:
+        raise CheckError("--judge", f"no set of the stream {HELD_OUT!r}")
+    return samples(kept)
+
+
+def report(of: Samples, p: Array) -> None:
+    """Print what the forests say of sets that they have not learnt from."""
     counts = dict(zip(OUTCOMES, np.bincount(of.y, minlength=len(OUTCOMES)).tolist(), strict=True))
-    loss = -np.average(np.log(p[np.arange(len(of.y)), of.y]), weights=of.weight)
-    print(f"{counts}, log loss of sets not learnt from {loss:.3f}")
+    print(f"{counts}")
+    for name, made in (
+        ("sets", p),
+        ("forms", crossed_by(of, whole_effects=False)),
+        ("effects", crossed_by(of, whole_effects=True)),
+    ):
+        quality = Quality.of(of, made)
+        print(
+            f"  {name} not learnt from: log loss {quality.log_loss:.3f}, "
+            f"calibration error {quality.calibration:.3f}"
+        )
     for least in (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
         # A name is wrong where nothing of it is hidden.
         sure = p[:, 0] + p[:, 1] >= least
@@ -232,7 +344,39 @@ def main(paths: Sequence[str]) -> int:
             f"unknown from {least:.1f}: {int((flagged & unknown).sum())} of {unknown.sum()}, "
             f"{int((flagged & ~unknown).sum())} of {(~unknown).sum()} in error"
         )
-    store(fit(of), form_errors(lines), len(of.x), Path(__file__).parents[1] / "decision")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Learn from results files; write the shipped reliability where it became better."""
+    parser = argparse.ArgumentParser(prog="python -m gap.check.learn", description=__doc__)
+    parser.add_argument("results", nargs="+", type=Path, help="results.jsonl of campaigns")
+    parser.add_argument("--judge", nargs="+", type=Path, help="results.jsonl of held-out forms")
+    parser.add_argument("--ledger", type=Path, default=LEDGER, help="ledger of reserved sets")
+    given = parser.parse_args(arguments)
+    try:
+        lines = learnable(read(given.results), given.ledger)
+        judge = judges(read(given.judge)) if given.judge else None
+    except CheckError as error:
+        print(error, file=sys.stderr)
+        return 2
+    of = samples(lines)
+    report(of, crossed(of))
+    if judge is None:
+        print("nothing written: no held-out forms to judge by (--judge)")
+        return 0
+    forest, old = fit(of), shipped_reliability().forest
+    for name, one in (("shipped", old), ("new", forest)):
+        quality = Quality.of(judge, answers(one, judge.x))
+        print(
+            f"held-out forms, {name}: {len(judge.y)} sets, log loss {quality.log_loss:.3f}, "
+            f"calibration error {quality.calibration:.3f}"
+        )
+    gain, low, high = better_by(judge, old, forest)
+    print(f"log loss falls by {gain:.3f} [{low:.3f}, {high:.3f}]")
+    if low <= 0.0:
+        print("nothing written: not better than the shipped one on held-out forms")
+        return 0
+    store(forest, form_errors(lines), len(of.x), Path(__file__).parents[1] / "decision")
     return 0
 
 

@@ -150,12 +150,44 @@ def table(found: Sequence[Likeness]) -> list[str]:
     return lines
 
 
+def write_page(path: Path, found: Sequence[Likeness], designs: int) -> None:
+    """Write the page of all forms with their sources."""
+    kept = sum(one.held_out for one in found)
+    same = [one for one in found if one.same]
+    lines = [
+        "# Forms of the blind bench",
+        "",
+        f"{len(found)} forms of {len({one.effect for one in found})} effects, {kept} of them held "
+        "out: practice, learning and the tests of the diagnosis never meet those. The campaign "
+        "`pamrig gap check --held-out` alone makes them, in a stream of their own. Form 0 is the "
+        "plainest; forms 1 and 2 are those of practice and reserved sets. Where two numbers run "
+        "the same equation, the effect has one more that is held out.",
+        "",
+        "The last column compares each form with the diagnosis's own forms of the effect: the "
+        "cosine of what it adds to the rows of a data set without noise, against the nearest of "
+        f"the diagnosis's columns; the smaller one of {designs} random designs, at half the usual "
+        f"strength. Above {SAME:g} on all designs it is the diagnosis's own form (same): "
+        f"{len(same)} forms, of which {sum(one.held_out for one in same)} are held out. "
+        "A small cosine does not show how well an effect can be told: an effect that shifts an "
+        "edge in time is no multiple of a column.",
+        "",
+        "```",
+        f"python -m gap.check.shapes --designs {designs} --page docs/evidence/blind-forms.md",
+        "```",
+        "",
+        *table(found),
+        "",
+    ]
+    path.write_text("\n".join(lines), encoding="utf-8")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compare all forms, print the table and write it."""
     parser = argparse.ArgumentParser(prog="python -m gap.check.shapes", description=__doc__)
     parser.add_argument("--designs", type=int, default=2, help="random designs a form (2)")
     parser.add_argument("--effects", default="", help="ids, separated by commas (all)")
     parser.add_argument("--out", type=Path, help="JSON file to write")
+    parser.add_argument("--page", type=Path, help="page to write, of all effects")
     given = parser.parse_args(arguments)
     wanted = given.effects.split(",") if given.effects else [e.id for e in CATALOGUE]
     unknown = sorted(set(wanted) - {e.id for e in CATALOGUE})
@@ -167,6 +199,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         given.out.parent.mkdir(parents=True, exist_ok=True)
         rows = [{**asdict(one), "same": one.same} for one in found]
         given.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    if given.page is not None:
+        write_page(given.page, found, given.designs)
     return 0
 
 

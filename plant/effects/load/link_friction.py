@@ -93,7 +93,7 @@ LINK_FRICTION = Effect(
             {"knee_mm_s": 10.0},
             {"travel_mm": 0.1},
             {"travel_mm": 0.5},
-            {"knee_mm_s": 0.3, "fall_mm_s": 4.0},
+            {"knee_mm_s": 0.3, "fall_mm_s": 6.0},
             {"knee_mm_s": 1.0, "step_mm": 1.5},
         ),
         free={

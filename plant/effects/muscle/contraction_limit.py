@@ -79,10 +79,10 @@ CONTRACTION_LIMIT = Effect(
         shapes=(
             {"decay_mm": 0.7},
             {"decay_mm": 1.6},
-            {"decay_mm": 3.5},
+            {"decay_mm": 3.2},
             {"decay_mm": 0.7, "pressure": 1.0},
             {"decay_mm": 1.6, "pressure": 1.0},
-            {"decay_mm": 3.5, "pressure": 1.0},
+            {"decay_mm": 3.2, "pressure": 1.0},
             {"knee_mm": 5.0},
             {"knee_mm": 5.0, "pressure": 1.0},
         ),

@@ -98,7 +98,7 @@ VISCOSITY = Effect(
             {"knee_mm_s": 40.0},
             {"power": 0.5},
             {"pressure": 1.0},
-            {"pressure": 1.0, "knee_mm_s": 20.0},
+            {"pressure": 1.0, "knee_mm_s": 17.0},
         ),
         free={"knee_mm_s": (3.0, 150.0), "power": (0.3, 1.0)},
         as_plant=same_numbers(power="exponent", pressure="pressure_share"),
