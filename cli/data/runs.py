@@ -90,19 +90,19 @@ def show(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption
 def verify(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
     """Check every byte of a record against its checksums; exit status 1 on damage."""
     from daq.store.store import find_run
-    from daq.store.verify import verify
+    from daq.store.verify import summary_of, unproven, verify
 
     found = find_run(runs, run)
     problems = verify(found)
+    note = unproven(found)
     if as_json:
         print_json(
             {
                 "run_id": found.run_id,
                 "outcome": found.outcome,
                 "sound": not problems,
-                "problems": [
-                    {"file": p.file, "offset": p.offset, "what": p.what} for p in problems
-                ],
+                "problems": summary_of(problems),
+                "unproven": note,
             }
         )
     elif not problems:
@@ -111,6 +111,8 @@ def verify(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOpti
         typer.echo(f"{found.run_id} ({found.outcome}):")
         for problem in problems:
             typer.echo(f"  {problem}")
+    if note and not as_json:
+        typer.echo(f"  {note}")
     raise typer.Exit(1 if problems else 0)
 
 

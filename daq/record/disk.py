@@ -22,6 +22,7 @@ from typing import Any
 
 from daq.errors import RecordError
 from daq.record.sealed import sync_folder, write_all
+from daq.record.written import WrittenMap
 
 RESERVE_NAME = "reserve.zero"
 RESERVE_BYTES = 65536
@@ -48,11 +49,12 @@ def disk_error(where: Path | str, doing: str, error: OSError) -> RecordError:
 
 
 class _File:
-    """An append-only file with the CRC of its content."""
+    """An append-only file with the CRC of its content; ``listed`` in the map of files."""
 
     def __init__(self, path: Path) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_BINARY", 0)
         self.path = path
+        self.listed = path.suffix == ".jsonl"
         self.fd = os.open(path, flags, 0o644)
         self.size = 0
         self.crc = 0
@@ -73,6 +75,7 @@ class Disk:
 
     Args:
         root: the run folder, which exists.
+        head: members of the first line of its map of files (:mod:`daq.record.written`).
         durable: sync once a second, and at once on request; else only at close.
         threaded: write and sync in threads.
 
@@ -82,7 +85,7 @@ class Disk:
         discarded_bytes: number of queued bytes that could not be written.
     """
 
-    def __init__(self, root: Path, durable: bool, threaded: bool) -> None:
+    def __init__(self, root: Path, head: dict[str, Any], durable: bool, threaded: bool) -> None:
         self.root = root
         self.durable = durable
         self.threaded = threaded
@@ -105,6 +108,8 @@ class Disk:
         self._threads: list[threading.Thread] = []
         with open(root / RESERVE_NAME, "xb", buffering=0) as out:
             write_all(out.fileno(), bytes(RESERVE_BYTES))
+        self.written = WrittenMap(root, head)
+        self.written.constant(RESERVE_NAME, RESERVE_BYTES)
         if threaded:
             self._start(self._write_loop, "record-writer")
             if durable:
@@ -164,6 +169,20 @@ class Disk:
         self._jobs.put(reached)
         return reached.wait(timeout_s)
 
+    def settle(self) -> None:
+        """Write and sync all queued data now.
+
+        Raises:
+            RecordError: they cannot be written.
+        """
+        if not self.drain():
+            raise RecordError(
+                str(self.root), f"the disk has not responded for {JOIN_S:.0f} s", "check the disk"
+            )
+        self._sync()
+        if self.failed is not None:
+            raise self.failed
+
     def close(self) -> dict[str, dict[str, Any]]:
         """Write, sync and close all files; returns size and CRC of each file, sorted by name.
 
@@ -200,6 +219,7 @@ class Disk:
 
     def release_reserve(self) -> None:
         """Free the space reserved for the final messages."""
+        self.written.gone(RESERVE_NAME)
         with contextlib.suppress(OSError):
             os.unlink(self.root / RESERVE_NAME)
 
@@ -227,6 +247,8 @@ class Disk:
     def _write(self, file: str, data: bytes, flags: int = 0) -> None:
         handle = self._open(file)
         handle.write(data)
+        if handle.listed:
+            self.written.put(file, handle.size, handle.crc)
         with self._sync_lock:
             self._dirty.add(handle)
             if flags & 2:
