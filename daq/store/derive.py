@@ -22,7 +22,7 @@ from daq.record.safe_read import sum_inside
 from daq.record.sealed import write_sealed
 from daq.record.segments import Columns
 from daq.store.annotations import annotation_sums
-from daq.store.run import Run, time_s
+from daq.store.run import PARTIAL, Run, time_s
 from valvefw import wire
 
 Maker = Callable[[Run, Path], object]
@@ -49,7 +49,7 @@ def derive(run: Run, makers: Iterable[Maker] = ()) -> Path:
     Raises:
         RecordError: run.json is damaged, or the folder cannot be written.
     """
-    fresh = run.folder / "derived.partial"
+    fresh = run.folder / PARTIAL
     target = run.folder / "derived"
     try:
         shutil.rmtree(fresh, ignore_errors=True)

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 INTERRUPTED = "interrupted"
 DAMAGED = "damaged"
+PARTIAL = "derived.partial"
+"""Folder of derived files until they are complete."""
 _STRANGE = "a file was exchanged, edited or cut off: `pamrig runs verify` lists all; restore it"
 
 

@@ -15,8 +15,11 @@ from daq.record.sealed import open_file
 from daq.record.written import WRITTEN, Written
 from daq.store.annotations import ANNOTATIONS, SEAL, annotations_differ, read_annotations
 from daq.store.belongs import EVENTS
-from daq.store.run import INTERRUPTED, Run, stream_of
+from daq.store.run import INTERRUPTED, PARTIAL, Run, stream_of
 from daq.store.validate import structure_error
+
+MOST_FINDINGS = 50
+"""So many are stated in reports and exports; `pamrig runs verify` states all."""
 
 
 def verify(run: Run) -> list[Problem]:
@@ -65,7 +68,10 @@ def _problems(run: Run) -> Iterator[Problem]:
         yield from _reserve_problems(folder)
     try:
         for name, size in names_inside(folder):
-            if name not in seen:
+            if name.startswith(f"{PARTIAL}/"):
+                what = "left by derived files that were not completed; the next ones replace it"
+                yield Problem(name, 0, what, size, True)
+            elif name not in seen:
                 what = "the record does not list this file, not read"
                 yield Problem(name, 0, what, size, run.outcome == INTERRUPTED)
     except RecordError as error:
@@ -174,9 +180,18 @@ def _sums(folder: Path, files: dict[str, Written], reported: set[str]) -> Iterat
             yield Problem(name, 0, "does not match the CRC of the whole file", size)
 
 
-def damage(run: Run) -> list[Problem]:
-    """As :func:`verify`, without what a kill of the process leaves unfinished."""
-    return [problem for problem in verify(run) if not problem.tail]
+def findings(run: Run) -> tuple[str, ...]:
+    """What :func:`verify` finds in a record, for whatever is made from it; derived files excepted.
+
+    The result is kept with the run, so that a record is checked once for all its readers.
+    """
+    known: tuple[str, ...] | None = run.__dict__.get("_findings")
+    if known is None:
+        found = [str(p) for p in verify(run) if not p.file.startswith("derived")]
+        if len(found) > MOST_FINDINGS:
+            found[MOST_FINDINGS:] = [f"and {len(found) - MOST_FINDINGS} more"]
+        known = run.__dict__["_findings"] = tuple(found)
+    return known
 
 
 def summary_of(problems: list[Problem]) -> list[dict[str, Any]]:
