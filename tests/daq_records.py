@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,6 @@ import numpy as np
 from daq.calibration import Calibration
 from daq.clock import VirtualClock
 from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS
-from daq.record.safe_read import sum_inside
-from daq.record.sealed import seal_file
 from daq.record.segments import Columns
 from daq.record.writer import RecordWriter
 from daq.store.run import Run
@@ -103,18 +100,3 @@ def content(run: Run) -> dict[str, Any]:
     except RecordError:
         found["wire"] = []
     return found
-
-
-def seal_anew(folder: Path) -> None:
-    """Make ``final.json`` state the files as they are now: what a maker of false records would do.
-
-    So a changed file is read as far as its content allows, past all checks of sums.
-    """
-    path = folder / "final.json"
-    fields = json.loads(path.read_bytes())
-    del fields["crc"]
-    for name in fields["files"]:
-        if (folder / name).is_file():
-            size, crc32 = sum_inside(folder, name)
-            fields["files"][name] = {"size": size, "crc32": crc32}
-    path.write_bytes(seal_file(fields))

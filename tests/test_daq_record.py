@@ -8,6 +8,7 @@ import errno
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import daq.record.disk
+from cli.protocols.terminal import record_sentence
 from daq.clock import RealClock
 from daq.errors import RecordError
 from daq.record.sealed import SealError, open_file, open_line, seal_file, seal_line
@@ -709,3 +711,37 @@ def test_the_sealed_forms_are_those_of_the_docs() -> None:
     assert line == b'{"n":0,"kind":"state","crc":"%08x"}\n' % zlib.crc32(b'{"n":0,"kind":"state"')
     whole = seal_file({"n": 0})
     assert whole == b'{\n  "n": 0,\n  "crc": "%08x"\n}\n' % zlib.crc32(b'{\n  "n": 0')
+
+
+def test_a_slow_disk_is_told_of_while_the_end_of_a_run_waits_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With 400 ms a write there was silence for 150 s."""
+    writer, clock = begin(tmp_path, threaded=True)
+    written = daq.record.disk.write_all
+
+    def slow(fd: int, data: bytes) -> None:
+        time.sleep(0.05)
+        written(fd, data)
+
+    monkeypatch.setattr(daq.record.disk, "write_all", slow)
+    monkeypatch.setattr(daq.record.disk, "TELL_S", 0.2)
+    said: list[str] = []
+    writer.on_wait = said.append
+    fill(writer, clock, 6)
+    writer.finalize("clean")
+    left = [int(text.split()[4]) for text in said]
+    assert len(left) >= 2
+    assert left == sorted(left, reverse=True)
+    assert verify(open_run(writer.folder)) == []
+
+
+def test_a_record_that_is_gone_is_not_called_safe(tmp_path: Path) -> None:
+    writer, clock = begin(tmp_path)
+    fill(writer, clock, 2)
+    writer.finalize("clean")
+    assert "checked and is sound" in record_sentence(writer.folder)
+    (writer.folder / "frames/000001.mjpg").unlink()
+    assert "frames/000001.mjpg" in record_sentence(writer.folder)
+    shutil.rmtree(writer.folder)
+    assert "no such folder" in record_sentence(writer.folder)

@@ -15,7 +15,7 @@ from bench_runs import run_bench
 from cli.main import app
 from daq.errors import RecordError
 from daq.store.run import Run, open_run
-from daq_records import seal_anew
+from fuzz.sums import seal_anew
 from gap.data.from_runs import export_runs
 from gap.data.run_trials import run_trials
 from gap.errors import GapError

@@ -58,8 +58,8 @@ from daq.store.run import Run, open_run
 from daq.store.store import list_runs, show
 from daq.store.tablefile import read_parquet
 from daq.store.verify import verify
-from daq_records import seal_anew
 from fuzz.structure import replaced, toml
+from fuzz.sums import seal_anew
 from gap.data.reader import read_dataset
 from gap.errors import GapError
 from plant.constants import load_constants

@@ -29,6 +29,8 @@ RESERVE_BYTES = 65536
 SYNC_PERIOD_S = 1.0
 QUEUE_BYTES = 64 << 20
 JOIN_S = 30.0
+TELL_S = 3.0
+"""How often a wait for the disk at the end of a run is told of."""
 DEFERRED_BYTES = 1 << 20
 """Limit of the vital data kept in memory after a failure, to be written later."""
 
@@ -183,10 +185,11 @@ class Disk:
         if self.failed is not None:
             raise self.failed
 
-    def close(self) -> dict[str, dict[str, Any]]:
+    def close(self, tell: Callable[[str], None] = lambda text: None) -> dict[str, dict[str, Any]]:
         """Write, sync and close all files; returns size and CRC of each file, sorted by name.
 
-        Waits for a slow disk as long as it makes progress.
+        Waits for a slow disk as long as it makes progress, and calls ``tell`` with how much is
+        left, every ``TELL_S`` seconds.
 
         Raises:
             RecordError: the disk does not respond any more.
@@ -196,16 +199,7 @@ class Disk:
             self._jobs.put(None)
             self._sync_wanted.set()
             for thread in self._threads:
-                done = -1
-                while thread.is_alive() and done != self._written:  # progress since last check
-                    done = self._written
-                    thread.join(JOIN_S)
-                if thread.is_alive():
-                    raise RecordError(
-                        str(self.root),
-                        f"the disk has not responded for {JOIN_S:.0f} s",
-                        "check the disk; the data on it are readable",
-                    )
+                self._join(thread, tell)
         self._write_deferred()
         self.discarded_bytes += sum(len(data) for _, data in self._deferred)
         self._dirty.update(self._files.values())
@@ -216,6 +210,23 @@ class Disk:
             name: {"size": file.size, "crc32": f"{file.crc:08x}"}
             for name, file in sorted(self._files.items())
         }
+
+    def _join(self, thread: threading.Thread, tell: Callable[[str], None]) -> None:
+        done, since_s = self._written, time.monotonic()
+        thread.join(TELL_S)
+        while thread.is_alive():
+            now_s = time.monotonic()
+            if done != self._written:  # progress since the last check
+                done, since_s = self._written, now_s
+            elif now_s - since_s > JOIN_S:
+                raise RecordError(
+                    str(self.root),
+                    f"the disk has not responded for {JOIN_S:.0f} s",
+                    "check the disk; the data on it are readable",
+                )
+            left_kb = (self._queued - self._written) / 1e3
+            tell(f"the disk is slow: {left_kb:.0f} kB of the record are still to be written")
+            thread.join(TELL_S)
 
     def release_reserve(self) -> None:
         """Free the space reserved for the final messages."""

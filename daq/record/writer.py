@@ -9,7 +9,7 @@ import contextlib
 import os
 import re
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -84,6 +84,10 @@ class RecordWriter:
         segment_rows: number of rows after which a stream starts a new segment file.
         frames_file_bytes: size after which frames start a new file.
 
+    Attributes:
+        on_wait: called with a text every few seconds while the end of the record waits for the
+            disk.
+
     Raises:
         RecordError: the folder cannot be created or written.
     """
@@ -109,6 +113,7 @@ class RecordWriter:
         self._wires: dict[str, _Indexed] = {}
         self._events = 0
         self._final: dict[str, Any] | None = None
+        self.on_wait: Callable[[str], None] = lambda text: None
         self._closed = False
         wall_ns = clock.wall_ns()
         self.folder = self._make_folder(Path(root), manifest, wall_ns)
@@ -335,7 +340,7 @@ class RecordWriter:
                     with contextlib.suppress(RecordError):
                         self._end_segment(stream)
             self._closed = True
-            files = {"run.json": self._known, **self._disk.close()}
+            files = {"run.json": self._known, **self._disk.close(self.on_wait)}
             self._close_ahead(True)
             final = self._summary(outcome, files, summary)
             try:

@@ -114,6 +114,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
         if continues:
             known["continues"] = continues
         record = RecordWriter(root, known, rig.clock, durable=not virtual, threaded=not virtual)
+        record.on_wait = watch.log
         record.stream("valve", VALVE_COLUMNS, VALVE_UNITS)
         record.stream("balance", BALANCE_SCHEMA, BALANCE_UNITS)
         error: BaseException | None = None
