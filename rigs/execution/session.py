@@ -15,6 +15,7 @@ from daq.interrupt import StopFlag, Stopped
 from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
 from daq.record.disk import check_disk
 from daq.record.writer import RecordWriter
+from rigs.bench.locks import vent_request
 from rigs.bench.rig import Rig, firmware_parameters, open_rig
 from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
 from rigs.devices.lines import LineDevice
@@ -132,7 +133,9 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
                 live.attach(rig, record, watch)
             if on_start is not None:
                 on_start(runner, record)
-            control.listen(control_file(record.folder))
+            control.listen(
+                control_file(record.folder), None if config.is_virtual else vent_request(config)
+            )
             if isinstance(rig.operator, ConsoleOperator) and sys.stdin.isatty():
                 rig.operator.on_line = control.typed
                 rig.operator.listen()
