@@ -105,8 +105,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     watch = watch or Watch()
     control = control or RunControl()
     if not config.is_virtual:
-        # The record's encoder loads it with the first batch: half a second without a heartbeat.
-        import pyarrow  # noqa: F401
+        _load(config, plan)
     with open_rig(config, bench=bench) as rig:
         virtual = rig.clock.virtual
         if kind.firmware:
@@ -123,13 +122,14 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
         camera = camera_values(config)
         runner = Runner(rig, record, stop, watch, camera, control)
         try:
+            if make_live is not None:  # starting it takes a second: before anything is recorded
+                live = make_live(record.run_id)
             _connect(rig, record, watch)
             if wire:
                 _record_bytes(rig, record)
             if plan.frames:
                 _check_camera(rig, record, camera)
-            if make_live is not None:
-                live = make_live(record.run_id)
+            if live is not None:
                 live.attach(rig, record, watch)
             if on_start is not None:
                 on_start(runner, record)
@@ -158,11 +158,21 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     return Result(record.folder, outcome, error, runner.progress.done, points)
 
 
+def _load(config: RigConfig, plan: Plan) -> None:
+    """Load what would otherwise be loaded, for seconds, on the loop that records and beats."""
+    import pyarrow  # noqa: F401 - the record's encoder, with the first batch
+
+    if plan.frames:
+        from rigs.execution import camera_sync  # noqa: F401
+        from rigs.steps.pictures import load_measuring
+
+        load_measuring(config.camera.jpeg_quality)
+
+
 def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> None:
     """Take and measure one picture before anything is armed.
 
-    It tells a covered or displaced camera before the test, and loads all that measuring
-    needs, which would otherwise make the first point late.
+    It tells a covered or displaced camera before the test.
 
     Raises:
         DeviceError: no length can be had of the picture.
