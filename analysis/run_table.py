@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,12 +12,56 @@ from analysis.reduction.points import Reduction, exclude
 from analysis.registry import analysis_of
 from daq.errors import RecordError
 from daq.store.annotations import excluded_points
+from daq.store.verify import findings
 
 if TYPE_CHECKING:
     from daq.store.run import Run
 
 INVALID_RECORD = (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError)
 """Errors of a reduction if another program wrote the record."""
+
+
+@contextmanager
+def contents_of(run: Run) -> Iterator[None]:
+    """Turn the errors of contents that no test of the protocol has into one about the record.
+
+    Raises:
+        RecordError: names the run.
+    """
+    try:
+        yield
+    except INVALID_RECORD as error:
+        raise RecordError(
+            str(run.folder),
+            "does not have the contents of a test of its protocol"
+            f" ({type(error).__name__}: {error})",
+            "the record is complete, but this version of pamrig did not write it",
+        ) from error
+
+
+def chain_of(run: Run) -> list[Run]:
+    """A run and the earlier runs that it continues, the latest first.
+
+    Raises:
+        RecordError: an earlier run is missing, or the chain is a circle.
+    """
+    chain = [run]
+    while chain[-1].manifest.get("continues"):
+        earlier = earlier_run(chain[-1])
+        if earlier.run_id in [r.run_id for r in chain]:
+            raise RecordError(str(run.folder), f"continues itself, through {earlier.run_id}")
+        chain.append(earlier)
+    return chain
+
+
+def record_findings(run: Run) -> tuple[str, ...]:
+    """What is wrong with the record of a run, and with those of the runs that it continues.
+
+    Whatever is made from a run states this; files of another run are never read at all.
+    """
+    own = findings(run)
+    others = [f"{r.run_id}: {text}" for r in chain_of(run)[1:] for text in findings(r)]
+    return (*own, *others)
 
 
 def reduce_run(run: Run) -> Reduction:
@@ -25,12 +71,7 @@ def reduce_run(run: Run) -> Reduction:
         RecordError: an earlier run is missing or damaged, or the record does not have the
             contents of a test of its protocol.
     """
-    chain = [run]
-    while chain[-1].manifest.get("continues"):
-        earlier = earlier_run(chain[-1])
-        if earlier.run_id in [r.run_id for r in chain]:
-            raise RecordError(str(run.folder), f"continues itself, through {earlier.run_id}")
-        chain.append(earlier)
+    chain = chain_of(run)
     reduction = _reduced(chain.pop())
     while chain:
         reduction = _continued(chain.pop(), reduction)
@@ -39,15 +80,8 @@ def reduce_run(run: Run) -> Reduction:
 
 def _reduced(run: Run) -> Reduction:
     """The table of a run alone."""
-    try:
+    with contents_of(run):
         return analysis_of(run.manifest.get("protocol")).reduce(run)
-    except INVALID_RECORD as error:
-        raise RecordError(
-            str(run.folder),
-            "does not have the contents of a test of its protocol"
-            f" ({type(error).__name__}: {error})",
-            "the record is complete, but this version of pamrig did not write it",
-        ) from error
 
 
 def _continued(run: Run, first: Reduction) -> Reduction:

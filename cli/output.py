@@ -7,7 +7,7 @@ import io
 import json
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
@@ -37,6 +37,12 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise PamrigError(str(path), f"cannot be written: {error}", "choose another file") from None
+
+
+def state_findings(findings: Iterable[str], run: str = "") -> None:
+    """Print what a check of a record found, if anything, as notes beside a command's result."""
+    for text in findings:
+        typer.echo(f"NOTE: the record{f' {run}' if run else ''}: {text}", err=True)
 
 
 _CONTROLS = re.compile(

@@ -5,6 +5,7 @@ A small interface to the other packages. Column names contain the units.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,13 @@ class RecordedRun:
 
     def __init__(self, run: Run) -> None:
         self.run = run
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What a check of the record found; empty for a sound record."""
+        from daq.store.verify import findings
+
+        return findings(self.run)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -77,12 +85,17 @@ class RecordedRun:
 def open_run(run: str | Path = "last", runs: str | Path = "runs") -> RecordedRun:
     """Open a run by folder, by id, by part of its id, or the last one.
 
+    The record is checked; what is wrong with it is warned of, and stands in ``problems``.
+
     Raises:
         daq.errors.RecordError: no run matches, or several do.
     """
     from daq.store.store import find_run
 
-    return RecordedRun(find_run(Path(runs), str(run)))
+    opened = RecordedRun(find_run(Path(runs), str(run)))
+    for text in opened.problems:
+        warnings.warn(f"{opened.run.run_id}: {text}", stacklevel=2)
+    return opened
 
 
 def runs(folder: str | Path = "runs") -> pd.DataFrame:

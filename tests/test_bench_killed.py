@@ -38,6 +38,32 @@ class TooSlow(Exception):
     """The run ended by itself; its argument is the bench's worst lateness in ms."""
 
 
+def lost_before_arming(folder: Path, after_s: float) -> float:
+    """Seconds of samples that a run loses which is killed so long after its first row."""
+    with bench_process(folder / "bench") as bench:
+        client = pamrig(
+            "isometric", "--rig", bench.rig, "--protocol", "isometric-short",
+            "--out", folder / "runs",
+        )  # fmt: skip
+        end = time.monotonic() + LIMIT_S
+        while not list((folder / "runs").glob("*/samples/valve/000001.arrows")):
+            assert client.poll() is None, client.communicate()
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        time.sleep(after_s)
+        assert not any(line["armed"] for line in bench.lately())
+        killed_ns = time.monotonic_ns()
+        os.kill(client.pid, signal.SIGKILL)
+        client.communicate()
+        late_ms = worst_late_ms(bench.stop())
+    run = open_run(run_folder(folder / "runs"))
+    assert run.outcome == "interrupted"
+    assert all(problem.tail for problem in verify(run)), verify(run)
+    lost_s = (killed_ns - int(run.samples("valve")["host_ns"][-1])) * 1e-9
+    print({"after_s": round(after_s, 3), "lost_s": round(lost_s, 4), "bench_late_ms": late_ms})
+    return lost_s if late_ms < STARVED_MS else 0.0
+
+
 def kill_once(folder: Path, rig: str, after_s: float) -> dict[str, float]:
     """One run killed ``after_s`` after it was armed; figures of what followed."""
     late_ms: list[float] = []
@@ -100,6 +126,16 @@ def check(figures: dict[str, float]) -> None:
         assert figures["lost_s"] <= LOST_S
     assert figures["silent_s"] <= SILENT_S
     assert figures["pressure_kpa"] < SAFE_KPA
+
+
+BEFORE_ARMING = 20 if os.environ.get("PAMRIG_CAMPAIGN") else 2
+
+
+@pytest.mark.parametrize("moment", range(BEFORE_ARMING))
+def test_killed_before_arming(tmp_path: Path, moment: int) -> None:
+    """The first picture loads and compiles what measures it, for 7.8 s on the recording loop."""
+    after_s = random.Random(300 + moment).uniform(0.0, 2.0)
+    assert lost_before_arming(tmp_path, after_s) <= LOST_S
 
 
 @pytest.mark.parametrize("moment", range(3))

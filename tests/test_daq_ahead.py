@@ -260,7 +260,7 @@ def test_a_folder_that_comes_up_meanwhile_is_no_fault(
             path.mkdir()  # the other thread, between the question and the answer
         return known
 
-    files = disk.Disk(tmp_path, durable=False, threaded=False)
+    files = disk.Disk(tmp_path, {"run_id": "a"}, durable=False, threaded=False)
     monkeypatch.setattr(Path, "exists", late)
     files.put("samples/bench.index.jsonl", b"{}\n")
     assert files.failed is None

@@ -174,4 +174,4 @@ def test_a_sealed_manifest_that_names_no_run_is_told(tmp_path: Path) -> None:
     fields = open_file(path.read_bytes())
     fields.pop("run_id")
     path.write_bytes(seal_file(fields))
-    assert any("run.json to None" in str(p) for p in verify(open_run(writer.folder)))
+    assert any("run.json, byte 0: names no run" in str(p) for p in verify(open_run(writer.folder)))

@@ -8,6 +8,7 @@ import errno
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import daq.record.disk
+from cli.protocols.terminal import record_sentence
 from daq.clock import RealClock
 from daq.errors import RecordError
 from daq.record.sealed import SealError, open_file, open_line, seal_file, seal_line
@@ -98,10 +100,13 @@ def test_segments_turn_over_and_are_plain_arrow_streams(tmp_path: Path) -> None:
     assert tables[0].schema.field("device_us").metadata == {b"unit": b"us"}
 
 
-def test_the_same_inputs_give_the_same_bytes_but_for_name_and_wall_clock(tmp_path: Path) -> None:
+def test_the_same_inputs_give_the_same_bytes_but_for_name_and_wall_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("daq.record.writer.run_name", lambda *_: "20260110T120501Z_a_b_0a1b2c")
     folders = []
-    for _ in range(2):
-        writer, clock = begin(tmp_path)
+    for root in ("first", "second"):
+        writer, clock = begin(tmp_path / root)
         fill(writer, clock)
         writer.finalize("clean")
         folders.append(writer.folder)
@@ -236,12 +241,14 @@ def test_a_torn_last_line_is_unverified_and_not_read(tmp_path: Path) -> None:
     assert [e["n"] for e in run.events] == [0, 1, 2]
     same(run.samples("valve"), valve_batch(0, 150))
     problems = verify(run)
-    assert {p.file for p in problems} == {
+    assert {p.file for p in problems if p.tail} == {
         "events.jsonl",
         "samples/valve.index.jsonl",
         "samples/valve/000001.arrows",
     }
-    assert all(p.tail for p in problems)
+    cut = [p for p in problems if not p.tail]  # the map of files knows that they were longer
+    assert [p.file for p in cut] == ["events.jsonl", "samples/valve.index.jsonl"]
+    assert all("bytes, expected" in p.what for p in cut)
 
 
 def test_one_damaged_chunk_loses_its_rows_only_and_they_are_named(tmp_path: Path) -> None:
@@ -283,7 +290,7 @@ def test_missing_and_foreign_files_are_found(tmp_path: Path) -> None:
     (writer.folder / "samples/valve/000002.arrows").write_bytes(b"")
     (writer.folder / "notes.txt").write_text("hello")
     problems = {p.file: p.what for p in verify(open_run(writer.folder))}
-    assert "cannot be read" in problems["frames/000001.mjpg"]
+    assert problems["frames/000001.mjpg"] == "missing"
     assert "has 0 of" in problems["samples/valve/000002.arrows"]
     assert "does not list" in problems["notes.txt"]
 
@@ -295,7 +302,7 @@ def test_a_whole_line_cut_out_of_the_middle_is_noticed(tmp_path: Path) -> None:
     path = writer.folder / "events.jsonl"
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:4] + lines[6:]))
-    assert any("events 4 to 5 are missing" in p.what for p in verify(open_run(writer.folder)))
+    assert any("events 3 to 4 are missing" in p.what for p in verify(open_run(writer.folder)))
 
 
 def test_what_is_no_run_says_so(tmp_path: Path) -> None:
@@ -307,8 +314,8 @@ def test_what_is_no_run_says_so(tmp_path: Path) -> None:
 # -- sealed JSON and Arrow messages ------------------------------------------
 
 values = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
-    | st.text(st.characters(codec="utf-8")),
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1)
+    | st.floats(allow_nan=False, allow_infinity=False) | st.text(st.characters(codec="utf-8")),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("abc"), inner, max_size=3),
     max_leaves=8,
 )  # fmt: skip
@@ -704,3 +711,37 @@ def test_the_sealed_forms_are_those_of_the_docs() -> None:
     assert line == b'{"n":0,"kind":"state","crc":"%08x"}\n' % zlib.crc32(b'{"n":0,"kind":"state"')
     whole = seal_file({"n": 0})
     assert whole == b'{\n  "n": 0,\n  "crc": "%08x"\n}\n' % zlib.crc32(b'{\n  "n": 0')
+
+
+def test_a_slow_disk_is_told_of_while_the_end_of_a_run_waits_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With 400 ms a write there was silence for 150 s."""
+    writer, clock = begin(tmp_path, threaded=True)
+    written = daq.record.disk.write_all
+
+    def slow(fd: int, data: bytes) -> None:
+        time.sleep(0.05)
+        written(fd, data)
+
+    monkeypatch.setattr(daq.record.disk, "write_all", slow)
+    monkeypatch.setattr(daq.record.disk, "TELL_S", 0.2)
+    said: list[str] = []
+    writer.on_wait = said.append
+    fill(writer, clock, 6)
+    writer.finalize("clean")
+    left = [int(text.split()[4]) for text in said]
+    assert len(left) >= 2
+    assert left == sorted(left, reverse=True)
+    assert verify(open_run(writer.folder)) == []
+
+
+def test_a_record_that_is_gone_is_not_called_safe(tmp_path: Path) -> None:
+    writer, clock = begin(tmp_path)
+    fill(writer, clock, 2)
+    writer.finalize("clean")
+    assert "checked and is sound" in record_sentence(writer.folder)
+    (writer.folder / "frames/000001.mjpg").unlink()
+    assert "frames/000001.mjpg" in record_sentence(writer.folder)
+    shutil.rmtree(writer.folder)
+    assert "no such folder" in record_sentence(writer.folder)

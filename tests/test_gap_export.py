@@ -15,6 +15,7 @@ from bench_runs import run_bench
 from cli.main import app
 from daq.errors import RecordError
 from daq.store.run import Run, open_run
+from fuzz.sums import seal_anew
 from gap.data.from_runs import export_runs
 from gap.data.run_trials import run_trials
 from gap.errors import GapError
@@ -159,6 +160,7 @@ def test_a_run_without_a_whole_trial_is_refused_by_name(tmp_path: Path) -> None:
     lines = (result.folder / "events.jsonl").read_bytes().splitlines(keepends=True)
     kept = [n for n in lines if b'"point"' not in n and b'"trial","phase":"end"' not in n]
     (result.folder / "events.jsonl").write_bytes(b"".join(kept))
+    seal_anew(result.folder)
     del run
     with pytest.raises(RecordError, match="no whole trial"):
         export_runs([open_run(result.folder)], tmp_path / "none")

@@ -216,7 +216,9 @@ def test_a_killed_program_leaves_a_readable_record(tmp_path: Path, seed: int) ->
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     end = time.monotonic() + 60
-    while not list((tmp_path / "runs").glob("*/events.jsonl")):
+    while not any(
+        b'"kind"' in path.read_bytes() for path in (tmp_path / "runs").glob("*/events.jsonl")
+    ):
         assert time.monotonic() < end
         time.sleep(0.05)
     time.sleep(float(np.random.default_rng(seed).uniform(0.0, 8.0)))

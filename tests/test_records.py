@@ -311,6 +311,11 @@ def broken_off(folder: Path, how: str, rounds: int, before: Run | None = None) -
         return open_run(made[-1])
 
 
+def begun(root: Path) -> list[Path]:
+    """Runs with a first event."""
+    return [p.parent for p in root.glob("*/events.jsonl") if b'"kind"' in p.read_bytes()]
+
+
 def killed(folder: Path, after_s: float, before: Run | None = None) -> Run:
     """A run (or a continuation) in a program of its own that SIGKILL ends, if it is not over."""
     root = folder / "runs"
@@ -324,7 +329,7 @@ def killed(folder: Path, after_s: float, before: Run | None = None) -> Run:
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     end = time.monotonic() + 900.0  # a busy machine is not what is tested
-    while not (new := [p.parent for p in root.glob("*/events.jsonl") if p.parent not in there]):
+    while not (new := [folder for folder in begun(root) if folder not in there]):
         assert program.poll() is None, program.communicate()
         assert time.monotonic() < end
         time.sleep(0.01)

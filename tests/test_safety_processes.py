@@ -17,7 +17,8 @@ from typing import Any
 
 import pytest
 
-from bench_process import ATTEMPTS, bench_process
+from bench_process import ATTEMPTS, bench_process, pamrig, run_folder, run_pamrig
+from daq.store.run import open_run
 
 SILENT_S = 0.350
 EMPTY_S = {"virtual": 1.5, "virtual-thesis": 0.3}
@@ -89,3 +90,28 @@ def without_its_host(folder: Path, rig: str, how: str) -> list[dict[str, Any]]:
             host.kill()
             host.wait()
             host.stdout.close()
+
+
+@pytest.mark.realtime
+def test_vent_at_any_time_also_while_a_test_holds_the_rig(tmp_path: Path) -> None:
+    """The port was held by the test, and `pamrig vent` was refused."""
+    with bench_process(tmp_path / "bench") as bench:
+        words = ("isometric", "--rig", bench.rig, "--protocol", "isometric-short", "--out")
+        client = pamrig(*words, tmp_path / "runs", stdin=subprocess.DEVNULL)
+        end = time.monotonic() + 120
+        while not any(
+            b'"kind":"armed"' in path.read_bytes()
+            for path in (tmp_path / "runs").glob("*/events.jsonl")
+        ):
+            assert time.monotonic() < end
+            assert client.poll() is None, client.communicate()
+            time.sleep(0.1)
+        done = run_pamrig("vent", "--rig", bench.rig, limit_s=120)
+        _, said = client.communicate(timeout=120)
+        assert done.returncode == 0, done.stderr
+        assert "asked it to end and vent" in done.stderr
+        assert "vented and disarmed" in done.stdout
+        assert client.returncode == 130, said
+        run = open_run(run_folder(tmp_path / "runs"))
+        assert run.outcome == "stopped"
+        assert [e for e in run.events if e["kind"] == "vented"]

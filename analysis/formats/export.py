@@ -56,12 +56,13 @@ def tables_of(run: Run) -> dict[str, pd.DataFrame]:
     """
     import pandas as pd
 
-    from analysis.run_table import reduce_run
+    from analysis.run_table import contents_of, reduce_run
     from daq.store.derive import engineering
 
     out = {"table": reduce_run(run).table}
     for stream in run.streams:
-        columns, units = engineering(run, stream)
+        with contents_of(run):
+            columns, units = engineering(run, stream)
         if columns:
             named = {with_unit(k, units.get(k, "")): v for k, v in columns.items()}
             out["samples" if stream == "valve" else stream] = pd.DataFrame(named)
@@ -143,6 +144,7 @@ def _write_mat(run: Run, tables: dict[str, pd.DataFrame], path: Path) -> None:
 
 def _about(run: Run, tables: dict[str, pd.DataFrame]) -> dict[str, Any]:
     from analysis.reporting.report import record_hash
+    from analysis.run_table import record_findings
     from daq.record.sealed import plain
 
     manifest = run.manifest
@@ -154,6 +156,7 @@ def _about(run: Run, tables: dict[str, pd.DataFrame]) -> dict[str, Any]:
             "specimen": manifest.get("specimen"),
             "started_utc": (manifest.get("started") or {}).get("utc"),
             "labels": manifest.get("labels") or [],
+            "problems": list(record_findings(run)),
             "record_sha256": record_hash(run.folder),
             "tables": {
                 name: {"rows": len(table), "columns": [str(c) for c in table]}

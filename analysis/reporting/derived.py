@@ -17,9 +17,10 @@ def derive_all(folder: Path | str) -> Run:
     """
     from analysis.reduction.points import write_table
     from analysis.reporting.report import write_report
-    from analysis.run_table import reduce_run
+    from analysis.run_table import record_findings, reduce_run
 
     run = open_run(folder)
+    record_findings(run)  # before derived files are replaced
     reduction = reduce_run(run)
 
     def table(run: Run, out: Path) -> None:

@@ -13,7 +13,7 @@ from analysis.findings.findings import Findings, Section
 from analysis.reduction.points import Reduction
 from analysis.registry import analysis_of
 from analysis.reporting.sections import figure_address, section_parts
-from analysis.run_table import reduce_run
+from analysis.run_table import contents_of, record_findings, reduce_run
 from daq.store.annotations import ANNOTATIONS, read_annotations
 
 if TYPE_CHECKING:
@@ -41,22 +41,23 @@ def report_json(
     """
     kind = analysis_of(run.manifest.get("protocol"))
     reduction = reduction or reduce_run(run)
-    findings = findings or kind.findings(run, reduction)
-    parts = findings.report_entries
-    if parts is None:
-        parts = {
-            "results": findings.data,
-            "sections": [_section_json(section) for section in findings.sections],
-        }
-    plain: dict[str, Any] = _plain(
-        {
-            **_common(run, reduction),
-            "title": kind.title,
-            "headline": findings.headline,
-            "results": None,
-            **parts,
-        }
-    )
+    with contents_of(run):
+        findings = findings or kind.findings(run, reduction)
+        parts = findings.report_entries
+        if parts is None:
+            parts = {
+                "results": findings.data,
+                "sections": [_section_json(section) for section in findings.sections],
+            }
+        plain: dict[str, Any] = _plain(
+            {
+                **_common(run, reduction),
+                "title": kind.title,
+                "headline": findings.headline,
+                "results": None,
+                **parts,
+            }
+        )
     return plain
 
 
@@ -105,7 +106,7 @@ def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
             and not (event.get("kind") == "camera_sync" and event.get("found"))
         ],
         "counters": final.get("counters"),
-        "problems": [f"{p.file} at byte {p.offset}: {p.what}" for p in run.problems],
+        "problems": list(record_findings(run)),
         "clock_fit": final.get("clock_fit") or _last(run, "clockfit"),
         "camera_sync": _last(run, "camera_sync"),
         "rig": {k: v for k, v in (manifest.get("rig") or {}).items() if k != "text"} or None,
@@ -131,9 +132,10 @@ def write_report(run: Run, out: Path | None = None, reduction: Reduction | None 
     """
     out = out or Path(run.folder) / "derived" / "report.html"
     reduction = reduction or reduce_run(run)
-    findings = analysis_of(run.manifest.get("protocol")).findings(run, reduction)
+    with contents_of(run):
+        findings = analysis_of(run.manifest.get("protocol")).findings(run, reduction)
+        timeline = None if run.manifest.get("imported") else timeline_figure(run)
     data = report_json(run, reduction, findings)
-    timeline = None if run.manifest.get("imported") else timeline_figure(run)
     html = (
         _environment()
         .get_template("report.html.j2")

@@ -67,11 +67,14 @@ def virtual(
 
 
 def vent(rig: RigOption = "virtual") -> None:
-    """Make a bench safe by hand: vent, disarm, confirm by the pressure reading."""
-    from rigs.bench.vent import vent_rig
+    """Make a bench safe by hand: vent, disarm, confirm by the pressure reading.
+
+    A test that runs on the rig is asked to end, which vents.
+    """
+    from rigs.bench.vent import vent_beside
     from rigs.rigfile.config import load_rig
 
-    pressure = vent_rig(load_rig(rig))
+    pressure = vent_beside(load_rig(rig), lambda text: typer.echo(text, err=True))
     typer.echo(f"vented and disarmed: pressure reads {pressure:.1f} kPa")
 
 

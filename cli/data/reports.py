@@ -9,7 +9,7 @@ import typer
 
 from cli.data.import_data import import_data
 from cli.options import RUNS, JsonOption, OutOption, RunArgument, RunsOption, WarmOption
-from cli.output import print_json, writing
+from cli.output import print_json, state_findings, writing
 
 
 def report(
@@ -21,6 +21,7 @@ def report(
     """Reduce a run and write its report: one self-contained HTML file."""
     from analysis.reporting.derived import derive_all
     from analysis.reporting.report import report_json
+    from analysis.run_table import record_findings
     from daq.store.store import find_run
 
     found = find_run(runs, run)
@@ -32,6 +33,7 @@ def report(
         with writing(out):
             out.write_bytes(path.read_bytes())
     typer.echo(str(out or path))
+    state_findings(record_findings(found))
 
 
 def view(run: RunArgument = "last", runs: RunsOption = RUNS) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.options import RUNS, JsonOption, RunArgument, RunsOption
-from cli.output import print_json
+from cli.output import print_json, state_findings
 from daq.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -90,19 +90,19 @@ def show(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption
 def verify(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
     """Check every byte of a record against its checksums; exit status 1 on damage."""
     from daq.store.store import find_run
-    from daq.store.verify import verify
+    from daq.store.verify import summary_of, unproven, verify
 
     found = find_run(runs, run)
     problems = verify(found)
+    note = unproven(found)
     if as_json:
         print_json(
             {
                 "run_id": found.run_id,
                 "outcome": found.outcome,
                 "sound": not problems,
-                "problems": [
-                    {"file": p.file, "offset": p.offset, "what": p.what} for p in problems
-                ],
+                "problems": summary_of(problems),
+                "unproven": note,
             }
         )
     elif not problems:
@@ -111,6 +111,8 @@ def verify(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOpti
         typer.echo(f"{found.run_id} ({found.outcome}):")
         for problem in problems:
             typer.echo(f"  {problem}")
+    if note and not as_json:
+        typer.echo(f"  {note}")
     raise typer.Exit(1 if problems else 0)
 
 
@@ -119,14 +121,18 @@ def rebuild(
 ) -> None:
     """Make everything derived from the record again: table, samples, report, view."""
     from analysis.reporting.derived import derive_all
+    from analysis.run_table import record_findings
     from daq.store.store import find_run
 
-    made = derive_all(find_run(runs, run).folder)
+    found = find_run(runs, run)
+    problems = record_findings(found)
+    made = derive_all(found.folder)
     names = sorted(p.name for p in (made.folder / "derived").iterdir())
     if as_json:
-        print_json({"run_id": made.run_id, "derived": names})
+        print_json({"run_id": made.run_id, "derived": names, "problems": list(problems)})
     else:
         typer.echo(f"{made.folder / 'derived'}: {', '.join(names)}")
+        state_findings(problems)
 
 
 def index(runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
@@ -209,15 +215,20 @@ def export(
 ) -> None:
     """Write a run's table and samples for other programs; names contain the units."""
     from analysis.formats.export import export_run
+    from analysis.run_table import record_findings
     from daq.store.store import find_run
 
     if what not in EXPORTED:
         raise ConfigError("--what", f"{what!r} is not one of {', '.join(EXPORTED)}")
-    files = [str(path) for path in export_run(find_run(runs, run), to, out, what)]
+    found = find_run(runs, run)
+    files = [str(path) for path in export_run(found, to, out, what)]
+    problems = record_findings(found)
     if as_json:
-        print_json({"files": files})
-    for path in () if as_json else files:
+        print_json({"files": files, "problems": list(problems)})
+        return
+    for path in files:
         typer.echo(path)
+    state_findings(problems)
 
 
 ANNOTATIONS = {

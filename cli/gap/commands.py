@@ -20,7 +20,7 @@ from cli.options import (
     SimulatorOption,
     WithoutOption,
 )
-from cli.output import print_json
+from cli.output import print_json, state_findings
 
 
 def add_gap(app: typer.Typer) -> None:
@@ -155,9 +155,11 @@ def export(
     found = [find_run(folder, run) for run in runs]
     made = export_runs(found, out, plant=plant, form="points" if points else "time")
     if as_json:
-        print_json({**vars(made), "folder": str(made.folder), "runs": list(made.runs)})
+        print_json({**vars(made), "folder": str(made.folder), "runs": list(made.runs),
+                    "problems": list(made.problems)})  # fmt: skip
         return
     typer.echo(
         f"{made.folder}: {made.trials} trials in {made.slots} slots, {made.rows} rows, "
         f"of {len(made.runs)} run{'s' if len(made.runs) > 1 else ''}"
     )
+    state_findings(made.problems)

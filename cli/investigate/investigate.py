@@ -170,7 +170,7 @@ def investigate(
         if result.outcome != "clean":
             error = PamrigError(
                 str(result.folder), f"the test ended {result.outcome}: {result.error}",
-                "find the cause and begin again; what was recorded is safe",
+                "find the cause and begin again; `pamrig runs verify` checks what was recorded",
             )  # fmt: skip
             if not running.runs:
                 raise error

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rigs.execution.runner import Runner, Watch
     from rigs.execution.session import Result
 
@@ -100,6 +102,21 @@ def print_outcome(result: Result) -> None:
         typer.echo(f"  because: {result.error}")
 
 
+def record_sentence(folder: Path) -> str:
+    """What a check of the record says, after table and report could not be made."""
+    from daq.errors import RecordError
+    from daq.store.run import open_run
+    from daq.store.verify import verify
+
+    try:
+        problems = verify(open_run(folder))
+    except RecordError as error:
+        return f"the record cannot be read: {error}"
+    if problems:
+        return f"a check of the record found: {problems[0]} (pamrig runs verify lists all)"
+    return f"the record was checked and is sound; later: pamrig runs rebuild {folder}"
+
+
 def print_result(result: Result, not_derived: str) -> int:
     """Print the outcome and where report and table are; returns the exit status.
 
@@ -111,7 +128,7 @@ def print_result(result: Result, not_derived: str) -> int:
     status = exit_status(result)
     if not_derived:
         typer.echo(f"  table and report could not be made: {not_derived}")
-        typer.echo(f"  the record is safe; later: pamrig runs rebuild {result.folder}")
+        typer.echo(f"  {record_sentence(result.folder)}")
         return status or 2
     typer.echo(f"  report: {result.folder / 'derived' / 'report.html'}")
     typer.echo(f"  table:  {result.folder / 'derived' / 'table.csv'}")

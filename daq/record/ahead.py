@@ -5,10 +5,11 @@ data. Until the batch is written, ``samples/STREAM.ahead`` holds its rows, in sh
 few rows each. The file is memory-mapped: the rows survive the process without a system call that
 a busy disk could delay. A finished run does not contain this file.
 
-The file has eight slots of 8 kB. The entries of one batch follow one another in one slot; zeros
-fill the rest. The writer clears the slot after the batch has gone to the operating system. An
-entry consists of ``PAhd``, the CRC-32 of the following bytes of the entry, the number of its
-first row, the number of rows, and the columns in the declared order, little-endian.
+The file begins with a sealed line that names run and stream, and zeros up to 512 bytes (records of
+format 1 have no such line). Then it has eight slots of 8 kB. The entries of one batch follow one
+another in one slot; zeros fill the rest. The writer clears the slot after the batch has gone to the
+operating system. An entry consists of ``PAhd``, the CRC-32 of the following bytes of the entry, the
+number of its first row, the number of rows, and the columns in the declared order, little-endian.
 """
 
 from __future__ import annotations
@@ -24,13 +25,15 @@ from pathlib import Path
 import numpy as np
 
 from daq.record.chunks import Problem
-from daq.record.safe_read import LARGEST_BULK, read_inside
-from daq.record.sealed import write_all
+from daq.record.safe_read import LARGEST_TEXT, read_inside
+from daq.record.sealed import open_line, seal_line, write_all
 from daq.record.segments import Columns, StreamSchema
 
 MAGIC = b"PAhd"
 SLOTS = 8
 SLOT_BYTES = 8192
+HEAD_BYTES = 512
+AHEAD_BYTES = HEAD_BYTES + SLOTS * SLOT_BYTES
 _HEAD = struct.Struct("<4sI")
 ROWS = "<qI"
 _ROWS = struct.Struct(ROWS)
@@ -67,13 +70,16 @@ class AheadFile:
         OSError: the file cannot be created.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, run_id: str, stream: str) -> None:
         self._path = path
+        head = seal_line({"run_id": run_id, "stream": stream, "ahead": SLOTS})
+        if len(head) > HEAD_BYTES:
+            raise ValueError(f"stream {stream[:40]}...: its name is too long")
         path.parent.mkdir(exist_ok=True)
         fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
         try:
-            write_all(fd, bytes(SLOTS * SLOT_BYTES))
-            self._map = mmap.mmap(fd, SLOTS * SLOT_BYTES)
+            write_all(fd, head.ljust(AHEAD_BYTES, b"\0"))
+            self._map = mmap.mmap(fd, AHEAD_BYTES)
         finally:
             os.close(fd)
         self._used = [0] * SLOTS
@@ -86,7 +92,7 @@ class AheadFile:
         if self._full or at + len(entry) > SLOT_BYTES:
             self._full = True  # a reader stops at a gap, so later entries are of no use
             return
-        begin = self._slot * SLOT_BYTES + at
+        begin = HEAD_BYTES + self._slot * SLOT_BYTES + at
         self._map[begin : begin + len(entry)] = entry
         self._used[self._slot] = at + len(entry)
 
@@ -99,7 +105,7 @@ class AheadFile:
 
     def clear(self, slot: int) -> None:
         """Fill a slot with zeros."""
-        begin, used = slot * SLOT_BYTES, self._used[slot]
+        begin, used = HEAD_BYTES + slot * SLOT_BYTES, self._used[slot]
         self._map[begin : begin + used] = bytes(used)
         self._used[slot] = 0
 
@@ -118,6 +124,7 @@ class AheadRows:
         folder: the run folder; None if there can be no such rows.
         schema: of the stream.
         rows: number of rows in batches; earlier entries are ignored.
+        run_id: of the run; "" for a record of format 1, whose file has no head.
 
     Attributes:
         columns: valid rows that no batch contains, in order; else empty arrays.
@@ -125,15 +132,18 @@ class AheadRows:
         problems: damaged bytes.
     """
 
-    def __init__(self, folder: Path | None, schema: StreamSchema, rows: int) -> None:
+    def __init__(self, folder: Path | None, schema: StreamSchema, rows: int, run_id: str) -> None:
         self.name = ahead_name(schema.name)
         self.problems: list[Problem] = []
         self.missing: list[tuple[int, int]] = []
         self._dtypes = {n: np.dtype(d).newbyteorder("<") for n, d in schema.columns.items()}
         self._row_bytes = sum(d.itemsize for d in self._dtypes.values())
-        there = folder is not None and (folder / self.name).is_file()
-        data = read_inside(folder, self.name, LARGEST_BULK) if folder and there else b""
-        found = [e for at in range(0, len(data), SLOT_BYTES) for e in self._entries(data, at)]
+        there = folder is not None and os.path.lexists(folder / self.name)
+        data = read_inside(folder, self.name, LARGEST_TEXT) if folder and there else b""
+        start = 0
+        if run_id and data:
+            start = HEAD_BYTES if self._own(data, run_id, schema.name) else len(data)
+        found = [e for at in range(start, len(data), SLOT_BYTES) for e in self._entries(data, at)]
         parts: list[Columns] = []
         for first, count, at in sorted(found):
             if first < rows:
@@ -150,6 +160,20 @@ class AheadRows:
     def __len__(self) -> int:
         """Number of rows."""
         return len(next(iter(self.columns.values())))
+
+    def _own(self, data: bytes, run_id: str, stream: str) -> bool:
+        """Whether the file is this stream's and not that of another run or stream."""
+        try:
+            head = open_line(data[: data.find(b"\n") + 1])
+        except ValueError:
+            what = "its first line does not match its CRC, not read"
+            self.problems.append(Problem(self.name, 0, what, len(data)))
+            return False
+        if (head.get("run_id"), head.get("stream")) != (run_id, stream):
+            what = f"belongs to stream {head.get('stream')} of run {head.get('run_id')}, not read"
+            self.problems.append(Problem(self.name, 0, what, len(data)))
+            return False
+        return True
 
     def _entries(self, data: bytes, at: int) -> Iterator[tuple[int, int, int]]:
         """(first row, rows, position of the columns) of each valid entry of a slot."""

@@ -22,12 +22,15 @@ from typing import Any
 
 from daq.errors import RecordError
 from daq.record.sealed import sync_folder, write_all
+from daq.record.written import WrittenMap
 
 RESERVE_NAME = "reserve.zero"
 RESERVE_BYTES = 65536
 SYNC_PERIOD_S = 1.0
 QUEUE_BYTES = 64 << 20
 JOIN_S = 30.0
+TELL_S = 3.0
+"""How often a wait for the disk at the end of a run is told of."""
 DEFERRED_BYTES = 1 << 20
 """Limit of the vital data kept in memory after a failure, to be written later."""
 
@@ -48,11 +51,12 @@ def disk_error(where: Path | str, doing: str, error: OSError) -> RecordError:
 
 
 class _File:
-    """An append-only file with the CRC of its content."""
+    """An append-only file with the CRC of its content; ``listed`` in the map of files."""
 
     def __init__(self, path: Path) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_BINARY", 0)
         self.path = path
+        self.listed = path.suffix == ".jsonl"
         self.fd = os.open(path, flags, 0o644)
         self.size = 0
         self.crc = 0
@@ -73,6 +77,7 @@ class Disk:
 
     Args:
         root: the run folder, which exists.
+        head: members of the first line of its map of files (:mod:`daq.record.written`).
         durable: sync once a second, and at once on request; else only at close.
         threaded: write and sync in threads.
 
@@ -82,7 +87,7 @@ class Disk:
         discarded_bytes: number of queued bytes that could not be written.
     """
 
-    def __init__(self, root: Path, durable: bool, threaded: bool) -> None:
+    def __init__(self, root: Path, head: dict[str, Any], durable: bool, threaded: bool) -> None:
         self.root = root
         self.durable = durable
         self.threaded = threaded
@@ -105,6 +110,8 @@ class Disk:
         self._threads: list[threading.Thread] = []
         with open(root / RESERVE_NAME, "xb", buffering=0) as out:
             write_all(out.fileno(), bytes(RESERVE_BYTES))
+        self.written = WrittenMap(root, head)
+        self.written.constant(RESERVE_NAME, RESERVE_BYTES)
         if threaded:
             self._start(self._write_loop, "record-writer")
             if durable:
@@ -164,10 +171,25 @@ class Disk:
         self._jobs.put(reached)
         return reached.wait(timeout_s)
 
-    def close(self) -> dict[str, dict[str, Any]]:
+    def settle(self) -> None:
+        """Write and sync all queued data now.
+
+        Raises:
+            RecordError: they cannot be written.
+        """
+        if not self.drain():
+            raise RecordError(
+                str(self.root), f"the disk has not responded for {JOIN_S:.0f} s", "check the disk"
+            )
+        self._sync()
+        if self.failed is not None:
+            raise self.failed
+
+    def close(self, tell: Callable[[str], None] = lambda text: None) -> dict[str, dict[str, Any]]:
         """Write, sync and close all files; returns size and CRC of each file, sorted by name.
 
-        Waits for a slow disk as long as it makes progress.
+        Waits for a slow disk as long as it makes progress, and calls ``tell`` with how much is
+        left, every ``TELL_S`` seconds.
 
         Raises:
             RecordError: the disk does not respond any more.
@@ -177,16 +199,7 @@ class Disk:
             self._jobs.put(None)
             self._sync_wanted.set()
             for thread in self._threads:
-                done = -1
-                while thread.is_alive() and done != self._written:  # progress since last check
-                    done = self._written
-                    thread.join(JOIN_S)
-                if thread.is_alive():
-                    raise RecordError(
-                        str(self.root),
-                        f"the disk has not responded for {JOIN_S:.0f} s",
-                        "check the disk; the data on it are readable",
-                    )
+                self._join(thread, tell)
         self._write_deferred()
         self.discarded_bytes += sum(len(data) for _, data in self._deferred)
         self._dirty.update(self._files.values())
@@ -198,8 +211,26 @@ class Disk:
             for name, file in sorted(self._files.items())
         }
 
+    def _join(self, thread: threading.Thread, tell: Callable[[str], None]) -> None:
+        done, since_s = self._written, time.monotonic()
+        thread.join(TELL_S)
+        while thread.is_alive():
+            now_s = time.monotonic()
+            if done != self._written:  # progress since the last check
+                done, since_s = self._written, now_s
+            elif now_s - since_s > JOIN_S:
+                raise RecordError(
+                    str(self.root),
+                    f"the disk has not responded for {JOIN_S:.0f} s",
+                    "check the disk; the data on it are readable",
+                )
+            left_kb = (self._queued - self._written) / 1e3
+            tell(f"the disk is slow: {left_kb:.0f} kB of the record are still to be written")
+            thread.join(TELL_S)
+
     def release_reserve(self) -> None:
         """Free the space reserved for the final messages."""
+        self.written.gone(RESERVE_NAME)
         with contextlib.suppress(OSError):
             os.unlink(self.root / RESERVE_NAME)
 
@@ -227,6 +258,8 @@ class Disk:
     def _write(self, file: str, data: bytes, flags: int = 0) -> None:
         handle = self._open(file)
         handle.write(data)
+        if handle.listed:
+            self.written.put(file, handle.size, handle.crc)
         with self._sync_lock:
             self._dirty.add(handle)
             if flags & 2:

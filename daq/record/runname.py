@@ -31,3 +31,8 @@ def by_start(folder: Path) -> tuple[str, str, str]:
     """Sort key of run folders: start time including the fraction of the second."""
     name = folder.name
     return name[:STAMP], name[-TAIL:], name
+
+
+def run_tag(run_id: str) -> str:
+    """The end of a run's name, which each of its events carries."""
+    return run_id[-TAIL:]

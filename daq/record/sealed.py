@@ -157,6 +157,11 @@ def open_file(data: bytes) -> dict[str, Any]:
     return _open(data, _FILE_TAIL)
 
 
+def sums(data: bytes) -> dict[str, Any]:
+    """Size and CRC-32 of a file, as ``final.json`` and other lists of files state them."""
+    return {"size": len(data), "crc32": f"{zlib.crc32(data):08x}"}
+
+
 def write_sealed(path: Path, fields: dict[str, Any], durable: bool = True) -> bytes:
     """Write a sealed file atomically (write, then rename); returns its bytes."""
     data = seal_file(fields)

@@ -82,9 +82,11 @@ class StreamSchema:
             {f.name: f.metadata[b"unit"].decode() for f in fields if f.metadata},
         )
 
-    def message(self) -> bytes:
-        """The schema message at the start of every segment."""
-        return bytes(self.arrow().serialize().to_pybytes())
+    def message(self, run_id: str) -> bytes:
+        """The schema message at the start of every segment of a run."""
+        schema = self.arrow()
+        own = {**schema.metadata, b"pamrig.run_id": run_id.encode()}
+        return bytes(schema.with_metadata(own).serialize().to_pybytes())
 
 
 class BatchEncoder:

@@ -9,7 +9,7 @@ import contextlib
 import os
 import re
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -17,17 +17,19 @@ from typing import Any
 
 from daq.clock import Clock
 from daq.errors import RecordError
-from daq.record.ahead import AheadFile, ahead_entry, ahead_name
+from daq.record.ahead import AHEAD_BYTES, AheadFile, ahead_entry, ahead_name
 from daq.record.chunks import index_line, members
 from daq.record.disk import Disk, disk_error
-from daq.record.runname import run_name, slug
-from daq.record.sealed import seal_line, sync_folder, write_sealed
+from daq.record.runname import run_name, run_tag, slug
+from daq.record.sealed import seal_file, seal_line, sums, sync_folder, write_sealed
 from daq.record.segments import END_OF_STREAM, BatchEncoder, Columns, StreamSchema
 
-SCHEMA = "pamrig-run/1"
+SCHEMA = "pamrig-run/2"
 OUTCOMES = ("clean", "stopped", "aborted", "faulted")
 SEGMENT_ROWS = 300_000  # 5 min at 1 kHz
 FRAMES_FILE_BYTES = 256 << 20
+LONGEST_NAME = 100
+"""Characters of the name of a stream or device."""
 _DECLARED_S = 1.0
 """Longest wait of a stream's first row until the stream's declaration is written, s."""
 
@@ -54,12 +56,12 @@ class _Indexed:
 
 
 class _Stream(_Indexed):
-    def __init__(self, schema: StreamSchema) -> None:
+    def __init__(self, schema: StreamSchema, run_id: str) -> None:
         name = schema.name
         super().__init__(f"samples/{name}.index.jsonl", "samples/" + name + "/{:06d}.arrows")
         self.schema = schema
         self.encoder = BatchEncoder(schema)
-        self.message = schema.message()
+        self.message = schema.message(run_id)
         self.rows = 0
         self.ahead = 0
         self.ahead_file: AheadFile | None = None
@@ -81,6 +83,10 @@ class RecordWriter:
         threaded: write and sync in threads; False for the virtual clock.
         segment_rows: number of rows after which a stream starts a new segment file.
         frames_file_bytes: size after which frames start a new file.
+
+    Attributes:
+        on_wait: called with a text every few seconds while the end of the record waits for the
+            disk.
 
     Raises:
         RecordError: the folder cannot be created or written.
@@ -107,10 +113,12 @@ class RecordWriter:
         self._wires: dict[str, _Indexed] = {}
         self._events = 0
         self._final: dict[str, Any] | None = None
+        self.on_wait: Callable[[str], None] = lambda text: None
         self._closed = False
         wall_ns = clock.wall_ns()
         self.folder = self._make_folder(Path(root), manifest, wall_ns)
         self.run_id = self.folder.name
+        self._tag = run_tag(self.run_id)
         own = {
             "schema": SCHEMA,
             "run_id": self.run_id,
@@ -121,11 +129,17 @@ class RecordWriter:
                 "virtual_clock": clock.virtual,
             },
         }
+        known = {**own, **manifest, **own}
+        self._known = sums(seal_file(known))
+        head = {"schema": SCHEMA, "run_id": self.run_id, "run_json": self._known}
         try:
-            write_sealed(self.folder / "run.json", {**own, **manifest, **own}, durable)
+            # run.json last: a folder with it has all that shows what belongs to the run.
+            self._disk = Disk(self.folder, head, durable, threaded)
+            self._disk.put("events.jsonl", seal_line({"run_id": self.run_id, "events": 2}))
+            self._disk.settle()
+            write_sealed(self.folder / "run.json", known, durable)
             if durable:
                 sync_folder(self.folder.parent)
-            self._disk = Disk(self.folder, durable, threaded)
         except OSError as error:
             raise disk_error(self.folder, "no run can be recorded here", error) from error
 
@@ -168,8 +182,9 @@ class RecordWriter:
                 if self._streams[name].schema != declared:
                     raise ValueError(f"stream {name} is already declared with other columns")
                 return
-            stream = _Stream(declared)
-            head = {"n": 0, "stream": name, "columns": declared.columns, "units": declared.units}
+            stream = _Stream(declared, self.run_id)
+            about = {"columns": declared.columns, "units": declared.units}
+            head = {"n": 0, "run_id": self.run_id, "stream": name, **about}
             self._disk.put(stream.index, seal_line(head))
             stream.n = 1
             self._streams[name] = stream
@@ -236,8 +251,10 @@ class RecordWriter:
     def _put_ahead(self, s: _Stream, entry: bytes, rows: int) -> None:
         if s.ahead_file is None:
             self._disk.drain(_DECLARED_S)  # a row is not readable without its stream's declaration
+            name = s.schema.name
             try:
-                s.ahead_file = AheadFile(self.folder / ahead_name(s.schema.name))
+                s.ahead_file = AheadFile(self.folder / ahead_name(name), self.run_id, name)
+                self._disk.written.constant(ahead_name(name), AHEAD_BYTES)
             except OSError as error:
                 raise disk_error(self.folder, "cannot be written", error) from error
         s.ahead_file.put(entry)
@@ -252,13 +269,13 @@ class RecordWriter:
 
         Does not raise after a disk failure, and still tries to write.
         """
-        taken = {"n", "t_ns", "crc"} & set(fields)
+        taken = {"n", "t_ns", "run", "crc"} & set(fields)
         if taken:
             raise ValueError(f"event {kind}: the names {sorted(taken)} are taken")
         with self._lock:
             n = self._events
             t_ns = self._clock.now_ns() - self._start_ns
-            line = seal_line({"n": n, "t_ns": t_ns, "kind": kind, **fields})
+            line = seal_line({"n": n, "t_ns": t_ns, "run": self._tag, "kind": kind, **fields})
             if not self._closed:
                 self._disk.put("events.jsonl", line, vital=True)
                 self._events += 1
@@ -269,7 +286,8 @@ class RecordWriter:
         with self._lock:
             frames = self._frames
             if frames.n == 0:
-                self._disk.put(frames.index, seal_line({"n": 0, "frames": "jpeg"}))
+                head = {"n": 0, "run_id": self.run_id, "frames": "jpeg"}
+                self._disk.put(frames.index, seal_line(head))
                 frames.n = 1
             if not frames.file or frames.offset + len(jpeg) > self._frames_file_bytes:
                 frames.next_file()
@@ -287,7 +305,8 @@ class RecordWriter:
             if wire is None:
                 _checked_name(device)
                 wire = _Indexed(f"wire/{device}.index.jsonl", f"wire/{device}.bin")
-                self._disk.put(wire.index, seal_line({"n": 0, "wire": device}))
+                head = {"n": 0, "run_id": self.run_id, "wire": device}
+                self._disk.put(wire.index, seal_line(head))
                 wire.n = 1
                 wire.next_file()
                 self._wires[device] = wire
@@ -321,7 +340,7 @@ class RecordWriter:
                     with contextlib.suppress(RecordError):
                         self._end_segment(stream)
             self._closed = True
-            files = self._disk.close()
+            files = {"run.json": self._known, **self._disk.close(self.on_wait)}
             self._close_ahead(True)
             final = self._summary(outcome, files, summary)
             try:
@@ -330,6 +349,7 @@ class RecordWriter:
                 with contextlib.suppress(OSError):
                     os.unlink(self.folder / "final.json.partial")
                 raise disk_error(self.folder, "final.json cannot be written", error) from error
+            self._disk.written.close(True)
             self._final = final
             return final
 
@@ -340,10 +360,13 @@ class RecordWriter:
                 self._closed = True
                 self._disk.close()
                 self._close_ahead(False)
+                self._disk.written.close(False)
 
     def _close_ahead(self, finished: bool) -> None:
         for stream in self._streams.values():
             if stream.ahead_file is not None:
+                if finished:
+                    self._disk.written.gone(ahead_name(stream.schema.name))
                 stream.ahead_file.close(finished)
                 stream.ahead_file = None
 
@@ -390,6 +413,7 @@ def _utc(wall_ns: int) -> str:
 
 
 def _checked_name(name: str) -> str:
-    if not _NAME.match(name):
-        raise ValueError(f"{name!r} cannot be a file name; use letters, digits, - and _")
+    if not _NAME.match(name) or len(name) > LONGEST_NAME:
+        what = f"use up to {LONGEST_NAME} letters, digits, - and _"
+        raise ValueError(f"{name[:100]!r} cannot be a file name; {what}")
     return name

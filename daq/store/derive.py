@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import zlib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,11 @@ import numpy.typing as npt
 from daq.calibration import Calibration
 from daq.link.clockfit import ClockMap
 from daq.record.disk import disk_error
+from daq.record.safe_read import sum_inside
 from daq.record.sealed import write_sealed
 from daq.record.segments import Columns
-from daq.store.run import Run, time_s
+from daq.store.annotations import annotation_sums
+from daq.store.run import PARTIAL, Run, time_s
 from valvefw import wire
 
 Maker = Callable[[Run, Path], object]
@@ -48,7 +49,7 @@ def derive(run: Run, makers: Iterable[Maker] = ()) -> Path:
     Raises:
         RecordError: run.json is damaged, or the folder cannot be written.
     """
-    fresh = run.folder / "derived.partial"
+    fresh = run.folder / PARTIAL
     target = run.folder / "derived"
     try:
         shutil.rmtree(fresh, ignore_errors=True)
@@ -76,11 +77,16 @@ def seal_folder(run: Run, folder: Path) -> None:
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if path.is_file() and name != "manifest.json":
-            data = path.read_bytes()
-            files[name] = {"size": len(data), "crc32": f"{zlib.crc32(data):08x}"}
+            size, crc32 = sum_inside(folder, name)
+            files[name] = {"size": size, "crc32": crc32}
     write_sealed(
         folder / "manifest.json",
-        {"schema": "pamrig-derived/1", "run_id": run.run_id, "files": files},
+        {
+            "schema": "pamrig-derived/2",
+            "run_id": run.belonging.run_id,
+            "annotations": annotation_sums(run.folder),
+            "files": files,
+        },
         durable=False,
     )
 

@@ -45,8 +45,8 @@ class RunInfo:
 
 def run_info(run: Run) -> RunInfo:
     """Read the line of a run from its folder."""
-    manifest = run.sealed("run.json") or {}
-    ended = (run.final or {}).get("ended", {}).get("t_ns")
+    manifest = run.run_json or {}
+    ended = ((run.final or {}).get("ended") or {}).get("t_ns")
     return RunInfo(
         run_id=run.run_id,
         started_utc=str(manifest.get("started", {}).get("utc", "")),

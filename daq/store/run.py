@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zlib
 from functools import cached_property
 from pathlib import Path
@@ -14,9 +15,12 @@ from daq.errors import RecordError
 from daq.link.transport import Chunk
 from daq.record.ahead import AheadRows
 from daq.record.chunks import ChunkIndex, Entry, Problem, drop_implausible_rows
-from daq.record.safe_read import LARGEST_BULK, path_inside, read_inside
+from daq.record.runname import run_tag
+from daq.record.safe_read import LARGEST_BULK, read_inside, read_part
 from daq.record.sealed import open_file, read_lines
 from daq.record.segments import DECODE_ERRORS, BatchDecoder, Columns, StreamSchema
+from daq.store.annotations import annotations_differ
+from daq.store.belongs import EVENTS, Belonging, belonging
 from daq.store.tablefile import read_parquet
 from daq.store.validate import structure_error
 
@@ -25,6 +29,9 @@ if TYPE_CHECKING:
 
 INTERRUPTED = "interrupted"
 DAMAGED = "damaged"
+PARTIAL = "derived.partial"
+"""Folder of derived files until they are complete."""
+_STRANGE = "a file was exchanged, edited or cut off: `pamrig runs verify` lists all; restore it"
 
 
 def open_run(path: Path | str) -> Run:
@@ -68,16 +75,45 @@ class Run:
         """The data known before the run.
 
         Raises:
-            RecordError: run.json is damaged, so its calibrations cannot be trusted.
+            RecordError: run.json is damaged, so its calibrations cannot be trusted; or it, or
+                final.json, belongs to another run.
         """
-        found = self.sealed("run.json")
+        found = self.run_json
         if found is None:
+            wrong = [p.what for p in self.problems if p.file == "run.json"]
             raise RecordError(
                 str(self.folder / "run.json"),
-                "does not match its CRC; calibrations and parameters are unreliable",
+                f"{wrong[-1] if wrong else 'missing'}; calibrations and parameters are unreliable",
                 "restore the file from a copy; samples, events and frames can still be read",
             )
+        for name, why in self.belonging.strangers.items():
+            raise RecordError(str(self.folder / name), why, _STRANGE)
         return found
+
+    @cached_property
+    def run_json(self) -> dict[str, Any] | None:
+        """Members of run.json as found, for lists and checks; None if damaged."""
+        return self.sealed("run.json")
+
+    @cached_property
+    def belonging(self) -> Belonging:
+        """Which of the files belong to this run."""
+        return belonging(self.folder, self.run_json, self.final)
+
+    @property
+    def version(self) -> int:
+        """Version of the record's format."""
+        return self.belonging.version
+
+    def refuse_stranger(self, name: str) -> None:
+        """Check that an index, or the events, belongs to this run.
+
+        Raises:
+            RecordError: it belongs to another one.
+        """
+        why = self.belonging.stranger(name)
+        if why:
+            raise RecordError(str(self.folder / name), f"{why}; not read", _STRANGE)
 
     @cached_property
     def final(self) -> dict[str, Any] | None:
@@ -87,25 +123,38 @@ class Run:
     @property
     def outcome(self) -> str:
         """``clean``, ``stopped``, ``aborted``, ``faulted``, ``interrupted`` or ``damaged``."""
-        if not (self.folder / "final.json").exists():
+        if not os.path.lexists(self.folder / "final.json"):
             return INTERRUPTED
         outcome = self.final.get("outcome") if self.final is not None else None
-        return outcome if isinstance(outcome, str) else DAMAGED
+        known = isinstance(outcome, str) and not self.belonging.strangers
+        return str(outcome) if known else DAMAGED
 
     @cached_property
     def events(self) -> list[dict[str, Any]]:
-        """All valid events in order, each with ``n``, ``t_ns`` and ``kind``."""
+        """All valid events in order, each with ``n``, ``t_ns`` and ``kind``.
+
+        Raises:
+            RecordError: the file belongs to another run.
+        """
         events: list[dict[str, Any]] = []
-        path = self.folder / "events.jsonl"
-        data = read_inside(self.folder, path.name) if path.exists() else b""
+        path = self.folder / EVENTS
+        self.refuse_stranger(path.name)
+        data = read_inside(self.folder, path.name) if os.path.lexists(path) else b""
         expected = 0
+        tag = run_tag(self.belonging.run_id) if self.version > 1 else ""
         for line in read_lines(data):
+            if line.offset == 0 and line.fields and "events" in line.fields:
+                continue  # the first line of format 2 names the run
             if line.fields is None:
                 what = "last line is torn" if line.torn else "line does not match its CRC"
                 at = Problem(path.name, line.offset, what + ", not read", len(line.raw), line.torn)
                 self.problems.append(at)
                 continue
             n = line.fields.get("n")
+            if tag and line.fields.pop("run", None) != tag:
+                what = "the CRC of the line is correct, but it is of another run; not read"
+                self.problems.append(Problem(path.name, line.offset, what, len(line.raw)))
+                continue
             if type(n) is not int or type(line.fields.get("kind")) is not str:
                 what = "the CRC of the line is correct, but it is not an event"
                 self.problems.append(Problem(path.name, line.offset, what, len(line.raw)))
@@ -192,9 +241,10 @@ class Run:
     def index(self, stream: str) -> ChunkIndex:
         """The index of a stream's segments."""
         name = f"samples/{stream}.index.jsonl"
-        if not (self.folder / name).is_file():
+        if not os.path.lexists(self.folder / name):
             there = ", ".join(self.streams) or "none"
             raise RecordError(str(self.folder), f"no stream {stream!r}; there: {there}")
+        self.refuse_stranger(name)
         index = ChunkIndex(self.folder, name)
         drop_implausible_rows(index)
         return index
@@ -254,7 +304,8 @@ class Run:
         rows = [e.fields for e in index.entries if e.fields.get("chunk") == "rows"]
         ends = [f.get("first_row", 0) + f.get("rows", 0) for f in rows]
         folder = self.folder if self.outcome == INTERRUPTED else None
-        return AheadRows(folder, schema, max(ends, default=0))
+        run_id = self.belonging.run_id if self.version > 1 else ""
+        return AheadRows(folder, schema, max(ends, default=0), run_id)
 
     def read_rows(
         self, index: ChunkIndex, decoder: BatchDecoder | None = None
@@ -295,13 +346,7 @@ class Run:
         entry = self._frame_entries.get(number)
         if entry is None:
             raise RecordError(str(self.folder), f"no frame {number} (missing or damaged)")
-        path = path_inside(self.folder, entry.file)
-        if not path.is_file():
-            raise RecordError(str(path), f"frame {number}: its file is missing")
-        with open(path, "rb") as file:
-            file.seek(entry.offset)
-            there = max(0, path.stat().st_size - entry.offset)
-            data = file.read(min(entry.length, there, LARGEST_BULK))
+        data = read_part(self.folder, entry.file, entry.offset, entry.length)
         if f"{zlib.crc32(data):08x}" != entry.crc32 or len(data) != entry.length:
             what = f"frame {number} does not match its CRC, not read"
             self.problems.append(Problem(entry.file, entry.offset, what, entry.length))
@@ -310,8 +355,9 @@ class Run:
 
     @cached_property
     def _frame_entries(self) -> dict[int, Entry]:
-        if not (self.folder / "frames.jsonl").exists():
+        if not os.path.lexists(self.folder / "frames.jsonl"):
             return {}
+        self.refuse_stranger("frames.jsonl")
         index = ChunkIndex(self.folder, "frames.jsonl")
         self.problems.extend(index.problems)
         named = [e for e in index.entries if type(e.fields.get("frame")) is int]
@@ -320,8 +366,9 @@ class Run:
     def wire(self, device: str) -> list[Chunk]:
         """Raw received bytes of a device with their host times."""
         name = f"wire/{device}.index.jsonl"
-        if not (self.folder / name).exists():
+        if not os.path.lexists(self.folder / name):
             raise RecordError(str(self.folder), f"the bytes of {device!r} were not recorded")
+        self.refuse_stranger(name)
         index = ChunkIndex(self.folder, name)
         found = [
             Chunk(c.fields["host_ns"], data[c.offset : c.offset + c.length])
@@ -359,7 +406,12 @@ class Run:
         """
         path = self.folder / "derived" / name
         remedy = f"pamrig runs rebuild {self.run_id}"
-        files = (self.sealed("derived/manifest.json") or {}).get("files")
+        manifest = self.sealed("derived/manifest.json") or {}
+        if manifest and manifest.get("run_id") != self.belonging.run_id:
+            raise RecordError(str(path), f"belongs to run {manifest.get('run_id')}", remedy)
+        if stale := annotations_differ(self.folder, manifest):
+            raise RecordError(str(path), stale, remedy)
+        files = manifest.get("files")
         listed = files.get(name) if isinstance(files, dict) else None
         if not isinstance(listed, dict) or not path.is_file():
             raise RecordError(str(path), "missing, or not listed in its manifest", remedy)
@@ -370,8 +422,7 @@ class Run:
 
     def sealed(self, name: str) -> dict[str, Any] | None:
         """Members of a sealed file of the run; None if it is missing or damaged."""
-        path = self.folder / name
-        if not path.exists():
+        if not os.path.lexists(self.folder / name):
             return None
         try:
             fields = open_file(read_inside(self.folder, name))

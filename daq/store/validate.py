@@ -20,6 +20,21 @@ TABLES = {
 MAY_BE_NULL = {"camera", "virtual", "load", "continues", "stated_uncertainty", "write_failure"}
 TEXTS = {"run.json": ("run_id", "schema", "protocol"), "final.json": ("run_id", "outcome")}
 """Members that must be text if present."""
+SCHEMAS = {"pamrig-run/1": 1, "pamrig-run/2": 2}
+"""Versions of the format that can be read."""
+LEAVES: dict[str, dict[str, tuple[type, ...]]] = {
+    "run.json": {
+        "specimen": (str,), "operator": (str,), "note": (str,), "labels": (list,),
+        "started.utc": (str,), "started.wall_ns": (int,), "started.monotonic_ns": (int,),
+        "rig.name": (str,), "rig.text": (str,), "rig.source": (str,), "continues.run_id": (str,),
+        "continues.trials": (list,), "conditions.temperature_c": (int, float),
+    },
+    "final.json": {
+        "reason": (str,), "ended.utc": (str,), "ended.t_ns": (int,), "duration_s": (int, float),
+        "frames": (int,), "events": (int,), "write_failure.what": (str,),
+    },
+}  # fmt: skip
+"""Types of members within tables, if present and not null."""
 
 
 def structure_error(name: str, fields: dict[str, Any]) -> str:
@@ -41,6 +56,11 @@ def structure_error(name: str, fields: dict[str, Any]) -> str:
     for key in TEXTS.get(name, ()):
         if key in fields and not isinstance(fields[key], str):
             return f"its {key!r} is not text"
+    schema = fields.get("schema")
+    if name in ("run.json", "final.json") and schema not in (None, *SCHEMAS):
+        return f"is of the format {schema!r}; this version reads {', '.join(SCHEMAS)}"
+    if wrong := _leaf_error(name, fields):
+        return wrong
     files = fields.get("files")
     if isinstance(files, dict) and name in ("final.json", "derived/manifest.json"):
         for file, sums in files.items():
@@ -49,4 +69,14 @@ def structure_error(name: str, fields: dict[str, Any]) -> str:
                 return f"its 'files' has no size or no CRC of {file!r}"
     if name == "final.json" and not {"run_id", "outcome", "files"} <= fields.keys():
         return "its run_id, outcome or files are missing"
+    return ""
+
+
+def _leaf_error(name: str, fields: dict[str, Any]) -> str:
+    for path, kinds in LEAVES.get(name, {}).items():
+        value: Any = fields
+        for key in path.split("."):
+            value = value.get(key) if isinstance(value, dict) else None
+        if value is not None and (isinstance(value, bool) or not isinstance(value, kinds)):
+            return f"its {path!r} is {value!r:.40}"
     return ""

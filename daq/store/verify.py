@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import zlib
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,69 +10,109 @@ from typing import Any
 from daq.errors import RecordError
 from daq.record.chunks import ChunkIndex, Problem
 from daq.record.disk import RESERVE_BYTES, RESERVE_NAME
-from daq.record.safe_read import path_inside, read_inside
+from daq.record.safe_read import names_inside, read_inside, sum_inside
 from daq.record.sealed import open_file
-from daq.store.annotations import ANNOTATIONS, read_annotations
-from daq.store.run import INTERRUPTED, Run, stream_of
+from daq.record.written import WRITTEN, Written
+from daq.store.annotations import ANNOTATIONS, SEAL, annotations_differ, read_annotations
+from daq.store.belongs import EVENTS
+from daq.store.run import INTERRUPTED, PARTIAL, Run, stream_of
 from daq.store.validate import structure_error
+
+MOST_FINDINGS = 50
+"""So many are stated in reports and exports; `pamrig runs verify` states all."""
 
 
 def verify(run: Run) -> list[Problem]:
-    """All damaged, missing, unfinished and unknown data in the run folder.
+    """All damaged, missing, exchanged, unfinished and unknown data in the run folder.
 
     The list is empty for a finished run without damage. Bytes that an interrupted run left
     unfinished have ``tail`` set; they are never read as data.
     """
-    return sorted(_problems(Run(run.folder)), key=lambda p: (p.file, p.offset))
+    return sorted(set(_problems(Run(run.folder))), key=lambda p: (p.file, p.offset, p.what))
+
+
+def unproven(run: Run) -> str:
+    """What a record of an old format cannot prove; "" for the present format."""
+    if run.version > 1:
+        return ""
+    if run.outcome == INTERRUPTED:
+        return (
+            "format 1, not finished: a file that was removed, exchanged for that of another run, "
+            "or cut off at the end of a line cannot be detected"
+        )
+    return "format 1: an exchanged run.json, or removed annotations, cannot be detected"
 
 
 def _problems(run: Run) -> Iterator[Problem]:
     folder = run.folder
-    seen = {"run.json", "final.json", "events.jsonl"}
+    seen = {"run.json", "final.json", EVENTS, WRITTEN, ANNOTATIONS, SEAL}
     found = list(_record_problems(run, seen))
     yield from found
-    final = run.final
-    if final is not None:
-        yield from _against_final(run, final, {p.file for p in found})
-        seen.update(final["files"])
-    yield from _derived_problems(folder, seen)
-    yield from _annotation_problems(folder, seen)
-    reserve = folder / RESERVE_NAME
-    if run.outcome == INTERRUPTED and reserve.exists():
-        seen.add(RESERVE_NAME)
-        if reserve.stat().st_size > RESERVE_BYTES or reserve.read_bytes().strip(b"\x00"):
-            yield Problem(RESERVE_NAME, 0, "expected zeros only")
-    for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder).as_posix()
-        if not path.is_dir() and name not in seen:
-            tail = run.outcome == INTERRUPTED
-            what = "the record does not list this file, not read"
-            yield Problem(name, 0, what, path.stat().st_size, tail)
-
-
-def _annotation_problems(folder: Path, seen: set[str]) -> Iterator[Problem]:
-    """Damage in the annotations."""
-    seen.add(ANNOTATIONS)
+    belonging = run.belonging
+    yield from belonging.problems
+    for name, why in belonging.strangers.items():
+        yield Problem(name, 0, why)
+    if belonging.lister not in belonging.strangers:
+        yield from _sums(folder, belonging.stated, {p.file for p in found if not p.tail})
+        seen.update(belonging.stated)
+    final = run.final or {}
+    if "write_failure" in final:
+        yield Problem("final.json", 0, f"writing failed: {final['write_failure'].get('what')}")
+    yield from _derived_problems(run, seen)
     try:
         read_annotations(folder)
     except RecordError as error:
         yield Problem(ANNOTATIONS, 0, error.what)
+    if run.outcome == INTERRUPTED and os.path.lexists(folder / RESERVE_NAME):
+        seen.add(RESERVE_NAME)
+        yield from _reserve_problems(folder)
+    try:
+        for name, size in names_inside(folder):
+            if name.startswith(f"{PARTIAL}/"):
+                what = "left by derived files that were not completed; the next ones replace it"
+                yield Problem(name, 0, what, size, True)
+            elif name not in seen:
+                what = "the record does not list this file, not read"
+                yield Problem(name, 0, what, size, run.outcome == INTERRUPTED)
+    except RecordError as error:
+        yield Problem("", 0, error.what)
+
+
+def _reserve_problems(folder: Path) -> Iterator[Problem]:
+    try:
+        if read_inside(folder, RESERVE_NAME, RESERVE_BYTES).strip(b"\x00"):
+            yield Problem(RESERVE_NAME, 0, "expected zeros only")
+    except RecordError as error:
+        yield Problem(RESERVE_NAME, 0, error.what)
 
 
 def _record_problems(run: Run, seen: set[str]) -> Iterator[Problem]:
     """Damage found with the CRCs of lines and chunks, for finished and interrupted runs."""
     folder = run.folder
-    run.sealed("run.json")
-    _ = run.final
-    _ = run.events
-    indexes = [run.index(stream) for stream in run.streams]
-    others = [p for p in [folder / "frames.jsonl"] if p.exists()]
-    others += sorted((folder / "wire").glob("*.index.jsonl"))
-    indexes += [ChunkIndex(folder, p.relative_to(folder).as_posix()) for p in others]
-    for index in indexes:
-        seen.add(index.index)
+    if run.run_json is None and not any(p.file == "run.json" for p in run.problems):
+        yield Problem("run.json", 0, "missing")
+    try:
+        _ = run.events
+    except RecordError as error:
+        yield Problem(EVENTS, 0, error.what)
+    names = [f"samples/{stream}.index.jsonl" for stream in run.streams]
+    names += [p for p in ("frames.jsonl",) if os.path.lexists(folder / p)]
+    names += [
+        p.relative_to(folder).as_posix() for p in sorted((folder / "wire").glob("*.index.jsonl"))
+    ]
+    for name in names:
+        seen.add(name)
+        try:
+            run.refuse_stranger(name)
+            if name.startswith("samples/"):
+                index = run.index(name.removeprefix("samples/").removesuffix(".index.jsonl"))
+            else:
+                index = ChunkIndex(folder, name)
+        except RecordError as error:
+            yield Problem(name, 0, error.what)
+            continue
         seen.update(entry.file for entry in index.entries)
-        if index.index.startswith("samples/"):
+        if name.startswith("samples/"):
             run.read_rows(index)
             seen.add(_ahead_problems(run, index))
         else:
@@ -97,58 +137,63 @@ def _ahead_problems(run: Run, index: ChunkIndex) -> str:
     return ahead.name
 
 
-def _against_final(run: Run, final: dict[str, Any], reported: set[str]) -> Iterator[Problem]:
-    """Damage found only with the sums in final.json: truncated, exchanged or missing files."""
-    started = run.sealed("run.json")
-    if started is not None and (named := started.get("run_id")) != final["run_id"]:
-        what = f"belongs to run {final['run_id']}, run.json to {named}"
-        yield Problem("final.json", 0, what)
-    yield from _sums(run.folder, final["files"], reported)
-    if "write_failure" in final:
-        yield Problem("final.json", 0, f"writing failed: {final['write_failure']['what']}")
-
-
-def _derived_problems(folder: Path, seen: set[str]) -> list[Problem]:
-    path = folder / "derived" / "manifest.json"
-    if not path.exists():
-        return []
+def _derived_problems(run: Run, seen: set[str]) -> Iterator[Problem]:
     name = "derived/manifest.json"
+    if not os.path.lexists(run.folder / name):
+        return
     seen.add(name)
+    replace = "pamrig runs rebuild replaces it"
     try:
-        fields = open_file(read_inside(folder, name))
+        fields = open_file(read_inside(run.folder, name))
         listed = fields.get("files")
     except (ValueError, RecordError):
-        return [Problem(name, 0, "does not match its CRC; pamrig runs rebuild replaces it")]
+        yield Problem(name, 0, f"does not match its CRC; {replace}")
+        return
     if not isinstance(listed, dict) or structure_error(name, fields):
-        return [Problem(name, 0, "is not a list of files; pamrig runs rebuild replaces it")]
-    files = {f"derived/{file}": sums for file, sums in listed.items()}
+        yield Problem(name, 0, f"is not a list of files; {replace}")
+        return
+    files = {
+        f"derived/{file}": Written(sums["size"], sums["crc32"], True)
+        for file, sums in listed.items()
+    }
     seen.update(files)
-    return list(_sums(folder, files, set()))
+    if fields.get("run_id") != run.belonging.run_id:
+        yield Problem(name, 0, f"belongs to run {fields.get('run_id')}; {replace}")
+    elif wrong := annotations_differ(run.folder, fields):
+        yield Problem(name, 0, f"{wrong}; {replace}")
+    yield from _sums(run.folder, files, set())
 
 
-def _sums(folder: Path, files: dict[str, dict[str, Any]], reported: set[str]) -> Iterator[Problem]:
-    for name, expected in files.items():
+def _sums(folder: Path, files: dict[str, Written], reported: set[str]) -> Iterator[Problem]:
+    """Damage found only with the sums of whole files: removed, cut off or exchanged files."""
+    for name, known in files.items():
         try:
-            path = path_inside(folder, name)
+            size, crc32 = sum_inside(folder, name, None if known.exact else known.size)
         except RecordError as error:
-            yield Problem(name, 0, error.what)
+            if error.what != "missing" or name not in reported:
+                yield Problem(name, 0, error.what)
             continue
-        if not path.is_file():
-            if name not in reported:
-                yield Problem(name, 0, "missing")
-            continue
-        size, crc = _sum(path)
-        if size != expected["size"]:
-            what = f"{size} bytes, expected {expected['size']}"
-            yield Problem(name, min(size, int(expected["size"])), what)
-        elif f"{crc:08x}" != expected["crc32"] and name not in reported:
+        if size < known.size or (known.exact and size != known.size):
+            what = f"{size} bytes, expected {known.size}"
+            yield Problem(name, min(size, known.size), what)
+        elif known.crc32 not in ("", crc32) and name not in reported:
             yield Problem(name, 0, "does not match the CRC of the whole file", size)
 
 
-def _sum(path: Path) -> tuple[int, int]:
-    size = crc = 0
-    with open(path, "rb") as file:
-        while block := file.read(1 << 20):
-            size += len(block)
-            crc = zlib.crc32(block, crc)
-    return size, crc
+def findings(run: Run) -> tuple[str, ...]:
+    """What :func:`verify` finds in a record, for whatever is made from it; derived files excepted.
+
+    The result is kept with the run, so that a record is checked once for all its readers.
+    """
+    known: tuple[str, ...] | None = run.__dict__.get("_findings")
+    if known is None:
+        found = [str(p) for p in verify(run) if not p.file.startswith("derived")]
+        if len(found) > MOST_FINDINGS:
+            found[MOST_FINDINGS:] = [f"and {len(found) - MOST_FINDINGS} more"]
+        known = run.__dict__["_findings"] = tuple(found)
+    return known
+
+
+def summary_of(problems: list[Problem]) -> list[dict[str, Any]]:
+    """Problems as plain values for JSON."""
+    return [{"file": p.file, "offset": p.offset, "what": p.what} for p in problems]

@@ -18,6 +18,7 @@ import pandas as pd
 
 from daq.errors import RecordError
 from daq.store.run import Run, open_run
+from daq.store.verify import findings
 from gap.data.dataset import DataSet
 from gap.data.reader import read_bench, read_dataset
 from gap.data.run_tables import table_trials
@@ -32,13 +33,14 @@ COLUMNS = ("trial", "slot", "replicate", "protocol", "mounting", "order", "held_
 
 @dataclass(frozen=True)
 class Exported:
-    """What an export wrote."""
+    """What an export wrote, and what a check of the records found."""
 
     folder: Path
     trials: int
     slots: int
     rows: int
     runs: tuple[str, ...]
+    problems: tuple[str, ...] = ()
 
 
 def export_runs(
@@ -65,6 +67,7 @@ def export_runs(
     """
     if not runs:
         raise GapError("export", "no run given")
+    problems = {run.run_id: findings(run) for run in runs}
     bench = _bench(runs, plant)
     calibration = _calibration(runs)
     trials: list[RunTrial] = []
@@ -76,8 +79,13 @@ def export_runs(
         tared_mm = tares(run, tared_mm)[-1][1]  # a balance keeps its tare from run to run
         for trial in own:
             trial.row["slot"] += _told_apart(run, known)
+            if problems[run.run_id]:
+                count = len(problems[run.run_id])
+                trial.row["note"] = f"{run.run_id}: {count} findings in its record"
         trials += sorted(own, key=lambda trial: float(trial.row["start_s"]))
-    return _write(folder, trials, bench, calibration, tuple(run.run_id for run in runs))
+    made = _write(folder, trials, bench, calibration, tuple(run.run_id for run in runs))
+    named = (f"{name}: {text}" for name, found in problems.items() for text in found)
+    return dataclasses.replace(made, problems=tuple(named))
 
 
 def _trials(
@@ -252,6 +260,7 @@ def open_data(path: str | Path) -> DataSet:
         return read_dataset(folder)
     with tempfile.TemporaryDirectory(prefix="pamrig-gap-") as scratch:
         made = Path(scratch) / "data"
-        export_runs([open_run(folder)], made)
+        exported = export_runs([open_run(folder)], made)
         found = read_dataset(made)
-    return dataclasses.replace(found, origin=str(folder))
+    notes = (*found.notes, *exported.problems)
+    return dataclasses.replace(found, origin=str(folder), notes=notes)

@@ -28,6 +28,10 @@ RECORD = 512
 """Bytes at the start of a lock file that say who holds it."""
 
 
+class RigInUse(PortError):
+    """Another program holds a device of the rig."""
+
+
 def lock_folder() -> Path:
     """Where the locks of this machine are."""
     return Path(os.environ.get("PAMRIG_LOCKS") or Path(tempfile.gettempdir()) / FOLDER)
@@ -52,6 +56,16 @@ def devices_of(config: RigConfig) -> dict[str, str]:
     }
 
 
+def _lock_path(where: Path, port: str) -> Path:
+    identity = port if "://" in port else os.path.realpath(port)
+    return where / f"{hashlib.sha256(identity.encode()).hexdigest()[:16]}.lock"
+
+
+def vent_request(config: RigConfig) -> Path:
+    """The file by which another program asks the test on a rig to end and vent."""
+    return _lock_path(lock_folder(), config.valve.port).with_suffix(".vent")
+
+
 @contextlib.contextmanager
 def rig_lock(config: RigConfig, folder: Path | None = None) -> Iterator[None]:
     """Hold every device of a rig against other programs; nothing for a virtual rig.
@@ -72,8 +86,7 @@ def rig_lock(config: RigConfig, folder: Path | None = None) -> Iterator[None]:
             if identity in mine:  # a rig file that names a port twice meets the port's own lock
                 continue
             mine[identity] = key
-            name = hashlib.sha256(identity.encode()).hexdigest()[:16]
-            held = _hold(where / f"{name}.lock", config, key, port)
+            held = _hold(_lock_path(where, port), config, key, port)
             if held is not None:
                 stack.callback(os.close, held)
         yield
@@ -88,7 +101,7 @@ def _hold(path: Path, config: RigConfig, key: str, port: str) -> int | None:
     if not try_lock(fd, RECORD):
         holder = _who(fd)
         os.close(fd)
-        raise PortError(
+        raise RigInUse(
             f"{config.source}: {key} = {port!r}",
             f"is in use{holder}",
             "wait for that test to end, or stop it; another rig can be used meanwhile",

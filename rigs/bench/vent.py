@@ -3,14 +3,55 @@
 from __future__ import annotations
 
 import contextlib
+import time
+from collections.abc import Callable
 
 from daq.errors import DeviceError, PamrigError
+from rigs.bench.locks import RigInUse, vent_request
 from rigs.bench.ports import Ports, open_supply
 from rigs.bench.pressure import SAFE_KPA, open_pressure_source, vent
 from rigs.bench.rig import open_valve
 from rigs.devices.pressure.solenoids import SolenoidPressure
 from rigs.devices.pressure.source import PressureSource
 from rigs.rigfile.config import RigConfig
+
+TAKEN_S = 5.0
+"""A running test looks for the request four times a second; nothing else takes it."""
+ENDED_S = 120.0
+"""A test that lowers a load before it vents may take so long."""
+
+
+def vent_beside(config: RigConfig, tell: Callable[[str], None]) -> float:
+    """As :func:`vent_rig`, also while a test of another program holds the rig.
+
+    That test is asked to end, which lowers its load and vents; then the vent is confirmed here.
+
+    Raises:
+        RigInUse: the other program is not a test, or does not end.
+        DeviceError: as :func:`vent_rig`.
+    """
+    try:
+        return vent_rig(config)
+    except RigInUse as error:
+        used = error
+    request = vent_request(config)
+    request.touch()
+    tell(f"{used.where} {used.what}; asked it to end and vent")
+    taken_s, end_s = time.monotonic() + TAKEN_S, time.monotonic() + ENDED_S
+    while time.monotonic() < end_s:
+        with contextlib.suppress(RigInUse):
+            pressure = vent_rig(config)
+            request.unlink(missing_ok=True)
+            return pressure
+        if request.exists() and time.monotonic() > taken_s:
+            break
+        time.sleep(0.2)
+    request.unlink(missing_ok=True)
+    raise RigInUse(
+        used.where,
+        f"{used.what}, which did not end",
+        "end that program (the controller then vents by itself), or shut the supply by hand",
+    )
 
 
 def vent_rig(config: RigConfig) -> float:

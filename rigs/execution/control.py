@@ -68,6 +68,7 @@ class RunControl:
         self._file: Path | None = None
         self._fd = -1
         self._read = 0
+        self._vent: Path | None = None
 
     def request(self, text: str) -> None:
         """Ask for something: a word of ``WORDS`` or its letter, then what to mark.
@@ -90,12 +91,14 @@ class RunControl:
         except ConfigError as error:
             print(error, flush=True)
 
-    def listen(self, path: Path) -> None:
+    def listen(self, path: Path, vent: Path | None = None) -> None:
         """Also take whole lines that are appended to a file, from now on.
 
         The file is locked, so that one which a killed program left behind can be told from it.
+        ``vent`` is a file whose appearance asks for the end of the test (``pamrig vent``).
         """
         clear_stale(path.parent)
+        self._vent = vent
         with contextlib.suppress(OSError):
             self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
             try_lock(self._fd, LOCK_AT)
@@ -113,6 +116,10 @@ class RunControl:
 
     def look(self) -> None:
         """Read what the file has gained; lines that ask for nothing known are left out."""
+        if self._vent is not None and self._vent.exists():
+            with contextlib.suppress(OSError):
+                self._vent.unlink()
+            self.request("stop")
         if self._file is None:
             return
         try:

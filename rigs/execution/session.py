@@ -15,6 +15,7 @@ from daq.interrupt import StopFlag, Stopped
 from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
 from daq.record.disk import check_disk
 from daq.record.writer import RecordWriter
+from rigs.bench.locks import vent_request
 from rigs.bench.rig import Rig, firmware_parameters, open_rig
 from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
 from rigs.devices.lines import LineDevice
@@ -104,8 +105,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     watch = watch or Watch()
     control = control or RunControl()
     if not config.is_virtual:
-        # The record's encoder loads it with the first batch: half a second without a heartbeat.
-        import pyarrow  # noqa: F401
+        _load(config, plan)
     with open_rig(config, bench=bench) as rig:
         virtual = rig.clock.virtual
         if kind.firmware:
@@ -114,6 +114,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
         if continues:
             known["continues"] = continues
         record = RecordWriter(root, known, rig.clock, durable=not virtual, threaded=not virtual)
+        record.on_wait = watch.log
         record.stream("valve", VALVE_COLUMNS, VALVE_UNITS)
         record.stream("balance", BALANCE_SCHEMA, BALANCE_UNITS)
         error: BaseException | None = None
@@ -121,17 +122,20 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
         camera = camera_values(config)
         runner = Runner(rig, record, stop, watch, camera, control)
         try:
+            if make_live is not None:  # starting it takes a second: before anything is recorded
+                live = make_live(record.run_id)
             _connect(rig, record, watch)
             if wire:
                 _record_bytes(rig, record)
             if plan.frames:
                 _check_camera(rig, record, camera)
-            if make_live is not None:
-                live = make_live(record.run_id)
+            if live is not None:
                 live.attach(rig, record, watch)
             if on_start is not None:
                 on_start(runner, record)
-            control.listen(control_file(record.folder))
+            control.listen(
+                control_file(record.folder), None if config.is_virtual else vent_request(config)
+            )
             if isinstance(rig.operator, ConsoleOperator) and sys.stdin.isatty():
                 rig.operator.on_line = control.typed
                 rig.operator.listen()
@@ -154,11 +158,21 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     return Result(record.folder, outcome, error, runner.progress.done, points)
 
 
+def _load(config: RigConfig, plan: Plan) -> None:
+    """Load what would otherwise be loaded, for seconds, on the loop that records and beats."""
+    import pyarrow  # noqa: F401 - the record's encoder, with the first batch
+
+    if plan.frames:
+        from rigs.execution import camera_sync  # noqa: F401
+        from rigs.steps.pictures import load_measuring
+
+        load_measuring(config.camera.jpeg_quality)
+
+
 def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> None:
     """Take and measure one picture before anything is armed.
 
-    It tells a covered or displaced camera before the test, and loads all that measuring
-    needs, which would otherwise make the first point late.
+    It tells a covered or displaced camera before the test.
 
     Raises:
         DeviceError: no length can be had of the picture.

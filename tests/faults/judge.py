@@ -84,10 +84,10 @@ class Bytes:
 
     @cached_property
     def events(self) -> list[dict[str, Any]]:
-        """Whole lines of events.jsonl."""
+        """Whole lines of events.jsonl but the first, which names the run."""
         path = self.folder / "events.jsonl"
         lines = path.read_bytes().split(b"\n") if path.exists() else []
-        return [json.loads(line) for line in lines[:-1]]
+        return [json.loads(line) for line in lines[1:-1]]
 
     @cached_property
     def final(self) -> dict[str, Any]:

@@ -50,6 +50,7 @@ from studies.simulation.scenario import load_scenario
 
 from .loop import Target
 from .structure import change_csv, change_json, change_toml
+from .sums import map_anew, seal_anew
 
 LINK = (PamrigError,)
 KEYS = (b"[", b"]", b"= ", b'"', b"{", b"}", b".", b"\n", b"[[", b"true", b"1e400", b"inf")
@@ -176,15 +177,17 @@ def _record(folder: Path, ended: bool) -> Path:
 
 
 LINES = ("events.jsonl", "samples/valve.index.jsonl", "frames.jsonl", "wire/valve.index.jsonl")
-OWN = ("annotations.jsonl", "derived/manifest.json")
+OWN = ("annotations.jsonl", "annotations.seal", "derived/manifest.json")
 ENDED = ("run.json", "final.json", *LINES, *OWN, "samples/valve/000001.arrows")
-KILLED = ("run.json", *LINES[:2], "samples/valve/000001.arrows", "samples/valve.ahead")
+KILLED = ("run.json", *LINES[:2], "samples/valve/000001.arrows", "samples/valve.ahead",
+          "written.map")  # fmt: skip
 
 
 def _folder(name: str, names: Sequence[str], ended: bool) -> Target:
     """A run folder one of whose files is an input; its first byte says which."""
     folder = _record(Path(tempfile.mkdtemp(prefix="fuzz")), ended)
     sound = {name: (folder / name).read_bytes() for name in names}
+    sums = set(json.loads(sound["final.json"])["files"]) if ended else set()
     looks: tuple[Callable[[Run], object], ...] = (
         reduce_run, lambda r: r.samples("valve"), lambda r: measured_edges(r)(r.frame_bytes(0)),
         report_json, tables_of, lambda r: r.table,
@@ -195,6 +198,10 @@ def _folder(name: str, names: Sequence[str], ended: bool) -> Target:
         path = folder / name
         path.write_bytes(data[1:])
         try:
+            if ended and name in sums:
+                seal_anew(folder)
+            elif not ended and name != "written.map":
+                map_anew(folder)
             strange = open_run(folder)
             verify(strange)
             run_info(strange)
@@ -206,7 +213,8 @@ def _folder(name: str, names: Sequence[str], ended: bool) -> Target:
                 except PamrigError:
                     continue
         finally:
-            path.write_bytes(sound[name])
+            for changed in {name, "final.json" if ended else "written.map"}:
+                (folder / changed).write_bytes(sound[changed])
 
     def seal(data: bytes) -> bytes:
         if not data:
@@ -216,11 +224,12 @@ def _folder(name: str, names: Sequence[str], ended: bool) -> Target:
             lines = [_line(line) for line in body.split(b"\n") if line]
             return data[:1] + b"".join(lines)
         at = body.rfind(b',\n  "crc"')
-        if name.endswith(".json") and at > 0:
+        if name.endswith((".json", ".seal")) and at > 0:
             return data[:1] + body[:at] + b',\n  "crc": "%08x"\n}\n' % zlib.crc32(body[:at])
         if name.endswith(".ahead") and len(body) > 8:
-            end = 20 + 20 * 10  # an entry of 20 rows of ten bytes
-            return data[:1] + b"PAhd%b" % zlib.crc32(body[8:end]).to_bytes(4, "little") + body[8:]
+            begin, end = 512 + 8, 512 + 20 + 20 * 10  # an entry of 20 rows of ten bytes
+            crc = zlib.crc32(body[begin:end]).to_bytes(4, "little")
+            return data[:1] + body[:512] + b"PAhd%b" % crc + body[begin:]
         return data
 
     def change(data: bytes, rng: random.Random) -> bytes:
@@ -236,7 +245,7 @@ def _folder(name: str, names: Sequence[str], ended: bool) -> Target:
                 fields.pop("crc", None)
                 lines[at] = _sealed_line(change_json(fields, rng))[:-1]
                 return data[:1] + b"\n".join(lines) + b"\n"
-            if name.endswith(".json"):
+            if name.endswith((".json", ".seal")):
                 fields = json.loads(body)
                 fields.pop("crc", None)
                 return data[:1] + _sealed_file(change_json(fields, rng))
