@@ -11,10 +11,12 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from analysis.reduction.points import write_table
 from analysis.run_table import reduce_run
 from bench_runs import run_bench
 from cli.main import app
 from daq.errors import RecordError
+from daq.store.derive import derive
 from daq.store.run import Run, open_run
 from gap.data.from_runs import export_runs
 from gap.data.run_trials import run_trials
@@ -31,6 +33,8 @@ COLUMNS = ["trial", "slot", "replicate", "protocol", "mounting", "order", "held_
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Any]:
     root = tmp_path_factory.mktemp("runs")
     result, _, bench = run_bench(root, repeats=2)
+    run = open_run(result.folder)
+    derive(run, [lambda run, out: write_table(reduce_run(run), out)])
     return open_run(result.folder), bench
 
 
@@ -59,7 +63,7 @@ def test_the_channels_are_those_of_the_record_in_engineering_units(
 ) -> None:
     samples = pd.read_parquet(exported / "samples.parquet")
     assert not samples.duplicated(["trial", "time_s"]).any()
-    points = reduce_run(recorded[0]).table
+    points = recorded[0].table
     for trial, rows in samples.groupby("trial"):
         own = points[points["trial"] == int(str(trial).rsplit(":", 1)[1])]
         lengths = rows["length_mm"].dropna()
@@ -115,7 +119,7 @@ def test_settled_points_alone_have_no_time_and_keep_their_direction(
 ) -> None:
     made = export_runs([recorded[0]], tmp_path / "points", form="points")
     samples = pd.read_parquet(tmp_path / "points" / "samples.parquet")
-    assert made.rows == len(reduce_run(recorded[0]).table) == len(samples)
+    assert made.rows == len(recorded[0].table) == len(samples)
     assert "time_s" not in samples
     assert set(samples["direction"]) == {"up", "down"}
 
