@@ -19,7 +19,7 @@ from tests import compiling
 HERE = Path(__file__).resolve().parent
 SMALL = "not campaign and not look"
 SIDE_BY_SIDE = ("-n", "3", "--dist", "worksteal")
-GIVES_WAY = psutil.BELOW_NORMAL_PRIORITY_CLASS if sys.platform == "win32" else 10
+GIVES_WAY = psutil.BELOW_NORMAL_PRIORITY_CLASS if sys.platform == "win32" else 5
 
 
 def pytest(*words: str) -> list[str]:

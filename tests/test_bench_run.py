@@ -11,11 +11,19 @@ import pytest
 import pamrig
 from bench_runs import quick, run_bench, run_isometric
 from daq.interrupt import StopFlag
-from daq.store.run import open_run
+from daq.store.run import Run, open_run
 from rigs.execution.runner import Watch
+from rigs.execution.session import Result
 from rigs.protocols.isometric import steps
 from rigs.rigfile.config import load_rig
 from rigs.steps.steps import Measure, SetLength, SetPressure, Tare, Vent
+from rigs.virtual.bench import VirtualBench
+
+
+@pytest.fixture(scope="module")
+def ordinary(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Run, VirtualBench]:
+    """A short test without anything special, read by several tests and changed by none."""
+    return run_bench(tmp_path_factory.mktemp("ordinary"))
 
 
 def record_of(folder: Path) -> dict[str, bytes]:
@@ -43,8 +51,10 @@ def test_another_seed_is_another_bench(tmp_path: Path) -> None:
     assert not np.array_equal(a[: len(b)], b[: len(a)])
 
 
-def test_every_point_of_the_schedule_is_there_once(tmp_path: Path) -> None:
-    result, run, _ = run_bench(tmp_path)
+def test_every_point_of_the_schedule_is_there_once(
+    ordinary: tuple[Result, Run, VirtualBench],
+) -> None:
+    result, run, _ = ordinary
     plan = quick(load_rig("virtual"))
     asked = [
         (length, place.replicate, direction, pressure)
@@ -60,16 +70,18 @@ def test_every_point_of_the_schedule_is_there_once(tmp_path: Path) -> None:
     assert result.points == plan.points == len(asked)
 
 
-def test_no_sample_is_missing(tmp_path: Path) -> None:
-    _, run, _ = run_bench(tmp_path)
+def test_no_sample_is_missing(ordinary: tuple[Result, Run, VirtualBench]) -> None:
+    _, run, _ = ordinary
     seq = run.samples("valve")["seq"]
     assert np.array_equal(seq, np.arange(seq[0], seq[0] + len(seq)))
     row = run.samples("balance")["row"]
     assert np.array_equal(row, np.arange(row[0], row[0] + len(row)))
 
 
-def test_the_run_ends_vented_disarmed_and_told(tmp_path: Path) -> None:
-    _, run, bench = run_bench(tmp_path)
+def test_the_run_ends_vented_disarmed_and_told(
+    ordinary: tuple[Result, Run, VirtualBench],
+) -> None:
+    _, run, bench = ordinary
     assert run.outcome == "clean"
     vented = [e for e in run.events if e["kind"] == "vented"]
     assert vented
@@ -78,8 +90,8 @@ def test_the_run_ends_vented_disarmed_and_told(tmp_path: Path) -> None:
     assert not bench.board.controller.safety.armed
 
 
-def test_run_json_is_written_before_arming(tmp_path: Path) -> None:
-    _, run, _ = run_bench(tmp_path)
+def test_run_json_is_written_before_arming(ordinary: tuple[Result, Run, VirtualBench]) -> None:
+    _, run, _ = ordinary
     kinds = [e["kind"] for e in run.events]
     assert kinds.index("armed") > 0
     for key in ("parameters", "calibrations", "devices", "rig", "software"):
@@ -214,8 +226,8 @@ def test_effects_of_the_rig_file_show_in_the_table(
         assert down - up > 2.0
 
 
-def test_json_of_the_record_has_no_nan(tmp_path: Path) -> None:
-    result, _, _ = run_bench(tmp_path)
+def test_json_of_the_record_has_no_nan(ordinary: tuple[Result, Run, VirtualBench]) -> None:
+    result, _, _ = ordinary
     for line in (result.folder / "events.jsonl").read_text().splitlines():
         json.loads(line, parse_constant=lambda word: pytest.fail(word))
 

@@ -11,9 +11,12 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from analysis.reduction.points import write_table
+from analysis.run_table import reduce_run
 from bench_runs import run_bench
 from cli.main import app
 from daq.errors import RecordError
+from daq.store.derive import derive
 from daq.store.run import Run, open_run
 from fuzz.sums import seal_anew
 from gap.data.from_runs import export_runs
@@ -30,7 +33,9 @@ COLUMNS = ["trial", "slot", "replicate", "protocol", "mounting", "order", "held_
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Any]:
     root = tmp_path_factory.mktemp("runs")
-    result, _, bench = run_bench(root, derive=True, repeats=2)
+    result, _, bench = run_bench(root, repeats=2)
+    run = open_run(result.folder)
+    derive(run, [lambda run, out: write_table(reduce_run(run), out)])
     return open_run(result.folder), bench
 
 
