@@ -62,7 +62,8 @@ def _sliding(points: Points, shape: Shape) -> Array:
         step = np.abs(np.diff(points.length, prepend=np.nan)) * 1e3
         step[points.first[:-1][points.first[:-1] < len(step)]] = np.inf
         come = come * -np.expm1(-step / shape["step_mm"])
-    return np.where(points.direction != 0.0, come, slip)
+    # The rows of a table of settled points are no path: only a stated direction tells.
+    return np.where(points.direction != 0.0, come, np.where(points.settled, 0.0, slip))
 
 
 LINK_FRICTION = Effect(
