@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 
 from gap.check.learn import LEAF, Samples, fit, learnable
 from gap.check.ledger import enter
-from gap.decision.reliability import FEATURES, OUTCOMES, Forest, features, shipped_reliability
+from gap.decision.reliability import (
+    FEATURES,
+    OUTCOMES,
+    Forest,
+    features,
+    for_unseen_forms,
+    shipped_reliability,
+)
 from gap.decision.traits import at_an_end
 from gap.effects.candidates import CANDIDATES
 from gap.errors import CheckError
@@ -115,3 +122,16 @@ def test_a_stand_in_is_known_by_the_end_it_was_led_to(
 
 def test_traits_become_features_in_the_order_the_forest_knows() -> None:
     assert features(TRAITS).shape == (len(FEATURES),)
+
+
+def test_an_unseen_form_may_be_further_off_than_the_few_that_were_seen() -> None:
+    """4,000 effects, each with errors of its own size: three forms foretell the fourth."""
+    rng = np.random.default_rng(5)
+    own = 0.25 * np.sqrt(6.0 / rng.chisquare(6.0, 4000))
+    seen = np.sqrt(np.mean((own[:, None] * rng.standard_normal((4000, 3))) ** 2, axis=1))
+    stated = for_unseen_forms({str(k): float(s) for k, s in enumerate(seen)})
+    unseen = own * rng.standard_normal(4000)
+    inside = np.abs(unseen) < 1.96 * np.array(list(stated.values()))
+    alone = np.abs(unseen) < 1.96 * seen
+    assert 0.95 < inside.mean() < 0.99
+    assert alone.mean() < 0.9

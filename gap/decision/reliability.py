@@ -18,6 +18,8 @@ from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from plant.arrays import Array
 
@@ -31,6 +33,10 @@ FEATURES = (
 )  # fmt: skip
 LEAST = 0.01
 """Least probability of an outcome: no forest has seen everything."""
+FORMS_SEEN = 3
+"""Forms of each effect that the shipped errors were learnt on."""
+FORMS_SHARED = 3
+"""Forms that the mean over all effects counts for: as much as an effect's own."""
 _FORM, _FOREST = "reliability.toml", "reliability.npz"
 _MOST = 1e8
 """Margins from here on say that no rival was near enough to be fitted."""
@@ -112,7 +118,8 @@ class Forest:
 class Reliability:
     """The forest, and what an entry's true form may do to its headline.
 
-    `form` is the error (1 sd) of the logarithm of an entry's headline that its true form brings.
+    `form` is the error (1 sd) of the logarithm of an entry's headline that its true form brings,
+    a form that nobody has seen included.
     """
 
     forest: Forest
@@ -142,4 +149,24 @@ def shipped_reliability() -> Reliability:
             stored["right"].astype(np.int64),
             stored["odds"].astype(np.float64),
         )
-    return Reliability(forest, dict(table["form"]))
+    return Reliability(forest, for_unseen_forms(table["form"]))
+
+
+def for_unseen_forms(seen: Mapping[str, float]) -> dict[str, float]:
+    """Errors (1 sd, of the logarithm) that an unseen form of each effect may bring.
+
+    What was learnt on many sets with few forms states how far those few forms are off. The next
+    form is another draw: its error has as many degrees of freedom as there were forms, and is drawn
+    towards the mean over all effects by as many more (Smyth, Stat. Appl. Genet. Mol. Biol. 3 (2004)
+    3, with a form as the unit instead of a set). Given as the normal law that is as wide at 95 %.
+
+    Args:
+        seen: error that the seen forms of each effect brought.
+    """
+    shared = float(np.mean(np.square(list(seen.values()))))
+    freedom = FORMS_SEEN + FORMS_SHARED
+    wider = float(student.ppf(0.975, freedom) / norm.ppf(0.975))
+    return {
+        name: wider * float(np.sqrt((FORMS_SEEN * own**2 + FORMS_SHARED * shared) / freedom))
+        for name, own in seen.items()
+    }
