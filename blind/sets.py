@@ -25,8 +25,11 @@ from blind.recalibrate import Recalibration
 Rng = np.random.Generator
 STREAMS = {
     "practice": 101, "reserved": 202, "smoke": 303, "live": 404, "held_out": 505, "beside": 505,
+    "several": 606,
 }  # fmt: skip
-HELD_OUT, BESIDE = "held_out", "beside"
+HELD_OUT, BESIDE, SEVERAL = "held_out", "beside", "several"
+MOST_AT_ONCE, LEAST_AT_ONCE = 5, 3
+"""Effects of a set of the stream `several`, each of a family of its own."""
 BLOCK = (
     ["nominal"] * 10 + ["single"] * 25 + ["pair"] * 5 + ["outside"] * 5
     + ["degenerate"] * 3 + ["unfit"] * 2 + ["left_out"] * 10
@@ -151,6 +154,19 @@ def choose(kind: str, count: int, rng: Rng) -> tuple[list[str], float | None]:
     return [], None
 
 
+def choose_several(rng: Rng) -> tuple[list[str], list[float]]:
+    """Ids of several effects of as many families, and the size of each in floors."""
+    wanted = int(rng.integers(LEAST_AT_ONCE, MOST_AT_ONCE + 1))
+    ids: list[str] = []
+    families: set[str] = set()
+    for at in rng.permutation(len(CATALOGUE)).tolist():
+        entry = CATALOGUE[at]
+        if len(ids) < wanted and entry.family not in families:
+            ids.append(entry.id)
+            families.add(entry.family)
+    return ids, [float(x) for x in rng.choice(MAGNITUDES[1:], wanted)]
+
+
 class HeldOutStreamError(ValueError):
     """A set of the stream of held-out forms was asked for, and not by the campaign."""
 
@@ -170,8 +186,14 @@ def blind_set(stream: str, number: int, small: bool = False, held_out: bool = Fa
         )
     rng = np.random.default_rng(np.random.SeedSequence([STREAMS[stream], number]))
     kind, count = kind_and_count(number)
-    ids, aim = choose(kind, count, rng)
-    changed = stream in ("reserved", "live") and number % 3 == 2
+    if stream == SEVERAL:
+        kind = "several"
+        ids, aims = choose_several(rng)
+        aim = None
+    else:
+        ids, aim = choose(kind, count, rng)
+        aims = [] if aim is None else [aim] * len(ids)
+    changed = stream == SEVERAL or (stream in ("reserved", "live") and number % 3 == 2)
     # Plain sets are designed for some effect too, so that the design gives nothing away.
     decoy = [CATALOGUE[int(rng.integers(len(CATALOGUE)))].id]
     needs = [ENTRIES[i].needs for i in (ids or decoy)]
@@ -186,10 +208,10 @@ def blind_set(stream: str, number: int, small: bool = False, held_out: bool = Fa
     measured: dict[str, object] = {}
     if ids:
         recalibration = Recalibration(design, noise)
-        for name in ids:
+        for place, name in enumerate(ids):
             one = draw(ENTRIES[name], rng, design.stated, held_out=stream == HELD_OUT)
-            if aim is not None:
-                one = sized(one, aim, recalibration, design)
+            if aims:
+                one = sized(one, aims[place], recalibration, design)
             hidden.append(one)
         measured = measure(recalibration, hidden)
     defect = DEFECTS[count % len(DEFECTS)] if kind == "unfit" else None

@@ -184,8 +184,9 @@ def page(outcomes: list[Outcome]) -> str:
     ]  # fmt: skip
     for outcome in outcomes:
         lines += [f"## {outcome.name}", "", "By hand:"]
-        lines += [BY_HAND[outcome.by_hand]["analysis"].strip(), "", "The verdict:"]
-        lines += [f"{outcome.verdict['reason']}.", ""]
+        lines += [BY_HAND[outcome.by_hand]["analysis"].strip(), "", "Verdict:"]
+        lines += [f"{outcome.verdict['reason']}."]
+        lines += [""] if outcome.verdict["effects"] else []
         lines += [f"- {_entry(effect)}" for effect in outcome.verdict["effects"][:4]]
         gap = outcome.verdict["gap"]
         if gap["recalibrated"] is not None:
