@@ -200,3 +200,26 @@ def test_a_constant_at_the_end_of_its_tolerance_is_named(tmp_path: Path) -> None
     (folder / "bench.toml").write_text("braid_length_mm = 86.9\n[tolerance]\nturns = 0.001\n")
     notes = diagnose(read_dataset(folder), set(CATALOGUE) - {"creep"}).notes
     assert any("braid_length_mm stands" in note and "check it" in note for note in notes)
+
+
+def test_one_wrong_label_among_several_is_found(tmp_path: Path) -> None:
+    folder = settled_set(tmp_path / "one", {})
+    trials = table(folder, "trials")
+    trials.loc[trials.held_length_mm == 65.0, "held_length_mm"] = 63.8
+    trials.to_csv(folder / "trials.csv", index=False)
+    verdict = diagnose(read_dataset(folder))
+    best = verdict.effects[0]
+    assert verdict.status.explained
+    assert best.ids == ("length_label",)
+    assert best.parameters["where"].value == "only 63.8 mm"
+    assert best.parameters["offset_mm"].value == pytest.approx(1.2, abs=0.25)
+    out = tmp_path / "better.toml"
+    CliRunner().invoke(app, ["gap", "shrink", str(folder), "--out", str(out)])
+    assert "only 63.8 mm: correct it in trials.csv" in out.read_text()
+    assert "effects" not in tomllib.loads(out.read_text())
+
+
+def test_labels_that_are_all_right_are_not_doubted(tmp_path: Path) -> None:
+    for seed in range(3):
+        folder = settled_set(tmp_path / str(seed), {}, seed=10 + seed)
+        assert diagnose(read_dataset(folder)).status is Status.NO_GAP_ABOVE_FLOOR

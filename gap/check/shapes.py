@@ -37,6 +37,7 @@ from gap.model.grid import make_grid
 from gap.model.residuals import Model
 from gap.model.sensitivities import candidate_columns
 from plant.arrays import Array
+from plant.effects.catalogue import CATALOGUE as EFFECTS
 
 SAME = 0.999
 """Cosine from which on two forms are one: what differs is 4.5 % of the response, rms."""
@@ -83,7 +84,7 @@ def hidden_in(form: Form, design: Design, number: int) -> Hidden:
     one = draw(entry, rng, design.stated, form.number, held_out=form.held_out)
     variant = entry.variants[number % len(entry.variants)] if entry.variants else None
     one = replace(one, strength=abs(one.strength) * _FRACTION, variant=variant)
-    return sized_droop(one, design) if one.id == "supply_droop" else one
+    return sized_droop(one, design) if EFFECTS[one.id].diagnosis.largest_fall else one
 
 
 def modelled(one: BlindSet) -> tuple[DataSet, Model, Array]:

@@ -7,7 +7,7 @@ effect may use two of them at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -53,6 +53,11 @@ class Candidate:
     def switch(self) -> bool:
         """Whether it is there or not, without an amount in between."""
         return self.id in CATALOGUE and CATALOGUE[self.id].headline is None
+
+    @property
+    def single(self) -> bool:
+        """Whether it acts in one setting alone, so that no other setting can confirm it."""
+        return "only_mm" in self.shape
 
     @property
     def free(self) -> Mapping[str, tuple[float, float]]:
@@ -109,6 +114,25 @@ CANDIDATES: tuple[Candidate, ...] = tuple(
     for candidate in _of(name, search, CATALOGUE[name].options if name in CATALOGUE else ("",))
 )
 """All candidates: shapes of one id follow each other, defects of the recording come last."""
+
+LEAST_LABELS = 4
+"""Labels from which a single one that is wrong stands out against the others."""
+
+
+def single_labels(usable: Iterable[Candidate], held_mm: Iterable[float]) -> tuple[Candidate, ...]:
+    """Candidates for which each written length alone may be wrong; none with few lengths."""
+    labels = sorted({round(x, 3) for x in held_mm if np.isfinite(x)})
+    names = dict.fromkeys(s.id for s in usable if s.search.each_label)
+    if len(labels) < LEAST_LABELS:
+        return ()
+    return tuple(
+        Candidate(
+            name, _SEARCHES[name].step, _SEARCHES[name].sign, _SEARCHES[name].blocks,
+            {"only_mm": label}, f"only {label:g} mm",
+        )
+        for name in names for label in labels
+    )  # fmt: skip
+
 
 DEFECTS: dict[str, str] = {d.id: d.meaning for d in RECORDING if d.search is not None}
 """What each defect means to a person."""

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from gap.data.dataset import DataSet
 from gap.data.quality import without_duplicates
-from gap.effects.candidates import CANDIDATES, Candidate
+from gap.effects.candidates import CANDIDATES, Candidate, single_labels
 from gap.effects.terms import Active
 from gap.estimation.information import Evidence, covariance, damped_step, gather, tolerance
 from gap.estimation.noise import Noise, learn_noise, usual_noise
@@ -126,6 +126,8 @@ class FitProblem:
         # A table of settled points has no time in it, so nothing in it can be out of time.
         timed = not data.settled
         usable = tuple(s for s in candidates if timed or not (s.defect or s.search.scan == "clock"))
+        if not timed:  # lengths set by hand: one of them may be wrong
+            usable += single_labels(usable, [trial.held_length_mm for trial in data.trials])
         model = Model(make_grid(data))
         stated = _stated_effects(data)
         residual = _stacked_residual(model, data.constants, stated)

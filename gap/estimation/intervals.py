@@ -83,7 +83,7 @@ def headline_estimates(
         made[key] = Estimate(amount + shift, low + shift, high + shift)
         option = fit.candidates[at[0]].option
         if option:
-            word = entry.option_name
+            word = entry.option_name or "where"
             made[word if word not in made else f"{name}_{word}"] = Estimate(option)
     return made
 

@@ -122,6 +122,8 @@ def _is_needed(
         problem, search.gap, search.alarm, less, fit, key=search.best.keys[-1], config=config
     )
     most = max(config.most_gain, config.most_share * s.gap, config.most_of_left * s.left)
+    if fit.candidates[-1].single:
+        return gain > config.sure_gain  # no other setting can show it
     if gain > most or leaves_nothing(s, config) or relieves_constant(s, config):
         return True  # held-out slots are no test: too few show it, or a constant takes its place
     exact = s.left < 2.0 * s.chance

@@ -36,6 +36,10 @@ def improved_plant(problem: FitProblem, fit: FitResult) -> str:
     for name in [*problem.data.effects.values, *fit.ids]:
         if name not in CATALOGUE:
             continue
+        single = [s for s in fit.candidates if s.id == name and s.single]
+        lines += [f"# {name}, {s.option}: correct it in trials.csv" for s in single]
+        if single and name not in problem.data.effects.values:
+            continue
         lines += ["", f"[effects.{name}]"]
         entry = CATALOGUE[name]
         if name not in fit.ids:

@@ -192,6 +192,8 @@ class Search:
             is tried at whole values. A table of settled points shows no clock.
         settled: start and bounds of its parameters in a fit of settled points; empty where
             settled points do not show it.
+        each_label: whether, in tables of settled points, each written length alone may have it:
+            shapes with `only_mm`.
     """
 
     step: float
@@ -207,6 +209,7 @@ class Search:
     one_shape: bool = False
     scan: str = ""
     settled: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    each_label: bool = False
 
 
 def same_numbers(**parameters: str) -> Callable[[Shape, PlantConstants], Mapping[str, float]]:

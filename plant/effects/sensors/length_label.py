@@ -8,13 +8,19 @@ from plant.effects.arguments import Array, Points, Shape
 from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Parameter, Search
 from plant.effects.standards import HOLDERS
 
+SAME_LABEL_MM = 0.01
+"""Labels that differ by less are one label."""
+
 
 def _held(amount: float) -> float:
     return amount
 
 
 def _length(points: Points, amount: float, shape: Shape) -> Array:
-    return np.where(points.held, _held(amount) * 1e-3, 0.0)
+    off = points.held
+    if "only_mm" in shape:  # one label of several is wrong
+        off = off & (np.abs(points.length * 1e3 - shape["only_mm"]) < SAME_LABEL_MM)
+    return np.where(off, _held(amount) * 1e-3, 0.0)
 
 
 LENGTH_LABEL = Effect(
@@ -40,5 +46,6 @@ LENGTH_LABEL = Effect(
         sign=0,
         blocks=("pressure", "force", "load", "camera"),
         settled={"offset_mm": (0.2, -4.0, 4.0)},
+        each_label=True,
     ),
 )
