@@ -34,6 +34,8 @@ TRIAL_NUMBERS = (
 )  # fmt: skip
 SAMPLE_NUMBERS = ("time_s", *COMMANDS, *CHANNELS)
 MOST_UNCERTAIN = 1000.0
+SHORTEST_STEP_S = 1e-7
+"""Between two rows of a trial; exported runs round their times to 1 us."""
 
 
 def read_dataset(folder: str | Path) -> DataSet:
@@ -216,6 +218,11 @@ def _times(
             else f"runs backwards, from {time_s[at]:g} to {time_s[at + 1]:g} s"
         )
         raise samples.error(int(rows[at + 1]), "time_s", what, "one row for one trial and time")
+    close = np.flatnonzero(step < SHORTEST_STEP_S)
+    if len(close):
+        at = int(close[0])
+        what = f"is {step[at]:g} s after the row before, the least is {SHORTEST_STEP_S:g} s"
+        raise samples.error(int(rows[at + 1]), "time_s", what, "are the times in seconds?")
     return time_s, False
 
 
