@@ -107,3 +107,14 @@ def test_effects_that_a_plant_file_states_go_with_the_exported_runs(tmp_path: Pa
     made = export_runs([open_run(result.folder)], tmp_path / "data", plant=plant).folder
     assert tomllib.loads((made / "bench.toml").read_text()) == tomllib.loads(plant.read_text())
     assert read_dataset(made).effects.values["liner_threshold"]["threshold_kpa"] == 40.0
+
+
+@pytest.mark.parametrize(
+    ("factor", "says"), [("1e-300", "s after the row before"), ("1e300", "far outside")]
+)
+def test_times_that_no_clock_has_are_refused(factor: str, says: str, tmp_path: Path) -> None:
+    """`gap where` ended in a traceback: singular values did not converge."""
+    (tmp_path / "trials.csv").write_text("trial\nt1\n")
+    rows = [f"t1,{k}{factor[1:]},{5 * k}" for k in range(1, 40)]
+    (tmp_path / "samples.csv").write_text("\n".join(["trial,time_s,pressure_kpa", *rows]) + "\n")
+    assert says in refused("where", str(tmp_path))

@@ -38,6 +38,7 @@ from daq.store.store import find_run, list_runs
 from daq.store.verify import verify
 from rigs.bench.locks import rig_lock
 from rigs.bench.rig import open_rig
+from rigs.bench.vent import vent_beside
 from rigs.execution.control import RunControl, control_file
 from rigs.execution.resume import whole_trials
 from rigs.execution.session import run_protocol
@@ -650,3 +651,31 @@ def test_a_wrong_port_is_still_named_by_itself(
     config = load_rig(str(rig_on_ports(tmp_path, "bench", ports)))
     with pytest.raises(PortError, match=r"valve\.port = .*no-valve"), open_rig(config):
         pass
+
+
+def test_a_program_that_takes_no_request_is_named_by_vent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A console or calibration holds the rig: it is not ended behind its user's back."""
+    monkeypatch.setenv("PAMRIG_LOCKS", str(tmp_path / "locks"))
+    monkeypatch.setattr("rigs.bench.vent.TAKEN_S", 0.5)
+    path = rig_on_ports(
+        tmp_path, "bench", {d: str(tmp_path / d) for d in ("valve", "balance", "stage")}
+    )
+    code = (
+        "import sys\nfrom rigs.rigfile.config import load_rig\n"
+        "from rigs.bench.locks import rig_lock\n"
+        f"with rig_lock(load_rig({str(path)!r})):\n"
+        "    print('held', flush=True)\n    sys.stdin.read()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        said: list[str] = []
+        with pytest.raises(PortError, match=rf"process {other.pid} .*did not end"):
+            vent_beside(load_rig(str(path)), said.append)
+        assert "asked it to end and vent" in said[0]
+        assert list((tmp_path / "locks").glob("*.vent")) == []
+        other.kill()

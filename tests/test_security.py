@@ -959,3 +959,69 @@ def test_a_journal_of_a_plan_that_says_nonsense(fields: dict[str, Any], tmp_path
     plan.journal.write_bytes(seal_line(fields))
     with pytest.raises(RecordError, match="is not a journal"):
         progress(plan)
+
+
+@pytest.mark.parametrize("kind", ["device", "pipe", "sparse"])
+@pytest.mark.parametrize("name", ["reserve.zero", "written.map", "samples/valve.ahead"])
+def test_a_file_of_an_interrupted_record_without_end_is_not_read(
+    name: str, kind: str, tmp_path: Path
+) -> None:
+    """`reserve.zero` as a link to /dev/zero filled the memory, as a pipe it waited forever."""
+    record = RecordWriter(tmp_path, {}, VirtualClock(), durable=False, threaded=False)
+    record.stream("valve", {"seq": "int64"})
+    record.write_ahead("valve", {"seq": np.arange(5)})
+    record._disk.written.close(False)  # as a kill leaves it, with the reserve
+    path = record.folder / name
+    path.unlink()
+    if kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "pipe":
+        os.mkfifo(path)
+    else:
+        with open(path, "wb") as file:
+            file.truncate(1 << 40)
+    said = [str(p) for p in verify(open_run(record.folder)) if p.file == name]
+    assert re.search(r"plain file|bytes, the limit|link", "; ".join(said)), said
+    record.abandon()
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("final.json", {"ended": {"t_ns": "x"}}),
+        ("final.json", {"ended": None}),
+        ("run.json", {"started": {"utc": 5}}),
+        ("run.json", {"specimen": {"deep": 1}}),
+        ("run.json", {"run_id": 5}),
+        ("run.json", {"continues": {"run_id": [1]}}),
+    ],
+)
+def test_one_strange_run_does_not_hide_the_others(
+    run: Run, name: str, change: dict[str, Any]
+) -> None:
+    """One sealed `final.json` ended `runs list` of its whole folder in a traceback."""
+    record = RecordWriter(run.folder.parent, {}, VirtualClock(), durable=False, threaded=False)
+    record.finalize("clean")
+    tamper(run, name, lambda fields: fields.update(change))
+    for _ in range(2):
+        listed = {info.run_id: info.outcome for info in list_runs(run.folder.parent)}
+        assert listed[record.run_id] == "clean"
+        assert run.run_id in listed
+        rebuild_index(run.folder.parent)
+
+
+def test_no_file_of_a_record_is_opened_but_through_the_one_door() -> None:
+    """Nothing that reads records opens, maps or measures a file by itself."""
+    writers = {"disk.py", "sealed.py", "ahead.py", "written.py", "safe_read.py", "writer.py"}
+    others = {"tablefile.py", "derive.py"}  # files of other programs; derived files being written
+    own = {"open", "read_bytes", "read_text", "stat"}
+    found = set()
+    for package in ("record", "store"):
+        for path in (HOUSE / "daq" / package).glob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                called = node.func if isinstance(node, ast.Call) else None
+                name = getattr(called, "attr", getattr(called, "id", ""))
+                if name in own and path.name not in writers | others:
+                    found.add((path.name, name))
+    allowed = {("annotations.py", "open"), ("index.py", "stat")}  # appends; time of a change
+    assert found - allowed == set()

@@ -14,7 +14,10 @@ from analysis.reduction.points import Reduction
 from analysis.registry import analysis_of
 from analysis.reporting.sections import figure_address, section_parts
 from analysis.run_table import contents_of, record_findings, reduce_run
-from daq.store.annotations import ANNOTATIONS, read_annotations
+from daq.errors import RecordError
+from daq.record.safe_read import LARGEST_BULK, names_inside, open_inside
+from daq.store.annotations import ANNOTATIONS, SEAL, read_annotations
+from daq.store.run import PARTIAL
 
 if TYPE_CHECKING:
     from daq.store.run import Run
@@ -163,12 +166,15 @@ _APPENDIX = ("rig", "devices", "conditions", "source", "parameters", "provenance
 def record_hash(folder: Path) -> str:
     """SHA-256 over names and contents of the record, without derived files and annotations."""
     total = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder).as_posix()
-        if path.is_file() and not name.startswith("derived/") and name != ANNOTATIONS:
-            with open(path, "rb") as file:
-                digest = hashlib.file_digest(file, "sha256")
-            total.update(f"{name}\n{digest.hexdigest()}\n".encode())
+    for name, _ in names_inside(folder):
+        if name.startswith(("derived/", f"{PARTIAL}/")) or name in (ANNOTATIONS, SEAL):
+            continue
+        try:
+            with open_inside(folder, name, LARGEST_BULK) as (file, _):
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+        except RecordError as error:
+            digest = error.what
+        total.update(f"{name}\n{digest}\n".encode())
     return total.hexdigest()
 
 

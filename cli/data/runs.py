@@ -71,6 +71,9 @@ def show(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption
         f"  started {facts['started_utc']}, {facts['bytes'] / 1e6:.1f} MB, {facts['frames']} frames"
     )
     for name, stream in facts["streams"].items():
+        if not stream:
+            typer.echo(f"  stream {name}: not read")
+            continue
         lost = f", {len(stream['lost_rows'])} damaged sections" if stream["lost_rows"] else ""
         typer.echo(f"  stream {name}: {stream['rows']} rows{lost}")
     counters = (final.get("counters") or {}).get("valve") or {}

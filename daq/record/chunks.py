@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import RecordError
-from daq.record.safe_read import LARGEST_BULK, LARGEST_INDEX, path_inside, read_inside
+from daq.record.safe_read import LARGEST_BULK, LARGEST_INDEX, read_inside, size_inside
 from daq.record.sealed import plain, read_lines, seal_text
 
 
@@ -141,8 +141,8 @@ class ChunkIndex:
         for entry in self.entries:
             if entry.file not in sizes:
                 sizes[entry.file] = ends[entry.file] = 0
-                with contextlib.suppress(OSError, RecordError):
-                    sizes[entry.file] = path_inside(self.root, entry.file).stat().st_size
+                with contextlib.suppress(RecordError):
+                    sizes[entry.file] = size_inside(self.root, entry.file)
             end = entry.offset + entry.length
             if ends[entry.file] <= entry.offset and end <= sizes[entry.file]:
                 ends[entry.file] = end

@@ -168,7 +168,8 @@ def _bytes(folder: Path) -> bytes:
 def _run_id(folder: Path) -> str:
     """The run's name as run.json states it, else that of its folder."""
     with contextlib.suppress(ValueError, RecordError):
-        return str(open_file(read_inside(Path(folder), "run.json"))["run_id"])
+        stated = open_file(read_inside(Path(folder), "run.json")).get("run_id")
+        return str(stated or Path(folder).resolve().name)
     return Path(folder).resolve().name
 
 

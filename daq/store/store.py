@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from daq.errors import RecordError
 from daq.record.runname import by_start
+from daq.record.safe_read import names_inside
 from daq.store.index import index_path, update_index
 from daq.store.info import RunInfo, run_info
 from daq.store.run import Run, open_run
@@ -49,28 +52,35 @@ def find_run(root: Path | str, text: str) -> Run:
 
 
 def show(run: Run) -> dict[str, Any]:
-    """The content of a run as plain data; damage is listed under ``problems``."""
-    info = run_info(run).as_dict()
-    final = run.final or {}
-    streams = {}
-    for name in run.streams:
-        columns = run.samples(name)
-        rows = len(next(iter(columns.values()), ()))
-        streams[name] = {"rows": rows, "lost_rows": run.lost_rows(name), "columns": list(columns)}
+    """The content of a run as plain data; damage, and what is not read, is under ``problems``."""
+    refused: list[str] = []
+
+    def read(what: Callable[[], Any], otherwise: Any) -> Any:
+        try:
+            return what()
+        except RecordError as error:
+            refused.append(str(error))
+            return otherwise
+
     kinds: dict[str, int] = {}
-    for event in run.events:
+    for event in read(lambda: run.events, []):
         kinds[event["kind"]] = kinds.get(event["kind"], 0) + 1
     derived = run.folder / "derived"
+    there = read(lambda: list(names_inside(run.folder)), [])
     return {
-        **info,
-        "streams": streams,
+        **run_info(run).as_dict(),
+        "streams": {name: read(partial(_stream, run, name), {}) for name in run.streams},
         "events": kinds,
-        "frames": len(run.frames),
-        "calibrations": [c.to_dict() for c in run.calibrations.values()]
-        if run.sealed("run.json")
-        else [],
-        "final": {k: v for k, v in final.items() if k != "files"},
+        "frames": len(read(lambda: run.frames, [])),
+        "calibrations": read(lambda: [c.to_dict() for c in run.calibrations.values()], []),
+        "final": {k: v for k, v in (run.final or {}).items() if k != "files"},
         "derived": sorted(p.name for p in derived.iterdir()) if derived.is_dir() else [],
-        "bytes": sum(p.stat().st_size for p in run.folder.rglob("*") if p.is_file()),
-        "problems": sorted({str(p) for p in run.problems}),
+        "bytes": sum(size for _, size in there),
+        "problems": sorted({*(str(p) for p in run.problems), *refused}),
     }
+
+
+def _stream(run: Run, name: str) -> dict[str, Any]:
+    columns = run.samples(name)
+    rows = len(next(iter(columns.values()), ()))
+    return {"rows": rows, "lost_rows": run.lost_rows(name), "columns": list(columns)}

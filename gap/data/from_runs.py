@@ -16,6 +16,7 @@ from typing import Any
 
 import pandas as pd
 
+from analysis.run_table import contents_of
 from daq.errors import RecordError
 from daq.store.run import Run, open_run
 from daq.store.verify import findings
@@ -69,20 +70,22 @@ def export_runs(
         raise GapError("export", "no run given")
     problems = {run.run_id: findings(run) for run in runs}
     bench = _bench(runs, plant)
-    calibration = _calibration(runs)
+    with contents_of(runs[0]):
+        calibration = _calibration(runs)
     trials: list[RunTrial] = []
     known: dict[str, list[str]] = {}
     tared_mm: float | None = None
     # Whole runs follow each other: on a simulated bench the clock of a run does not go as ours.
     for run in sorted(runs, key=lambda run: int(run.manifest["started"].get("wall_ns", 0))):
-        own = list(_trials(run, form, commands_of, tared_mm))
-        tared_mm = tares(run, tared_mm)[-1][1]  # a balance keeps its tare from run to run
-        for trial in own:
-            trial.row["slot"] += _told_apart(run, known)
-            if problems[run.run_id]:
-                count = len(problems[run.run_id])
-                trial.row["note"] = f"{run.run_id}: {count} findings in its record"
-        trials += sorted(own, key=lambda trial: float(trial.row["start_s"]))
+        with contents_of(run):
+            own = list(_trials(run, form, commands_of, tared_mm))
+            tared_mm = tares(run, tared_mm)[-1][1]  # a balance keeps its tare from run to run
+            for trial in own:
+                trial.row["slot"] += _told_apart(run, known)
+                if problems[run.run_id]:
+                    count = len(problems[run.run_id])
+                    trial.row["note"] = f"{run.run_id}: {count} findings in its record"
+            trials += sorted(own, key=lambda trial: float(trial.row["start_s"]))
     made = _write(folder, trials, bench, calibration, tuple(run.run_id for run in runs))
     named = (f"{name}: {text}" for name, found in problems.items() for text in found)
     return dataclasses.replace(made, problems=tuple(named))

@@ -28,6 +28,9 @@ _LIMITS = {
     "force_n": (-2000.0, 2000.0),
     "temperature_c": (-100.0, 600.0),
     "load_kg": (0.0, 1000.0),
+    "time_s": (-1e9, 1e9),
+    "start_s": (-1e11, 1e11),
+    "order": (-1e9, 1e9),
 }
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable
 
+from daq.clock import Deadline, RealClock
 from daq.errors import DeviceError, PamrigError
 from rigs.bench.locks import RigInUse, vent_request
 from rigs.bench.ports import Ports, open_supply
@@ -37,15 +37,16 @@ def vent_beside(config: RigConfig, tell: Callable[[str], None]) -> float:
     request = vent_request(config)
     request.touch()
     tell(f"{used.where} {used.what}; asked it to end and vent")
-    taken_s, end_s = time.monotonic() + TAKEN_S, time.monotonic() + ENDED_S
-    while time.monotonic() < end_s:
+    clock = RealClock()
+    taken, ended = Deadline(clock, TAKEN_S), Deadline(clock, ENDED_S)
+    while not ended.expired:
         with contextlib.suppress(RigInUse):
             pressure = vent_rig(config)
             request.unlink(missing_ok=True)
             return pressure
-        if request.exists() and time.monotonic() > taken_s:
+        if request.exists() and taken.expired:
             break
-        time.sleep(0.2)
+        clock.sleep(0.2)
     request.unlink(missing_ok=True)
     raise RigInUse(
         used.where,
