@@ -52,6 +52,33 @@ def empirical_lines(verdict: Verdict) -> list[str]:
     return lines + [f"  near      {one}" for one in term.nearest]
 
 
+def empirical_sentences(verdict: Verdict) -> list[str]:
+    """The same for a page; none without a term."""
+    term = verdict.empirical
+    if term is None:
+        return []
+    shares = ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in term.shares.items())
+    ends = "; ".join(_ends(name, ends) for name, ends in _domain(term))
+    made = [
+        f"What has no name looks like {_kind(term)} in the {term.correction.block} channel, and "
+        f"depends on {shares}.",
+        f"A term learnt from it closes {100 * term.closed:.0f} % of the gap above the floor "
+        f"({100 * term.closed_low:.0f} to {100 * term.closed_high:.0f} %) on slots held out: "
+        f"{term.recalibrated:.3g} {term.unit} become {term.after:.3g} {term.unit}, the floor is "
+        f"{term.floor:.3g} {term.unit}. It holds for {ends}.",
+    ]
+    if term.rate_share >= _SHOWN:
+        made.append(f"{100 * term.rate_share:.0f} % of it depends on a rate.")
+    if term.expression is not None:
+        made.append(f"A formula does nearly as well: {term.expression.text}.")
+    if term.nearest:
+        made.append(f"Nearest entries: {'; '.join(map(str, term.nearest))}.")
+    return made
+
+
+_SHOWN = 0.01
+
+
 def _domain(term: EmpiricalTerm) -> list[tuple[str, tuple[float, float]]]:
     return list(term.correction.domain.items())
 

@@ -33,7 +33,7 @@ class ValidationConfig:
     """Terms of a compact expression."""
     tried_terms: int = 10
     """Terms whose held-out error is taken at each step of the selection."""
-    term_errors: float = 1.5
+    term_errors: float = 1.0
     """Standard errors over slots by which a term must lower the held-out error to enter."""
     term_share: float = 0.03
     """Share of the gap above the floor that it must close."""

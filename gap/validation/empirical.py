@@ -79,7 +79,7 @@ class Piece:
 
 
 @dataclass
-class _Search:
+class TermSearch:
     """Pieces that may enter, and the sums from which any of them is fitted."""
 
     block: str
@@ -222,7 +222,7 @@ def _term_of(
     problem: FitProblem, fit: FitResult, block: str, nearest: Sequence[str],
     config: ValidationConfig,
 ) -> EmpiricalTerm | None:  # fmt: skip
-    search = _search(problem, fit, block, config)
+    search = search_of(problem, fit, block, config)
     if search is None:
         return None
     chosen = search.select()
@@ -253,9 +253,10 @@ def _term_of(
     )  # fmt: skip
 
 
-def _search(
+def search_of(
     problem: FitProblem, fit: FitResult, block: str, config: ValidationConfig
-) -> _Search | None:
+) -> TermSearch | None:
+    """Pieces and sums for one block; None where too few slots have it or it shows no gap."""
     here = problem.rows.block == BLOCKS.index(block)
     names = _GAS if block == "pressure" else _MUSCLE
     at = inputs_of(problem.model, block, names)
@@ -277,10 +278,10 @@ def _search(
     base = terms.errors(np.empty(0, dtype=np.int64))
     floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
     gap = float(base.sum() - floor.sum())
-    return _Search(block, pieces, columns, terms, gap, config) if gap > 0.0 else None
+    return TermSearch(block, pieces, columns, terms, gap, config) if gap > 0.0 else None
 
 
-def _held_out(problem: FitProblem, search: _Search, block: str) -> HeldOut:
+def _held_out(problem: FitProblem, search: TermSearch, block: str) -> HeldOut:
     """Errors on each slot, with the pieces selected and fitted without it."""
     terms = search.terms
     slots = list(terms.slots)
@@ -367,7 +368,7 @@ def _spline_term(piece: Piece, coefficients: Array, chosen: Sequence[Piece]) -> 
 _SHOWN = 41
 
 
-def _course(search: _Search, chosen: Sequence[Piece], piece: Piece) -> TermCourse:
+def _course(search: TermSearch, chosen: Sequence[Piece], piece: Piece) -> TermCourse:
     """One piece over its inputs; its band is the jackknife over slots."""
     axes = tuple(np.linspace(k[0], k[-1], _SHOWN) for k in piece.knots)
     mesh = [m.ravel() for m in np.meshgrid(*axes, indexing="ij")]
@@ -390,7 +391,7 @@ def _course(search: _Search, chosen: Sequence[Piece], piece: Piece) -> TermCours
 
 
 def _nearest(
-    problem: FitProblem, fit: FitResult, search: _Search, chosen: Sequence[Piece],
+    problem: FitProblem, fit: FitResult, search: TermSearch, chosen: Sequence[Piece],
     shares: dict[str, float], ids: Sequence[str],
 ) -> tuple[NearEntry, ...]:  # fmt: skip
     """How much of the term each entry could be, and the inputs in which they differ."""
@@ -430,7 +431,7 @@ def _nearest(
 _COUNTS = 0.1
 
 
-def _groups_of(search: _Search, weighted: Array, weight: Array) -> set[str]:
+def _groups_of(search: TermSearch, weighted: Array, weight: Array) -> set[str]:
     """Inputs without which the splines of all others make less of some weighted values."""
     total = float(weighted @ weighted)
 
