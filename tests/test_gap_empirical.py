@@ -65,7 +65,7 @@ def worn(p: Array, length: float, celsius: float, order: float) -> Array:
 
 
 def planted_set(folder: Path, planted: Planted, seed: int = 3) -> Path:
-    """Settled isometric tables at nine lengths, three replicates of each; each length its own warmth."""
+    """Settled isometric tables at nine lengths; three replicates, all of a length as warm."""
     rng = np.random.default_rng(seed)
     celsius_at = dict(zip(LENGTHS, 21.0 + 6.0 * rng.uniform(-1.0, 1.0, len(LENGTHS)), strict=True))
     law = ForceLaw(nominal(), NONE)

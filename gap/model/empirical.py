@@ -10,9 +10,16 @@ import numpy as np
 
 from gap.model.features import BLOCKS, Rows
 from plant.arrays import Array
-from plant.constants import PlantConstants
+from plant.constants import REFERENCE_DENSITY_KG_M3, PlantConstants
 from plant.effects.arguments import Points
-from plant.effects.empirical import Correction, braid_scales
+from plant.effects.empirical import (
+    FLOWS,
+    FORGOTTEN_S,
+    VALVE_FLOW,
+    Correction,
+    braid_scales,
+    pressure_per_flow,
+)
 
 if TYPE_CHECKING:
     from gap.model.residuals import Model
@@ -20,15 +27,87 @@ if TYPE_CHECKING:
 _SLIP_KPA = 15.0
 _SLIP_MM = 1.0
 _MOVING_MM = 2.0
-_LONG_AGO_S = 100.0
+_LONG_AGO_S = 2.0
 
 
 def correction_at(model: Model, correction: Correction, c: PlantConstants) -> Array:
     """Correction at every row of its block, in the block's unit, shape (rows,)."""
-    at = inputs_of(model, correction.block, correction.inputs)
+    block = correction.block
+    plain = [term for term in correction.terms if term.scale not in FLOWS]
+    flows = [term for term in correction.terms if term.scale in FLOWS]
+    at = inputs_of(model, block, correction.inputs)
     if correction.scales:
-        at |= scales_of(model, correction.block, c)
-    return correction.value(at, int(model.grid.points[correction.block].row.max(initial=-1)) + 1)
+        at |= scales_of(model, block, c)
+    count = int(model.grid.points[block].row.max(initial=-1)) + 1
+    made = Correction(block, tuple(plain)).value(at, count)
+    if flows:
+        inside = point_inputs_of(model, block, correction.inputs)
+        inside[VALVE_FLOW] = valve_flow(model, c)
+        points = len(model.grid.points[block].time_s)
+        flow = Correction(block, tuple(flows)).value(inside, points)
+        made = made + risen(model, flow[:, None], c)[:, 0]
+    return made
+
+
+def risen(model: Model, flow: Array, c: PlantConstants) -> Array:
+    """Pressure in kPa by which flows in mg/s into the chamber raise it at every row.
+
+    Args:
+        flow: at the points of the pressure, shape (points, flows).
+
+    As the prediction is drawn to the reading, so is what a flow adds to it.
+    """
+    points = model.grid.points["pressure"]
+    per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
+    rate = flow * per[:, None]
+    total = np.zeros_like(rate)
+    for own in _spans(points):
+        step = np.diff(points.time_s[own])
+        gain = 0.5 * (rate[own][1:] + rate[own][:-1]) * step[:, None]
+        kept = np.exp(-np.r_[0.0, step[:-1]] / FORGOTTEN_S)
+        state = np.zeros(flow.shape[1])
+        course = total[own]
+        for k in range(len(step)):
+            state = state * kept[k] + gain[k]
+            course[k + 1] = state
+    weighted = total * points.weight[:, None]
+    count = int(points.row.max(initial=-1)) + 1
+    sums = np.zeros((count, flow.shape[1]))
+    np.add.at(sums, points.row, weighted)
+    return np.asarray(sums / points.row_weight[:, None])
+
+
+def valve_flow(model: Model, c: PlantConstants) -> Array:
+    """Flow in mg/s into the chamber through the valve that is commanded open, at every point.
+
+    ISO 6358 with the constants' conductances; out of the chamber it is negative.
+    """
+    points = model.grid.points["pressure"]
+    valve = _edges(model, points)[1]
+    outside = c.atmosphere_pa
+    inside = np.maximum(points.pressure + outside, 1.0)
+    supply = np.maximum(model.grid.supply + outside, 1.0)
+    dense = 1e6 * REFERENCE_DENSITY_KG_M3
+    inlet = c.inlet_conductance_m3_s_pa * supply * _factor(inside / supply, c.critical_ratio)
+    outlet = c.outlet_conductance_m3_s_pa * inside * _factor(outside / inside, c.critical_ratio)
+    return np.asarray(dense * np.where(valve > 0.0, inlet, np.where(valve < 0.0, -outlet, 0.0)))
+
+
+def _factor(ratio: Array, critical: float) -> Array:
+    """The quarter ellipse of ISO 6358, 1 where the flow is choked."""
+    share = np.clip((ratio - critical) / (1.0 - critical), 0.0, 1.0)
+    return np.sqrt(1.0 - share**2)
+
+
+def point_inputs_of(model: Model, block: str, names: tuple[str, ...]) -> dict[str, Array]:
+    """Inputs by name at every point of a block, as `inputs_of` has them at every row."""
+    points = model.grid.points[block]
+    return {
+        name: np.nan_to_num(
+            _AT_POINTS[name](points) if name in _AT_POINTS else _OF_POINTS[name](model, points)
+        )
+        for name in names
+    }
 
 
 def inputs_of(model: Model, block: str, names: tuple[str, ...]) -> dict[str, Array]:
@@ -151,6 +230,12 @@ _OF_POINTS: Mapping[str, Callable[[Model, Points], Array]] = {
     "change_10s_kpa": lambda model, points: _change(points, 10.0),
     "since_edge_s": lambda model, points: _edges(model, points)[0],
     "valve": lambda model, points: _edges(model, points)[1],
+}
+_AT_POINTS: Mapping[str, Callable[[Points], Array]] = {
+    "pressure_kpa": lambda points: points.pressure * 1e-3,
+    "length_mm": lambda points: points.length * 1e3,
+    "velocity_mm_s": lambda points: points.rate * 1e3,
+    "time_s": lambda points: points.time_s,
 }
 _TIMED = (
     "velocity_mm_s", "time_s", "pressure_rate_kpa_s", "change_1s_kpa", "change_10s_kpa",

@@ -25,12 +25,16 @@ _SCALED = {
     "pull": "share of the pull",
     "pull_per_kpa": "error of the pressure, kPa",
     "pull_per_mm": "error of the length, mm",
+    "flow": "flow into the chamber, mg/s",
+    "valve_flow": "share of the valve's flow",
 }
 _KINDS = {
     "": "an addition",
     "pull": "a change in proportion to the pull",
     "pull_per_kpa": "an error of the pressure",
     "pull_per_mm": "an error of the length",
+    "flow": "a flow into the chamber",
+    "valve_flow": "a change in proportion to the valve's flow",
 }
 
 

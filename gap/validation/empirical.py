@@ -17,14 +17,23 @@ import numpy as np
 
 from gap.estimation.cross_validation import HeldOut, floor_squares
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.model.empirical import inputs_of, scales_of
+from gap.model.empirical import inputs_of, point_inputs_of, risen, scales_of, valve_flow
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.config import VALIDATION, ValidationConfig
 from gap.validation.expression import compact_expression
 from gap.validation.held_out_terms import HeldOutTerms, Whole, gain_and_errors, joined
 from gap.verdict import EmpiricalTerm, NearEntry, TermCourse
 from plant.arrays import Array
-from plant.effects.empirical import INPUTS, Correction, SplineTerm, product_splines, splines_on
+from plant.effects.empirical import (
+    FLOW,
+    FLOWS,
+    INPUTS,
+    VALVE_FLOW,
+    Correction,
+    SplineTerm,
+    product_splines,
+    splines_on,
+)
 
 _KNOTS = {"pressure_kpa": 9, "length_mm": 5, "time_s": 14, "since_edge_s": 9, "valve": 3}
 _USUAL_KNOTS = 6
@@ -36,7 +45,7 @@ _MUSCLE = (
 )  # fmt: skip
 _GAS = (
     "pressure_kpa", "length_mm", "velocity_mm_s", "pressure_rate_kpa_s", "temperature_c", "order",
-    "time_s", "since_edge_s", "valve",
+    "time_s", "since_edge_s", "valve", "change_1s_kpa",
 )  # fmt: skip
 _PRODUCTS = (
     ("pressure_kpa", "length_mm"), ("slip", "pressure_kpa"), ("slip", "length_mm"),
@@ -50,6 +59,19 @@ _SCALED = (
     ("pull", "length_mm"), ("pull", "temperature_c"), ("pull", "order"), ("pull", "slip"),
     ("pull", "time_s"), ("pull", "change_1s_kpa"), ("pull", "change_10s_kpa"),
 )  # fmt: skip
+_FLOWS = (
+    (FLOW, ("pressure_kpa",)), (FLOW, ("pressure_rate_kpa_s",)), (FLOW, ("velocity_mm_s",)),
+    (FLOW, ("time_s",)), (FLOW, ("change_1s_kpa",)), (FLOW, ("valve",)),
+    (FLOW, ("valve", "since_edge_s")), (FLOW, ("valve", "pressure_kpa")),
+    (VALVE_FLOW, ("valve",)), (VALVE_FLOW, ("pressure_kpa",)), (VALVE_FLOW, ("since_edge_s",)),
+    (VALVE_FLOW, ("valve", "pressure_kpa")), (VALVE_FLOW, ("valve", "since_edge_s")),
+    (VALVE_FLOW, ("time_s",)), (VALVE_FLOW, ("order",)),
+)  # fmt: skip
+_FLOW_KNOTS = {"pressure_kpa": 4, "time_s": 6}
+_USUAL_FLOW_KNOTS = 3
+_AROUND_ZERO = ("pressure_rate_kpa_s", "velocity_mm_s", "change_1s_kpa", "slip")
+_EDGE_KNOTS = (0.0, 0.004, 0.012, 0.03, 0.08, 0.25, 2.0)
+"""Seconds after an edge: valves take some ten milliseconds, gas some hundred."""
 
 
 @dataclass(frozen=True)
@@ -264,14 +286,18 @@ def search_of(
     if block != "pressure":
         at |= scales_of(problem.model, block, problem.constants(fit.shift))
     pieces, columns = _pieces(at, count)
+    if block == "pressure":
+        pieces, columns = _with_flows(problem, fit, pieces, columns)
     if not pieces:
         return None
     size = max(float(np.sqrt(np.mean(fit.residual[here] ** 2))), 1e-9)
     penalty = np.zeros((columns.shape[1],) * 2)
     for piece in pieces:
         free = np.eye(len(piece.at)) / config.term_sd**2 + piece.rough / config.term_bend**2
-        unit = float(np.mean(at[piece.scale] ** 2)) if piece.scale else 1.0
-        penalty[np.ix_(piece.at, piece.at)] = free * max(unit, 1e-30) / size**2
+        own = np.sqrt(np.mean(columns[:, piece.at] ** 2, axis=0))
+        # A scale has its own unit; a short flow must be larger to be seen as much as a long one.
+        unit = own if piece.scale in FLOWS else np.full(len(own), _rms(at.get(piece.scale)))
+        penalty[np.ix_(piece.at, piece.at)] = free * unit * unit[:, None] / size**2
     terms = HeldOutTerms.of(problem, fit, block, columns, penalty)
     if len(terms.slots) < config.least_slots:
         return None
@@ -279,6 +305,11 @@ def search_of(
     floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
     gap = float(base.sum() - floor.sum())
     return TermSearch(block, pieces, columns, terms, gap, config) if gap > 0.0 else None
+
+
+def _rms(x: Array | None) -> float:
+    """Root mean square of a scale; 1 without one."""
+    return 1.0 if x is None else max(float(np.sqrt(np.mean(x**2))), 1e-15)
 
 
 def _held_out(problem: FitProblem, search: TermSearch, block: str) -> HeldOut:
@@ -312,7 +343,7 @@ def _pieces(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Array]
     for scale, inputs in wanted:
         if not all(name in varied for name in inputs):
             continue
-        knots = tuple(_knots(varied[n], _most_knots(n, len(inputs))) for n in inputs)
+        knots = tuple(_knots(varied[n], _most_knots(n, len(inputs)), n) for n in inputs)
         own = product_splines([varied[n] for n in inputs], knots, count)
         columns.append(own * at[scale][:, None] if scale else own)
         width = own.shape[1]
@@ -321,20 +352,48 @@ def _pieces(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Array]
     return tuple(made), np.hstack(columns) if columns else np.empty((count, 0))
 
 
+def _with_flows(
+    problem: FitProblem, fit: FitResult, pieces: tuple[Piece, ...], columns: Array
+) -> tuple[tuple[Piece, ...], Array]:
+    """The pieces with those of flows into the chamber, which are summed up over time."""
+    at = point_inputs_of(problem.model, "pressure", _GAS)
+    count = len(next(iter(at.values())))
+    made, flows = list(pieces), []
+    first = columns.shape[1]
+    own_flow = valve_flow(problem.model, problem.constants(fit.shift))
+    for scale, inputs in _FLOWS:
+        if any(np.ptp(at[name]) < 1e-6 for name in inputs):
+            continue
+        knots = tuple(_knots(at[n], _FLOW_KNOTS.get(n, _USUAL_FLOW_KNOTS), n) for n in inputs)
+        own = product_splines([at[n] for n in inputs], knots, count)
+        flows.append(own * own_flow[:, None] if scale == VALVE_FLOW else own)
+        width = flows[-1].shape[1]
+        made.append(Piece(inputs, knots, scale, np.arange(first, first + width), _rough(knots)))
+        first += width
+    if not flows:
+        return pieces, columns
+    raised = risen(problem.model, np.hstack(flows), problem.constants(fit.shift))
+    return tuple(made), np.hstack([columns, raised])
+
+
 def _most_knots(name: str, inputs: int) -> int:
     if inputs == 1:
         return _KNOTS.get(name, _USUAL_KNOTS)
     return _CROSS_KNOTS.get(name, _USUAL_CROSS_KNOTS)
 
 
-def _knots(x: Array, most: int) -> tuple[float, ...]:
+def _knots(x: Array, most: int, name: str) -> tuple[float, ...]:
     """Rising knots over the range of x: at its settings where these are few, else at quantiles."""
+    if name == "since_edge_s":
+        return _EDGE_KNOTS
     settings = np.unique(np.round(x, 6))
     if len(settings) <= 3:
         return tuple(settings.tolist())
     even = np.linspace(settings[0], settings[-1], most)
     quantiles = np.quantile(x, np.linspace(0.0, 1.0, most))
     # Half way: few rows must not leave a wide range to one spline, nor many a narrow one.
+    if name in _AROUND_ZERO and settings[0] < 0.0 < settings[-1] and most == 3:
+        return (float(settings[0]), 0.0, float(settings[-1]))
     inner = np.unique(np.round(0.5 * (even + quantiles), 6))
     apart = 1e-3 * float(np.ptp(inner))
     kept = [float(inner[0])]

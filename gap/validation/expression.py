@@ -20,7 +20,7 @@ from gap.validation.config import ValidationConfig
 from gap.validation.held_out_terms import HeldOutTerms, Whole, gain_and_errors
 from gap.verdict import Expression
 from plant.arrays import Array
-from plant.effects.empirical import Correction
+from plant.effects.empirical import FLOWS, Correction
 
 _DECAYS_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 _DECAYS_KPA = (30.0, 100.0, 300.0)
@@ -50,12 +50,14 @@ def compact_expression(
 ) -> Expression | None:  # fmt: skip
     """A formula in the inputs of a correction; None where none does nearly as well.
 
+    None for a flow, too: what is read is its sum over time.
+
     Args:
         splines: squared errors of the correction on held-out slots, shape (slots,).
     """
     block = correction.block
     at = inputs_of(problem.model, block, correction.inputs)
-    if not at:
+    if not at or any(term.scale in FLOWS for term in correction.terms):
         return None
     scales = scales_of(problem.model, block, problem.constants(fit.shift))
     scales[""] = np.ones(len(next(iter(at.values()))))

@@ -14,7 +14,10 @@ more, straight between two or three. An input outside its knots counts as the ne
 its domain a correction is held at its edge. A term with a `scale` is multiplied by what the braid
 of the same plant file says at that pressure and length: its pull in N ("pull"), or how that changes
 by 1 kPa ("pull_per_kpa") or by 1 mm ("pull_per_mm"); its splines then give a share of the pull, an
-error of the pressure in kPa or of the length in mm. It says nothing of another bench.
+error of the pressure in kPa or of the length in mm. With the scale "flow" its splines give a flow
+in mg/s into the chamber, whose pressure it raises, with "valve_flow" a share of the flow of the
+valve that is commanded open; what a flow raised is forgotten with `FORGOTTEN_S`.
+It says nothing of another bench.
 """
 
 from __future__ import annotations
@@ -27,9 +30,9 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from plant.arrays import Array
-from plant.constants import PlantConstants
+from plant.constants import GAS_CONSTANT_J_KG_K, PlantConstants
 from plant.errors import PlantError
-from plant.physics.muscle import braid_force, braid_force_slope
+from plant.physics.muscle import braid_force, braid_force_slope, braid_volume
 
 BLOCKS = {"force": "N", "load": "N", "pressure": "kPa", "camera": "mm"}
 """Readings that a correction can be added to, with its unit."""
@@ -49,7 +52,15 @@ INPUTS = {
 }
 """Inputs of a correction, and what a person calls each."""
 SCALES = ("pull", "pull_per_kpa", "pull_per_mm")
-"""What the splines of a term can be multiplied by, all of the braid at a pressure and a length."""
+"""What the splines of a force can be multiplied by, all of the braid at a pressure and a length."""
+FLOW = "flow"
+"""Scale of a term of the pressure whose splines are a flow into the chamber, mg/s."""
+VALVE_FLOW = "valve_flow"
+"""Scale of a term of the pressure whose splines are a share of the valve's own flow."""
+FLOWS = (FLOW, VALVE_FLOW)
+_SCALES_OF = {"force": SCALES, "load": SCALES, "pressure": FLOWS, "camera": ()}
+FORGOTTEN_S = 5.0
+"""Time constant with which the diagnosis draws a predicted pressure to the reading."""
 STATIC = ("pressure_kpa", "length_mm")
 """Inputs that a law without time has."""
 
@@ -70,10 +81,10 @@ class SplineTerm:
     scale: str = ""
 
     def value(self, at: Mapping[str, Array], count: int) -> Array:
-        """Value at `count` instants, shape (count,)."""
+        """Value at `count` instants, shape (count,); of a flow in mg/s."""
         columns = product_splines([at[name] for name in self.inputs], self.knots, count)
         made = columns @ np.asarray(self.coefficients)
-        return np.asarray(made * at[self.scale] if self.scale else made)
+        return np.asarray(made * at[self.scale] if self.scale not in ("", FLOW) else made)
 
 
 @dataclass(frozen=True)
@@ -160,7 +171,7 @@ class Corrections:
             if not isinstance(terms, list) or not terms:
                 raise PlantError(f"{where}: terms is missing; expected one table or more")
             made[block] = Correction(
-                block, tuple(_term(t, f"{where}.terms[{k}]") for k, t in enumerate(terms))
+                block, tuple(_term(t, block, f"{where}.terms[{k}]") for k, t in enumerate(terms))
             )
         return cls(made)
 
@@ -185,6 +196,15 @@ def braid_scales(p_pa: Array, length_m: Array, c: PlantConstants) -> dict[str, A
         "pull_per_kpa": np.asarray(per_pa * 1e3),
         "pull_per_mm": np.asarray(braid_force_slope(p_pa, length_m, c.turns) * 1e-3),
     }
+
+
+def pressure_per_flow(length_m: Array, c: PlantConstants) -> Array:
+    """How fast a flow of 1 mg/s raises the pressure of the muscle, kPa/s, at lengths in m.
+
+    An ideal gas at the constants' temperature: dp/dt = R T/V dm/dt.
+    """
+    volume = braid_volume(length_m, c.braid_length_m, c.turns) + c.dead_volume_m3
+    return np.asarray(1e-9 * GAS_CONSTANT_J_KG_K * c.gas_temperature_k / volume)
 
 
 def spline_columns(x: Array, knots: tuple[float, ...]) -> Array:
@@ -224,7 +244,7 @@ def _only(table: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
             raise PlantError(f"{where}: unknown key {key!r}; known: {', '.join(known)}")
 
 
-def _term(value: object, where: str) -> SplineTerm:
+def _term(value: object, block: str, where: str) -> SplineTerm:
     table = _table(value, where)
     _only(table, ("inputs", "knots", "coefficients", "scale"), where)
     inputs = table.get("inputs")
@@ -247,8 +267,9 @@ def _term(value: object, where: str) -> SplineTerm:
             f"{where}: {len(coefficients)} coefficients; {needed} belong to these knots"
         )
     scale = table.get("scale", "")
-    if scale not in ("", *SCALES):
-        raise PlantError(f"{where}: scale = {scale!r:.40}; allowed {', '.join(SCALES)}")
+    if scale not in ("", *_SCALES_OF[block]):
+        allowed = ", ".join(_SCALES_OF[block]) or "none"
+        raise PlantError(f"{where}: scale = {scale!r:.40}; allowed {allowed}")
     return SplineTerm(tuple(inputs), each, coefficients, scale)
 
 
