@@ -9,6 +9,8 @@ from enum import StrEnum
 from typing import Any
 
 from gap.reason import Reason
+from plant.arrays import Array
+from plant.effects.empirical import Correction
 
 
 class Status(StrEnum):
@@ -150,6 +152,93 @@ class WhyNot:
 
 
 @dataclass(frozen=True)
+class TermCourse:
+    """A part of an empirical term over its one or two inputs, with its 95 % half-width.
+
+    Attributes:
+        inputs: one or two names of `plant.effects.empirical.INPUTS`.
+        scale: what it is multiplied by, as in `plant.effects.empirical.SplineTerm`.
+        at: values of each input, shape (points,) each.
+        value, half_width: shape (points,) or (points, points), in the block's unit, or in that
+            which the scale leaves.
+    """
+
+    inputs: tuple[str, ...]
+    scale: str
+    at: tuple[Array, ...]
+    value: Array
+    half_width: Array
+
+
+@dataclass(frozen=True)
+class NearEntry:
+    """An entry of the catalogue beside an empirical term.
+
+    Attributes:
+        share: of the term's square that the entry could make.
+        lacks: inputs that the term depends on and the entry does not.
+        adds: inputs that the entry depends on and the term does not.
+    """
+
+    id: str
+    share: float
+    lacks: tuple[str, ...]
+    adds: tuple[str, ...]
+
+    def __str__(self) -> str:
+        parts = [f"could make {100 * self.share:.0f} % of it"]
+        if self.lacks:
+            parts.append(f"does not depend on {' and '.join(self.lacks)}")
+        if self.adds:
+            parts.append(f"depends on {' and '.join(self.adds)} as well")
+        return f"{self.id} {', '.join(parts)}"
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A short formula for an empirical term, and the fraction of the gap that it closes."""
+
+    text: str
+    closed: float
+
+
+@dataclass(frozen=True)
+class EmpiricalTerm:
+    """What a gap looks like that no entry of the catalogue explains.
+
+    Attributes:
+        correction: the term as a plant file states it; it names the channel.
+        shares: of what is closed, by input, largest first; they add up to 1.
+        closed, closed_low, closed_high: fraction of the gap above the floor that the term closes
+            on slots held out, with its 95 % interval (jackknife over slots).
+        recalibrated, after, floor: errors on slots held out, in `unit`.
+        moved: change of [constants in sd, amounts] of the fit, made together with the term.
+        courses: the shape, for a figure.
+        expression: a short formula that closes nearly as much; None where there is none.
+        nearest: entries of the catalogue that come nearest to it, nearest first.
+    """
+
+    unit: str
+    correction: Correction
+    shares: Mapping[str, float]
+    closed: float
+    closed_low: float
+    closed_high: float
+    recalibrated: float
+    after: float
+    floor: float
+    moved: Array
+    courses: tuple[TermCourse, ...] = ()
+    expression: Expression | None = None
+    nearest: tuple[NearEntry, ...] = ()
+
+    @property
+    def rate_share(self) -> float:
+        """Share of what depends on a rate: of the length or of the pressure."""
+        return sum(self.shares.get(name, 0.0) for name in ("velocity", "pressure rate"))
+
+
+@dataclass(frozen=True)
 class Verdict:
     """What a diagnosis found. `as_dict` gives the object of the dataset format."""
 
@@ -167,6 +256,7 @@ class Verdict:
     why_not: Mapping[str, WhyNot] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     evidence: Mapping[str, Any] = field(default_factory=dict)
+    empirical: EmpiricalTerm | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The verdict as plain values: null where something does not apply, never NaN."""
@@ -196,6 +286,7 @@ class Verdict:
             "why_not": {name: str(why) for name, why in self.why_not.items()},
             "notes": list(self.notes),
             "evidence": plain(self.evidence),
+            "empirical": _empirical(self.empirical, self.stage),
         }  # fmt: skip
 
 
@@ -219,6 +310,36 @@ def _explanation(effect: Explanation) -> dict[str, Any]:
         "probability": _number(effect.probability),
         "parameters": parameters,
     }
+
+
+def _empirical(term: EmpiricalTerm | None, stage: str | None) -> dict[str, Any] | None:
+    if term is None:
+        return None
+    expression = term.expression
+    found = {
+        "channel": term.correction.block,
+        "stage": stage,
+        "unit": term.unit,
+        "inputs": [{"input": name, "share": share} for name, share in term.shares.items()],
+        "rate_share": term.rate_share,
+        "closed": term.closed,
+        "closed_low": term.closed_low,
+        "closed_high": term.closed_high,
+        "held_out": "slot",
+        "recalibrated": term.recalibrated,
+        "after": term.after,
+        "floor": term.floor,
+        "expression": {"text": expression.text, "closed": expression.closed}
+        if expression is not None
+        else None,
+        "domain": {name: list(ends) for name, ends in term.correction.domain.items()},
+        "terms": [{"inputs": t.inputs, "scale": t.scale or None} for t in term.correction.terms],
+        "nearest": [
+            {"id": one.id, "share": one.share, "lacks": one.lacks, "adds": one.adds}
+            for one in term.nearest
+        ],
+    }
+    return dict(plain(found))
 
 
 def _experiment(experiment: Experiment | None) -> dict[str, Any] | None:

@@ -11,6 +11,7 @@ import typer
 from cli.output import print_json
 from gap.decision.diagnose import diagnose, diagnose_with_fit
 from gap.output import check_out, write_text
+from gap.reporting.empirical import empirical_lines
 from gap.simulators.open import open_data_with
 from gap.verdict import Status, Verdict, plain
 
@@ -110,18 +111,21 @@ def shrink_command(
         kept = fit if named else problem.base
         found = plain(shrinkage(problem, kept, named))
         if out is not None:
-            write_text(out, improved_text(problem, kept, out.absolute().parent))
+            folder = out.absolute().parent
+            write_text(out, improved_text(problem, kept, folder, verdict.empirical))
     written = out if found else None
     if as_json:
         print_json(
             {
                 "gap": table["gap"], "status": table["status"], "effects": table["effects"],
-                **(found or {"held_out": {}}), "plant": str(written) if written else None,
+                **(found or {"held_out": {}}), "empirical": table["empirical"],
+                "plant": str(written) if written else None,
             }
         )  # fmt: skip
         return
     lines = [_summary(verdict), *_gap_text(verdict)]
     lines += as_lines(found) if found else []
+    lines += empirical_lines(verdict)
     if written is not None:
         lines.append(f"improved plant written to {written}")
     elif out is not None:
@@ -208,7 +212,9 @@ def _verdict_text(verdict: Verdict) -> list[str]:
     lines.append(f"  {100 * verdict.probability_none:3.0f} %  no gap")
     lines.append(f"  {100 * verdict.probability_unknown:3.0f} %  not in the catalogue")
     notes = [f"note        {note}" for note in verdict.notes]
-    return [*lines, *_gap_text(verdict), *_where_text(verdict), *notes]
+    return [
+        *lines, *_gap_text(verdict), *empirical_lines(verdict), *_where_text(verdict), *notes
+    ]  # fmt: skip
 
 
 def _estimate(name: str, estimate: Any) -> str:

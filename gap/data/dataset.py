@@ -12,6 +12,7 @@ from gap.data.simulator import ExternalSimulator
 from gap.data.trial import Trial
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
+from plant.effects.empirical import UNCORRECTED, Corrections
 
 CALIBRATION = (
     "pressure_zero_kpa", "pressure_gain_percent", "force_zero_n", "force_gain_percent",
@@ -32,6 +33,7 @@ class DataSet:
         notes: what a reader of the verdict should know (columns ignored, trials left out).
         calibration: standard uncertainty of what all trials share of a sensor's zero or gain, by
             `CALIBRATION`'s names; what is not stated is taken as exact.
+        corrections: empirical terms that `bench.toml` states, so that they are no gap.
         simulator: takes the place of the built-in stages that it stands for; None for none.
     """
 
@@ -42,6 +44,7 @@ class DataSet:
     notes: tuple[str, ...] = field(default=())
     calibration: Mapping[str, float] = field(default_factory=dict)
     simulator: ExternalSimulator | None = None
+    corrections: Corrections = UNCORRECTED
 
     @property
     def slots(self) -> dict[str, list[int]]:

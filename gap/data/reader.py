@@ -26,6 +26,7 @@ from plant import tomlfile
 from plant.arrays import Array
 from plant.constants import PlantConstants, nominal
 from plant.effects.effects import NONE, Effects
+from plant.effects.empirical import UNCORRECTED, Corrections
 from plant.errors import PlantError
 
 TRIAL_TEXT = ("trial", "slot", "replicate", "protocol", "mounting")
@@ -55,24 +56,39 @@ def read_dataset(folder: str | Path) -> DataSet:
     if not path.is_dir():
         raise GapError(str(path), "is a file", "give the folder that holds trials.csv")
     bench = path / "bench.toml"
-    constants, effects = read_bench(bench) if bench.exists() else (nominal(), NONE)
+    constants, effects, corrections = (
+        _bench(bench) if bench.exists() else (nominal(), NONE, UNCORRECTED)
+    )
     trials = _trials_table(path / "trials.csv")
     samples = _samples_table(path)
     made = _join(path, trials, samples, constants, effects)
-    return replace(made, calibration=_calibration(path / "calibration.toml"))
+    return replace(
+        made, calibration=_calibration(path / "calibration.toml"), corrections=corrections
+    )
 
 
 def read_bench(path: Path) -> tuple[PlantConstants, Effects]:
     """Constants and effects that a plant file states, over the nominal plant.
 
     Raises:
-        GapError: it cannot be read, or states what the plant does not have.
+        GapError: it cannot be read, or states what the plant does not have, or an empirical term.
     """
+    constants, effects, corrections = _bench(path)
+    try:
+        corrections.refuse("an export of runs")
+    except PlantError as exc:
+        raise GapError(str(path), str(exc)) from exc
+    return constants, effects
+
+
+def _bench(path: Path) -> tuple[PlantConstants, Effects, Corrections]:
+    """What `bench.toml` states: constants, effects and empirical terms."""
     table = _toml(path)
-    effects = table.pop("effects", {})
+    effects, empirical = table.pop("effects", {}), table.pop("empirical", {})
     try:
         constants = nominal().with_overrides(table, str(path))
-        return constants, Effects.from_config(effects, f"{path} effects")
+        corrections = Corrections.from_config(empirical, f"{path} empirical")
+        return constants, Effects.from_config(effects, f"{path} effects"), corrections
     except PlantError as exc:
         raise GapError(str(path), str(exc).removeprefix(f"{path}: ")) from exc
 

@@ -7,6 +7,7 @@ verdict.status, [effect.ids for effect in verdict.effects]
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
@@ -20,6 +21,7 @@ from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult, search_effects
 from gap.selection.timing import channel_with_timing_fault
+from gap.validation.empirical import empirical_term
 from gap.verdict import Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
@@ -75,7 +77,21 @@ def diagnose_with_search(
         if timing_fault is not None:
             return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
     verdict, search = classify(problem, search_effects(problem))
-    return verdict, problem, search
+    return with_empirical_term(verdict, problem, search), problem, search
+
+
+_NEAREST = 3
+
+
+def with_empirical_term(verdict: Verdict, problem: FitProblem, search: SearchResult) -> Verdict:
+    """The verdict with what the gap looks like that it has no name, or no adequate form, for."""
+    if verdict.status not in (Status.UNKNOWN, Status.NAMED_FORM_INADEQUATE):
+        return verdict
+    fit = search.best.fit if verdict.status.explained else problem.base
+    ids = {s.key: s.id for s in problem.candidates if not s.defect}
+    gains = sorted((k for k in search.first_gain if k in ids), key=lambda k: -search.first_gain[k])
+    near = list(dict.fromkeys(ids[k] for k in gains if ids[k] not in fit.ids))[:_NEAREST]
+    return replace(verdict, empirical=empirical_term(problem, fit, near))
 
 
 def _unfit_plant(data: DataSet, found: list[UnfitPlant]) -> Verdict:

@@ -11,6 +11,7 @@ import numpy as np
 from gap.effects.terms import Active, terms
 from gap.model import force as laws
 from gap.model import pressure as chamber
+from gap.model.empirical import correction_at
 from gap.model.features import BLOCKS
 from gap.model.grid import Grid
 from gap.model.nominal import NominalPlant
@@ -45,6 +46,7 @@ class Model:
     tared: Array = field(init=False)
     fall_pa: float = 0.0
     _plain: dict[str, tuple[PlantConstants, Array]] = field(init=False, default_factory=dict)
+    _corrections: dict[str, Array] = field(init=False, default_factory=dict)
 
     def __post_init__(self, around: Array | None, like: Model | None) -> None:
         simulator = self.grid.data.simulator
@@ -71,8 +73,18 @@ class Model:
             points = self.grid.points.get(block)
             if points is not None:
                 raw = getattr(self, f"_{block}")(points, constants, active)
-                made[block] = self._features(points, raw) * SCALE[block]
+                made[block] = self._features(points, raw) * SCALE[block] - self._corrected(block)
         return made
+
+    def _corrected(self, block: str) -> Array | float:
+        """What the data set's empirical term adds to the prediction of a block, one value a row."""
+        correction = self.grid.data.corrections.of.get(block)
+        if correction is None:
+            return 0.0
+        if block not in self._corrections:
+            c = self.grid.data.constants
+            self._corrections[block] = correction_at(self, correction, c)
+        return self._corrections[block]
 
     def readings(self, block: str) -> Array | None:
         """What was read, one value a row of a block, in its unit; None without a reading."""

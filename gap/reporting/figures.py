@@ -11,6 +11,7 @@ import numpy as np
 
 from analysis.figures import drawing
 from analysis.figures.drawing import INK, QUIET
+from gap.reporting.empirical import empirical_figure
 from gap.reporting.examination import Examination, Field
 from gap.reporting.map_figures import courses_figure
 from gap.verdict import Share
@@ -39,6 +40,7 @@ def figures(examined: Examination) -> dict[str, str]:
             "maps": maps(examined.field) if examined.field is not None else None,
             "courses": courses_figure(examined.courses, bool(examined.verdict.effects)),
             "order": course(examined.field) if examined.field is not None else None,
+            "empirical": empirical_figure(examined.verdict.empirical),
         }
         return {name: _embedded(figure) if figure else "" for name, figure in made.items()}
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gap.output import write_text
+from gap.reporting.empirical import empirical_sentences
 from gap.reporting.examination import Examination
 from gap.reporting.figures import figures
 from gap.reporting.text import (
@@ -56,6 +57,7 @@ def context(examined: Examination) -> dict[str, Any]:
         "careful": CAREFUL if verdict.effects and verdict.status.explained else "",
         "gap": gap_sentences(verdict),
         "explanations": _explanations(verdict),
+        "empirical": empirical_sentences(verdict),
         "figures": figures(examined),
         "contrasts": sorted(verdict.contrasts, key=lambda c: -abs(c.z)),
         "near": near[:NEAREST],

@@ -25,6 +25,25 @@ class ValidationConfig:
     drift_sd: float = 3.6
     """Sd from which a drift that an explanation leaves is no chance: the explanation was chosen
     among many, and not for its drift. Set on: not recorded."""
+    most_terms: int = 5
+    """Terms that an empirical correction may have."""
+    least_slots: int = 3
+    """Slots without which nothing can be held out of one. A matter of definition."""
+    most_words: int = 4
+    """Terms of a compact expression."""
+    tried_terms: int = 10
+    """Terms whose held-out error is taken at each step of the selection."""
+    term_errors: float = 1.0
+    """Standard errors over slots by which a term must lower the held-out error to enter."""
+    term_share: float = 0.03
+    """Share of the gap above the floor that it must close."""
+    alike_share: float = 0.15
+    """Share of a step's gain that a simpler term may give away."""
+    term_sd: float = 5.0
+    """Prior of a term's coefficients, in rms of the residual: all but free."""
+    term_bend: float = 0.5
+    """Prior of their second differences, in rms of the residual: it carries a term over settings
+    that are left out."""
 
 
 VALIDATION = ValidationConfig()

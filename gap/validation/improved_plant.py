@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.intervals import headline_estimates, undamped_step
 from gap.output import toml_value
+from gap.verdict import EmpiricalTerm
 from plant.constants import CHOICES, KEYS, nominal
 from plant.effects.catalogue import CATALOGUE
+from plant.effects.empirical import Correction
 
 
-def improved_plant(problem: FitProblem, fit: FitResult) -> str:
+def improved_plant(
+    problem: FitProblem, fit: FitResult, empirical: EmpiricalTerm | None = None
+) -> str:
     """The improved plant as TOML: recalibrated and stated constants, and a table for each effect.
 
     The simulator (`pamrig simulate --plant`), the live prediction (`--predict`), the virtual bench
-    and `bench.toml` read it.
+    and `bench.toml` read it; with an empirical term only `bench.toml` and the law without time.
     """
-    fit = undamped_step(problem, fit)
+    fit = undamped_step(problem, fit) if empirical is None else _moved(fit, empirical)
     lines = ["# The plant as recalibrated on these data, with the effects that explain the gap."]
     constants = problem.constants(fit.shift)
     usual = nominal()
@@ -58,7 +63,40 @@ def improved_plant(problem: FitProblem, fit: FitResult) -> str:
         for key, value in _shape(problem, fit, name).items():
             value = min(max(value, known[key].low), known[key].high)
             lines.append(f"{key} = {value:.4g}")
+    corrections = dict(problem.data.corrections.of)
+    if empirical is not None:
+        correction = empirical.correction
+        stated = corrections.get(correction.block, Correction(correction.block, ()))
+        corrections[correction.block] = replace(correction, terms=stated.terms + correction.terms)
+        lines += ["", *_described(empirical)]
+    for correction in corrections.values():
+        lines += ["", *_correction_lines(correction)]
     return "\n".join(lines) + "\n"
+
+
+def _moved(fit: FitResult, term: EmpiricalTerm) -> FitResult:
+    """The fit with constants and amounts as they were fitted together with the term."""
+    n = len(fit.shift)
+    return replace(fit, shift=fit.shift + term.moved[:n], amounts=fit.amounts + term.moved[n:])
+
+
+def _described(term: EmpiricalTerm) -> list[str]:
+    """What a reader of the file should know of a term that is no physics."""
+    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in term.shares.items())
+    return [
+        "# Empirical: what is left of the gap has no name. Held at its edge beyond its knots.",
+        f"# It depends on {shares}; on slots held out it closes {100 * term.closed:.0f} % of the",
+        f"# gap ({100 * term.closed_low:.0f} to {100 * term.closed_high:.0f}).",
+    ]
+
+
+def _correction_lines(correction: Correction) -> list[str]:
+    table = correction.as_config()
+    name = f"empirical.{correction.block}"
+    lines = [f"[{name}]", f"unit = {toml_value(table['unit'])}"]
+    for term in table["terms"]:
+        lines += [f"[[{name}.terms]]", *(f"{k} = {toml_value(v)}" for k, v in term.items())]
+    return lines
 
 
 def _shape(problem: FitProblem, fit: FitResult, name: str) -> Mapping[str, float]:

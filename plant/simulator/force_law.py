@@ -20,7 +20,9 @@ import numpy.typing as npt
 from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
+from plant.effects.empirical import STATIC, UNCORRECTED, Corrections, braid_scales
 from plant.effects.reference import TEMPERATURE_C as REFERENCE_TEMPERATURE_C
+from plant.errors import PlantError
 from plant.physics import layout, muscle
 from plant.simulator.bench import build_params
 
@@ -29,11 +31,14 @@ from plant.simulator.bench import build_params
 class ForceLaw:
     """The muscle of `constants` with `effects`; every method takes SI arrays that broadcast.
 
+    An empirical correction of the force is added where it depends on pressure and length alone.
+
     Raises `PlantError` for pressures below vacuum and lengths outside the braid.
     """
 
     constants: PlantConstants
     effects: Effects = NONE
+    corrections: Corrections = UNCORRECTED
 
     def lasting(
         self,
@@ -54,7 +59,22 @@ class ForceLaw:
             pull = scale(pull, params, p, length, kelvin, np.asarray(trials), self._braid)
         for add in self._hooks("add"):
             pull = add(pull, params, p, length)
-        return np.asarray(pull)
+        return np.asarray(pull + self._correction(p, length))
+
+    def _correction(self, p: Array, length: Array) -> Array | float:
+        """What `[empirical.force]` adds, N. `PlantError` where it needs more than this law has."""
+        correction = self.corrections.of.get("force")
+        if correction is None:
+            return 0.0
+        for name in correction.inputs:
+            if name not in STATIC:
+                raise PlantError(
+                    f"[empirical.force] depends on {name}; a law without time has "
+                    f"{' and '.join(STATIC)} only"
+                )
+        at = {"pressure_kpa": p.ravel() * 1e-3, "length_mm": length.ravel() * 1e3}
+        at |= braid_scales(p.ravel(), length.ravel(), self.constants)
+        return np.asarray(correction.value(at, p.size).reshape(p.shape))
 
     def force(
         self,

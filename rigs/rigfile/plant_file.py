@@ -10,13 +10,15 @@ from daq.errors import ConfigError
 from plant import tomlfile
 from plant.constants import PlantConstants, nominal
 from plant.effects.effects import Effects
+from plant.effects.empirical import Corrections
 from plant.errors import PlantError
 
 
 def load_plant(path: Path) -> tuple[PlantConstants, Effects]:
     """Constants and `[effects.<id>]` of a plant file, over the nominal plant.
 
-    A rig file serves as well: its `[virtual.plant]` and effects are taken.
+    A rig file serves as well: its `[virtual.plant]` and effects are taken. `[empirical.<block>]` is
+    refused.
 
     Raises:
         ConfigError: the file cannot be read, or the plant refuses what it states.
@@ -26,13 +28,18 @@ def load_plant(path: Path) -> tuple[PlantConstants, Effects]:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(str(path), f"cannot be read as TOML ({error})") from None
     effects = table.pop("effects", {})
+    empirical = table.pop("empirical", {})
     virtual = table.get("virtual")
     stated = virtual.get("plant", {}) if isinstance(virtual, dict) else table
-    return _plant(stated, effects, str(path))
+    return _plant(stated, effects, empirical, str(path))
 
 
-def _plant(stated: Any, effects: Any, origin: str) -> tuple[PlantConstants, Effects]:
+def _plant(
+    stated: Any, effects: Any, empirical: Any, origin: str
+) -> tuple[PlantConstants, Effects]:
     try:
+        # What steps through time has no term that was learnt from readings.
+        Corrections.from_config(empirical, f"{origin} empirical").refuse("a simulation in time")
         constants = nominal().with_overrides(stated, origin)
         return constants, Effects.from_config(effects, f"{origin} effects")
     except PlantError as error:

@@ -1,0 +1,147 @@
+"""An empirical term for people: what a gap without a name looks like, in lines and as a figure."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gap.verdict import EmpiricalTerm, TermCourse, Verdict
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+BLUE, QUIET = "#0072B2", "#8a8a8a"  # Okabe and Ito
+INPUT_TEXT = {
+    "pressure_kpa": "pressure, kPa", "length_mm": "length, mm", "velocity_mm_s": "velocity, mm/s",
+    "pressure_rate_kpa_s": "pressure rate, kPa/s", "temperature_c": "temperature, degC",
+    "order": "order of the trial", "time_s": "time in the trial, s",
+    "since_edge_s": "time since a valve's command, s", "valve": "valve open: outlet -1, inlet 1",
+    "slip": "slip since the last turn, -1 to 1",
+    "change_1s_kpa": "pressure beyond its mean over 1 s, kPa",
+    "change_10s_kpa": "pressure beyond its mean over 10 s, kPa",
+}  # fmt: skip
+_SCALED = {
+    "pull": "share of the pull",
+    "pull_per_kpa": "error of the pressure, kPa",
+    "pull_per_mm": "error of the length, mm",
+    "flow": "flow into the chamber, mg/s",
+    "valve_flow": "share of the valve's flow",
+}
+_KINDS = {
+    "": "an addition",
+    "pull": "a change in proportion to the pull",
+    "pull_per_kpa": "an error of the pressure",
+    "pull_per_mm": "an error of the length",
+    "flow": "a flow into the chamber",
+    "valve_flow": "a change in proportion to the valve's flow",
+}
+
+
+def empirical_lines(verdict: Verdict) -> list[str]:
+    """The term of a verdict in lines; none without a term."""
+    term = verdict.empirical
+    if term is None:
+        return []
+    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in term.shares.items())
+    lines = [
+        f"looks like  {_kind(term)}, in the {term.correction.block} channel; depends on {shares}",
+        f"  closes    {100 * term.closed:.0f} % ({100 * term.closed_low:.0f} to "
+        f"{100 * term.closed_high:.0f}) on slots held out: {term.recalibrated:.3g} -> "
+        f"{term.after:.3g}, floor {term.floor:.3g} {term.unit}",
+        f"  domain    {'; '.join(_ends(name, ends) for name, ends in _domain(term))}",
+    ]
+    if term.expression is not None:
+        lines.append(f"  formula   {term.expression.text}")
+    return lines + [f"  near      {one}" for one in term.nearest]
+
+
+def empirical_sentences(verdict: Verdict) -> list[str]:
+    """The same for a page; none without a term."""
+    term = verdict.empirical
+    if term is None:
+        return []
+    shares = ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in term.shares.items())
+    ends = "; ".join(_ends(name, ends) for name, ends in _domain(term))
+    made = [
+        f"What has no name looks like {_kind(term)} in the {term.correction.block} channel, and "
+        f"depends on {shares}.",
+        f"A term learnt from it closes {100 * term.closed:.0f} % of the gap above the floor "
+        f"({100 * term.closed_low:.0f} to {100 * term.closed_high:.0f} %) on slots held out: "
+        f"{term.recalibrated:.3g} {term.unit} become {term.after:.3g} {term.unit}, the floor is "
+        f"{term.floor:.3g} {term.unit}. It holds for {ends}.",
+    ]
+    if term.rate_share >= _SHOWN:
+        made.append(f"{100 * term.rate_share:.0f} % of it depends on a rate.")
+    if term.expression is not None:
+        made.append(f"A formula does nearly as well: {term.expression.text}.")
+    if term.nearest:
+        made.append(f"Nearest entries: {'; '.join(map(str, term.nearest))}.")
+    return made
+
+
+_SHOWN = 0.01
+
+
+def _domain(term: EmpiricalTerm) -> list[tuple[str, tuple[float, float]]]:
+    return list(term.correction.domain.items())
+
+
+def _ends(name: str, ends: tuple[float, float]) -> str:
+    what, _, unit = INPUT_TEXT[name].partition(", ")
+    return f"{what} {ends[0]:.4g} to {ends[1]:.4g} {unit}".strip()
+
+
+def _kind(term: EmpiricalTerm) -> str:
+    """What the terms are errors of."""
+    used = dict.fromkeys(t.scale for t in term.correction.terms)
+    return " and ".join(_KINDS[scale] for scale in used)
+
+
+def empirical_figure(term: EmpiricalTerm | None) -> Figure | None:
+    """Curves with their 95 % bands, and maps with the band's half-width beside them."""
+    from matplotlib import pyplot
+
+    if term is None or not term.courses:
+        return None
+    panels = sum(len(course.inputs) for course in term.courses if course.inputs)
+    if not panels:
+        return None
+    made = pyplot.subplots(
+        1, panels, figsize=(0.6 + 3.0 * panels, 2.7), squeeze=False, layout="constrained"
+    )
+    figure: Figure = made[0]
+    axes: Any = made[1][0]
+    pyplot.close(figure)
+    place = 0
+    for course in term.courses:
+        unit = _SCALED.get(course.scale, f"{term.correction.block}, {term.unit}")
+        if len(course.inputs) == 1:
+            _curve(axes[place], course, unit)
+        elif len(course.inputs) == 2:
+            _map(figure, axes[place], course, course.value, unit)
+            _map(figure, axes[place + 1], course, course.half_width, f"95 % half-width of {unit}")
+        place += len(course.inputs)
+    return figure
+
+
+def _curve(axis: Any, course: TermCourse, unit: str) -> None:
+    x = course.at[0]
+    axis.axhline(0.0, color=QUIET, lw=0.7)
+    axis.fill_between(
+        x, course.value - course.half_width, course.value + course.half_width, color=BLUE,
+        alpha=0.2, lw=0,
+    )  # fmt: skip
+    axis.plot(x, course.value, color=BLUE, lw=1.4)
+    axis.set_xlabel(INPUT_TEXT[course.inputs[0]])
+    axis.set_ylabel(unit)
+
+
+def _map(figure: Any, axis: Any, course: TermCourse, values: Any, label: str) -> None:
+    most = max(float(np.abs(course.value).max()), 1e-12)
+    shown = axis.pcolormesh(
+        course.at[0], course.at[1], values.T, cmap="RdBu_r", vmin=-most, vmax=most, shading="auto"
+    )
+    figure.colorbar(shown, ax=axis, label=label)
+    axis.set_xlabel(INPUT_TEXT[course.inputs[0]])
+    axis.set_ylabel(INPUT_TEXT[course.inputs[1]])

@@ -1,0 +1,276 @@
+"""What a gap without a name looks like: planted residuals are found, chance and bad tables are not.
+
+The planted forces are written here by themselves, with formulas that the diagnosis does not have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from cli.main import app
+from gap.data.reader import read_dataset
+from gap.errors import GapError
+from gap.estimation.cross_validation import held_out
+from gap.estimation.fit_problem import FitProblem
+from gap.reason import Cause, Reason
+from gap.reporting.empirical import empirical_figure, empirical_lines
+from gap.validation.empirical import empirical_term
+from gap.validation.improved_plant import improved_plant
+from gap.verdict import EmpiricalTerm, Status, Verdict
+from plant.constants import nominal
+from plant.effects.effects import NONE
+from plant.effects.empirical import Corrections, spline_columns
+from plant.errors import PlantError
+from plant.simulator.force_law import ForceLaw
+
+Array = npt.NDArray[np.float64]
+Planted = Callable[[Array, float, float, float], Array]
+"""Force in N beyond the plant's, from pressure in kPa, length in mm, temperature in C, order."""
+
+PRESSURES = np.linspace(0.0, 500.0, 21)
+LENGTHS = (53.0, 55.0, 57.0, 59.0, 61.0, 63.0, 65.0, 67.0, 69.0)
+
+
+def nothing(p: Array, length: float, celsius: float, order: float) -> Array:
+    return np.zeros_like(p)
+
+
+def waves(p: Array, length: float, celsius: float, order: float) -> Array:
+    """Three half waves over the pressures: no entry of the catalogue bends so often."""
+    return np.asarray(2.0 * np.sin(3.0 * math.pi * p / 500.0))
+
+
+def fold(p: Array, length: float, celsius: float, order: float) -> Array:
+    """A dip in the middle of the map of pressures and lengths."""
+    return np.asarray(-4.0 * np.exp(-(((length - 61.0) / 6.0) ** 2) - ((p - 250.0) / 90.0) ** 2))
+
+
+def warm(p: Array, length: float, celsius: float, order: float) -> Array:
+    """A force of temperature alone, whatever the pressure."""
+    return np.full_like(p, 0.4 * (celsius - 21.0))
+
+
+def worn(p: Array, length: float, celsius: float, order: float) -> Array:
+    """A force that grows with the order of the trials, whatever the pressure."""
+    return np.full_like(p, 0.08 * order)
+
+
+def planted_set(folder: Path, planted: Planted, seed: int = 3) -> Path:
+    """Settled isometric tables at nine lengths; three replicates, all of a length as warm."""
+    rng = np.random.default_rng(seed)
+    celsius_at = dict(zip(LENGTHS, 21.0 + 6.0 * rng.uniform(-1.0, 1.0, len(LENGTHS)), strict=True))
+    law = ForceLaw(nominal(), NONE)
+    trials, samples, order = [], [], 0
+    for replicate in range(1, 4):
+        for length in rng.permutation(np.array(LENGTHS)).tolist():
+            order += 1
+            celsius = celsius_at[length]
+            p = PRESSURES
+            force = law.lasting(p * 1e3, np.full(len(p), length * 1e-3))
+            force = force + planted(p, length, celsius, float(order))
+            samples.append(
+                pd.DataFrame(
+                    {
+                        "trial": f"t{order:02d}",
+                        "pressure_kpa": p + rng.normal(0.0, 0.2, len(p)),
+                        "force_n": force + rng.normal(0.0, 0.05) + rng.normal(0.0, 0.05, len(p)),
+                        "direction": "up",
+                    }
+                )
+            )
+            trials.append(
+                {
+                    "trial": f"t{order:02d}", "slot": f"L{length:g}", "replicate": str(replicate),
+                    "protocol": "isometric", "mounting": "m1", "order": order,
+                    "held_length_mm": length, "temperature_c": celsius,
+                }
+            )  # fmt: skip
+    folder.mkdir(parents=True)
+    pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
+    pd.concat(samples).to_csv(folder / "samples.csv", index=False)
+    return folder
+
+
+def term_of(folder: Path) -> tuple[FitProblem, EmpiricalTerm | None]:
+    problem = FitProblem.of(read_dataset(folder))
+    return problem, empirical_term(problem, problem.base)
+
+
+@pytest.mark.parametrize(
+    ("planted", "inputs"),
+    [
+        (waves, {"pressure"}), (fold, {"pressure", "length"}),
+        (warm, {"temperature"}), (worn, {"order"}),
+    ],
+)  # fmt: skip
+def test_a_planted_residual_is_found_with_its_inputs(
+    tmp_path: Path, planted: Planted, inputs: set[str]
+) -> None:
+    _, term = term_of(planted_set(tmp_path / "data", planted))
+    assert term is not None
+    assert {name for name, share in term.shares.items() if share >= 0.1} == inputs
+    assert term.closed > 0.7
+    assert 0.0 < term.closed_low <= term.closed <= term.closed_high
+    assert sum(term.shares.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+def test_noise_alone_gives_no_term(tmp_path: Path, seed: int) -> None:
+    _, term = term_of(planted_set(tmp_path / "data", nothing, seed))
+    assert term is None
+
+
+def test_the_shape_is_the_planted_one_within_its_band(tmp_path: Path) -> None:
+    _, term = term_of(planted_set(tmp_path / "data", waves))
+    assert term is not None
+    (course,) = [c for c in term.courses if c.inputs == ("pressure_kpa",) and not c.scale]
+    true = waves(course.at[0], 60.0, 21.0, 0.0)
+    # A constant of the plant takes a straight line of the pressure: what bends is the term's.
+    rest = course.value - true
+    rest = rest - np.polyval(np.polyfit(course.at[0], rest, 1), course.at[0])
+    assert np.sqrt(np.mean(rest**2)) < 0.25 * np.sqrt(np.mean(true**2))
+    assert np.all(course.half_width > 0.0)
+
+
+def test_what_happens_in_one_slot_alone_closes_nothing_held_out(tmp_path: Path) -> None:
+    """Fitted to itself a spline closes nearly all of it; whoever predicts it closes none."""
+
+    def only_there(p: Array, length: float, celsius: float, order: float) -> Array:
+        return waves(p, length, celsius, order) if length == 61.0 else np.zeros_like(p)
+
+    _, term = term_of(planted_set(tmp_path / "data", only_there))
+    assert term is None
+
+
+def test_a_slot_left_out_has_no_part_in_what_predicts_it(tmp_path: Path) -> None:
+    """Whatever is written into a slot, the term that predicts it stays the same."""
+    from gap.validation.config import VALIDATION
+    from gap.validation.empirical import search_of
+
+    problem = FitProblem.of(read_dataset(planted_set(tmp_path / "data", fold)))
+    slot = 4
+    here = problem.units[problem.rows.trial] == slot
+    residual = problem.base.residual.copy()
+    residual[here] = np.random.default_rng(0).normal(0.0, 50.0, int(here.sum()))
+    found = []
+    for fit in (problem.base, replace(problem.base, residual=residual)):
+        search = search_of(problem, fit, "force", replace(VALIDATION, term_share=0.0))
+        assert search is not None
+        columns = search.columns([p for p in search.pieces if p.inputs == ("pressure_kpa",)])
+        # The prior is in units of the whole residual; here it must not differ.
+        alike = replace(search.terms, penalty=np.eye(len(search.terms.penalty)))
+        found.append(alike.coefficients(columns, frozenset({slot})))
+    assert found[0] == pytest.approx(found[1])
+
+
+def test_a_stated_term_closes_the_gap_that_the_held_out_figure_promised(tmp_path: Path) -> None:
+    folder = planted_set(tmp_path / "data", waves)
+    problem, term = term_of(folder)
+    assert term is not None
+    (folder / "bench.toml").write_text(improved_plant(problem, problem.base, term))
+    again = FitProblem.of(read_dataset(folder))
+    rest = held_out(again, again.base)["force"].rms("recalibrated")
+    before = held_out(problem, problem.base)["force"].rms("recalibrated")
+    assert rest < 0.5 * before
+    assert rest == pytest.approx(term.after, rel=0.25)
+
+
+def test_a_simulation_in_time_refuses_a_plant_with_a_term(tmp_path: Path) -> None:
+    folder = planted_set(tmp_path / "data", waves)
+    problem, term = term_of(folder)
+    path = tmp_path / "plant.toml"
+    path.write_text(improved_plant(problem, problem.base, term))
+    ran = CliRunner().invoke(app, ["simulate", "held-steps", "--plant", str(path)])
+    assert ran.exit_code != 0
+    assert "[empirical.force]: a simulation in time cannot take" in str(ran.exception)
+
+
+GOOD = """
+[empirical.force]
+unit = "N"
+[[empirical.force.terms]]
+inputs = ["pressure_kpa"]
+knots = [[0.0, 500.0]]
+coefficients = [0.0, 1.0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('"N"', '"kPa"'), "unit = 'kPa'; expected 'N'"),
+        (("empirical.force", "empirical.torque"), "unknown block 'torque'"),
+        (('"pressure_kpa"', '"colour"'), "unknown input 'colour'"),
+        (("[0.0, 500.0]", "[500.0, 0.0]"), "two numbers or more that rise"),
+        (("[0.0, 1.0]", "[0.0, 1.0, 2.0]"), "3 coefficients; 2 belong to these knots"),
+        (("[0.0, 1.0]", "[0.0, nan]"), "nan is no finite number"),
+        (("[0.0, 1.0]", "[0.0, true]"), "True is no finite number"),
+        (("unit =", "units ="), "unknown key 'units'"),
+        (("coefficients =", 'scale = "pul"\ncoefficients ='), "scale = 'pul'"),
+        (('inputs = ["pressure_kpa"]', "inputs = 3"), "expected a list of up to two inputs"),
+    ],
+)
+def test_a_bad_table_is_refused_in_one_line(
+    tmp_path: Path, change: tuple[str, str], message: str
+) -> None:
+    folder = planted_set(tmp_path / "data", nothing)
+    (folder / "bench.toml").write_text(GOOD.replace(*change))
+    with pytest.raises(GapError) as refused:
+        read_dataset(folder)
+    assert message in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_term_is_held_at_its_edge_beyond_its_domain() -> None:
+    import tomllib
+
+    correction = Corrections.from_config(tomllib.loads(GOOD)["empirical"]).of["force"]
+    p = np.array([-100.0, 0.0, 250.0, 500.0, 900.0])
+    assert correction.value({"pressure_kpa": p}, 5) == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0])
+    assert correction.domain == {"pressure_kpa": (0.0, 500.0)}
+
+
+def test_the_splines_add_up_to_one() -> None:
+    x = np.linspace(-1.0, 8.0, 50)
+    for knots in ((0.0, 7.0), (0.0, 2.0, 7.0), (0.0, 1.0, 3.0, 7.0), (0.0, 1.0, 3.0, 4.0, 7.0)):
+        assert spline_columns(x, knots).sum(axis=1) == pytest.approx(np.ones(50))
+
+
+def test_a_static_law_takes_a_term_of_pressure_and_length_and_no_other(tmp_path: Path) -> None:
+    import tomllib
+
+    c = nominal()
+    corrections = Corrections.from_config(tomllib.loads(GOOD)["empirical"])
+    plain = ForceLaw(c).lasting(250e3, 0.06)
+    assert ForceLaw(c, NONE, corrections).lasting(250e3, 0.06) == pytest.approx(plain + 0.5)
+    of_speed = GOOD.replace("pressure_kpa", "velocity_mm_s")
+    with pytest.raises(PlantError, match="velocity_mm_s"):
+        ForceLaw(c, NONE, Corrections.from_config(tomllib.loads(of_speed)["empirical"])).lasting(
+            250e3, 0.06
+        )
+
+
+def test_the_verdict_says_it_in_lines_a_figure_and_plain_values(tmp_path: Path) -> None:
+    _, term = term_of(planted_set(tmp_path / "data", waves))
+    assert term is not None
+    verdict = Verdict(Status.UNKNOWN, Reason(Cause.NO_GAP), "muscle", (), 0.1, 0.9, empirical=term)
+    lines = "\n".join(empirical_lines(verdict))
+    assert "depends on pressure 100 %" in lines
+    assert "on slots held out" in lines
+    table = verdict.as_dict()["empirical"]
+    assert table["channel"] == "force"
+    assert table["inputs"] == [{"input": "pressure", "share": 1.0}]
+    assert table["domain"]["pressure_kpa"] == pytest.approx([0.0, 500.0], abs=1.5)
+    figure = empirical_figure(term)
+    assert figure is not None
+    assert [axis.get_xlabel() for axis in figure.axes] == ["pressure, kPa"]
+    assert "N" in figure.axes[0].get_ylabel()
