@@ -110,7 +110,7 @@ def test_effects_that_a_plant_file_states_go_with_the_exported_runs(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("factor", "says"), [("1e-300", "s after the row before"), ("1e300", "far outside")]
+    ("factor", "says"), [("1e-300", "the trial lasts"), ("1e300", "far outside")]
 )
 def test_times_that_no_clock_has_are_refused(factor: str, says: str, tmp_path: Path) -> None:
     """`gap where` ended in a traceback: singular values did not converge."""
