@@ -42,6 +42,7 @@ Whole = npt.NDArray[np.int64]
 _ROUNDS = 12
 _SMALLER = 3
 _RELINEARISED = 4
+_NEAR_FITS = 4
 _NEAR_SD = 0.1
 """How far, in sd, parameters may lie from those at which a simulator was made linear."""
 
@@ -291,12 +292,14 @@ class FitProblem:
         return self.fit(own, [candidate.step for candidate in own])
 
     def columns_near(self, fit: FitResult) -> Array:
-        """Sensitivities of the constants at a fit; those of the last fit are kept."""
-        kept = self._kept.get("near")
-        if kept is None or kept[0] is not fit:
-            columns = self.columns_at(fit.shift, fit.candidates, fit.amounts)
-            kept = self._kept["near"] = (fit, columns)
-        return np.asarray(kept[1])
+        """Sensitivities of the constants at a fit; those of the last fits are kept."""
+        kept = self._kept.get("near", ())
+        for known, columns in kept:
+            if known is fit:
+                return np.asarray(columns)
+        columns = self.columns_at(fit.shift, fit.candidates, fit.amounts)
+        self._kept["near"] = (*kept[1 - _NEAR_FITS :], (fit, columns))
+        return columns
 
     def fit_afresh(self, candidates: Sequence[Candidate], start: Sequence[float] = ()) -> FitResult:
         """Return what `fit` gives when it starts from the constants as stated."""
@@ -422,7 +425,9 @@ class FitProblem:
         c = self.constants(shift)
         active = self.active_effects(shift, candidates, amounts)
         ahead = len(active) - len(candidates)
-        for j, candidate in enumerate(candidates):
+
+        def slope(j: int) -> Array:
+            candidate = candidates[j]
             there = [block for block in candidate.blocks if block in self.grid.points]
             step = max(0.3 * candidate.step, 0.02 * abs(amounts[j]))
             if candidate.switch:
@@ -435,7 +440,10 @@ class FitProblem:
             a = self.model.residual(c, low, there)
             b = self.model.residual(c, high, there)
             span = high[ahead + j][2] - low[ahead + j][2]
-            made[:, j] = self.model.stacked({k: (a[k] - b[k]) / span for k in there})
+            return self.model.stacked({k: (a[k] - b[k]) / span for k in there})
+
+        for j, column in enumerate(self.model.each(slope, range(len(candidates)))):
+            made[:, j] = column
         return np.nan_to_num(made)
 
     def normal(self, columns: Array, residual: Array, shift: Array) -> tuple[Array, Array]:

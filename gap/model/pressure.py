@@ -16,11 +16,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from gap.effects.terms import Active, terms
+from gap.model.threads import cores, each
 from plant.arrays import Array
 from plant.compiled import called, entry_point, fingerprint, inlined
 from plant.constants import (
@@ -216,13 +218,15 @@ def _trial(
         command[edge_of[edge]] = edge_to[edge]
         opened[edge_of[edge]] = edge_to[edge] > 0.5
         edge += 1
+    v_end = (
+        _braid_volume(length[0], q[layout.BRAID_LENGTH], q[layout.TURNS]) + q[layout.DEAD_VOLUME]
+    )
+    paced = -1.0
+    followed = 0.0
     for i in range(1, len(time)):
         end = time[i]
         begin = time[i - 1]
-        v_begin = (
-            _braid_volume(length[i - 1], q[layout.BRAID_LENGTH], q[layout.TURNS])
-            + q[layout.DEAD_VOLUME]
-        )
+        v_begin = v_end
         v_end = (
             _braid_volume(length[i], q[layout.BRAID_LENGTH], q[layout.TURNS])
             + q[layout.DEAD_VOLUME]
@@ -288,7 +292,11 @@ def _trial(
                 s[2] += pull
                 s[5] += pull
         elif q[stage.FOLLOW] > 0.0:
-            pull = (reading[i] - shown) * (1.0 - math.exp(-(end - begin) / q[stage.FOLLOW]))
+            # Samples are evenly spaced over long stretches.
+            if end - begin != paced:
+                paced = end - begin
+                followed = 1.0 - math.exp(-paced / q[stage.FOLLOW])
+            pull = (reading[i] - shown) * followed
             s[0] = max(s[0] + pull, -0.95 * q[layout.ATMOSPHERE])
             s[1] = max(s[1] + pull, -0.95 * q[layout.ATMOSPHERE])
             s[2] += pull
@@ -302,7 +310,8 @@ def _build(sources: int) -> Callable[..., None]:
     # `sources` is used so that it becomes a closure variable; it is never negative.
     @entry_point(
         f"void({vector}, {whole}, {vector}, {vector}, {vector}, {vector}, {whole}, {vector}, "
-        f"{vector}, {whole}, {vector}, {vector}, {vector}, {vector}, int64)"
+        f"{vector}, {whole}, {vector}, {vector}, {vector}, {vector}, int64)",
+        threads=True,
     )
     def run(
         q: Any, first: Any, time: Any, reading: Any, length: Any, supply: Any, first_edge: Any,
@@ -334,6 +343,7 @@ def _build(sources: int) -> Callable[..., None]:
 
 _run = _build(fingerprint())
 _NONE = np.empty(0)
+_WORTH_THREADS = 10_000
 
 
 def predict(*arrays: Any) -> None:
@@ -343,7 +353,26 @@ def predict(*arrays: Any) -> None:
     fall): nodes of trial t are `first[t]:first[t+1]`, likewise its edges of commands; readings go
     to `out`, `fall[0]` is the largest fall of the supply.
     """
-    _run(*arrays, _NONE, _NONE, _FOLLOW)
+    q, first, *nodes, first_edge, edge_s, edge_to, edge_of, out, fall = arrays
+
+    def run(trials: slice) -> float:
+        largest = np.zeros(1)
+        _run(
+            q, first[trials], *nodes, first_edge[trials], edge_s, edge_to, edge_of, out, largest,
+            _NONE, _NONE, _FOLLOW,
+        )  # fmt: skip
+        return float(largest[0])
+
+    fall[0] = max(each(run, _parts(first)))
+
+
+def _parts(first: Any) -> list[slice]:
+    """Trials in parts with about as many nodes, one for each thread; one part where few."""
+    nodes = int(first[-1])
+    count = cores() if nodes > _WORTH_THREADS else 1
+    wanted = [nodes * k // count for k in range(1, count)]
+    ends = [0, *np.searchsorted(first, wanted).tolist(), len(first) - 1]
+    return [slice(a, b + 1) for a, b in pairwise(ends) if b > a] or [slice(0, len(first))]
 
 
 def replay(*arrays: Any, learn: bool) -> None:
