@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -107,3 +109,24 @@ def test_effects_that_a_plant_file_states_go_with_the_exported_runs(tmp_path: Pa
     made = export_runs([open_run(result.folder)], tmp_path / "data", plant=plant).folder
     assert tomllib.loads((made / "bench.toml").read_text()) == tomllib.loads(plant.read_text())
     assert read_dataset(made).effects.values["liner_threshold"]["threshold_kpa"] == 40.0
+
+
+@pytest.mark.parametrize("command", ["diagnose", "where", "shrink", "next", "report"])
+def test_a_wrong_path_is_reported_before_anything_large_is_imported(
+    command: str, tmp_path: Path
+) -> None:
+    for words, expected in (
+        ((tmp_path / "nosuch",), "no such folder"),
+        ((tmp_path, "--simulator", tmp_path / "nosuch.toml"), "no such file"),
+    ):
+        program = (
+            "import sys\nfrom cli.main import main\ntry:\n    main()\nfinally:\n"
+            "    print(*(n for n in ('numpy', 'numba', 'scipy', 'pandas') if n in sys.modules))"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", program, "gap", command, *map(str, words)],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 2
+        assert expected in done.stderr
+        assert done.stdout.strip() == ""

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
 from gap.decision.classify import classify
-from gap.effects.candidates import CANDIDATES
+from gap.effects.candidates import CANDIDATES, Candidate
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.fitness import UnfitPlant, unfit_nominal
@@ -53,18 +53,11 @@ def diagnose_with_search(
 
     FitProblem and search are None where the data are unfit or nothing can be compared.
     """
-    struck = frozenset(without)
-    for name in struck:
-        if name not in CATALOGUE:
-            raise GapError(
-                "--without", f"unknown effect {name!r}", f"known: {', '.join(CATALOGUE)}"
-            )
+    candidates = candidates_without(without)
     unfit = unfit_channels(data)
     if unfit:
         return _unfit(unfit), None, None
-    problem = FitProblem.of(
-        data, [candidate for candidate in CANDIDATES if candidate.id not in struck]
-    )
+    problem = FitProblem.of(data, candidates)
     if not len(problem.rows):
         return nothing_to_compare(data), None, None
     misfits = unfit_nominal(problem)
@@ -94,6 +87,17 @@ def _unfit_plant(data: DataSet, found: list[UnfitPlant]) -> Verdict:
             ]
         },
     )
+
+
+def candidates_without(struck: Iterable[str]) -> list[Candidate]:
+    """All candidates but those of some effects. Raises `GapError` for an unknown effect."""
+    names = frozenset(struck)
+    for name in sorted(names):
+        if name not in CATALOGUE:
+            raise GapError(
+                "--without", f"unknown effect {name!r}", f"known: {', '.join(CATALOGUE)}"
+            )
+    return [candidate for candidate in CANDIDATES if candidate.id not in names]
 
 
 def _unfit(found: list[Unfit]) -> Verdict:

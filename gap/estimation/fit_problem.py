@@ -85,6 +85,30 @@ class FitResult:
 
 
 @dataclass(frozen=True, eq=False)
+class ProblemState:
+    """What a fit problem has learnt of its data; fields as those of `FitProblem`.
+
+    Attributes:
+        around: parameters at which the data set's simulator was run; None without one.
+    """
+
+    names: tuple[str, ...]
+    stated_columns: Array
+    stated_residual: Array
+    columns: Array
+    base: FitResult
+    noise: Noise
+    around: Array | None
+
+    def check(self) -> None:
+        """Raise `ValueError` where its parts do not belong together."""
+        shape = (len(self.stated_residual), len(self.names))
+        right = self.stated_columns.shape == shape == self.columns.shape
+        if not right or self.base.residual.shape != shape[:1] != self.noise.white.shape:
+            raise ValueError("parts of different problems")
+
+
+@dataclass(frozen=True, eq=False)
 class FitProblem:
     """One data set to which constants and candidate effects are fitted.
 
@@ -124,9 +148,7 @@ class FitProblem:
     def of(cls, data: DataSet, candidates: Sequence[Candidate] = CANDIDATES) -> FitProblem:
         """Learn the noise of a data set and recalibrate its constants."""
         data = without_duplicates(data)
-        # A table of settled points has no time in it, so nothing in it can be out of time.
-        timed = not data.settled
-        usable = tuple(s for s in candidates if timed or not (s.defect or s.search.scan == "clock"))
+        usable = _usable(data, candidates)
         model = Model(make_grid(data))
         stated = _stated_effects(data)
         residual = _stacked_residual(model, data.constants, stated)
@@ -151,6 +173,27 @@ class FitProblem:
             left = unexplainable(others, left, usual_noise(model, data.constants, left))
         noise = learn_noise(model, problem.constants(problem.base.shift), left)
         return replace(problem, noise=noise)._recalibrated(problem.base.shift)
+
+    @classmethod
+    def restored(
+        cls, data: DataSet, state: ProblemState, candidates: Sequence[Candidate] = CANDIDATES
+    ) -> FitProblem:
+        """The problem that `of` made of the same data and candidates, from its state."""
+        data = without_duplicates(data)
+        return cls(
+            data, _usable(data, candidates), Model(make_grid(data), state.around),
+            _stated_effects(data), state.noise, state.names,
+            int(data.mountings.max(initial=-1)) + 1, state.stated_columns, state.stated_residual,
+            state.columns, state.base,
+        )  # fmt: skip
+
+    def state(self) -> ProblemState:
+        """What took long to compute; see `restored`."""
+        nominal = self.model.nominal
+        return ProblemState(
+            self.names, self.stated_columns, self.stated_residual, self.columns, self.base,
+            self.noise, None if nominal is None else nominal.around,
+        )  # fmt: skip
 
     def _recalibrated(self, shift: Array) -> FitProblem:
         """The problem with its base fitted from `shift`."""
@@ -508,6 +551,12 @@ class FitProblem:
             if len(known) >= 3:
                 made[name] = np.array([known[label] for label in labels], dtype=np.int64)
         return made
+
+
+def _usable(data: DataSet, candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """A table of settled points has no time in it, so nothing in it can be out of time."""
+    timed = not data.settled
+    return tuple(s for s in candidates if timed or not (s.defect or s.search.scan == "clock"))
 
 
 def _bounded(candidates: Sequence[Candidate], amounts: Array) -> Array:

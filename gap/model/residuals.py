@@ -80,7 +80,7 @@ class Model:
         return made
 
     def _kept_rows(self, block: str, points: Points, c: PlantConstants, active: Active) -> Array:
-        """Rows of one block; the last ones are kept, as steps of a search start where others end."""
+        """Rows of one block; the last are kept, as steps of a search start where others end."""
         acting = tuple(
             (name, option, amount, *sorted(shape.items())) for name, option, amount, shape in active
         )
