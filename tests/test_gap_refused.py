@@ -65,13 +65,13 @@ def test_a_file_that_cannot_be_written_is_told_before_the_diagnosis(
 ) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("")
-    line = refused(command, str(tmp_path / "no data"), "--out", str(tmp_path / out))
+    line = refused(command, str(tmp_path), "--out", str(tmp_path / out))
     assert line.startswith(f"{tmp_path / out}: cannot be written")
 
 
 @pytest.mark.parametrize("name", ["picture", "picture.tiger"])
 def test_a_picture_without_a_picture_s_ending_is_refused(name: str, tmp_path: Path) -> None:
-    line = refused("where", str(tmp_path / "no data"), "--out", str(tmp_path / name))
+    line = refused("where", str(tmp_path), "--out", str(tmp_path / name))
     assert "picture's ending" in line
 
 
