@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -262,3 +263,34 @@ def test_what_a_killed_process_left_is_removed_later(
     os.utime(tmp_path / "left.part", (old, old))
     Store(tmp_path).write("one", 1, [])
     assert [path.name for path in entries(tmp_path)] == ["now.part", "one.npz"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
+def test_stages_are_shown_on_a_terminal_and_nowhere_else(settled: Path) -> None:
+    import pty
+
+    words = [sys.executable, "-m", "cli.main", "gap", "diagnose", str(settled), "--json"]
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=theirs) as process:
+        os.close(theirs)
+        shown = b""
+        while chunk := _read_terminal(ours):
+            shown += chunk
+        assert process.stdout is not None
+        found = json.loads(process.stdout.read())
+    os.close(ours)
+    assert process.returncode == 0
+    assert b"noise and recalibration of 15 trials" in shown
+    assert b"effect 1: fit 1 of" in shown
+    lines = [part.strip() for part in shown.split(b"\r")]
+    assert lines[-3:] == [b"confounders, stages and the next experiment", b"", b""]  # cleared
+    quiet = subprocess.run(words, capture_output=True, check=True)
+    assert quiet.stderr == b""
+    assert json.loads(quiet.stdout) == found
+
+
+def _read_terminal(handle: int) -> bytes:
+    try:
+        return os.read(handle, 4096)
+    except OSError:  # the other end is closed
+        return b""

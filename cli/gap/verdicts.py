@@ -9,10 +9,12 @@ from typing import Any
 
 import typer
 
+from cli.gap.progress import progress_line
 from cli.output import print_json
 from gap.data.dataset import DataSet
 from gap.decision.diagnosis import Diagnosis, diagnosis
 from gap.output import check_out, write_text
+from gap.progress import stage
 from gap.simulators.open import open_data_with
 from gap.verdict import Status, Verdict, plain
 
@@ -37,11 +39,14 @@ class Question:
 
     def answer(self) -> Diagnosis:
         """The diagnosis."""
-        return diagnosis(self.read(), _ids(self.without), self.keep)
+        return self.read()[1]
 
-    def read(self) -> DataSet:
-        """The data set with its simulator."""
-        return open_data_with(self.data, self.simulator)
+    def read(self) -> tuple[DataSet, Diagnosis]:
+        """The data set with its simulator, and the diagnosis."""
+        with progress_line():
+            stage(f"reading {self.data.name}")
+            data = open_data_with(self.data, self.simulator)
+            return data, diagnosis(data, _ids(self.without), self.keep)
 
 
 def diagnose_command(question: Question, as_json: bool) -> None:
@@ -185,8 +190,8 @@ def report_command(question: Question, out: Path, as_json: bool) -> None:
     from gap.reporting.text import headline
 
     check_out(out)
-    data = question.read()
-    examined = examine(data, found=diagnosis(data, _ids(question.without), question.keep))
+    data, found = question.read()
+    examined = examine(data, found=found)
     write_report(examined, out)
     if as_json:
         print_json({"report": str(out), "verdict": examined.verdict.as_dict()})

@@ -15,6 +15,7 @@ from gap.effects.candidates import CANDIDATES, Candidate
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.fitness import UnfitPlant, unfit_nominal
+from gap.progress import stage
 from gap.reason import Cause, Reason, reason
 from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
@@ -57,6 +58,7 @@ def diagnose_with_search(
     unfit = unfit_channels(data)
     if unfit:
         return _unfit(unfit), None, None
+    stage(f"noise and recalibration of {len(data.trials)} trials")
     problem = FitProblem.of(data, candidates)
     if not len(problem.rows):
         return nothing_to_compare(data), None, None
@@ -67,7 +69,9 @@ def diagnose_with_search(
         timing_fault = channel_with_timing_fault(problem)
         if timing_fault is not None:
             return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
-    verdict, search = classify(problem, search_effects(problem))
+    found = search_effects(problem)
+    stage("confounders, stages and the next experiment")
+    verdict, search = classify(problem, found)
     return verdict, problem, search
 
 
