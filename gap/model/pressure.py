@@ -78,10 +78,12 @@ def laminar_drop(absolute: float, outside: float) -> float:
 
 @inlined
 def _flows(
-    q: Any, p: float, supply: float, inlet: bool, outlet: bool, fall: float
+    q: Any, p: float, supply: float, inlet: bool, outlet: bool, fall: float, scale: float
 ) -> tuple[float, float, float]:
-    """Mass flow in, mass flow out (kg/s), and the inlet's flow as a share of choked flow."""
-    scale = REFERENCE_DENSITY_KG_M3 * math.sqrt(REFERENCE_TEMPERATURE_K / q[layout.GAS_TEMPERATURE])
+    """Mass flow in, mass flow out (kg/s), and the inlet's flow as a share of choked flow.
+
+    `scale` is what conductance and absolute pressure are multiplied by, kg/m3.
+    """
     absolute = p + q[layout.ATMOSPHERE]
     flow_in = 0.0
     flow_out = 0.0
@@ -106,8 +108,9 @@ def _flows(
 
 @called
 def _advance(
-    q: Any, s: Any, span: float, v0: float, v1: float, supply: float, inlet: bool, outlet: bool
-) -> None:
+    q: Any, s: Any, span: float, v0: float, v1: float, supply: float, inlet: bool, outlet: bool,
+    scale: float,
+) -> None:  # fmt: skip
     """Move gas state s over `span` s.
 
     It is (pressure, isothermal pressure, reading, fall, line, pressure at the sensor).
@@ -122,14 +125,19 @@ def _advance(
     quiet = quiet and q[stage.LINE] == 0.0 and q[stage.ELASTIC] == 0.0
     while left > 1e-12:
         p = s[0]
-        flow_in, flow_out, share = _flows(q, p, supply, inlet, outlet, s[3])
-        # A hose that widens takes gas as if the volume were larger by this much.
-        wide = q[stage.ELASTIC] * (2.0 * max(p, 0.0) + at)
-        rate = k * heat * (flow_in - flow_out) / (v + wide) - k * (p + at) * slope / v
-        if q[stage.LINE] > 0.0:
-            rate -= q[stage.LINE] / v * (p - s[4]) / q[stage.LINE_TIME]
+        flow_in = 0.0
+        flow_out = 0.0
+        share = 0.0
+        rate = 0.0
         h = left
+        # Most of a record is quiet: nothing flows, and the gas follows the volume in one step.
         if not quiet:
+            flow_in, flow_out, share = _flows(q, p, supply, inlet, outlet, s[3], scale)
+            # A hose that widens takes gas as if the volume were larger by this much.
+            wide = q[stage.ELASTIC] * (2.0 * max(p, 0.0) + at)
+            rate = k * heat * (flow_in - flow_out) / (v + wide) - k * (p + at) * slope / v
+            if q[stage.LINE] > 0.0:
+                rate -= q[stage.LINE] / v * (p - s[4]) / q[stage.LINE_TIME]
             # A step changes the pressure by a third of what drives the flow, at most.
             drive = 1e9
             if inlet:
@@ -148,7 +156,7 @@ def _advance(
             iso = (s[1] + at) * v / v_next - at
         else:
             p_try = max(p + h * rate, -0.95 * at)
-            in2, out2, share = _flows(q, p_try, supply, inlet, outlet, s[3])
+            in2, out2, share = _flows(q, p_try, supply, inlet, outlet, s[3], scale)
             wide = q[stage.ELASTIC] * (2.0 * max(p_try, 0.0) + at)
             rate2 = k * heat * (in2 - out2) / (v_next + wide) - k * (p_try + at) * slope / v_next
             if q[stage.LINE] > 0.0:
@@ -209,6 +217,7 @@ def _trial(
     s[2] = s[0]
     s[4] = s[0]
     s[5] = s[0]
+    scale = REFERENCE_DENSITY_KG_M3 * math.sqrt(REFERENCE_TEMPERATURE_K / q[layout.GAS_TEMPERATURE])
     edge = 0
     now = time[0]
     acts = now - 1.0
@@ -247,7 +256,7 @@ def _trial(
             if until > now:
                 _advance(
                     q, s, until - now, v_begin + slope * (now - begin),
-                    v_begin + slope * (until - begin), feed, opened[0], opened[1],
+                    v_begin + slope * (until - begin), feed, opened[0], opened[1], scale,
                 )  # fmt: skip
                 if s[3] > fall[0]:
                     fall[0] = s[3]
