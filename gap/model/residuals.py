@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from gap.effects.terms import Active, terms
+from gap.effects.terms import Active, acting_in, terms
 from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.features import BLOCKS
@@ -82,7 +82,8 @@ class Model:
     def _kept_rows(self, block: str, points: Points, c: PlantConstants, active: Active) -> Array:
         """Rows of one block; the last are kept, as steps of a search start where others end."""
         acting = tuple(
-            (name, option, amount, *sorted(shape.items())) for name, option, amount, shape in active
+            (name, option, amount, *sorted(shape.items()))
+            for name, option, amount, shape in acting_in(block, active)
         )
         key = (block, tuple(vars(c)[name] for name in _NUMBERS), acting)
         found = self._kept.get(key)
