@@ -59,7 +59,7 @@ def measure(tiny: bool = False) -> dict[str, Any]:
     """Each size computed, then read, in turns."""
     from gap.data.reader import read_dataset
 
-    rounds = 1 if tiny else 3
+    rounds = 1 if tiny else 2
     made: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as text:
         root = Path(text)
