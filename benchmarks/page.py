@@ -22,6 +22,7 @@ PARTS = {
     "growth_samples": "runs.samples",
     "growth_length": "runs.length",
     "growth_diagnosis": "gap.growth",
+    "growth_rows": "gap.rows",
     "growth_cores": "gap.cores",
 }
 """Parts of the page in their order, and the module of each below ``benchmarks``."""

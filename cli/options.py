@@ -14,6 +14,10 @@ RunArgument = Annotated[str, Argument(help="Run folder, run id, or 'last'.")]
 
 FigureOption = Annotated[Path | None, Option("--figure", help="Figure to write, .png or .svg.")]
 JsonOption = Annotated[bool, Option("--json", help="Print one JSON value, nothing else.")]
+NoCacheOption = Annotated[
+    bool,
+    Option("--no-cache", help="Compute the diagnosis anew, and do not keep it."),
+]
 NoteOption = Annotated[str, Option(help="A note for the record.")]
 OperatorOption = Annotated[str, Option(help="Name of the operator.")]
 OutOption = Annotated[Path, Option("--out", help="Folder of runs.")]

@@ -54,14 +54,15 @@ def _with_callees(function: F) -> F:
     return cast(F, bound)
 
 
-def entry_point(signature: str) -> Callable[[F], F]:
+def entry_point(signature: str, threads: bool = False) -> Callable[[F], F]:
     """Compile for one signature, once per installation: the machine code is cached on disk.
 
-    The function must close over the result of `fingerprint`, see there.
+    The function must close over the result of `fingerprint`, see there. With `threads` it runs
+    outside Python's lock.
     """
 
     def decorate(function: F) -> F:
-        return cast(F, njit(signature, cache=True, error_model="numpy")(function))
+        return cast(F, njit(signature, cache=True, error_model="numpy", nogil=threads)(function))
 
     return decorate
 

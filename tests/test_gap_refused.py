@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -63,13 +65,13 @@ def test_a_file_that_cannot_be_written_is_told_before_the_diagnosis(
 ) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("")
-    line = refused(command, str(tmp_path / "no data"), "--out", str(tmp_path / out))
+    line = refused(command, str(tmp_path), "--out", str(tmp_path / out))
     assert line.startswith(f"{tmp_path / out}: cannot be written")
 
 
 @pytest.mark.parametrize("name", ["picture", "picture.tiger"])
 def test_a_picture_without_a_picture_s_ending_is_refused(name: str, tmp_path: Path) -> None:
-    line = refused("where", str(tmp_path / "no data"), "--out", str(tmp_path / name))
+    line = refused("where", str(tmp_path), "--out", str(tmp_path / name))
     assert "picture's ending" in line
 
 
@@ -118,3 +120,24 @@ def test_times_that_no_clock_has_are_refused(factor: str, says: str, tmp_path: P
     rows = [f"t1,{k}{factor[1:]},{5 * k}" for k in range(1, 40)]
     (tmp_path / "samples.csv").write_text("\n".join(["trial,time_s,pressure_kpa", *rows]) + "\n")
     assert says in refused("where", str(tmp_path))
+
+
+@pytest.mark.parametrize("command", ["diagnose", "where", "shrink", "next", "report"])
+def test_a_wrong_path_is_reported_before_anything_large_is_imported(
+    command: str, tmp_path: Path
+) -> None:
+    for words, expected in (
+        ((tmp_path / "nosuch",), "no such folder"),
+        ((tmp_path, "--simulator", tmp_path / "nosuch.toml"), "no such file"),
+    ):
+        program = (
+            "import sys\nfrom cli.main import main\ntry:\n    main()\nfinally:\n"
+            "    print(*(n for n in ('numpy', 'numba', 'scipy', 'pandas') if n in sys.modules))"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", program, "gap", command, *map(str, words)],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 2
+        assert expected in done.stderr
+        assert done.stdout.strip() == ""

@@ -8,12 +8,14 @@ from typing import Annotated
 import typer
 
 from cli.gap.effects import effects
+from cli.gap.paths import check_paths
 from cli.gap.thesis import thesis
 from cli.investigate.command import investigate
 from cli.options import (
     RUNS,
     DataArgument,
     JsonOption,
+    NoCacheOption,
     OutFileOption,
     PlantOption,
     RunsOption,
@@ -79,24 +81,28 @@ def where(
         typer.Option("--out", help="Figure of the residual to write (.png, .svg, .pdf)."),
     ] = None,
     simulator: SimulatorOption = None,
+    no_cache: NoCacheOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Quality of the data, the gap by stage, and which comparisons show it."""
-    from cli.gap.verdicts import where_command
+    check_paths(data, simulator)
+    from cli.gap.verdicts import Question, where_command
 
-    where_command(data, out, simulator, as_json)
+    where_command(Question(data, "", simulator, not no_cache), out, as_json)
 
 
 def diagnose(
     data: DataArgument,
     without: WithoutOption = "",
     simulator: SimulatorOption = None,
+    no_cache: NoCacheOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Name the effect behind the gap, or say why it cannot be named."""
-    from cli.gap.verdicts import diagnose_command
+    check_paths(data, simulator)
+    from cli.gap.verdicts import Question, diagnose_command
 
-    diagnose_command(data, without, simulator, as_json)
+    diagnose_command(Question(data, without, simulator, not no_cache), as_json)
 
 
 def shrink(
@@ -104,12 +110,14 @@ def shrink(
     without: WithoutOption = "",
     out: OutFileOption = None,
     simulator: SimulatorOption = None,
+    no_cache: NoCacheOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """How far the named effect reduces the gap; writes the improved plant."""
-    from cli.gap.verdicts import shrink_command
+    check_paths(data, simulator)
+    from cli.gap.verdicts import Question, shrink_command
 
-    shrink_command(data, without, out, simulator, as_json)
+    shrink_command(Question(data, without, simulator, not no_cache), out, as_json)
 
 
 def next_experiment(
@@ -117,12 +125,14 @@ def next_experiment(
     without: WithoutOption = "",
     out: OutFileOption = None,
     simulator: SimulatorOption = None,
+    no_cache: NoCacheOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """The experiment or reference standard that would resolve what is open."""
-    from cli.gap.verdicts import next_command
+    check_paths(data, simulator)
+    from cli.gap.verdicts import Question, next_command
 
-    next_command(data, without, out, simulator, as_json)
+    next_command(Question(data, without, simulator, not no_cache), out, as_json)
 
 
 def report(
@@ -130,12 +140,14 @@ def report(
     out: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("gap.html"),
     without: WithoutOption = "",
     simulator: SimulatorOption = None,
+    no_cache: NoCacheOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Diagnose a data set and write the verdict as one self-contained HTML page."""
-    from cli.gap.verdicts import report_command
+    check_paths(data, simulator)
+    from cli.gap.verdicts import Question, report_command
 
-    report_command(data, out, without, simulator, as_json)
+    report_command(Question(data, without, simulator, not no_cache), out, as_json)
 
 
 def export(

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import typer
 
+from cli.gap.progress import progress_line
 from cli.output import print_json
-from gap.decision.diagnose import diagnose, diagnose_with_fit
+from gap.data.dataset import DataSet
+from gap.decision.diagnosis import Diagnosis, diagnosis
 from gap.output import check_out, write_text
+from gap.progress import stage
 from gap.reporting.empirical import empirical_lines
 from gap.simulators.open import open_data_with
 from gap.verdict import Status, Verdict, plain
@@ -25,9 +29,30 @@ def _summary(verdict: Verdict) -> str:
     return f"{verdict.status.replace('_', ' ')}: {verdict.reason}"
 
 
-def diagnose_command(data: Path, without: str, simulator: Path | None, as_json: bool) -> None:
+@dataclass(frozen=True)
+class Question:
+    """What a command is about: data, effects to strike, a simulator; `keep` to use the cache."""
+
+    data: Path
+    without: str = ""
+    simulator: Path | None = None
+    keep: bool = True
+
+    def answer(self) -> Diagnosis:
+        """The diagnosis."""
+        return self.read()[1]
+
+    def read(self) -> tuple[DataSet, Diagnosis]:
+        """The data set with its simulator, and the diagnosis."""
+        with progress_line():
+            stage(f"reading {self.data.name}")
+            data = open_data_with(self.data, self.simulator)
+            return data, diagnosis(data, _ids(self.without), self.keep)
+
+
+def diagnose_command(question: Question, as_json: bool) -> None:
     """`pamrig gap diagnose`."""
-    verdict = diagnose(open_data_with(data, simulator), _ids(without))
+    verdict = question.answer().verdict
     if as_json:
         print_json(verdict.as_dict())
     else:
@@ -41,14 +66,15 @@ def _refuse(verdict: Verdict) -> None:
         raise typer.Exit(2)
 
 
-def where_command(data: Path, out: Path | None, simulator: Path | None, as_json: bool) -> None:
+def where_command(question: Question, out: Path | None, as_json: bool) -> None:
     """`pamrig gap where`: stages, comparisons, and curves of the residual."""
     from gap.reporting.map_figures import check_picture, write_courses
     from gap.validation.maps import residual_maps
     from gap.validation.where import MEANING, stage_errors
 
     check_picture(out)
-    verdict, problem, fit = diagnose_with_fit(open_data_with(data, simulator))
+    answer = question.answer()
+    verdict, problem, fit = answer.verdict, answer.problem, answer.fit
     found = stage_errors(problem, fit) if problem is not None and fit is not None else None
     courses = residual_maps(problem, fit) if problem is not None and fit is not None else []
     drawn = out is not None and bool(courses)
@@ -89,15 +115,14 @@ def where_command(data: Path, out: Path | None, simulator: Path | None, as_json:
     _refuse(verdict)
 
 
-def shrink_command(
-    data: Path, without: str, out: Path | None, simulator: Path | None, as_json: bool
-) -> None:
+def shrink_command(question: Question, out: Path | None, as_json: bool) -> None:
     """`pamrig gap shrink`: the gap before and after, by block and by what was held out."""
     from gap.validation.improved_simulator import improved_text
     from gap.validation.shrinkage import as_lines, shrinkage
 
     check_out(out)
-    verdict, problem, fit = diagnose_with_fit(open_data_with(data, simulator), _ids(without))
+    answer = question.answer()
+    verdict, problem, fit = answer.verdict, answer.problem, answer.fit
     table = verdict.as_dict()
     # An effect that the verdict does not stand by is no improvement of the plant.
     named = (
@@ -134,14 +159,12 @@ def shrink_command(
     _refuse(verdict)
 
 
-def next_command(
-    data: Path, without: str, out: Path | None, simulator: Path | None, as_json: bool
-) -> None:
+def next_command(question: Question, out: Path | None, as_json: bool) -> None:
     """`pamrig gap next`."""
     from gap.design.advise import protocol_text
 
     check_out(out)
-    verdict = diagnose(open_data_with(data, simulator), _ids(without))
+    verdict = question.answer().verdict
     experiment = verdict.next_experiment
     written = None
     if experiment is not None and out is not None:
@@ -164,16 +187,15 @@ def next_command(
     typer.echo("\n".join(lines))
 
 
-def report_command(
-    data: Path, out: Path, without: str, simulator: Path | None, as_json: bool
-) -> None:
+def report_command(question: Question, out: Path, as_json: bool) -> None:
     """`pamrig gap report`: the diagnosis as an HTML page."""
     from gap.reporting.examination import examine
     from gap.reporting.report import write_report
     from gap.reporting.text import headline
 
     check_out(out)
-    examined = examine(open_data_with(data, simulator), _ids(without))
+    data, found = question.read()
+    examined = examine(data, found=found)
     write_report(examined, out)
     if as_json:
         print_json({"report": str(out), "verdict": examined.verdict.as_dict()})

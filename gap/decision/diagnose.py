@@ -12,10 +12,11 @@ from dataclasses import replace
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
 from gap.decision.classify import classify
-from gap.effects.candidates import CANDIDATES
+from gap.effects.candidates import CANDIDATES, Candidate
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.fitness import UnfitPlant, unfit_nominal
+from gap.progress import stage
 from gap.reason import Cause, Reason, reason
 from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
@@ -55,18 +56,12 @@ def diagnose_with_search(
 
     FitProblem and search are None where the data are unfit or nothing can be compared.
     """
-    struck = frozenset(without)
-    for name in struck:
-        if name not in CATALOGUE:
-            raise GapError(
-                "--without", f"unknown effect {name!r}", f"known: {', '.join(CATALOGUE)}"
-            )
+    candidates = candidates_without(without)
     unfit = unfit_channels(data)
     if unfit:
         return _unfit(unfit), None, None
-    problem = FitProblem.of(
-        data, [candidate for candidate in CANDIDATES if candidate.id not in struck]
-    )
+    stage(f"noise and recalibration of {len(data.trials)} trials")
+    problem = FitProblem.of(data, candidates)
     if not len(problem.rows):
         return nothing_to_compare(data), None, None
     misfits = unfit_nominal(problem)
@@ -76,7 +71,10 @@ def diagnose_with_search(
         timing_fault = channel_with_timing_fault(problem)
         if timing_fault is not None:
             return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
-    verdict, search = classify(problem, search_effects(problem))
+    found = search_effects(problem)
+    stage("confounders, stages and the next experiment")
+    verdict, search = classify(problem, found)
+    stage("what the gap looks like")
     return with_empirical_term(verdict, problem, search), problem, search
 
 
@@ -110,6 +108,17 @@ def _unfit_plant(data: DataSet, found: list[UnfitPlant]) -> Verdict:
             ]
         },
     )
+
+
+def candidates_without(struck: Iterable[str]) -> list[Candidate]:
+    """All candidates but those of some effects. Raises `GapError` for an unknown effect."""
+    names = frozenset(struck)
+    for name in sorted(names):
+        if name not in CATALOGUE:
+            raise GapError(
+                "--without", f"unknown effect {name!r}", f"known: {', '.join(CATALOGUE)}"
+            )
+    return [candidate for candidate in CANDIDATES if candidate.id not in names]
 
 
 def _unfit(found: list[Unfit]) -> Verdict:

@@ -55,6 +55,10 @@ def _mounting(points: Points, amount: float, shape: Shape) -> Array:
     return np.where(here, amount * 1e-3, 0.0)
 
 
+MOUNTING = InDiagnosis(length=_mounting)
+"""What the offset of one mounting does; the force stage applies those of all at once."""
+
+
 def _camera_zero(length: Array, amount: float, shape: Shape, c: PlantConstants) -> Array:
     return np.full(len(length), amount * 1e-3)
 
@@ -87,7 +91,7 @@ RECORDING: tuple[RecordingError, ...] = (
     RecordingError(
         "mounting",
         "the lengths of one mounting are all off by this, mm",
-        InDiagnosis(length=_mounting),
+        MOUNTING,
     ),
     RecordingError(
         "camera_zero",

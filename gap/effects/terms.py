@@ -33,6 +33,30 @@ class Term:
     sensors: InSensors
 
 
+_IN_PRESSURE = ("length", "camera", "gas", "pressure_shown")
+_ONLY_THERE = ("gas", "pressure_shown", "late", "largest_fall")
+
+
+def _in_pressure(diagnosis: InDiagnosis) -> bool:
+    return any(getattr(diagnosis, name) is not None for name in _IN_PRESSURE)
+
+
+def _in_forces(diagnosis: InDiagnosis, sensors: InSensors) -> bool:
+    others = (name for name in vars(diagnosis) if name not in _ONLY_THERE)
+    read = sensors.pressure is not None or sensors.force is not None
+    return read or any(getattr(diagnosis, name) not in (None, False) for name in others)
+
+
+_PRESSURE = {NOMINAL} | {name for name, (on, _) in _HOOKS.items() if _in_pressure(on)}
+_FORCES = {NOMINAL} | {name for name, hooks in _HOOKS.items() if _in_forces(*hooks)}
+
+
+def acting_in(block: str, active: Active) -> Active:
+    """Those of the effects in force that have a function which the block's prediction calls."""
+    known = _PRESSURE if block == "pressure" else _FORCES
+    return [one for one in active if one[0] in known]
+
+
 def terms(active: Active) -> list[Term]:
     """The effects in force, in their order."""
     return [

@@ -42,6 +42,7 @@ Whole = npt.NDArray[np.int64]
 _ROUNDS = 12
 _SMALLER = 3
 _RELINEARISED = 4
+_NEAR_FITS = 4
 _NEAR_SD = 0.1
 """How far, in sd, parameters may lie from those at which a simulator was made linear."""
 
@@ -84,6 +85,30 @@ class FitResult:
 
 
 @dataclass(frozen=True, eq=False)
+class ProblemState:
+    """What a fit problem has learnt of its data; fields as those of `FitProblem`.
+
+    Attributes:
+        around: parameters at which the data set's simulator was run; None without one.
+    """
+
+    names: tuple[str, ...]
+    stated_columns: Array
+    stated_residual: Array
+    columns: Array
+    base: FitResult
+    noise: Noise
+    around: Array | None
+
+    def check(self) -> None:
+        """Raise `ValueError` where its parts do not belong together."""
+        shape = (len(self.stated_residual), len(self.names))
+        right = self.stated_columns.shape == shape == self.columns.shape
+        if not right or self.base.residual.shape != shape[:1] != self.noise.white.shape:
+            raise ValueError("parts of different problems")
+
+
+@dataclass(frozen=True, eq=False)
 class FitProblem:
     """One data set to which constants and candidate effects are fitted.
 
@@ -123,11 +148,7 @@ class FitProblem:
     def of(cls, data: DataSet, candidates: Sequence[Candidate] = CANDIDATES) -> FitProblem:
         """Learn the noise of a data set and recalibrate its constants."""
         data = without_duplicates(data)
-        # A table of settled points has no time in it, so nothing in it can be out of time.
-        timed = not data.settled
-        usable = tuple(s for s in candidates if timed or not (s.defect or s.search.scan == "clock"))
-        if not timed:  # lengths set by hand: one of them may be wrong
-            usable += single_labels(usable, [trial.held_length_mm for trial in data.trials])
+        usable = _usable(data, candidates)
         model = Model(make_grid(data))
         stated = _stated_effects(data)
         residual = _stacked_residual(model, data.constants, stated)
@@ -152,6 +173,27 @@ class FitProblem:
             left = unexplainable(others, left, usual_noise(model, data.constants, left))
         noise = learn_noise(model, problem.constants(problem.base.shift), left)
         return replace(problem, noise=noise)._recalibrated(problem.base.shift)
+
+    @classmethod
+    def restored(
+        cls, data: DataSet, state: ProblemState, candidates: Sequence[Candidate] = CANDIDATES
+    ) -> FitProblem:
+        """The problem that `of` made of the same data and candidates, from its state."""
+        data = without_duplicates(data)
+        return cls(
+            data, _usable(data, candidates), Model(make_grid(data), state.around),
+            _stated_effects(data), state.noise, state.names,
+            int(data.mountings.max(initial=-1)) + 1, state.stated_columns, state.stated_residual,
+            state.columns, state.base,
+        )  # fmt: skip
+
+    def state(self) -> ProblemState:
+        """What took long to compute; see `restored`."""
+        nominal = self.model.nominal
+        return ProblemState(
+            self.names, self.stated_columns, self.stated_residual, self.columns, self.base,
+            self.noise, None if nominal is None else nominal.around,
+        )  # fmt: skip
 
     def _recalibrated(self, shift: Array) -> FitProblem:
         """The problem with its base fitted from `shift`."""
@@ -293,12 +335,14 @@ class FitProblem:
         return self.fit(own, [candidate.step for candidate in own])
 
     def columns_near(self, fit: FitResult) -> Array:
-        """Sensitivities of the constants at a fit; those of the last fit are kept."""
-        kept = self._kept.get("near")
-        if kept is None or kept[0] is not fit:
-            columns = self.columns_at(fit.shift, fit.candidates, fit.amounts)
-            kept = self._kept["near"] = (fit, columns)
-        return np.asarray(kept[1])
+        """Sensitivities of the constants at a fit; those of the last fits are kept."""
+        kept = self._kept.get("near", ())
+        for known, columns in kept:
+            if known is fit:
+                return np.asarray(columns)
+        columns = self.columns_at(fit.shift, fit.candidates, fit.amounts)
+        self._kept["near"] = (*kept[1 - _NEAR_FITS :], (fit, columns))
+        return columns
 
     def fit_afresh(self, candidates: Sequence[Candidate], start: Sequence[float] = ()) -> FitResult:
         """Return what `fit` gives when it starts from the constants as stated."""
@@ -424,7 +468,9 @@ class FitProblem:
         c = self.constants(shift)
         active = self.active_effects(shift, candidates, amounts)
         ahead = len(active) - len(candidates)
-        for j, candidate in enumerate(candidates):
+
+        def slope(j: int) -> Array:
+            candidate = candidates[j]
             there = [block for block in candidate.blocks if block in self.grid.points]
             step = max(0.3 * candidate.step, 0.02 * abs(amounts[j]))
             if candidate.switch:
@@ -437,7 +483,10 @@ class FitProblem:
             a = self.model.residual(c, low, there)
             b = self.model.residual(c, high, there)
             span = high[ahead + j][2] - low[ahead + j][2]
-            made[:, j] = self.model.stacked({k: (a[k] - b[k]) / span for k in there})
+            return self.model.stacked({k: (a[k] - b[k]) / span for k in there})
+
+        for j, column in enumerate(self.model.each(slope, range(len(candidates)))):
+            made[:, j] = column
         return np.nan_to_num(made)
 
     def normal(self, columns: Array, residual: Array, shift: Array) -> tuple[Array, Array]:
@@ -502,6 +551,18 @@ class FitProblem:
             if len(known) >= 3:
                 made[name] = np.array([known[label] for label in labels], dtype=np.int64)
         return made
+
+
+def _usable(data: DataSet, candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Candidates for a data set.
+
+    A table of settled points has no time in it, so nothing in it can be out of time.
+    """
+    if not data.settled:
+        return tuple(candidates)
+    usable = tuple(s for s in candidates if not (s.defect or s.search.scan == "clock"))
+    # Lengths set by hand: one of them may be wrong.
+    return usable + single_labels(usable, [trial.held_length_mm for trial in data.trials])
 
 
 def _bounded(candidates: Sequence[Candidate], amounts: Array) -> Array:

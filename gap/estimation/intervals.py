@@ -68,8 +68,8 @@ def headline_estimates(
         sd = float(np.sqrt(max(fit.cover[np.ix_(index, index)].sum(), 0.0))) * spread
         if entry.diagnosis.largest_fall:
             active = problem.active_effects(fit.shift, fit.candidates, fit.amounts)
-            problem.model.residual(problem.constants(fit.shift), active, ["pressure"])
-            fall = problem.model.fall_pa * 1e-3
+            moved = problem.constants(fit.shift)
+            fall = problem.model.largest_fall_pa(moved, active) * 1e-3
             sd = sd * fall / max(abs(amount), 1e-9)
             amount = fall
         if whole:

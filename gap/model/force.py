@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gap.effects.recording import MOUNTING
 from gap.effects.terms import Active, Term, terms
 from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
@@ -23,10 +24,19 @@ _FARTHEST_M = 0.02
 def true_length(points: Points, active: Active, c: PlantConstants) -> Array:
     """Length in m behind what was read or written down."""
     length = points.length
-    for term in terms(active):
-        if term.diagnosis.length is not None:
+    acting = terms(active)
+    mountings = [term for term in acting if term.diagnosis is MOUNTING]
+    if mountings:
+        # All in one pass: there may be as many mountings as trials. The last entry is for -1.
+        numbers = [int(term.shape["number"]) for term in mountings]
+        off = np.zeros(max(*numbers, int(points.mounting.max(initial=-1))) + 2)
+        for number, term in zip(numbers, mountings, strict=True):
+            off[number] += term.amount * 1e-3
+        length = np.where(points.held, length + off[points.mounting], length)
+    for term in acting:
+        if term.diagnosis.length is not None and term.diagnosis is not MOUNTING:
             length = length + term.diagnosis.length(points, term.amount, term.shape)
-    maps = [term for term in terms(active) if term.diagnosis.camera is not None]
+    maps = [term for term in acting if term.diagnosis.camera is not None]
     return np.where(points.held, length, _behind(length, maps, c)) if maps else length
 
 

@@ -16,11 +16,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from gap.effects.terms import Active, terms
+from gap.model.threads import cores, each
 from plant.arrays import Array
 from plant.compiled import called, entry_point, fingerprint, inlined
 from plant.constants import (
@@ -76,10 +78,12 @@ def laminar_drop(absolute: float, outside: float) -> float:
 
 @inlined
 def _flows(
-    q: Any, p: float, supply: float, inlet: bool, outlet: bool, fall: float
+    q: Any, p: float, supply: float, inlet: bool, outlet: bool, fall: float, scale: float
 ) -> tuple[float, float, float]:
-    """Mass flow in, mass flow out (kg/s), and the inlet's flow as a share of choked flow."""
-    scale = REFERENCE_DENSITY_KG_M3 * math.sqrt(REFERENCE_TEMPERATURE_K / q[layout.GAS_TEMPERATURE])
+    """Mass flow in, mass flow out (kg/s), and the inlet's flow as a share of choked flow.
+
+    `scale` is what conductance and absolute pressure are multiplied by, kg/m3.
+    """
     absolute = p + q[layout.ATMOSPHERE]
     flow_in = 0.0
     flow_out = 0.0
@@ -104,8 +108,9 @@ def _flows(
 
 @called
 def _advance(
-    q: Any, s: Any, span: float, v0: float, v1: float, supply: float, inlet: bool, outlet: bool
-) -> None:
+    q: Any, s: Any, span: float, v0: float, v1: float, supply: float, inlet: bool, outlet: bool,
+    scale: float,
+) -> None:  # fmt: skip
     """Move gas state s over `span` s.
 
     It is (pressure, isothermal pressure, reading, fall, line, pressure at the sensor).
@@ -120,14 +125,19 @@ def _advance(
     quiet = quiet and q[stage.LINE] == 0.0 and q[stage.ELASTIC] == 0.0
     while left > 1e-12:
         p = s[0]
-        flow_in, flow_out, share = _flows(q, p, supply, inlet, outlet, s[3])
-        # A hose that widens takes gas as if the volume were larger by this much.
-        wide = q[stage.ELASTIC] * (2.0 * max(p, 0.0) + at)
-        rate = k * heat * (flow_in - flow_out) / (v + wide) - k * (p + at) * slope / v
-        if q[stage.LINE] > 0.0:
-            rate -= q[stage.LINE] / v * (p - s[4]) / q[stage.LINE_TIME]
+        flow_in = 0.0
+        flow_out = 0.0
+        share = 0.0
+        rate = 0.0
         h = left
+        # Most of a record is quiet: nothing flows, and the gas follows the volume in one step.
         if not quiet:
+            flow_in, flow_out, share = _flows(q, p, supply, inlet, outlet, s[3], scale)
+            # A hose that widens takes gas as if the volume were larger by this much.
+            wide = q[stage.ELASTIC] * (2.0 * max(p, 0.0) + at)
+            rate = k * heat * (flow_in - flow_out) / (v + wide) - k * (p + at) * slope / v
+            if q[stage.LINE] > 0.0:
+                rate -= q[stage.LINE] / v * (p - s[4]) / q[stage.LINE_TIME]
             # A step changes the pressure by a third of what drives the flow, at most.
             drive = 1e9
             if inlet:
@@ -146,7 +156,7 @@ def _advance(
             iso = (s[1] + at) * v / v_next - at
         else:
             p_try = max(p + h * rate, -0.95 * at)
-            in2, out2, share = _flows(q, p_try, supply, inlet, outlet, s[3])
+            in2, out2, share = _flows(q, p_try, supply, inlet, outlet, s[3], scale)
             wide = q[stage.ELASTIC] * (2.0 * max(p_try, 0.0) + at)
             rate2 = k * heat * (in2 - out2) / (v_next + wide) - k * (p_try + at) * slope / v_next
             if q[stage.LINE] > 0.0:
@@ -207,6 +217,7 @@ def _trial(
     s[2] = s[0]
     s[4] = s[0]
     s[5] = s[0]
+    scale = REFERENCE_DENSITY_KG_M3 * math.sqrt(REFERENCE_TEMPERATURE_K / q[layout.GAS_TEMPERATURE])
     edge = 0
     now = time[0]
     acts = now - 1.0
@@ -216,13 +227,15 @@ def _trial(
         command[edge_of[edge]] = edge_to[edge]
         opened[edge_of[edge]] = edge_to[edge] > 0.5
         edge += 1
+    v_end = (
+        _braid_volume(length[0], q[layout.BRAID_LENGTH], q[layout.TURNS]) + q[layout.DEAD_VOLUME]
+    )
+    paced = -1.0
+    followed = 0.0
     for i in range(1, len(time)):
         end = time[i]
         begin = time[i - 1]
-        v_begin = (
-            _braid_volume(length[i - 1], q[layout.BRAID_LENGTH], q[layout.TURNS])
-            + q[layout.DEAD_VOLUME]
-        )
+        v_begin = v_end
         v_end = (
             _braid_volume(length[i], q[layout.BRAID_LENGTH], q[layout.TURNS])
             + q[layout.DEAD_VOLUME]
@@ -243,7 +256,7 @@ def _trial(
             if until > now:
                 _advance(
                     q, s, until - now, v_begin + slope * (now - begin),
-                    v_begin + slope * (until - begin), feed, opened[0], opened[1],
+                    v_begin + slope * (until - begin), feed, opened[0], opened[1], scale,
                 )  # fmt: skip
                 if s[3] > fall[0]:
                     fall[0] = s[3]
@@ -288,7 +301,11 @@ def _trial(
                 s[2] += pull
                 s[5] += pull
         elif q[stage.FOLLOW] > 0.0:
-            pull = (reading[i] - shown) * (1.0 - math.exp(-(end - begin) / q[stage.FOLLOW]))
+            # Samples are evenly spaced over long stretches.
+            if end - begin != paced:
+                paced = end - begin
+                followed = 1.0 - math.exp(-paced / q[stage.FOLLOW])
+            pull = (reading[i] - shown) * followed
             s[0] = max(s[0] + pull, -0.95 * q[layout.ATMOSPHERE])
             s[1] = max(s[1] + pull, -0.95 * q[layout.ATMOSPHERE])
             s[2] += pull
@@ -302,7 +319,8 @@ def _build(sources: int) -> Callable[..., None]:
     # `sources` is used so that it becomes a closure variable; it is never negative.
     @entry_point(
         f"void({vector}, {whole}, {vector}, {vector}, {vector}, {vector}, {whole}, {vector}, "
-        f"{vector}, {whole}, {vector}, {vector}, {vector}, {vector}, int64)"
+        f"{vector}, {whole}, {vector}, {vector}, {vector}, {vector}, int64)",
+        threads=True,
     )
     def run(
         q: Any, first: Any, time: Any, reading: Any, length: Any, supply: Any, first_edge: Any,
@@ -334,6 +352,7 @@ def _build(sources: int) -> Callable[..., None]:
 
 _run = _build(fingerprint())
 _NONE = np.empty(0)
+_WORTH_THREADS = 10_000
 
 
 def predict(*arrays: Any) -> None:
@@ -343,7 +362,26 @@ def predict(*arrays: Any) -> None:
     fall): nodes of trial t are `first[t]:first[t+1]`, likewise its edges of commands; readings go
     to `out`, `fall[0]` is the largest fall of the supply.
     """
-    _run(*arrays, _NONE, _NONE, _FOLLOW)
+    q, first, *nodes, first_edge, edge_s, edge_to, edge_of, out, fall = arrays
+
+    def run(trials: slice) -> float:
+        largest = np.zeros(1)
+        _run(
+            q, first[trials], *nodes, first_edge[trials], edge_s, edge_to, edge_of, out, largest,
+            _NONE, _NONE, _FOLLOW,
+        )  # fmt: skip
+        return float(largest[0])
+
+    fall[0] = max(each(run, _parts(first)))
+
+
+def _parts(first: Any) -> list[slice]:
+    """Trials in parts with about as many nodes, one for each thread; one part where few."""
+    nodes = int(first[-1])
+    count = cores() if nodes > _WORTH_THREADS else 1
+    wanted = [nodes * k // count for k in range(1, count)]
+    ends = [0, *np.searchsorted(first, wanted).tolist(), len(first) - 1]
+    return [slice(a, b + 1) for a, b in pairwise(ends) if b > a] or [slice(0, len(first))]
 
 
 def replay(*arrays: Any, learn: bool) -> None:

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import InitVar, dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 
-from gap.effects.terms import Active, terms
+from gap.effects.terms import Active, acting_in, terms
 from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.empirical import correction_at
 from gap.model.features import BLOCKS
 from gap.model.grid import Grid
 from gap.model.nominal import NominalPlant
+from gap.model.threads import each
 from plant.arrays import Array
 from plant.constants import KEYS, PlantConstants
 from plant.effects.arguments import Context, Points
 
 SCALE = {"pressure": 1e-3, "force": 1.0, "load": 1.0, "camera": 1e3}
+_KEPT_BYTES = 64 << 20
+"""Predictions that a model keeps."""
+_NUMBERS = tuple(f.name for f in dataclasses.fields(PlantConstants) if f.name != "tolerances")
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass
@@ -35,7 +42,6 @@ class Model:
         nominal: the data set's simulator on these points; None for the built-in plant.
         order: of the trials, from 0; all zero where it is not known.
         tared: length in m at which the force of each trial was set to zero.
-        fall_pa: largest fall of the supply in the last prediction of pressure.
     """
 
     grid: Grid
@@ -44,9 +50,9 @@ class Model:
     nominal: NominalPlant | None = field(init=False, default=None)
     order: Array = field(init=False)
     tared: Array = field(init=False)
-    fall_pa: float = 0.0
     _plain: dict[str, tuple[PlantConstants, Array]] = field(init=False, default_factory=dict)
     _corrections: dict[str, Array] = field(init=False, default_factory=dict)
+    _kept: dict[tuple[Any, ...], Array] = field(init=False, default_factory=dict, repr=False)
 
     def __post_init__(self, around: Array | None, like: Model | None) -> None:
         simulator = self.grid.data.simulator
@@ -72,9 +78,25 @@ class Model:
         for block in blocks:
             points = self.grid.points.get(block)
             if points is not None:
-                raw = getattr(self, f"_{block}")(points, constants, active)
-                made[block] = self._features(points, raw) * SCALE[block] - self._corrected(block)
+                made[block] = self._kept_rows(block, points, constants, active)
         return made
+
+    def _kept_rows(self, block: str, points: Points, c: PlantConstants, active: Active) -> Array:
+        """Rows of one block; the last are kept, as steps of a search start where others end."""
+        acting = tuple(
+            (name, option, amount, *sorted(shape.items()))
+            for name, option, amount, shape in acting_in(block, active)
+        )
+        key = (block, tuple(vars(c)[name] for name in _NUMBERS), acting)
+        found = self._kept.get(key)
+        if found is None:
+            raw = getattr(self, f"_{block}")(points, c, active)
+            found = self._features(points, raw) * SCALE[block] - self._corrected(block)
+            found.flags.writeable = False
+            while (len(self._kept) + 1) * 8 * len(self.grid.rows) > _KEPT_BYTES and self._kept:
+                self._kept.pop(next(iter(self._kept), key), None)
+            self._kept[key] = found
+        return found
 
     def _corrected(self, block: str) -> Array | float:
         """What the data set's empirical term adds to the prediction of a block, one value a row."""
@@ -85,6 +107,15 @@ class Model:
             c = self.grid.data.constants
             self._corrections[block] = correction_at(self, correction, c)
         return self._corrections[block]
+
+    def each(self, make: Callable[[T], R], items: Iterable[T]) -> list[R]:
+        """`make` of each item, on several threads where the model has no code of others in it."""
+        return each(make, items) if self.nominal is None else [make(item) for item in items]
+
+    def largest_fall_pa(self, c: PlantConstants, active: Active) -> float:
+        """Largest fall of the supply in a prediction of pressure; 0 where none is predicted."""
+        points = self.grid.points.get("pressure")
+        return 0.0 if points is None else self._built_in_pressure(points, c, active)[1]
 
     def readings(self, block: str) -> Array | None:
         """What was read, one value a row of a block, in its unit; None without a reading."""
@@ -102,7 +133,11 @@ class Model:
         return whole
 
     def _features(self, points: Points, raw: Array) -> Array:
-        total = np.bincount(points.row, weights=raw * points.weight)
+        start = points.row_start
+        if start is None:
+            total = np.bincount(points.row, weights=raw * points.weight)
+        else:
+            total = np.add.reduceat(raw * points.weight, start)
         return np.asarray(total / points.row_weight)
 
     def _rest(self, points: Points, active: Active, context: Context) -> Array:
@@ -143,7 +178,7 @@ class Model:
         if kept is None or kept[0] != c:
             points = self.grid.points[block]
             if block == "pressure":
-                plain = self._built_in_pressure(points, c, [])
+                plain, _ = self._built_in_pressure(points, c, [])
             else:
                 plain = laws.muscle_force(points, [], Context(c, self.order))
             kept = self._plain[block] = (c, plain)
@@ -172,7 +207,7 @@ class Model:
         return points.reading - (true + laws.read_minus_true(active, true, c))
 
     def _pressure(self, points: Points, c: PlantConstants, active: Active) -> Array:
-        out = self._built_in_pressure(points, c, active)
+        out, _ = self._built_in_pressure(points, c, active)
         if self.nominal is not None:
             out = out + self.instead("pressure", c, self.nominal.shift(active))
         for term in terms(active):
@@ -180,8 +215,13 @@ class Model:
                 out = term.diagnosis.pressure_shown(out, points, term.amount)
         return np.asarray(np.clip(points.reading - out, -3e6, 3e6))
 
-    def _built_in_pressure(self, points: Points, c: PlantConstants, active: Active) -> Array:
-        """Prediction of the built-in chamber, Pa, before what smooths a reading."""
+    def _built_in_pressure(
+        self, points: Points, c: PlantConstants, active: Active
+    ) -> tuple[Array, float]:
+        """Prediction of the built-in chamber, Pa, before what smooths a reading.
+
+        With the largest fall of the supply, Pa.
+        """
         grid = self.grid
         q = self._parameters(c, active)
         true = laws.true_length(points, active, c)
@@ -194,8 +234,7 @@ class Model:
             q, points.first, points.time_s, reading, length, supply, grid.first_edge,
             grid.edge_s, grid.edge_to, grid.edge_of, out, fall,
         )  # fmt: skip
-        self.fall_pa = float(fall[0])
-        return out
+        return out, float(fall[0])
 
     def _parameters(self, c: PlantConstants, active: Active) -> Array:
         return chamber.parameters(c, active, self.grid.data.constants.supply_pa)

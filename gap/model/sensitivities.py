@@ -75,8 +75,7 @@ def constant_columns(
 
     Taken at `c`; sd are those of the `stated` constants. Constants without any trace are left out.
     """
-    names: list[str] = []
-    columns: list[Array] = []
+    tried: list[tuple[str, float, list[str]]] = []
     for key, blocks in CONSTANTS.items():
         sd = stated.tolerance_si(key)
         if sd <= 0.0:
@@ -85,13 +84,17 @@ def constant_columns(
         there = [b for b in blocks if b in model.grid.points and not _instead(model, key, b)]
         if not there:
             continue
-        step = 0.5 * sd
+        tried.append((key, 0.5 * sd, there))
+
+    def column(one: tuple[str, float, list[str]]) -> Array:
+        key, step, there = one
         low = model.stacked(model.residual(shifted(c, key, -step), active, there))
         high = model.stacked(model.residual(shifted(c, key, step), active, there))
-        column = low - high
-        if np.abs(column).max(initial=0.0) > 1e-9:
-            names.append(key)
-            columns.append(column)
+        return low - high
+
+    made = zip(tried, model.each(column, tried), strict=True)
+    seen = [(key, x) for (key, _, _), x in made if np.abs(x).max(initial=0.0) > 1e-9]
+    names, columns = [key for key, _ in seen], [x for _, x in seen]
     return names, np.stack(columns, axis=1) if columns else np.zeros((len(model.grid.rows), 0))
 
 
@@ -140,13 +143,17 @@ def mounting_columns(model: Model, c: PlantConstants, active: Active, count: int
     Replicates of one mounting share this error, so their differences do not show it.
     """
     there = [b for b in ("pressure", "force", "camera") if b in model.grid.points]
-    columns = np.zeros((len(model.grid.rows), count))
-    for number in range(count):
+
+    def column(number: int) -> Array:
         one = np.zeros(count)
         one[number] = 0.5
         low = model.stacked(model.residual(c, [*active, *mounted(-one)], there))
         high = model.stacked(model.residual(c, [*active, *mounted(one)], there))
-        columns[:, number] = low - high
+        return low - high
+
+    columns = np.zeros((len(model.grid.rows), count))
+    for number, made in enumerate(model.each(column, range(count))):
+        columns[:, number] = made
     return columns
 
 
@@ -241,14 +248,16 @@ def candidate_columns(
     a times the column.
     """
     base = model.residual(c, active)
-    columns = np.zeros((len(model.grid.rows), len(candidates)))
-    for j, candidate in enumerate(candidates):
+
+    def column(candidate: Candidate) -> Array:
         there = [block for block in candidate.blocks if block in model.grid.points]
-        if not there:
-            continue
         amount = candidate.step
         moved = model.residual(
             c, [*active, (candidate.id, candidate.option, amount, candidate.shape)], there
         )
-        columns[:, j] = model.stacked({b: (base[b] - moved[b]) / amount for b in there})
+        return model.stacked({b: (base[b] - moved[b]) / amount for b in there})
+
+    columns = np.zeros((len(model.grid.rows), len(candidates)))
+    for j, made in enumerate(model.each(column, candidates)):
+        columns[:, j] = made
     return columns

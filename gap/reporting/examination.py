@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gap.data.dataset import DataSet
-from gap.decision.diagnose import diagnose_with_search
+from gap.decision.diagnosis import Diagnosis, diagnosis
 from gap.estimation.cross_validation import held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
@@ -75,14 +75,17 @@ class Examination:
     traces: tuple[Trace, ...] = ()
 
 
-def examine(data: DataSet, without: Iterable[str] = ()) -> Examination:
-    """Diagnose a data set and keep what a report needs.
+def examine(
+    data: DataSet, without: Iterable[str] = (), found: Diagnosis | None = None
+) -> Examination:
+    """Diagnose a data set and keep what a report needs; `found` is its diagnosis if known.
 
     Raises:
         GapError: as `gap.decision.diagnose.diagnose`.
     """
     digest = fingerprint(data)
-    verdict, problem, search = diagnose_with_search(data, without)
+    found = found or diagnosis(data, without, keep=False)
+    verdict, problem, search = found.verdict, found.problem, found.search
     if problem is None or search is None:
         return Examination(data, verdict, (), None, digest)
     block = _block(problem, search, verdict)

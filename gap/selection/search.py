@@ -18,6 +18,7 @@ from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.non_identical import non_identical
 from gap.estimation.null_distribution import held_out_gain, simulated_null
 from gap.estimation.shape_fit import fit_shapes
+from gap.progress import counted, stage
 from gap.selection.backward import drop_needless, one_of_family, swapped
 from gap.selection.candidate_fits import (
     Hypothesis,
@@ -82,6 +83,7 @@ class SearchResult:
 
 def search_effects(problem: FitProblem, config: SelectionConfig = SELECTION) -> SearchResult:
     """Search for the effects that explain the gap of a problem."""
+    stage(f"sensitivities of {len(problem.candidates)} candidates")
     linear, fresh = _first_gains(problem, config)
     null = simulated_null(problem)
     gap = excess_chi2(problem, problem.base)
@@ -156,7 +158,9 @@ def _forward_step(
     if not top or not (shifted or _is_alarm(problem, search, top[0], gains[top[0]], config)):
         return search, linear
     keys = dict.fromkeys([*_worth_fitting(problem, before, top, gains, config), *shifted])
-    tried = [fit_further(problem, before, key, linear, fresh, config) for key in keys]
+    fitting = counted(f"effect {len(before.keys) + 1}: fit", keys)
+    tried = [fit_further(problem, before, key, linear, fresh, config) for key in fitting]
+    stage(f"effect {len(before.keys) + 1}: best forms")
     tried = rivals_in_best_form(problem, before.fit, tried, linear, config)
     if before.keys:
         passed, search = _passed(problem, search, tried, config)

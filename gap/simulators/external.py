@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 
@@ -16,6 +18,8 @@ from gap.simulators.inputs import sampled, stage_sources, wanted_times
 from plant.arrays import Array
 from plant.effects.effects import Effects
 
+_LONGEST = 1000
+"""Characters of a path."""
 NO_TIME = "is a table of settled points, without time"
 NO_TIME_REMEDY = "state static = true if the force depends on pressure and length alone"
 
@@ -64,6 +68,13 @@ class External(ABC):
     def origin(self) -> str:
         """The file that describes it."""
         return str(self.about.path)
+
+    def sources(self) -> list[Path]:
+        """Its description and the files that the description names."""
+        texts = set(_texts(self.about.table))
+        texts |= {part for text in texts for part in (*text.split(":"), text.rpartition(":")[0])}
+        named = (self.about.file(text) for text in sorted(texts) if 0 < len(text) < _LONGEST)
+        return [self.about.path, *(path for path in named if os.path.isfile(path))]
 
     @property
     def effects(self) -> Effects:
@@ -161,6 +172,18 @@ class StaticExternal(External):
     def _outside(self) -> str:
         """What to do about a point without a force."""
         return ""
+
+
+def _texts(value: object) -> Iterator[str]:
+    """All texts in a table and in its inner tables."""
+    if isinstance(value, str):
+        yield value.strip()
+    elif isinstance(value, Mapping):
+        for inner in value.values():
+            yield from _texts(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _texts(inner)
 
 
 def first_line(error: BaseException) -> str:

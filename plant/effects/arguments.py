@@ -63,6 +63,14 @@ class Points:
         """Sum of the weights of each row's points."""
         return np.bincount(self.row, weights=self.weight).astype(np.float64, copy=False)
 
+    @cached_property
+    def row_start(self) -> Whole | None:
+        """First point of each row; None where the points of a row do not all follow each other."""
+        step = np.diff(self.row)
+        if not len(self.row) or np.any(step < 0):
+            return None
+        return np.asarray(np.r_[0, np.flatnonzero(step) + 1], dtype=np.int64)
+
 
 @dataclass(frozen=True)
 class Context:
