@@ -12,6 +12,7 @@ import json
 import os
 import re
 import resource
+import shutil
 import socket
 import sqlite3
 import struct
@@ -34,6 +35,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import typer
+from typer.testing import CliRunner
 
 import daq.store.tablefile
 from analysis.formats.importer import import_points
@@ -41,7 +43,8 @@ from analysis.layouts.layouts import measured_edges
 from analysis.reduction.pictures import measure_stored
 from analysis.reporting.derived import derive_all
 from analysis.run_table import reduce_run
-from cli.main import main
+from bench_runs import run_bench
+from cli.main import app, main
 from cli.model.links import links
 from cli.output import plain_output
 from cli.protocols.plan import load_plan, progress
@@ -1025,3 +1028,31 @@ def test_no_file_of_a_record_is_opened_but_through_the_one_door() -> None:
                     found.add((path.name, name))
     allowed = {("annotations.py", "open"), ("index.py", "stat")}  # appends; time of a change
     assert found - allowed == set()
+
+
+@pytest.fixture(scope="module")
+def tested(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The record of a short test."""
+    return run_bench(tmp_path_factory.mktemp("tested"), repeats=1)[0].folder
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("final.json", {"clock_fit": {"knots": {}}}),
+        ("final.json", {"clock_fit": {"fastest_round_trip_ns": [5, "word"]}}),
+        ("final.json", {"counters": {"valve": {"x": 1}}}),
+        ("events.jsonl", {"pixels": "word"}),
+        ("frames.jsonl", {"host_ns": {"": {}}}),
+    ],
+)
+def test_strange_contents_are_one_line_in_every_command(
+    name: str, change: dict[str, Any], tmp_path: Path, tested: Path
+) -> None:
+    """Sums are right everywhere; only a maker of false records writes such a value."""
+    folder = tmp_path / "runs" / tested.name
+    shutil.copytree(tested, folder)
+    tamper(open_run(folder), name, lambda f: f.update(change) if set(change) <= set(f) else None)
+    for words in (("report",), ("runs", "show"), ("gap", "export", "--out", str(tmp_path / "d"))):
+        done = CliRunner().invoke(app, [*words, str(folder)])
+        assert done.exception is None or isinstance(done.exception, PamrigError), words

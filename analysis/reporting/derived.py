@@ -17,7 +17,7 @@ def derive_all(folder: Path | str) -> Run:
     """
     from analysis.reduction.points import write_table
     from analysis.reporting.report import write_report
-    from analysis.run_table import record_findings, reduce_run
+    from analysis.run_table import contents_of, record_findings, reduce_run
 
     run = open_run(folder)
     record_findings(run)  # before derived files are replaced
@@ -33,7 +33,8 @@ def derive_all(folder: Path | str) -> Run:
     makers = [table, report]
     if not run.manifest.get("imported"):
         makers.append(_view)
-    derive(run, makers)
+    with contents_of(run):
+        derive(run, makers)
     return open_run(folder)
 
 

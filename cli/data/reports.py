@@ -43,15 +43,18 @@ def view(run: RunArgument = "last", runs: RunsOption = RUNS) -> None:
 
     from analysis.layouts.layouts import measured_edges
     from analysis.registry import analysis_of
+    from analysis.run_table import contents_of
     from daq.live.viewfile import open_view
     from daq.store.store import find_run
 
     found = find_run(runs, run)
-    kind = analysis_of(found.manifest.get("protocol"))
-    layout = kind.layout(found.manifest.get("parameters") or {})
+    with contents_of(found):
+        kind = analysis_of(found.manifest.get("protocol"))
+        layout = kind.layout(found.manifest.get("parameters") or {})
     # On SIGTERM, exit normally, so that `finally` also ends the viewer's process.
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    opened = open_view(found, layout, measured_edges(found))
+    with contents_of(found):
+        opened = open_view(found, layout, measured_edges(found))
     try:
         typer.echo(opened.message)
         opened.wait()

@@ -76,11 +76,14 @@ def show(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption
             continue
         lost = f", {len(stream['lost_rows'])} damaged sections" if stream["lost_rows"] else ""
         typer.echo(f"  stream {name}: {stream['rows']} rows{lost}")
-    counters = (final.get("counters") or {}).get("valve") or {}
-    if counters:
+    counters = (final.get("counters") or {}).get("valve")
+    if isinstance(counters, dict) and counters:
+        missing, gaps, damaged, twice = (
+            counters.get(key, "unknown") for key in ("missing", "gaps", "damaged", "duplicates")
+        )
         typer.echo(
-            "  telemetry: {missing} samples missing in {gaps} gaps, {damaged} damaged frames, "
-            "{duplicates} duplicates".format_map(counters)
+            f"  telemetry: {missing} samples missing in {gaps} gaps, {damaged} damaged frames, "
+            f"{twice} duplicates"
         )
     typer.echo(
         "  events: " + ", ".join(f"{n} {kind}" for kind, n in sorted(facts["events"].items()))
