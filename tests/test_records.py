@@ -679,3 +679,16 @@ def test_a_program_that_takes_no_request_is_named_by_vent(
         assert "asked it to end and vent" in said[0]
         assert list((tmp_path / "locks").glob("*.vent")) == []
         other.kill()
+
+
+def test_a_request_to_vent_that_was_left_behind_ends_no_test(tmp_path: Path) -> None:
+    vent = tmp_path / "port.vent"
+    for age_s, asked in ((1.0, ("stop", "")), (300.0, None)):
+        control = RunControl()
+        control.listen(tmp_path / "run.control", vent)
+        vent.touch()
+        os.utime(vent, (time.time() - age_s,) * 2)
+        control.look()
+        assert control.take() == asked
+        assert not vent.exists()
+        control.close()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
+import time
 from collections import deque
 from pathlib import Path
 
@@ -28,6 +29,8 @@ SHORT = {"p": "pause", "c": "resume", "s": "skip", "r": "repeat", "m": "mark", "
 SUFFIX = ".control"
 
 
+REQUEST_S = 30.0
+"""`pamrig vent` waits 5 s until its request is taken; an older one was left behind."""
 LOCK_AT = 1 << 30
 """Far beyond what is ever asked for: where locks are of bytes, nobody writes there."""
 
@@ -117,9 +120,13 @@ class RunControl:
     def look(self) -> None:
         """Read what the file has gained; lines that ask for nothing known are left out."""
         if self._vent is not None and self._vent.exists():
+            fresh = False
             with contextlib.suppress(OSError):
+                # Wall time, as the file system stamps it; one of a killed `vent` asks nothing.
+                fresh = abs(time.time() - self._vent.stat().st_mtime) < REQUEST_S
                 self._vent.unlink()
-            self.request("stop")
+            if fresh:
+                self.request("stop")
         if self._file is None:
             return
         try:
