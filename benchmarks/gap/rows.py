@@ -27,13 +27,14 @@ SIZES = (1, 2, 4)
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 
 
-def cost(folder: Path) -> tuple[float, float]:
-    """Processor and wall seconds of reading, the diagnosis and its fits."""
+def cost(folder: Path, known: bool = False) -> tuple[float, float]:
+    """Processor and wall seconds of reading, the diagnosis and its fits; `known` to the cache."""
     from gap.data.reader import read_dataset
     from gap.decision.diagnosis import diagnosis
 
     start, begun = time.process_time(), time.perf_counter()
     found = diagnosis(read_dataset(folder))
+    assert found.kept == known
     assert found.problem is not None
     return time.process_time() - start, time.perf_counter() - begun
 
@@ -50,7 +51,7 @@ def sets(root: Path, tiny: bool) -> dict[str, list[Path]]:
             write_set(root / f"r{k}", HIDDEN, 3, REPLICATES, rate_hz=k * RATE_HZ) for k in SIZES
         ],
         "trials": [
-            write_set(root / f"t{k}", HIDDEN, 3, k * REPLICATES, rate_hz=RATE_HZ) for k in SIZES
+            write_set(root / f"t{k}", HIDDEN, 4, k * REPLICATES, rate_hz=RATE_HZ) for k in SIZES
         ],
     }
 
@@ -80,7 +81,7 @@ def measure(tiny: bool = False) -> dict[str, Any]:
                         cpu, wall = cost(folder)
                         made[way]["computed"][k].append(cpu)
                         made[way]["wall"][k].append(wall)
-                        made[way]["read"][k].append(cost(folder)[0])
+                        made[way]["read"][k].append(cost(folder, True)[0])
     return made
 
 

@@ -70,7 +70,7 @@ class Store:
         """The JSON value and the arrays under a key; None where there is none that is sound."""
         path = self._path(key)
         try:
-            with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+            with open(path, "rb") as opened, np.load(opened) as file:  # without pickle
                 about = json.loads(file["about"].tobytes())
                 if about["key"] != key:
                     return None
