@@ -280,10 +280,10 @@ def search_of(
     """Pieces and sums for one block; None where too few slots have it or it shows no gap."""
     here = problem.rows.block == BLOCKS.index(block)
     names = _GAS if block == "pressure" else _MUSCLE
-    at = inputs_of(problem.model, block, names)
+    at = inputs_of(problem.grid, block, names)
     count = int(here.sum())
     if block != "pressure":
-        at |= scales_of(problem.model, block, problem.constants(fit.shift))
+        at |= scales_of(problem.grid, block, problem.constants(fit.shift))
     pieces, columns = _pieces(at, count)
     if block == "pressure":
         pieces, columns = _with_flows(problem, fit, pieces, columns)
@@ -356,11 +356,11 @@ def _with_flows(
     problem: FitProblem, fit: FitResult, pieces: tuple[Piece, ...], columns: Array
 ) -> tuple[tuple[Piece, ...], Array]:
     """The pieces with those of flows into the chamber, which are summed up over time."""
-    at = point_inputs_of(problem.model, "pressure", _GAS)
+    at = point_inputs_of(problem.grid, "pressure", _GAS)
     count = len(next(iter(at.values())))
     made, flows = list(pieces), []
     first = columns.shape[1]
-    own_flow = valve_flow(problem.model, problem.constants(fit.shift))
+    own_flow = valve_flow(problem.grid, problem.constants(fit.shift))
     for scale, inputs in _FLOWS:
         if any(np.ptp(at[name]) < 1e-6 for name in inputs):
             continue
@@ -372,7 +372,7 @@ def _with_flows(
         first += width
     if not flows:
         return pieces, columns
-    raised = risen(problem.model, np.hstack(flows), problem.constants(fit.shift))
+    raised = risen(problem.grid, np.hstack(flows), problem.constants(fit.shift))
     return tuple(made), np.hstack([columns, raised])
 
 
