@@ -24,6 +24,7 @@ from plant.effects.empirical import (
 _SLIP_KPA = 15.0
 _SLIP_MM = 1.0
 _MOVING_MM = 2.0
+_SHUTS_S = 0.05
 _LONG_AGO_S = 2.0
 
 
@@ -77,10 +78,13 @@ def risen(grid: Grid, flow: Array, c: PlantConstants) -> Array:
 def valve_flow(grid: Grid, c: PlantConstants) -> Array:
     """Flow in mg/s into the chamber through the valve that is commanded open, at every point.
 
-    ISO 6358 with the constants' conductances; out of the chamber it is negative.
+    ISO 6358 with the constants' conductances; out of the chamber it is negative. For a moment after
+    a valve is commanded shut it is that of the valve as if still open: it may shut late.
     """
     points = grid.points["pressure"]
-    valve = _edges(grid, points)[1]
+    since, valve = _edges(grid, points)
+    closing = (valve == 0.0) & (since < _SHUTS_S)
+    valve = np.where(closing, _last_open(valve), valve)
     outside = c.atmosphere_pa
     inside = np.maximum(points.pressure + outside, 1.0)
     supply = np.maximum(grid.supply + outside, 1.0)
@@ -88,6 +92,12 @@ def valve_flow(grid: Grid, c: PlantConstants) -> Array:
     inlet = c.inlet_conductance_m3_s_pa * supply * _factor(inside / supply, c.critical_ratio)
     outlet = c.outlet_conductance_m3_s_pa * inside * _factor(outside / inside, c.critical_ratio)
     return np.asarray(dense * np.where(valve > 0.0, inlet, np.where(valve < 0.0, -outlet, 0.0)))
+
+
+def _last_open(valve: Array) -> Array:
+    """The last valve that was open, at every point."""
+    at = np.maximum.accumulate(np.where(valve != 0.0, np.arange(len(valve)), 0))
+    return np.asarray(valve[at])
 
 
 def _factor(ratio: Array, critical: float) -> Array:

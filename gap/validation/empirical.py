@@ -63,9 +63,9 @@ _FLOWS = (
     (FLOW, ("pressure_kpa",)), (FLOW, ("pressure_rate_kpa_s",)), (FLOW, ("velocity_mm_s",)),
     (FLOW, ("time_s",)), (FLOW, ("change_1s_kpa",)), (FLOW, ("valve",)),
     (FLOW, ("valve", "since_edge_s")), (FLOW, ("valve", "pressure_kpa")),
-    (VALVE_FLOW, ("valve",)), (VALVE_FLOW, ("pressure_kpa",)), (VALVE_FLOW, ("since_edge_s",)),
-    (VALVE_FLOW, ("valve", "pressure_kpa")), (VALVE_FLOW, ("valve", "since_edge_s")),
-    (VALVE_FLOW, ("time_s",)), (VALVE_FLOW, ("order",)),
+    (VALVE_FLOW, ("valve",)), (VALVE_FLOW, ("valve", "pressure_kpa")),
+    (VALVE_FLOW, ("valve", "since_edge_s")), (VALVE_FLOW, ("valve", "time_s")),
+    (VALVE_FLOW, ("valve", "order")),
 )  # fmt: skip
 _FLOW_KNOTS = {"time_s": 6}
 _USUAL_FLOW_KNOTS = 3
