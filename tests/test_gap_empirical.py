@@ -17,6 +17,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cli.main import app
+from gap.check.empirical import line_of, totals
+from gap.check.scoring.inputs import TRUE_INPUTS, inputs_right
 from gap.data.reader import read_dataset
 from gap.errors import GapError
 from gap.estimation.cross_validation import held_out
@@ -26,9 +28,10 @@ from gap.reporting.empirical import empirical_figure, empirical_lines
 from gap.validation.empirical import empirical_term
 from gap.validation.improved_plant import improved_plant
 from gap.verdict import EmpiricalTerm, Status, Verdict
+from gap_bench import write_set
 from plant.constants import nominal
 from plant.effects.effects import NONE
-from plant.effects.empirical import Corrections, spline_columns
+from plant.effects.empirical import FLOWS, INPUTS, Corrections, spline_columns
 from plant.errors import PlantError
 from plant.simulator.force_law import ForceLaw
 
@@ -274,3 +277,49 @@ def test_the_verdict_says_it_in_lines_a_figure_and_plain_values(tmp_path: Path) 
     assert figure is not None
     assert [axis.get_xlabel() for axis in figure.axes] == ["pressure, kPa"]
     assert "N" in figure.axes[0].get_ylabel()
+
+
+def test_inputs_are_right_where_needed_ones_are_there_and_no_strange_ones() -> None:
+    assert inputs_right(("braid_friction",), {"history": 0.9, "pressure": 0.1})
+    assert inputs_right(("end_cap",), {"length": 1.0})
+    assert not inputs_right(("wear",), {"pressure": 1.0})
+    assert not inputs_right(("creep",), {"history": 0.6, "temperature": 0.4})
+    assert inputs_right(("creep",), {"history": 0.96, "temperature": 0.04})
+    assert not inputs_right(("local_buckle",), {"pressure": 1.0})
+
+
+def test_every_effect_that_can_be_hidden_has_its_inputs_written_down() -> None:
+    from blind.physics.entries import ENTRIES
+
+    assert set(TRUE_INPUTS) == set(ENTRIES)
+    known = set(INPUTS.values())
+    for one in TRUE_INPUTS.values():
+        assert one.allowed.union(*one.needed) <= known
+
+
+def test_a_set_without_a_term_counts_against_both_figures() -> None:
+    truth = {
+        "kind": "left_out", "effects": [{"id": "creep"}],
+        "measured": {"members": [{"gap_over_floor": 2.2}]},
+    }  # fmt: skip
+    term = {"inputs": [{"input": "history", "share": 1.0}], "closed": 0.7, "channel": "force"}
+    lines = [
+        line_of(1, truth, {"status": "unknown", "empirical": None}),
+        line_of(2, truth, {"status": "unknown", "empirical": term}),
+        line_of(3, truth, {"status": "named", "empirical": None}),
+    ]
+    assert totals(lines) == {"sets": 2, "terms": 1, "half_closed": 1, "inputs_right": 1}
+
+
+def test_a_flow_without_a_name_is_found_as_a_flow(tmp_path: Path) -> None:
+    """A leak that the diagnosis may not name: the pressure falls by itself, in every valve test."""
+    folder = write_set(tmp_path / "data", {"leak": {"conductance_m3_s_pa": 4e-13}})
+    problem = FitProblem.of(read_dataset(folder))
+    term = empirical_term(problem, problem.base, block="pressure")
+    assert term is not None
+    assert {t.scale for t in term.correction.terms} & set(FLOWS)
+    assert term.closed > 0.5
+    (folder / "bench.toml").write_text(improved_plant(problem, problem.base, term))
+    again = FitProblem.of(read_dataset(folder))
+    one, two = (held_out(p, p.base)["pressure"].rms("recalibrated") for p in (problem, again))
+    assert two < 0.7 * one

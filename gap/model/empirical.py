@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gap.model.features import BLOCKS, Rows
+from gap.model.grid import Grid, trial_order
 from plant.arrays import Array
 from plant.constants import REFERENCE_DENSITY_KG_M3, PlantConstants
 from plant.effects.arguments import Points
@@ -21,35 +21,33 @@ from plant.effects.empirical import (
     pressure_per_flow,
 )
 
-if TYPE_CHECKING:
-    from gap.model.residuals import Model
-
 _SLIP_KPA = 15.0
 _SLIP_MM = 1.0
 _MOVING_MM = 2.0
+_SHUTS_S = 0.05
 _LONG_AGO_S = 2.0
 
 
-def correction_at(model: Model, correction: Correction, c: PlantConstants) -> Array:
+def correction_at(grid: Grid, correction: Correction, c: PlantConstants) -> Array:
     """Correction at every row of its block, in the block's unit, shape (rows,)."""
     block = correction.block
     plain = [term for term in correction.terms if term.scale not in FLOWS]
     flows = [term for term in correction.terms if term.scale in FLOWS]
-    at = inputs_of(model, block, correction.inputs)
+    at = inputs_of(grid, block, correction.inputs)
     if correction.scales:
-        at |= scales_of(model, block, c)
-    count = int(model.grid.points[block].row.max(initial=-1)) + 1
+        at |= scales_of(grid, block, c)
+    count = int(grid.points[block].row.max(initial=-1)) + 1
     made = Correction(block, tuple(plain)).value(at, count)
     if flows:
-        inside = point_inputs_of(model, block, correction.inputs)
-        inside[VALVE_FLOW] = valve_flow(model, c)
-        points = len(model.grid.points[block].time_s)
+        inside = point_inputs_of(grid, block, correction.inputs)
+        inside[VALVE_FLOW] = valve_flow(grid, c)
+        points = len(grid.points[block].time_s)
         flow = Correction(block, tuple(flows)).value(inside, points)
-        made = made + risen(model, flow[:, None], c)[:, 0]
+        made = made + risen(grid, flow[:, None], c)[:, 0]
     return made
 
 
-def risen(model: Model, flow: Array, c: PlantConstants) -> Array:
+def risen(grid: Grid, flow: Array, c: PlantConstants) -> Array:
     """Pressure in kPa by which flows in mg/s into the chamber raise it at every row.
 
     Args:
@@ -57,7 +55,7 @@ def risen(model: Model, flow: Array, c: PlantConstants) -> Array:
 
     As the prediction is drawn to the reading, so is what a flow adds to it.
     """
-    points = model.grid.points["pressure"]
+    points = grid.points["pressure"]
     per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
     rate = flow * per[:, None]
     total = np.zeros_like(rate)
@@ -77,20 +75,29 @@ def risen(model: Model, flow: Array, c: PlantConstants) -> Array:
     return np.asarray(sums / points.row_weight[:, None])
 
 
-def valve_flow(model: Model, c: PlantConstants) -> Array:
+def valve_flow(grid: Grid, c: PlantConstants) -> Array:
     """Flow in mg/s into the chamber through the valve that is commanded open, at every point.
 
-    ISO 6358 with the constants' conductances; out of the chamber it is negative.
+    ISO 6358 with the constants' conductances; out of the chamber it is negative. For a moment after
+    a valve is commanded shut it is that of the valve as if still open: it may shut late.
     """
-    points = model.grid.points["pressure"]
-    valve = _edges(model, points)[1]
+    points = grid.points["pressure"]
+    since, valve = _edges(grid, points)
+    closing = (valve == 0.0) & (since < _SHUTS_S)
+    valve = np.where(closing, _last_open(valve), valve)
     outside = c.atmosphere_pa
     inside = np.maximum(points.pressure + outside, 1.0)
-    supply = np.maximum(model.grid.supply + outside, 1.0)
+    supply = np.maximum(grid.supply + outside, 1.0)
     dense = 1e6 * REFERENCE_DENSITY_KG_M3
     inlet = c.inlet_conductance_m3_s_pa * supply * _factor(inside / supply, c.critical_ratio)
     outlet = c.outlet_conductance_m3_s_pa * inside * _factor(outside / inside, c.critical_ratio)
     return np.asarray(dense * np.where(valve > 0.0, inlet, np.where(valve < 0.0, -outlet, 0.0)))
+
+
+def _last_open(valve: Array) -> Array:
+    """The last valve that was open, at every point."""
+    at = np.maximum.accumulate(np.where(valve != 0.0, np.arange(len(valve)), 0))
+    return np.asarray(valve[at])
 
 
 def _factor(ratio: Array, critical: float) -> Array:
@@ -99,18 +106,18 @@ def _factor(ratio: Array, critical: float) -> Array:
     return np.sqrt(1.0 - share**2)
 
 
-def point_inputs_of(model: Model, block: str, names: tuple[str, ...]) -> dict[str, Array]:
+def point_inputs_of(grid: Grid, block: str, names: tuple[str, ...]) -> dict[str, Array]:
     """Inputs by name at every point of a block, as `inputs_of` has them at every row."""
-    points = model.grid.points[block]
+    points = grid.points[block]
     return {
         name: np.nan_to_num(
-            _AT_POINTS[name](points) if name in _AT_POINTS else _OF_POINTS[name](model, points)
+            _AT_POINTS[name](points) if name in _AT_POINTS else _OF_POINTS[name](grid, points)
         )
         for name in names
     }
 
 
-def inputs_of(model: Model, block: str, names: tuple[str, ...]) -> dict[str, Array]:
+def inputs_of(grid: Grid, block: str, names: tuple[str, ...]) -> dict[str, Array]:
     """Inputs by name at every row of a block; those that do not exist in a row are zero.
 
     `slip` is how far a loop of friction has turned since the motion last turned (-1 to 1), of the
@@ -118,24 +125,29 @@ def inputs_of(model: Model, block: str, names: tuple[str, ...]) -> dict[str, Arr
     beyond its own mean over that time (a low-pass of first order); `valve` is +1 while the inlet is
     commanded open, -1 while the outlet is.
     """
-    points = model.grid.points[block]
-    here = model.grid.rows.block == BLOCKS.index(block)
+    points = grid.points[block]
+    here = grid.rows.block == BLOCKS.index(block)
     timed = np.bincount(points.row, weights=points.settled) == 0.0
     made: dict[str, Array] = {}
     for name in names:
         if name in _OF_ROWS:
-            values = _OF_ROWS[name](model.grid.rows)[here]
+            values = _OF_ROWS[name](grid.rows)[here]
         else:
-            values = model._features(points, _OF_POINTS[name](model, points))
+            values = _means(points, _OF_POINTS[name](grid, points))
         # A table of settled points has no time; its direction is what it says of the past.
         made[name] = np.nan_to_num(np.where(timed | (name not in _TIMED), values, 0.0))
     return made
 
 
-def scales_of(model: Model, block: str, c: PlantConstants) -> dict[str, Array]:
+def scales_of(grid: Grid, block: str, c: PlantConstants) -> dict[str, Array]:
     """What the braid of constants `c` says at every row of a block: see `braid_scales`."""
-    here = model.grid.rows.block == BLOCKS.index(block)
-    return braid_scales(model.grid.rows.pressure[here], model.grid.rows.length[here], c)
+    here = grid.rows.block == BLOCKS.index(block)
+    return braid_scales(grid.rows.pressure[here], grid.rows.length[here], c)
+
+
+def _means(points: Points, raw: Array) -> Array:
+    """Means of values at the points over each row."""
+    return np.asarray(np.bincount(points.row, weights=raw * points.weight) / points.row_weight)
 
 
 def _spans(points: Points) -> list[slice]:
@@ -187,9 +199,8 @@ def _change(points: Points, tau_s: float) -> Array:
     return made
 
 
-def _edges(model: Model, points: Points) -> tuple[Array, Array]:
+def _edges(grid: Grid, points: Points) -> tuple[Array, Array]:
     """Seconds since the last command's edge, and which valve is commanded open."""
-    grid = model.grid
     since = np.full(len(points.time_s), _LONG_AGO_S)
     valve = np.zeros(len(points.time_s))
     for t in np.unique(points.trial):
@@ -221,15 +232,15 @@ _OF_ROWS: Mapping[str, Callable[[Rows], Array]] = {
     "velocity_mm_s": lambda rows: rows.rate * 1e3,
     "time_s": lambda rows: rows.time_s,
 }
-_OF_POINTS: Mapping[str, Callable[[Model, Points], Array]] = {
-    "pressure_rate_kpa_s": lambda model, points: _slope(points),
-    "temperature_c": lambda model, points: points.temperature,
-    "order": lambda model, points: model.order[points.trial],
-    "slip": lambda model, points: _slip(points),
-    "change_1s_kpa": lambda model, points: _change(points, 1.0),
-    "change_10s_kpa": lambda model, points: _change(points, 10.0),
-    "since_edge_s": lambda model, points: _edges(model, points)[0],
-    "valve": lambda model, points: _edges(model, points)[1],
+_OF_POINTS: Mapping[str, Callable[[Grid, Points], Array]] = {
+    "pressure_rate_kpa_s": lambda grid, points: _slope(points),
+    "temperature_c": lambda grid, points: points.temperature,
+    "order": lambda grid, points: trial_order(grid.data)[points.trial],
+    "slip": lambda grid, points: _slip(points),
+    "change_1s_kpa": lambda grid, points: _change(points, 1.0),
+    "change_10s_kpa": lambda grid, points: _change(points, 10.0),
+    "since_edge_s": lambda grid, points: _edges(grid, points)[0],
+    "valve": lambda grid, points: _edges(grid, points)[1],
 }
 _AT_POINTS: Mapping[str, Callable[[Points], Array]] = {
     "pressure_kpa": lambda points: points.pressure * 1e-3,

@@ -110,6 +110,13 @@ def same_conditions(data: DataSet) -> Array:
     return np.array(made)
 
 
+def trial_order(data: DataSet) -> Array:
+    """Order of each trial, from 0; all zero where it is not known of every trial."""
+    order = np.array([trial.order for trial in data.trials], dtype=np.float64)
+    stated = len(order) > 0 and bool(np.isfinite(order).all())
+    return np.asarray(order - order.min() if stated else np.zeros(len(order)))
+
+
 @dataclass
 class _Piece:
     """The points of one trial in one block, before its rows are numbered."""

@@ -14,7 +14,7 @@ from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.empirical import correction_at
 from gap.model.features import BLOCKS
-from gap.model.grid import Grid
+from gap.model.grid import Grid, trial_order
 from gap.model.nominal import NominalPlant
 from gap.model.threads import each
 from plant.arrays import Array
@@ -64,9 +64,7 @@ class Model:
                 simulator, self.grid.data, self.grid.points, around,
                 known.error if known is not None else None,
             )  # fmt: skip
-        order = np.array([trial.order for trial in self.grid.data.trials], dtype=np.float64)
-        stated = len(order) > 0 and bool(np.isfinite(order).all())
-        self.order = order - order.min() if stated else np.zeros(len(order))
+        self.order = trial_order(self.grid.data)
         tared_mm = [trial.tare_length_mm for trial in self.grid.data.trials]
         self.tared = 1e-3 * np.array(tared_mm, dtype=np.float64)
 
@@ -105,7 +103,7 @@ class Model:
             return 0.0
         if block not in self._corrections:
             c = self.grid.data.constants
-            self._corrections[block] = correction_at(self, correction, c)
+            self._corrections[block] = correction_at(self.grid, correction, c)
         return self._corrections[block]
 
     def each(self, make: Callable[[T], R], items: Iterable[T]) -> list[R]:

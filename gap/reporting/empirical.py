@@ -44,6 +44,7 @@ def empirical_lines(verdict: Verdict) -> list[str]:
     if term is None:
         return []
     shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in term.shares.items())
+    shares = shares or "no input"
     lines = [
         f"looks like  {_kind(term)}, in the {term.correction.block} channel; depends on {shares}",
         f"  closes    {100 * term.closed:.0f} % ({100 * term.closed_low:.0f} to "
@@ -62,6 +63,7 @@ def empirical_sentences(verdict: Verdict) -> list[str]:
     if term is None:
         return []
     shares = ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in term.shares.items())
+    shares = shares or "no input"
     ends = "; ".join(_ends(name, ends) for name, ends in _domain(term))
     made = [
         f"What has no name looks like {_kind(term)} in the {term.correction.block} channel, and "

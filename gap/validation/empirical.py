@@ -63,11 +63,11 @@ _FLOWS = (
     (FLOW, ("pressure_kpa",)), (FLOW, ("pressure_rate_kpa_s",)), (FLOW, ("velocity_mm_s",)),
     (FLOW, ("time_s",)), (FLOW, ("change_1s_kpa",)), (FLOW, ("valve",)),
     (FLOW, ("valve", "since_edge_s")), (FLOW, ("valve", "pressure_kpa")),
-    (VALVE_FLOW, ("valve",)), (VALVE_FLOW, ("pressure_kpa",)), (VALVE_FLOW, ("since_edge_s",)),
-    (VALVE_FLOW, ("valve", "pressure_kpa")), (VALVE_FLOW, ("valve", "since_edge_s")),
-    (VALVE_FLOW, ("time_s",)), (VALVE_FLOW, ("order",)),
+    (VALVE_FLOW, ("valve",)), (VALVE_FLOW, ("valve", "pressure_kpa")),
+    (VALVE_FLOW, ("valve", "since_edge_s")), (VALVE_FLOW, ("valve", "time_s")),
+    (VALVE_FLOW, ("valve", "order")),
 )  # fmt: skip
-_FLOW_KNOTS = {"pressure_kpa": 4, "time_s": 6}
+_FLOW_KNOTS = {"time_s": 6}
 _USUAL_FLOW_KNOTS = 3
 _AROUND_ZERO = ("pressure_rate_kpa_s", "velocity_mm_s", "change_1s_kpa", "slip")
 _EDGE_KNOTS = (0.0, 0.004, 0.012, 0.03, 0.08, 0.25, 2.0)
@@ -76,7 +76,7 @@ _EDGE_KNOTS = (0.0, 0.004, 0.012, 0.03, 0.08, 0.25, 2.0)
 
 @dataclass(frozen=True)
 class Piece:
-    """A term that may enter: splines of one input, or products of those of two.
+    """A term that may enter: an offset, splines of one input, or products of those of two.
 
     Attributes:
         scale: one of `SCALES` that they are multiplied by, or "".
@@ -148,9 +148,8 @@ class TermSearch:
         known = frozenset[str]().union(*(piece.groups for piece in chosen))
 
         def alike(after: Array) -> bool:
-            lost, sure = gain_and_errors(after, best[1])
             most = self.config.alike_share * float((errors - best[1]).sum())
-            return lost <= 0.0 or (sure <= 1.0 and lost <= most)
+            return float((after - best[1]).sum()) <= most
 
         simple = [one for one in tried if alike(one[1])] or [best]
         return min(simple, key=lambda one: (len(one[0].groups - known), float(one[1].sum())))
@@ -268,7 +267,7 @@ def _term_of(
         after=held.rms("after"),
         floor=held.rms("floor"),
         moved=search.terms.moved(search.columns(chosen)),
-        courses=tuple(_course(search, chosen, piece) for piece in chosen),
+        courses=tuple(_course(search, chosen, piece) for piece in chosen if piece.inputs),
         expression=compact_expression(problem, fit, search.terms.errors(search.columns(chosen)),
                                       Correction(block, terms), config),
         nearest=_nearest(problem, fit, search, chosen, shares, tuple(nearest)),
@@ -281,10 +280,10 @@ def search_of(
     """Pieces and sums for one block; None where too few slots have it or it shows no gap."""
     here = problem.rows.block == BLOCKS.index(block)
     names = _GAS if block == "pressure" else _MUSCLE
-    at = inputs_of(problem.model, block, names)
+    at = inputs_of(problem.grid, block, names)
     count = int(here.sum())
     if block != "pressure":
-        at |= scales_of(problem.model, block, problem.constants(fit.shift))
+        at |= scales_of(problem.grid, block, problem.constants(fit.shift))
     pieces, columns = _pieces(at, count)
     if block == "pressure":
         pieces, columns = _with_flows(problem, fit, pieces, columns)
@@ -334,7 +333,8 @@ def _pieces(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Array]
         for name, x in at.items()
         if name in INPUTS and np.ptp(x) > 1e-6 * (1.0 + np.abs(x).max())
     }
-    wanted: list[tuple[str, tuple[str, ...]]] = [("", (name,)) for name in varied]
+    wanted: list[tuple[str, tuple[str, ...]]] = [("", ())]
+    wanted += [("", (name,)) for name in varied]
     wanted += [("", pair) for pair in _PRODUCTS]
     wanted += [(scale, (name,)) for scale, name in _SCALED if scale in at]
     made: list[Piece] = []
@@ -356,11 +356,11 @@ def _with_flows(
     problem: FitProblem, fit: FitResult, pieces: tuple[Piece, ...], columns: Array
 ) -> tuple[tuple[Piece, ...], Array]:
     """The pieces with those of flows into the chamber, which are summed up over time."""
-    at = point_inputs_of(problem.model, "pressure", _GAS)
+    at = point_inputs_of(problem.grid, "pressure", _GAS)
     count = len(next(iter(at.values())))
     made, flows = list(pieces), []
     first = columns.shape[1]
-    own_flow = valve_flow(problem.model, problem.constants(fit.shift))
+    own_flow = valve_flow(problem.grid, problem.constants(fit.shift))
     for scale, inputs in _FLOWS:
         if any(np.ptp(at[name]) < 1e-6 for name in inputs):
             continue
@@ -372,7 +372,7 @@ def _with_flows(
         first += width
     if not flows:
         return pieces, columns
-    raised = risen(problem.model, np.hstack(flows), problem.constants(fit.shift))
+    raised = risen(problem.grid, np.hstack(flows), problem.constants(fit.shift))
     return tuple(made), np.hstack([columns, raised])
 
 

@@ -56,10 +56,10 @@ def compact_expression(
         splines: squared errors of the correction on held-out slots, shape (slots,).
     """
     block = correction.block
-    at = inputs_of(problem.model, block, correction.inputs)
+    at = inputs_of(problem.grid, block, correction.inputs)
     if not at or any(term.scale in FLOWS for term in correction.terms):
         return None
-    scales = scales_of(problem.model, block, problem.constants(fit.shift))
+    scales = scales_of(problem.grid, block, problem.constants(fit.shift))
     scales[""] = np.ones(len(next(iter(at.values()))))
     used = dict.fromkeys(term.scale for term in correction.terms)
     words, text = _library(at)
