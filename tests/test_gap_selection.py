@@ -66,7 +66,7 @@ def test_an_effect_whose_place_a_constant_took_counts_although_it_shows_little(
         "liner_threshold": {"threshold_kpa": 30.0},
         "flow_area": {"side": "outlet", "ratio": 1.25},
     }
-    data = read_dataset(write_set(tmp_path, hidden, seed=4, replicates=2))
+    data = read_dataset(write_set(tmp_path, hidden, seed=4, replicates=2, rate_hz=1000.0))
     problem = FitProblem.of(data, [s for s in CANDIDATES if s.id in hidden])
     liner = fitted(problem, "liner_threshold")
     linear = linear_gains(problem, liner.fit)

@@ -74,7 +74,6 @@ def diagnose_with_search(
     found = search_effects(problem)
     stage("confounders, stages and the next experiment")
     verdict, search = classify(problem, found)
-    stage("what the gap looks like")
     return with_empirical_term(verdict, problem, search), problem, search
 
 
@@ -89,6 +88,7 @@ def with_empirical_term(verdict: Verdict, problem: FitProblem, search: SearchRes
     described = (Status.UNKNOWN, Status.NAMED_FORM_INADEQUATE)
     if verdict.status not in described or verdict.reason.cause is Cause.UNCERTAIN_DEFECT:
         return verdict
+    stage("what the gap looks like")
     fit = search.best.fit if verdict.status.explained else problem.base
     ids = {s.key: s.id for s in problem.candidates if not s.defect}
     gains = sorted((k for k in search.first_gain if k in ids), key=lambda k: -search.first_gain[k])

@@ -228,10 +228,10 @@ def at_equal_inputs(rows: Rows, one: Whole, other: Whole, alike: Array) -> npt.N
         one, other: rows that are compared, of equal blocks.
         alike: `gap.model.grid.same_conditions`.
     """
-    pressure = np.abs(rows.pressure[one] - rows.pressure[other]) <= alike[0]
-    length = np.abs(rows.length[one] - rows.length[other]) <= alike[1]
+    pressure = np.abs(rows.pressure[one] - rows.pressure[other])
+    length = np.abs(rows.length[one] - rows.length[other])
     forces = np.isin(rows.block[one], [BLOCKS.index(name) for name in ("force", "load")])
-    return np.asarray(~forces | (pressure & length))
+    return np.asarray(~forces | ((pressure <= alike[0]) & (length <= alike[1])))
 
 
 class _Pair:

@@ -77,24 +77,45 @@ def turning_points(time_s: Array, value: Array, least: float) -> Array:
 
 _OUT_OF_STEP = 0.01
 """Share of a trial by which its turning points may differ from those of its first replicate."""
+_BETTER = 0.7
+"""Share of the difference of two replicates that must be left once their turns coincide."""
 
 
-def in_step(time_s: Array, turns: Array, course: Array) -> Array:
-    """Times of a trial on the clock of its first replicate, shape of `time_s`.
+def means(bin_: Whole, value: Array, count: int) -> Array:
+    """Mean of a signal in each bin, NaN in empty ones, shape (count,)."""
+    size = np.bincount(bin_, minlength=count).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.bincount(bin_, weights=value, minlength=count) / size)
+
+
+def in_step(
+    time_s: Array, swing: Array, turns: Array, ends: Array, course: Array, first: Array
+) -> Whole:
+    """Bins of a replicate, on the clock of the first replicate where it was driven by hand.
 
     A trial driven by hand turns earlier or later than its replicates; bins that end at the turning
     points of one would mix both ways of another. Where the trial turns as often, time between
-    turning points is stretched; where it turns at the same times, it is left alone.
+    turning points is stretched, if that brings its swing nearer to that of the first replicate: a
+    turning point on a level is anywhere on it.
 
     Args:
-        course: start, turning points and end of the first replicate, ascending.
+        swing: signal that turns, shape of `time_s`.
+        ends: ends of the bins of the first replicate.
+        course: its start, turning points and end, ascending.
+        first: its swing in each bin, shape (bins + 2,).
     """
+    plain = np.searchsorted(ends, time_s, side="right")
     own = np.r_[time_s[0], turns, time_s[-1]]
     if len(turns) == 0 or len(own) != len(course) or np.any(np.diff(own) <= 0.0):
-        return time_s
+        return plain
     if np.abs(own - course).max() <= _OUT_OF_STEP * float(np.ptp(course)):
-        return time_s
-    return np.interp(time_s, own, course)
+        return plain
+    stretched = np.searchsorted(ends, np.interp(time_s, own, course), side="right")
+
+    def off(bin_: Whole) -> float:
+        return float(np.nanmean((means(bin_, swing, len(first)) - first) ** 2))
+
+    return stretched if off(stretched) < _BETTER**2 * off(plain) else plain
 
 
 def fold(time_s: Array, value: Array, turns: Array, parts: int) -> Whole:

@@ -347,8 +347,11 @@ def _assign(
             turns, _MOST[block],
         )  # fmt: skip
         ends[trial.slot, f"{block} course"] = np.r_[t[0], turns, t[-1]]
-    course = ends[trial.slot, f"{block} course"]
-    piece.bin = np.searchsorted(ends[key], bins.in_step(t, turns, course), side="right")
+        piece.bin = np.searchsorted(ends[key], t, side="right")
+        ends[trial.slot, f"{block} swing"] = bins.means(piece.bin, swing, len(ends[key]) + 1)
+        return
+    course, first = (ends[trial.slot, f"{block} {name}"] for name in ("course", "swing"))
+    piece.bin = bins.in_step(t, swing, turns, ends[key], course, first)
 
 
 def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points, Rows]:
