@@ -57,7 +57,7 @@ def entries(folder: Path) -> list[Path]:
     return sorted(folder.iterdir()) if folder.exists() else []
 
 
-@pytest.mark.parametrize("data", ["settled", "timed"])
+@pytest.mark.parametrize("data", ["settled", pytest.param("timed", marks=pytest.mark.campaign)])
 def test_each_command_prints_the_same_from_the_cache(
     data: str, folder: Path, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

@@ -100,7 +100,9 @@ def test_each_binding_leads_to_the_verdict_of_the_built_in_plant(
     assert offset.low < 2.0 < offset.high
 
 
-@pytest.mark.parametrize("kind", ["python", "predictions"])
+@pytest.mark.parametrize(
+    "kind", ["python", pytest.param("predictions", marks=pytest.mark.campaign)]
+)
 @pytest.mark.parametrize("command", ["diagnose", "where", "shrink", "next", "report"])
 def test_every_command_takes_a_simulator(
     command: str, kind: str, data: DataSet, tmp_path: Path
