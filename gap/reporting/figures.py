@@ -127,12 +127,13 @@ def traces(examined: Examination) -> Figure | None:
         axes.plot(trace.x, trace.recalibrated, color=BLUE, lw=1.2, ls="--", label="recalibrated")
         if explained:
             axes.plot(
-                trace.x, trace.after, color=GREEN, lw=1.2, ls=":", label="with what was found"
+                trace.x, trace.after, color=GREEN, lw=2.2, ls=":", label="with what was found"
             )
         axes.set_title(f"trial {trace.trial}", fontsize=9.5)
         axes.set_xlabel("pressure, kPa" if trace.settled else "time, s")
     grid[0][0].set_ylabel(f"{_QUANTITY.get(field.block, field.block)}, {field.unit}")
-    grid[0][0].legend(loc="best", fontsize=8)
+    lines, labels = grid[0][0].get_legend_handles_labels()
+    figure.legend(lines, labels, loc="outside upper center", fontsize=8, ncols=3)
     return figure
 
 
