@@ -47,7 +47,7 @@ class EstimationConfig:
     misfit_share: float = 0.5
     """Rms error of the recalibrated plant, as a share of the rms of what was read, from which the
     plant is that of another muscle. No effect of the catalogue at the end of its range makes half
-    of all force. Set on: practice sets 9100 to 9127, and measured muscles of two other makes."""
+    of all force. Set on: practice sets 9100 to 9117, and measured muscles of two other makes."""
     far_sd: float = 12.0
     """Shift of a constant of the muscle, in sd, from which the plant is that of another muscle: at
     1 % of the turns and 0.3 % of the braid 12 % and 4 %. Set on: the same."""

@@ -33,7 +33,7 @@ class SelectionConfig:
     # Forward selection
     most_effects: int = 6
     """Most effects of one explanation. More effects found at once. Set on: sets 0 to 11 of the
-    stream `several`; no figure of practice sets 9300 to 9347 changed from 3."""
+    stream `several`; no count on practice sets 9300 to 9347 changed from 3."""
     fitted_candidates: int = 7
     """Most candidates that are fitted at a step, best linear gain first."""
     fitted_own_channels: int = 4
