@@ -39,6 +39,7 @@ class StepContext(Protocol):
         steering: take and skip of the present point.
         load_kg: mass that hangs on the muscle.
         vented: whether the muscle is being vented.
+        armed: whether the test has armed the bench.
     """
 
     rig: Rig
@@ -57,6 +58,19 @@ class StepContext(Protocol):
     @property
     def vented(self) -> bool:
         """Whether the muscle is being vented."""
+        ...
+
+    @property
+    def armed(self) -> bool:
+        """Whether the test has armed the bench."""
+        ...
+
+    def arm(self) -> None:
+        """Arm the bench."""
+        ...
+
+    def disarm(self) -> float:
+        """Vent, disarm and confirm it; the pressure afterwards in kPa."""
         ...
 
     def do(self, step: Any) -> Any:
