@@ -10,6 +10,7 @@ import pytest
 
 from analysis.layouts.layouts import POINTS
 from analysis.registry import analysis_of
+from analysis.reporting.report import report_json
 from daq.live.layout import LiveLayout
 from daq.live.scene import Scene
 from daq.live.viewfile import build_view
@@ -65,6 +66,7 @@ def test_the_stored_view_has_the_points_of_the_live_view(name: str, tmp_path: Pa
     live = drawn_live(shown, layout, tmp_path / "live.rrd")
     stored = curves_of(contents(build_view(run, tmp_path / "view.rrd", layout))[1])
     assert shown
+    assert [f for f in report_json(run)["faults"] if f["kind"] == "result"] == []
     assert {str(label) for _, _, label in shown} == {k.replace("\\", "") for k in live}
     assert stored.keys() == live.keys()
     for label, positions in live.items():
