@@ -399,3 +399,40 @@ def test_plain_calibration_table_is_taken_too(tmp_path):
         )
     )
     assert isinstance(load_camera_calibration(path), CameraCalibration)
+
+
+GAUGES = ("calibrate", "camera", "--out", "c.toml", "--gauges", "blocks.csv")
+BOARD = ("calibrate", "camera", "--out", "c.toml", "--board", "board.png", "--domain-mm", "50,73")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("length", "virtual:55", "--threshold", "-5"), "--threshold: expected a number from 0 to"),
+        (("length", "virtual:55", "--method", "macro", "--threshold", "256"), "--threshold: "),
+        (("length", "virtual:55", "--count", "0"), "--count: expected a number from 1 to"),
+        (("length", "virtual:55", "--count", "-3"), "--count: "),
+        (("length", "virtual:55", "--roi", "-5,300,500,70"), "--roi: expected left,top,width"),
+        (("length", "virtual:nan"), "virtual:nan: not a length"),
+        ((*GAUGES, "--distance-mm", "0"), "--distance-mm: expected a number above 0"),
+        ((*GAUGES, "--distance-mm", "nan"), "--distance-mm: "),
+        ((*GAUGES, "--u-off-plane-mm", "-1"), "--u-off-plane-mm: expected a number from 0 to"),
+        ((*BOARD, "--square-mm", "-5"), "--square-mm: expected a number above 0 up to 1000 mm"),
+        ((*BOARD, "--offset-mm", "inf"), "--offset-mm: "),
+        ((*BOARD, "--u-offset-mm", "-0.1"), "--u-offset-mm: "),
+        ((*BOARD, "--nearer-mm", "nan"), "--nearer-mm: "),
+        ((*BOARD, "--squares", "nanx6"), "--squares: expected a number from 3 to 1000 corners"),
+        ((*BOARD, "--squares", "-9x6"), "--squares: "),
+    ],
+)
+def test_a_number_out_of_its_bounds_is_refused_in_one_line(words, said, monkeypatch, capsys):
+    from cli.main import main
+
+    monkeypatch.setattr("sys.argv", ["pamrig", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    out, err = capsys.readouterr()
+    assert ended.value.code == 2
+    assert out == ""
+    assert err.startswith(f"pamrig: {said}")
+    assert err.count("\n") == 1

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SCHEMA = "pamrig-report/1"
 NORMAL_EVENTS = (
     "point", "zero", "length", "state", "command", "tare", "clockfit", "armed", "controller",
-    "trial", "marker", "manual", "load", "mounted", "leak", "try",
+    "trial", "marker", "manual", "load", "mounted", "leak", "try", "result",
 )  # fmt: skip
 """Kinds of events of a normal run. All other kinds are listed among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.options import JsonOption
+from cli.options import JsonOption, bounded
 from daq.errors import ConfigError, PamrigError
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 METHODS = ("edge", "macro")
 MACRO_THRESHOLD = 130
+MOST_LIVE_FRAMES = 100_000
 MACRO_ROI = (10, 300, 500, 70)
 MACRO_U_PIXELS = 1 / math.sqrt(12)  # resolution of whole pixels; does not cover specks
 Box = tuple[int, int, int, int]
@@ -47,6 +48,8 @@ def length(
     as_json: JsonOption = False,
 ) -> None:
     """Measure lengths in pictures; exit status 2 if no frame gave a length."""
+    bounded("--threshold", threshold, 0, 255)
+    bounded("--count", count, 1, MOST_LIVE_FRAMES)
     text, failed = length_report(
         frames, method, calibration, preview, threshold, roi, flip, as_json, count
     )
@@ -102,7 +105,7 @@ def parse_box(text: str, key: str = "--roi") -> Box:
         numbers = [int(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    if len(numbers) != 4 or numbers[2] < 1 or numbers[3] < 1:
+    if len(numbers) != 4 or min(numbers) < 0 or 0 in numbers[2:]:
         raise ConfigError(
             key,
             f"expected left,top,width,height in whole pixels, got {text!r}",

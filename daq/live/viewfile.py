@@ -35,7 +35,7 @@ PORT = 9090
 CHUNK_ROWS = 65_536
 MOST_ROWS = 1_000_000
 MOST_FRAMES = 1_000
-_QUIET = {"state", "point", "length", "command", "clockfit", "zero"}
+_QUIET = {"state", "point", "result", "length", "command", "clockfit", "zero"}
 _LEVELS = {"fault": "ERROR", "vent_unconfirmed": "ERROR", "gap": "WARN", "end": "WARN"}
 
 
@@ -129,6 +129,7 @@ def _fill(scene: Scene, run: Run, layout: LiveLayout, edges: Edges | None, most_
         _event_series(scene, run, events, frame_ns, start_ns, layout)
     for points in layout.points:
         _points(scene, run, tables, points)
+    _results(scene, run, layout)
     _frames(scene, run, layout.camera, frame_ns, start_ns, edges)
     for event in run.events:
         if event["kind"] not in _QUIET:
@@ -201,6 +202,18 @@ def _points(scene: Scene, run: Run, tables: dict[str, Columns], feed: PointFeed)
         except (KeyError, ValueError, TypeError):  # an imported row may lack the field
             label = str(event.get("slot") or f"trial {event.get('trial', '?')}")
         scene.points(feed.path, event["t_ns"] / 1e9, label, np.array([x]), np.array([y]))
+
+
+def _results(scene: Scene, run: Run, layout: LiveLayout) -> None:
+    """What the test showed in its points panel as it ran; ``Scene`` ignores it without one."""
+    panel = next((p for p in layout.panels if p.kind == "points" and p.channels), None)
+    for event in run.events:
+        if panel is None or event["kind"] != "result":
+            continue
+        x, y, label = event.get("x"), event.get("y"), str(event.get("label", ""))
+        if isinstance(x, (int, float)) and isinstance(y, (int, float)):
+            at_s = event["t_ns"] / 1e9
+            scene.points(panel.channels[0].path, at_s, label, np.array([x]), np.array([y]))
 
 
 def _frame_lengths(run: Run) -> dict[int, float]:

@@ -255,6 +255,11 @@ class Runner:
         self.record.event("state", state=state)
         self.watch.state(state)
 
+    def report_result(self, x: float, y: float, label: str) -> None:
+        """A result of the test as it goes: record and live view, so that the view file has it."""
+        self.record.event("result", x=float(x), y=float(y), label=label)
+        self.watch.result(x, y, label)
+
     @property
     def vented(self) -> bool:
         """Whether the last command to the pressure source was to vent."""

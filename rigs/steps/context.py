@@ -85,6 +85,10 @@ class StepContext(Protocol):
         """Enter a state: record, live view and terminal."""
         ...
 
+    def report_result(self, x: float, y: float, label: str) -> None:
+        """Show a result of a valve test: record and live view."""
+        ...
+
     def axis(self, name: str, unit: str) -> ManualAxis:
         """The manual axis of that name."""
         ...
