@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +18,9 @@ from rigs.bench.locks import vent_request
 from rigs.bench.rig import Rig, firmware_parameters, open_rig
 from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
 from rigs.devices.lines import LineDevice
-from rigs.devices.operator import ConsoleOperator
+from rigs.devices.operator import ConsoleOperator, at_a_terminal
 from rigs.devices.stage import Stage
-from rigs.execution.control import RunControl, control_file
+from rigs.execution.control import RunControl, control_file, is_request
 from rigs.execution.manifest import manifest
 from rigs.execution.procedure import Plan, Procedure
 from rigs.execution.recording import (
@@ -136,9 +135,12 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
             control.listen(
                 control_file(record.folder), None if config.is_virtual else vent_request(config)
             )
-            if isinstance(rig.operator, ConsoleOperator) and sys.stdin.isatty():
-                rig.operator.on_line = control.typed
-                rig.operator.listen()
+            if at_a_terminal():
+                # A simulated person answers the requests; the keys are of the person here.
+                console = rig.operator if isinstance(rig.operator, ConsoleOperator) else None
+                keyboard = console or ConsoleOperator()
+                keyboard.on_line, keyboard.is_command = control.typed, is_request
+                keyboard.listen()
             runner.progress.seconds = seconds
             runner.run(method(), points)
         except (PamrigError, Stopped) as caught:
