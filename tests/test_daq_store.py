@@ -52,7 +52,7 @@ def test_samples_in_engineering_units_follow_the_calibrations(tmp_path: Path) ->
         "pressure_kpa",
         "flags",
         "inlet_cmd",
-        "vent_cmd",
+        "outlet_cmd",
         "setpoint_kpa",
     ]
     np.testing.assert_allclose(table["time_s"], np.arange(600) * 1e-3, atol=2e-6)
