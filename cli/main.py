@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from typing import Annotated
 
 import typer
 
@@ -18,6 +19,8 @@ from cli.model.models import add_models, fit
 from cli.protocols.protocols import add_protocols
 from cli.simulate.simulate import add_studies, simulate
 
+HELP = {"help_option_names": ["-h", "--help"]}
+
 app = typer.Typer(
     name="pamrig",
     help="Test bench for pneumatic artificial muscles: run tests, view, reduce, report.",
@@ -25,11 +28,32 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     add_completion=False,
+    context_settings=HELP,
 )
 
 
+def _print_version(asked: bool) -> None:
+    if asked:
+        from daq.version import version
+
+        typer.echo(f"pamrig {version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the version and exit.", is_eager=True, callback=_print_version
+        ),
+    ] = False,
+) -> None:
+    """Test bench for pneumatic artificial muscles: run tests, view, reduce, report."""
+
+
 def _group(name: str, summary: str) -> typer.Typer:
-    group = typer.Typer(help=summary, no_args_is_help=True)
+    group = typer.Typer(help=summary, no_args_is_help=True, context_settings=HELP)
     app.add_typer(group, name=name)
     return group
 

@@ -12,7 +12,9 @@ from daq.errors import ConfigError
 
 RUNS = Path("runs")
 
-DataArgument = Annotated[Path, Argument(help="Folder in the dataset format, or a run folder.")]
+DataArgument = Annotated[
+    str, Argument(help="Folder in the dataset format, run folder, run id, or 'last'.")
+]
 RunArgument = Annotated[str, Argument(help="Run folder, run id, or 'last'.")]
 
 FigureOption = Annotated[Path | None, Option("--figure", help="Figure to write, .png or .svg.")]
@@ -23,7 +25,6 @@ NoCacheOption = Annotated[
 ]
 NoteOption = Annotated[str, Option(help="A note for the record.")]
 OperatorOption = Annotated[str, Option(help="Name of the operator.")]
-OutOption = Annotated[Path, Option("--out", help="Folder of runs.")]
 OutFileOption = Annotated[Path | None, Option("--out", help="File to write.")]
 PlantOption = Annotated[
     Path | None, Option("--plant", help="Constants of the bench, in the format of bench.toml.")
@@ -31,6 +32,7 @@ PlantOption = Annotated[
 RegionOption = Annotated[str, Option(help="Only pressures LOW-HIGH in kPa.")]
 RigOption = Annotated[str, Option("--rig", help="Rig file, or the name of a shipped one.")]
 RunsOption = Annotated[Path, Option("--runs", help="Folder of runs.")]
+OutOption = Annotated[Path, Option("--runs", "--out", help="Folder of runs.")]
 SeedOption = Annotated[int | None, Option(help="Seed of a virtual bench.")]
 SimulatorOption = Annotated[
     Path | None,

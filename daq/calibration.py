@@ -12,6 +12,8 @@ import numpy.typing as npt
 from daq.errors import ConfigError
 
 Floats = npt.NDArray[np.float64]
+BEYOND = 0.005
+"""Part of the calibrated range by which a value may lie outside it without a warning."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +74,16 @@ class Calibration:
         return np.asarray(np.hypot(self.u_offset, span))
 
     def outside(self, value: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """True where a value lies outside the calibrated range."""
+        """True where a value lies clearly outside the calibrated range.
+
+        Clearly: by more than its expanded uncertainty and than `BEYOND` of the range. A sensor
+        calibrated from 0 upwards reads a little below zero without load.
+        """
         v = np.asarray(value, dtype=np.float64)
-        return np.asarray((v < self.domain[0]) | (v > self.domain[1]))
+        low, high = self.domain
+        width = BEYOND * (high - low) if np.isfinite(high - low) else 0.0
+        margin = np.maximum(2.0 * self.u(v), width)
+        return np.asarray((v < low - margin) | (v > high + margin))
 
     def to_dict(self) -> dict[str, Any]:
         """The attributes for run.json; an open end of the domain is None."""

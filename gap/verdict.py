@@ -240,7 +240,12 @@ class EmpiricalTerm:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a diagnosis found. `as_dict` gives the object of the dataset format."""
+    """What a diagnosis found. `as_dict` gives the object of the dataset format.
+
+    Attributes:
+        gap: of the channel that shows the effect best above its floor; decisions rest on it.
+        channels: of every channel, the one with the largest gap for its range first.
+    """
 
     status: Status
     reason: Reason
@@ -257,6 +262,12 @@ class Verdict:
     notes: tuple[str, ...] = ()
     evidence: Mapping[str, Any] = field(default_factory=dict)
     empirical: EmpiricalTerm | None = None
+    channels: tuple[Gap, ...] = ()
+
+    @property
+    def headline_gap(self) -> Gap | None:
+        """The gap to state first: that of the channel where it is largest for its range."""
+        return self.channels[0] if self.channels else self.gap
 
     def as_dict(self) -> dict[str, Any]:
         """The verdict as plain values: null where something does not apply, never NaN."""
@@ -269,6 +280,7 @@ class Verdict:
             "probability_none": _number(self.probability_none),
             "probability_unknown": _number(self.probability_unknown),
             "gap": _gap(self.gap),
+            "channels": [_gap(channel) for channel in self.channels],
             "where": {
                 "stages": [
                     {

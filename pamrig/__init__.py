@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from gap.verdict import Verdict
     from rigs.interactive.client import InteractiveRig
 
+NEWEST_S = 1.0
+"""Older readings of a slow stream are left out of `RecordedRun.joined`."""
+
 __all__ = ["RecordedRun", "diagnose", "open_rig", "open_run", "runs", "simulate"]
 
 
@@ -63,6 +66,28 @@ class RecordedRun:
 
         columns, _ = engineering(self.run, name)
         return pd.DataFrame(columns)
+
+    @property
+    def joined(self) -> pd.DataFrame:
+        """Force, pressure and all other readings in one table, a row per 1 kHz sample.
+
+        Each row has the newest reading of every slower stream at its time; none if that is older
+        than `NEWEST_S`.
+        """
+        import pandas as pd
+
+        table = self.samples
+        for name in self.run.streams:
+            other = self.stream(name)
+            if name == "valve" or "time_s" not in other or not len(other):
+                continue
+            new = [c for c in other.columns if c == "time_s" or c not in table]
+            tolerance: Any = NEWEST_S  # the stubs know of dates only
+            table = pd.merge_asof(
+                table.sort_values("time_s"), other[new].sort_values("time_s"),
+                on="time_s", direction="backward", tolerance=tolerance,
+            )  # fmt: skip
+        return table
 
     @property
     def events(self) -> pd.DataFrame:

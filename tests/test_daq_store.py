@@ -52,7 +52,7 @@ def test_samples_in_engineering_units_follow_the_calibrations(tmp_path: Path) ->
         "pressure_kpa",
         "flags",
         "inlet_cmd",
-        "vent_cmd",
+        "outlet_cmd",
         "setpoint_kpa",
     ]
     np.testing.assert_allclose(table["time_s"], np.arange(600) * 1e-3, atol=2e-6)
@@ -222,7 +222,8 @@ def test_a_calibration_applies_inverts_and_states_its_uncertainty() -> None:
     assert PRESSURE.raw(PRESSURE.apply([123.0])).tolist() == pytest.approx([123.0])
     # 200 kPa is 300 above the offset: 0.6 from the gain, 0.5 from the offset.
     assert float(PRESSURE.u(200.0)) == pytest.approx((0.5**2 + 0.6**2) ** 0.5)
-    assert PRESSURE.outside([-1.0, 0.0, 700.0, 701.0]).tolist() == [True, False, False, True]
+    outside = PRESSURE.outside([-5.0, -1.0, 0.0, 700.0, 701.0, 710.0]).tolist()
+    assert outside == [True, False, False, False, False, True], "not within its uncertainty"
     assert FORCE.outside([1e9]).tolist() == [False]
 
 

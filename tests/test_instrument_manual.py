@@ -16,7 +16,7 @@ from daq.store.run import open_run
 from rigs.bench.doctor import examine
 from rigs.bench.rig import open_rig
 from rigs.devices.event_loop import EventLoop
-from rigs.devices.operator import ManualAxis, Request, request_number
+from rigs.devices.operator import ManualAxis, Request, read_number, request_number
 from rigs.execution.runner import Runner
 from rigs.execution.session import run_protocol
 from rigs.protocols.isometric import load_isometric
@@ -84,11 +84,36 @@ def test_a_number_that_does_not_read_is_asked_again(words: tuple[str, ...]) -> N
     assert request_number(Typist(*words), event_loop, request) == 12.5
 
 
-def test_a_decimal_comma_three_times_is_refused() -> None:
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("0,714", 0.714), ("0.714", 0.714), (" 1,5 kPa", 1.5), ("-3", -3.0), ("1,234.5", None),
+     ("1,2,3", None), ("nan", None), ("1_0", None), ("p", None), ("", None)],
+)  # fmt: skip
+def test_a_decimal_comma_is_a_decimal_point(text: str, value: float | None) -> None:
+    assert read_number(text, "kPa") == value
+
+
+def test_an_answer_that_never_is_a_number_ends_the_request() -> None:
     event_loop = EventLoop(VirtualClock(), 0.02)
     request = Request("gauge", float("nan"), "kPa", "read the gauge")
-    with pytest.raises(DeviceError, match="'12,5' is no number in kPa"):
-        request_number(Typist("12,5", "12,5", "12,5"), event_loop, request)
+    with pytest.raises(DeviceError, match="'twelve' is not a number in kPa, after 10 answers"):
+        request_number(Typist(*["twelve"] * 20), event_loop, request)
+
+
+def test_a_marked_mass_is_typed_with_a_comma_and_a_stray_key_is_asked_again() -> None:
+    asked: list[str] = []
+
+    class Person(Typist):
+        def begin(self, request: Request) -> None:
+            asked.append(request.text)
+
+    axis = ManualAxis(
+        "mass", "kg", Person("x", "0,714"), EventLoop(VirtualClock(), 0.02),
+        lambda: 0.71, "load_cell", 0.1, marked=True,
+    )  # fmt: skip
+    assert axis.set(0.5).taken == 0.714
+    assert axis.settings[0].tries == 1, "the sensor was asked once"
+    assert asked[1].startswith("'x' is neither Enter nor a number in kg. Again: hang 0.5 kg")
 
 
 def manual_rig(folder: Path) -> str:

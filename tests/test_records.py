@@ -169,14 +169,14 @@ def test_what_is_exported_reads_back_as_it_was(measured: Run, tmp_path: Path, ki
     back = reader(tmp_path / f"table.{kind}")
     assert np.allclose(back["force_n"], table["force_n"])
     samples = reader(tmp_path / f"samples.{kind}")
-    assert {"time_s", "pressure_kpa", "setpoint_kpa", "inlet_cmd_share"} <= set(samples)
+    assert {"time_s", "pressure_kpa", "setpoint_kpa", "inlet_cmd"} <= set(samples)
     assert len(written) >= 3
 
 
 def test_units_end_the_names() -> None:
     assert with_unit("reading", "m/s") == "reading_m_s"
     assert with_unit("pressure_kpa", "kPa") == "pressure_kpa"
-    assert with_unit("inlet_cmd", "share of 1 ms") == "inlet_cmd_share"
+    assert with_unit("inlet_cmd", "share of 1 ms") == "inlet_cmd"
     assert with_unit("grams", "g") == "grams_g"
 
 

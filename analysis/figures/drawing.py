@@ -38,6 +38,8 @@ STYLE: dict[str, Any] = {
     "grid.color": "#e6e6e6",
     "grid.linewidth": 0.6,
     "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-5, 6),
     "xtick.color": INK,
     "ytick.color": INK,
     "legend.frameon": False,

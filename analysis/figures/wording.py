@@ -34,10 +34,15 @@ def with_u(value: float | None, u: float | None) -> str:
     if value is None:
         return "–"
     if u is None or not math.isfinite(u) or u <= 0.0:
-        return f"{value:.5g}".replace("-", "−")
+        return f"{value + 0.0:.5g}".replace("-", "−")
     expanded = 2.0 * u
     decimals = min(max(1 - math.floor(math.log10(expanded)), 0), 6)
-    return f"{value:.{decimals}f} ± {expanded:.{decimals}f}".replace("-", "−")
+    return f"{fixed(value, decimals)} ± {expanded:.{decimals}f}"
+
+
+def fixed(value: float | None, decimals: int) -> str:
+    """A number with this many decimals; zero has no sign."""
+    return "–" if value is None else f"{value:z.{decimals}f}".replace("-", "−")
 
 
 def value_cell(value: Any) -> str:
@@ -47,5 +52,6 @@ def value_cell(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
+        value += 0.0  # zero has no sign
         return (f"{value:.6g}" if abs(value) < 1e-3 else f"{value:.7g}").replace("-", "−")
     return str(value)

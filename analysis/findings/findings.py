@@ -85,6 +85,11 @@ def source_table(run: Run) -> str | None:
     return table
 
 
+def as_in(run: Run, place: str) -> str:
+    """The place in the thesis, in brackets, for an import of its tables; "" for other runs."""
+    return f" (as in {place} of the thesis)" if source_table(run) else ""
+
+
 def max_pressure_kpa(parameters: Mapping[str, Any], key: str = "pressures_kpa") -> float:
     """The highest pressure of a test, for the axes of its live view."""
     return float(max(parameters.get(key) or [600.0]))

@@ -19,6 +19,7 @@ from analysis.findings.findings import (
     Analysis,
     Findings,
     Section,
+    as_in,
     source_table,
 )
 from analysis.findings.thesis_check import printed_rows, to_printed
@@ -179,7 +180,8 @@ def flow_findings(run: Run, reduction: Reduction) -> Findings:
         Section(
             "Air velocity against pressure",
             figure=lambda: _figure(table, fanning, iso, meter),
-            caption="As in Figure 5-22 of the thesis. Bars: expanded uncertainty, k = 2.",
+            caption=f"Measured velocity and fits{as_in(run, 'Figure 5-22')}. Bars: expanded"
+            " uncertainty, k = 2.",
         )
     ]
     data: dict[str, Any] = {}
@@ -209,7 +211,7 @@ def flow_findings(run: Run, reduction: Reduction) -> Findings:
         ("velocity_m_s", "air velocity, m/s"), ("settled", "settled"),
     )  # fmt: skip
     sections.append(
-        Section("All points: the form of Table D-5", table=table, columns=columns,
+        Section("All points", table=table, columns=columns,
                 caption=f"{EXPANDED}. table.csv has more digits.")
     )  # fmt: skip
     return Findings(_headline(fanning, iso, len(table)), tuple(sections), data)
@@ -276,13 +278,13 @@ def _fanning_section(run: Run, line: Line) -> Section:
         columns=["predictor", *DIGITS],
     )
     words = [
-        "Pressure = a + b V² by least squares, the optimised Fanning form of Equation 5-9:"
+        "Pressure = a + b V² by least squares, the Fanning form:"
         f" s = {line.s:.2f} kPa, R² = {100 * line.r2:.1f} %, adjusted"
         f" {100 * line.r2_adjusted:.1f} %."
     ]
     columns = [
         ("predictor", "predictor"), ("coef", "coefficient"), ("stdev", "standard error"),
-        ("t", "t"), ("p", "p of zero"),
+        ("t", "t"), ("p_words", "p value"),
     ]  # fmt: skip
     if source_table(run) == "D-5":
         words += _compare_d1(line, frame)
@@ -290,7 +292,8 @@ def _fanning_section(run: Run, line: Line) -> Section:
             ("coef_printed", "printed coefficient"), ("stdev_printed", "printed error"),
             ("t_printed", "printed t"), ("p_printed", "printed p"), ("same", "same"),
         ]  # fmt: skip
-    return Section("The form of the thesis (Equation 5-9)", tuple(words), frame.round(DIGITS),
+    frame["p_words"] = ["< 0.001" if p < 0.0005 else f"{p:.3f}" for p in frame["p"]]
+    return Section("Fanning form", tuple(words), frame.round(DIGITS),
                    tuple(columns))  # fmt: skip
 
 
@@ -392,7 +395,7 @@ def _figure(
             p = np.linspace(0.0, float(rows["pressure_kpa"].max()), 200)
             if fanning is not None:
                 v = _fanning_velocity(fanning, p)
-                axes.plot(p, v, color=SET, linestyle="--", label="P = a + b V² (Equation 5-9)")
+                axes.plot(p, v, color=SET, linestyle="--", label="P = a + b V²")
             if iso is not None and meter is not None:
                 k = meter.velocity_per_conductance * iso.conductance
                 axes.plot(

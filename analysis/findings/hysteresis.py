@@ -24,6 +24,7 @@ from analysis.findings.findings import (
     Analysis,
     Findings,
     Section,
+    as_in,
     max_pressure_kpa,
     source_table,
 )
@@ -89,7 +90,7 @@ class Kind:
 ISOMETRIC = Kind(
     "force_n", "N", "set_length_mm", "mm", "force (N)", "at held lengths", "4-39", "C-5", "4-4",
     (
-        "The mean is taken from 200 kPa to one step below the turn, as in Tables C-5 and 4-4",
+        "The mean is taken from 200 kPa to one step below the turn",
         "means from 200 kPa to one step below the turn, not of whole columns",
     ),
     ("c05_isometric_hysteresis_difference", "force_difference_n", "t4_4",
@@ -100,7 +101,7 @@ ISOMETRIC = Kind(
 ISOTONIC = Kind(
     "length_mm", "mm", "mass_kg", "kg", "length (mm)", "under hung loads", "4-40", "C-7", "4-5",
     (
-        "The mean is taken over every pressure of the cycle, as in Table C-7",
+        "The mean is taken over every pressure of the cycle",
         "plain means of its columns",
     ),
     ("c07_isotonic_hysteresis_difference", "length_difference_mm", "t4_5",
@@ -316,7 +317,7 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
         Section(
             f"Cycles of rising and falling pressure {kind.under}",
             figure=(lambda: _figure(table, cycles, kind)) if len(table) else None,
-            caption=f"As in Figure {kind.figure} of the thesis. Above: rising filled, falling open;"
+            caption=f"Above{as_in(run, f'Figure {kind.figure}')}: rising filled, falling open;"
             f" below: rising minus falling{dotted}. {BARS}",
         ),
         Section(
@@ -352,7 +353,7 @@ def _headline(rows: list[dict[str, Any]], kind: Kind) -> str:
     known = [row for row in rows if math.isfinite(row["mean"])]
     if not known:
         cycles = "One cycle was" if len(rows) == 1 else f"{len(rows)} cycles were"
-        return f"{cycles} measured, none over the pressures of the mean of the thesis."
+        return f"{cycles} measured, none over the pressures that the mean is taken from."
     unit, what = kind.value_unit, "length" if kind is ISOTONIC else "force"
     if all(abs(row["mean"]) <= 2 * row["u_mean"] for row in known):
         most = max(abs(row["mean"]) + 2 * row["u_mean"] for row in known)

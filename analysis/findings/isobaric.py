@@ -14,6 +14,7 @@ from analysis.findings.findings import (
     Analysis,
     Findings,
     Section,
+    as_in,
     source_table,
 )
 from analysis.layouts.static import isobaric_layout
@@ -64,11 +65,11 @@ def isobaric_findings(run: Run, reduction: Reduction) -> Findings:
         Section(
             "Force against length",
             figure=lambda: _figure(table),
-            caption=f"One curve per pressure (as in Figure 4-11 of the thesis). {BARS}",
+            caption=f"One curve per pressure{as_in(run, 'Figure 4-11')}. {BARS}",
         ),
         Section(
             "Straight lines at each pressure",
-            ("Force = gradient · length + intercept by least squares (Equations 4-42, 4-43).",),
+            ("Force = gradient · length + intercept by least squares.",),
             pd.DataFrame(rows),
             (
                 ("pressure_kpa", "pressure, kPa"), ("n", "points"), ("gradient", "gradient, N/mm"),
@@ -90,7 +91,6 @@ def isobaric_findings(run: Run, reduction: Reduction) -> Findings:
             f"From {REGION_KPA[0]:g} to {REGION_KPA[1]:g} kPa: gradient ="
             f" {gradient.slope:.5f} P {signed(gradient.intercept, 4)} N/mm; intercept ="
             f" {intercept.slope:.5f} P {signed(intercept.intercept, 3)} N, P in kPa."
-            " The forms are those of Equations 4-44 and 4-45."
         )
         sections.append(Section("Gradient and intercept against pressure", (words,)))
     if source_table(run) == "C-2":

@@ -16,6 +16,7 @@ from analysis.findings.findings import (
     Analysis,
     Findings,
     Section,
+    as_in,
     max_pressure_kpa,
     source_table,
 )
@@ -67,8 +68,8 @@ def isometric_findings(
         at_21 = table[table["temperature_c"].sub(21.0).abs() < 0.5]
         thesis = compare_c9(cold, at_21) if cold else None
     sections = [
-        *_figures(reduction, region_kpa, of_thesis=thesis is not None),
-        *_line_sections(lines, laws, covered, bool(reduction.calibrations)),
+        *_figures(run, reduction, region_kpa, of_thesis=thesis is not None),
+        *_line_sections(run, lines, laws, covered, bool(reduction.calibrations)),
         *(_thesis_sections(thesis) if thesis else ()),
     ]
     # These entries of the report are older than its sections; other programs read them.
@@ -123,7 +124,7 @@ def _headline(lines: list[LengthLine], law: LengthLaw | None, points: int, cover
     return text + "."
 
 
-def _figures(reduction: Reduction, region_kpa: Region, of_thesis: bool) -> list[Section]:
+def _figures(run: Run, reduction: Reduction, region_kpa: Region, of_thesis: bool) -> list[Section]:
     """Force against pressure, coefficients against length, and residuals; lowest temperature."""
     from analysis.figures import isometric as figures
 
@@ -137,7 +138,7 @@ def _figures(reduction: Reduction, region_kpa: Region, of_thesis: bool) -> list[
         Section(
             "Force against pressure",
             figure=lambda: figures.force_figure(table),
-            caption="Settled points, one curve per length (as in Figure 4-9 of the thesis)."
+            caption=f"Settled points, one curve per length{as_in(run, 'Figure 4-9')}."
             f" {BARS}{only}{rising}",
         )
     ]
@@ -171,7 +172,7 @@ def _figures(reduction: Reduction, region_kpa: Region, of_thesis: bool) -> list[
 
 
 def _line_sections(
-    lines: list[LengthLine], laws: list[Law], covered: Region, calibrated: bool
+    run: Run, lines: list[LengthLine], laws: list[Law], covered: Region, calibrated: bool
 ) -> list[Section]:
     """Tables of the lines at each length, and the laws in words."""
     import pandas as pd
@@ -196,7 +197,7 @@ def _line_sections(
     ]  # fmt: skip
     calibrations = " and from zero and gain of the calibrations" if calibrated else ""
     words = (
-        "Force = gradient · pressure + intercept by least squares (Equation 4-32)."
+        f"Force = gradient · pressure + intercept by least squares{as_in(run, 'Equation 4-32')}."
         f" {EXPANDED}, from the scatter about the line{calibrations}."
     )
     title = f"Straight lines at each length, {covered[0]:g} to {covered[1]:g} kPa"
@@ -216,7 +217,7 @@ def _law_words(law: LengthLaw) -> str:
         f"gradient = {g.slope:.5f} L {signed(g.intercept, 4)} N/kPa (standard errors"
         f" {g.u_slope:.5f} and {g.u_intercept:.3f}, R² {g.r2:.3f}); intercept ="
         f" {i.slope:.4f} L {signed(i.intercept, 3)} N ({i.u_slope:.3f} and {i.u_intercept:.1f}, R²"
-        f" {i.r2:.3f}); L in mm. The forms are those of Equations 4-34 and 4-35."
+        f" {i.r2:.3f}); L in mm."
     ).replace("= -", "= −")
 
 

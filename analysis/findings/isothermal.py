@@ -15,6 +15,7 @@ from analysis.findings.findings import (
     Analysis,
     Findings,
     Section,
+    as_in,
     max_pressure_kpa,
 )
 from analysis.layouts.static import isothermal_layout
@@ -41,7 +42,6 @@ LINE_COLUMNS = (
 
 def isothermal_findings(run: Run, reduction: Reduction) -> Findings:
     """Gradient of force against pressure at each temperature, and its change with temperature."""
-    del run
     at_length = reduction.table[reduction.table["slot"].str.startswith("L")]
     at_pressure = reduction.table[reduction.table["slot"].str.startswith("P")]
     lines = temperature_lines(at_length, reduction.calibrations)
@@ -51,13 +51,13 @@ def isothermal_findings(run: Run, reduction: Reduction) -> Findings:
             "Force against pressure at each temperature",
             figure=(lambda: _figure(at_length)) if len(at_length) else None,
             caption="Settled points, one curve per length, one colour and line style per"
-            f" temperature (as in Figure 4-15 of the thesis). {BARS}",
+            f" temperature{as_in(run, 'Figure 4-15')}. {BARS}",
         ),
         Section(
             "Straight lines at each length and temperature",
             (
                 "Force = gradient · pressure + intercept by least squares,"
-                f" {REGION_KPA[0]:g} to {REGION_KPA[1]:g} kPa (Equation 4-32).",
+                f" {REGION_KPA[0]:g} to {REGION_KPA[1]:g} kPa.",
             ),
             lines,
             (
@@ -71,8 +71,8 @@ def isothermal_findings(run: Run, reduction: Reduction) -> Findings:
         Section(
             "Change of the gradient with temperature",
             (
-                "Slope of a straight line through gradient against temperature (as in Equation"
-                " 4-47), relative to the gradient in the middle of the range.",
+                "Slope of a straight line through gradient against temperature,"
+                " relative to the gradient in the middle of the range.",
             ),
             growth,
             (("length_mm", "length, mm"), ("n", "temperatures"), ("growth", "growth, %/K")),

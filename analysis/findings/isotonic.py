@@ -16,6 +16,7 @@ from analysis.findings.findings import (
     Analysis,
     Findings,
     Section,
+    as_in,
     claims_section,
     max_pressure_kpa,
     source_table,
@@ -56,18 +57,19 @@ def isotonic_findings(run: Run, reduction: Reduction) -> Findings:
     curves = [curve for curve in every if curve.has_length]
     without = [curve.name for curve in every if not curve.has_length]
     camera = reduction.calibrations.get("length_mm")
-    rows = [_curve_row(curve, camera) for curve in curves]
+    rest_mm = (run.manifest.get("parameters") or {}).get("rest_length_mm") or None
+    rows = [_curve_row(curve, camera, rest_mm) for curve in curves]
     sections = [
         Section(
             "Length against pressure",
             figure=lambda: _figure(curves),
-            caption=f"One curve per load (as in Figure 4-13 of the thesis). {BARS}",
+            caption=f"One curve per load{as_in(run, 'Figure 4-13')}. {BARS}",
         ),
         Section(
             "Contraction under each load",
             (
-                "Longest and shortest settled length, and the contraction between them as a"
-                " fraction of the longest. All uncertainties include zero and gain of the camera,"
+                "Longest and shortest settled length, and the contraction at the shortest,"
+                f" {_reference(rest_mm)}. All uncertainties include zero and gain of the camera,"
                 " which are common to all lengths.",
                 *([f"No length was measured under {', '.join(without)}."] if without else []),
             ),
@@ -83,33 +85,56 @@ def isotonic_findings(run: Run, reduction: Reduction) -> Findings:
     ]  # fmt: skip
     if source_table(run) == "C-3":
         sections.append(_thesis(curves, rows))
-    return Findings(_headline(rows, bool(without)), tuple(sections), {"loads": rows})
+    data = {"loads": rows, "rest_length_mm": rest_mm}
+    return Findings(_headline(rows, bool(without), rest_mm), tuple(sections), data)
 
 
 def curves_of(table: pd.DataFrame) -> list[LoadCurve]:
     """The points of each load, lightest first. A load is a hung mass if known, else a force."""
     by_mass = "mass_kg" in table and table["mass_kg"].notna().any()
     name, digits = ("mass_kg", 4) if by_mass else ("force_n", 1)
-    out = []
-    for load, rows in table.groupby(table[name].astype(float).round(digits), sort=True):
-        newton = float(rows["force_n"].mean())
-        whole = abs(newton - round(newton)) < 0.005
-        label = f"{float(str(load)):g} kg" if by_mass and not whole else f"{newton:.4g} N"
-        out.append(LoadCurve(newton, label, rows.sort_values("pressure_kpa", kind="stable")))
-    return out
+    groups = [
+        (float(str(load)), float(rows["force_n"].mean()), rows)
+        for load, rows in table.groupby(table[name].astype(float).round(digits), sort=True)
+    ]
+    # One unit for all loads: kg as marked, or newton where every load is a whole number of them.
+    whole = all(abs(newton - round(newton)) < 0.005 for _, newton, _ in groups)
+    return [
+        LoadCurve(
+            newton,
+            f"{load:g} kg" if by_mass and not whole else f"{newton:.4g} N",
+            rows.sort_values("pressure_kpa", kind="stable"),
+        )
+        for load, newton, rows in groups
+    ]
 
 
-def _curve_row(curve: LoadCurve, camera: Calibration | None) -> dict[str, Any]:
+def _reference(rest_mm: float | None) -> str:
+    """What a contraction is relative to."""
+    if rest_mm is None:
+        return (
+            "relative to the longest settled length (the protocol states no rest_length_mm, the"
+            " length L0 of the vented muscle without load)"
+        )
+    return f"1 − L/L0 with the length of the vented muscle without load, L0 = {rest_mm:g} mm"
+
+
+def _curve_row(
+    curve: LoadCurve, camera: Calibration | None, rest_mm: float | None
+) -> dict[str, Any]:
     good = curve.rows.dropna(subset=["length_mm"])
     good = good.assign(nominal=nominal_kpa(good)).sort_values("length_mm", kind="stable")
     short, long = good.iloc[0], good.iloc[-1]
-    ratio = 1.0 - float(short["length_mm"]) / float(long["length_mm"])
-    noise = [float(r["u_length_mm_noise"]) / float(r["length_mm"]) for r in (long, short)]
+    reference = float(long["length_mm"]) if rest_mm is None else rest_mm
+    ratio = 1.0 - float(short["length_mm"]) / reference
+    measured = (long, short) if rest_mm is None else (short,)
+    noise = [float(r["u_length_mm_noise"]) / float(r["length_mm"]) for r in measured]
     u = (1.0 - ratio) * math.hypot(*noise)
-    if camera is not None:
-        ends = np.array([short["length_mm"], long["length_mm"]], dtype=np.float64)
+    if camera is not None:  # L0 was measured elsewhere and does not share the camera's errors
+        ends = np.array([r["length_mm"] for r in reversed(measured)], dtype=np.float64)
         for moved in (ends + camera.u_offset, ends + camera.u_gain * (ends - camera.offset)):
-            u = math.hypot(u, 1.0 - moved[0] / moved[1] - ratio)
+            again = moved[-1] if rest_mm is None else reference
+            u = math.hypot(u, 1.0 - moved[0] / again - ratio)
     return {
         "load": curve.name,
         "n": len(good),
@@ -140,7 +165,7 @@ def _wide(curves: list[LoadCurve]) -> Section:
             row[f"u_l{k}"] = math.hypot(noise, 0.0 if math.isnan(cal) else cal)
     heads = [(f"l{k}", f"{curve.name}, mm") for k, curve in enumerate(curves)]
     return Section(
-        "The form of Table C-3",
+        "Length at each pressure and load",
         (),
         pd.DataFrame([cells[p] for p in sorted(cells)]),
         (("pressure_kpa", "pressure, kPa"), *heads),
@@ -148,14 +173,15 @@ def _wide(curves: list[LoadCurve]) -> Section:
     )
 
 
-def _headline(rows: list[dict[str, Any]], lengths_missing: bool) -> str:
+def _headline(rows: list[dict[str, Any]], lengths_missing: bool, rest_mm: float | None) -> str:
     if not rows:
         missing = "No length was measured, so there is no result."
         return missing if lengths_missing else NO_SETTLED_POINT
     percent = [100 * row["contraction"] for row in rows]
     loads = f"{rows[0]['load']} to {rows[-1]['load']}" if len(rows) > 1 else rows[0]["load"]
     span = f"{min(percent):.0f} to {max(percent):.0f}" if len(rows) > 1 else f"{percent[0]:.1f}"
-    return f"Under {loads} the muscle contracts by {span} % of its longest length."
+    reference = "its longest settled length" if rest_mm is None else f"L0 = {rest_mm:g} mm"
+    return f"Under {loads} the muscle contracts by {span} % of {reference}."
 
 
 def _thesis(curves: list[LoadCurve], rows: list[dict[str, Any]]) -> Section:

@@ -115,7 +115,7 @@ def ram_findings(run: Run, reduction: Reduction) -> Findings:
             caption=f"{EXPANDED}.",
         ),
         claims_section(
-            "Comparison with the thesis (5.9)",
+            "Comparison with the thesis",
             "The thesis gives no number; these statements can be checked.",
             (
                 (

@@ -133,7 +133,7 @@ def _claims(rows: list[dict[str, Any]]) -> Section | None:
     named = ", ".join(f"{short[name]} {ripple[name]:.1f} %" for name in THESIS)
     calmest = min(THESIS, key=lambda name: ripple[name])
     return claims_section(
-        "Comparison with the thesis: its schemes (5.8)",
+        "Comparison with the thesis",
         "The thesis gives no number. Here, oscillation means a ripple above 1 % of supply, and"
         " considerable means above 5 %. The listings of its programs have defects that may explain"
         " differences (docs/reference/valve-schemes.md).",

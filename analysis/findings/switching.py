@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.findings.findings import NO_POINT, Analysis, Findings, Section, source_table
+from analysis.findings.findings import NO_POINT, Analysis, Findings, Section, as_in, source_table
 from analysis.layouts.valve import valve_layout
 from analysis.reduction.valve import reduce_switching_time, reduce_switching_voltage
 from analysis.regression.least_squares import Line, mean_of_repeats, pooled, straight_line
@@ -53,10 +53,10 @@ def time_findings(run: Run, reduction: Reduction) -> Findings:
             "Switching times against pressure",
             (words,),
             figure=lambda: _figure(reduction.table, "ms", "delay (ms)"),
-            caption="As in Figure 5-21 of the thesis. Filled: command on; open: command off."
+            caption=f"Filled: command on; open: command off{as_in(run, 'Figure 5-21')}."
             " Bars: expanded uncertainty, k = 2. Lines: least squares.",
         ),
-        "The form of Tables D-1 to D-3: mean of the repeats",
+        "Switching times: mean of the repeats",
         extra,
     )  # fmt: skip
 
@@ -73,10 +73,10 @@ def voltage_findings(run: Run, reduction: Reduction) -> Findings:
             "Switching voltages against pressure",
             (words,),
             figure=lambda: _figure(reduction.table, "v", "voltage (V)"),
-            caption="As in Figure 5-17 of the thesis. Filled: turns on; open: turns off."
+            caption=f"Filled: turns on; open: turns off{as_in(run, 'Figure 5-17')}."
             " Bars: expanded uncertainty, k = 2. Lines: least squares.",
         ),
-        "The form of Table D-4",
+        "Switching voltages",
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 FORMATS = ("csv", "parquet", "mat")
 SUFFIX = {
-    "share of 1 ms": "share",
+    "share of 1 ms": "",
     "s": "s",
     "ns": "ns",
     "us": "us",
@@ -111,11 +111,29 @@ def _write(run: Run, tables: dict[str, pd.DataFrame], kind: str, folder: Path) -
     for name, table in tables.items():
         path = folder / f"{name}.{kind}"
         if kind == "csv":
-            table.to_csv(path, index=False, lineterminator="\n")
+            _write_csv(table, path)
         else:
             table.to_parquet(path, index=False)
         written.append(path)
     return written
+
+
+def _write_csv(table: pd.DataFrame, path: Path) -> None:
+    """Write a table as CSV; a column of numbers without a value is empty there.
+
+    Arrow writes the same shortest digits as pandas, ten times as fast, but quotes the header.
+    """
+    import pyarrow as pa
+    from pandas.api.types import is_bool_dtype, is_numeric_dtype
+    from pyarrow import csv
+
+    if not all(is_numeric_dtype(kind) and not is_bool_dtype(kind) for kind in table.dtypes):
+        table.to_csv(path, index=False, lineterminator="\n")
+        return
+    rows = pa.Table.from_pandas(table, preserve_index=False)  # nan becomes null: an empty field
+    with path.open("wb") as file:
+        file.write((",".join(map(str, table)) + "\n").encode())
+        csv.write_csv(rows, file, csv.WriteOptions(include_header=False))
 
 
 def _write_mat(run: Run, tables: dict[str, pd.DataFrame], path: Path) -> None:

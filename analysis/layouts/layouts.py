@@ -65,7 +65,7 @@ STATE_COLOURS = (
 PRESSURE_FEEDS = (Feed(SET_POINT, "valve", "setpoint_kpa"), Feed(PRESSURE, "valve", "pressure_kpa"))
 VALVE_FEEDS = (
     Feed(INLET, "valve", "inlet_cmd", scale=100.0),
-    Feed(OUTLET, "valve", "vent_cmd", scale=100.0),
+    Feed(OUTLET, "valve", "outlet_cmd", scale=100.0),
 )
 STATE_FEEDS = (EventFeed(STATE, "state", "state"), EventFeed(FAULT, "fault", "text"))
 VALVES = Panel(

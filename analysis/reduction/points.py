@@ -216,7 +216,8 @@ class PointReducer:
     def row(self, point: dict[str, Any]) -> dict[str, Any]:
         """One row of the table: means, uncertainties and labels of a point event."""
         name = f"point {point['order']}"
-        pressure = self._pressure(point["valve_seq"], name)
+        vented = point.get("set_pressure_kpa") == 0.0
+        pressure = self._pressure(point["valve_seq"], name, vented)
         row: dict[str, Any] = {
             "n_samples": pressure.n,
             **_labels(point),
@@ -253,9 +254,16 @@ class PointReducer:
         if not math.isfinite(value):
             row["u_temperature_c_noise"] = math.nan
 
-    def _pressure(self, window: list[int], name: str) -> WindowMean:
+    def _pressure(self, window: list[int], name: str, vented: bool) -> WindowMean:
+        """Mean pressure of a window.
+
+        At no pressure some samples of a sensor without a live zero are at its lower end; that is
+        a defect only where all of them are, because the zero is then unknown.
+        """
         counts = self._window(self.valve, window, name, "pressure samples are missing")
-        if len(counts) and (counts.min() == 0 or counts.max() >= CODES - 1):
+        if len(counts) and (
+            counts.max() >= CODES - 1 or (counts.max() if vented else counts.min()) == 0
+        ):
             self._add_defect("pressure is at the end of the sensor's range", name)
         calibration = self.calibrations["pressure_kpa"]
         return window_mean(_applied(calibration, counts), abs(calibration.scale))
@@ -331,7 +339,7 @@ class PointReducer:
             if event.get("kind") != "zero":
                 continue
             name = f"zero {event['when']} trial {event['trial']}"
-            mean = self._pressure(event["valve_seq"], name)
+            mean = self._pressure(event["valve_seq"], name, vented=True)
             limit = 3.0 * math.hypot(mean.u, calibration.u_offset)
             if abs(mean.mean) > limit:
                 beyond.append((mean.mean, limit, name))

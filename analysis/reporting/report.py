@@ -8,10 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analysis.figures.timeline import timeline_figure
-from analysis.figures.wording import outcome_sentence, value_cell, with_u
+from analysis.figures.wording import fixed, outcome_sentence, value_cell, with_u
 from analysis.findings.findings import Findings, Section
 from analysis.reduction.points import Reduction
 from analysis.registry import analysis_of
+from analysis.reporting.conditions import (
+    condition_sections,
+    conditions,
+    instruments,
+    simulated,
+)
 from analysis.reporting.sections import figure_address, section_parts
 from analysis.run_table import contents_of, record_findings, reduce_run
 from daq.errors import RecordError
@@ -25,7 +31,8 @@ if TYPE_CHECKING:
 SCHEMA = "pamrig-report/1"
 NORMAL_EVENTS = (
     "point", "zero", "length", "state", "command", "tare", "clockfit", "armed", "controller",
-    "trial", "marker", "manual", "load", "mounted", "leak", "try", "result",
+    "trial", "marker", "manual", "load", "catch", "mounted", "leak", "try", "result",
+    "stretch", "disarmed",
 )  # fmt: skip
 """Kinds of events of a normal run. All other kinds are listed among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")
@@ -79,6 +86,8 @@ def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
         "duration_s": final.get("duration_s"),
         "imported": bool(manifest.get("imported")),
         "labels": list(manifest.get("labels") or []),
+        "simulated": simulated(run),
+        "steps_by_hand": conditions(run),
         "continues": manifest.get("continues"),
         "outcome": run.outcome,
         "reason": final.get("reason") or None,
@@ -145,6 +154,8 @@ def write_report(run: Run, out: Path | None = None, reduction: Reduction | None 
         .render(
             r=data,
             timeline=figure_address(timeline),
+            instruments=instruments(run, reduction),
+            conditions=[section_parts(section) for section in condition_sections(run)],
             sections=[section_parts(section) for section in findings.sections],
             provenance=_flat({k: data[k] for k in _APPENDIX if data.get(k) is not None}),
         )
@@ -193,12 +204,8 @@ def _environment() -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(with_u=with_u, cell=value_cell, fixed=_fixed)
+    environment.filters.update(with_u=with_u, cell=value_cell, fixed=fixed)
     return environment
-
-
-def _fixed(value: float | None, decimals: int) -> str:
-    return "–" if value is None else f"{value:.{decimals}f}".replace("-", "−")
 
 
 def _flat(values: Any, path: str = "") -> list[tuple[str, str]]:

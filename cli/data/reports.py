@@ -9,7 +9,7 @@ import typer
 
 from cli.data.import_data import import_data
 from cli.options import RUNS, JsonOption, OutOption, RunArgument, RunsOption, WarmOption
-from cli.output import print_json, state_findings, writing
+from cli.output import print_json, state_findings, working, writing
 
 
 def report(
@@ -28,7 +28,8 @@ def report(
     if as_json:
         print_json(report_json(found))
         return
-    path = derive_all(found.folder).folder / "derived" / "report.html"
+    with working("making table and report"):
+        path = derive_all(found.folder).folder / "derived" / "report.html"
     if out is not None:
         with writing(out):
             out.write_bytes(path.read_bytes())

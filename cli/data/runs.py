@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.options import RUNS, JsonOption, RunArgument, RunsOption
-from cli.output import print_json, state_findings
+from cli.output import print_json, state_findings, working
 from daq.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -46,11 +46,26 @@ def list_all(runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
         return
     if not found:
         typer.echo(f"no runs in {runs}")
-    for info in found:
-        length = f"{info.duration_s:8.1f} s" if info.duration_s is not None else "         –"
-        typer.echo(
-            f"{info.outcome:12} {length}  {info.protocol:10} {info.specimen:14} {info.run_id}"
+        return
+    _print_list(found)
+
+
+def _print_list(found: list[RunInfo]) -> None:
+    """Print runs as a table with a header; each column is as wide as its longest text."""
+    head = ("outcome", "duration", "origin", "protocol", "specimen", "run")
+    rows = [
+        (
+            info.outcome,
+            "–" if info.duration_s is None else f"{info.duration_s:.1f} s",
+            info.origin, info.protocol, info.specimen, info.run_id,
         )
+        for info in found
+    ]  # fmt: skip
+    widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
+    for row in (head, *rows):
+        cells = [f"{text:>{w}}" if i == 1 else f"{text:<{w}}"
+                 for i, (text, w) in enumerate(zip(row, widths, strict=True))]  # fmt: skip
+        typer.echo("  ".join(cells).rstrip())
 
 
 def show(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
@@ -190,9 +205,9 @@ def find(
     if as_json:
         print_json([info.as_dict() for info in found])
         return
-    for info in found:
-        typer.echo(f"{info.outcome:12} {info.protocol:18} {info.specimen:16} {info.run_id}")
-    if not found:
+    if found:
+        _print_list(found)
+    else:
         typer.echo(f"no run in {runs} matches")
 
 
@@ -227,7 +242,8 @@ def export(
     if what not in EXPORTED:
         raise ConfigError("--what", f"{what!r} is not one of {', '.join(EXPORTED)}")
     found = find_run(runs, run)
-    files = [str(path) for path in export_run(found, to, out, what)]
+    with working("writing tables"):
+        files = [str(path) for path in export_run(found, to, out, what)]
     problems = record_findings(found)
     if as_json:
         print_json({"files": files, "problems": list(problems)})
@@ -259,7 +275,8 @@ def _annotation(action: str, done: str) -> Callable[..., None]:
         from daq.store.store import find_run
 
         found = find_run(runs, run)
-        made, not_derived = _annotate(found, action, points, reason, who)
+        with working("making table and report"):
+            made, not_derived = _annotate(found, action, points, reason, who)
         if as_json:
             print_json({**vars(made), "points": list(made.points), "run_id": found.run_id})
             return
@@ -282,9 +299,12 @@ def _annotate(run: Run, action: str, points: str, reason: str, who: str) -> tupl
 
     numbers = point_numbers(points)
     if numbers:
-        reduction = reduce_run(run)
-        known = {int(order) for order in reduction.table["order"]}
-        known |= {int(point["order"]) for point in reduction.excluded}
+        made = [event for event in run.events if event.get("kind") == "point"]
+        known = {int(point["order"]) for point in made if "order" in point}
+        if not known.issuperset(numbers):  # not every protocol numbers its points in the record
+            reduction = reduce_run(run)
+            known = {int(order) for order in reduction.table["order"]}
+            known |= {int(point["order"]) for point in reduction.excluded}
         missing = [n for n in numbers if n not in known]
         if missing:
             raise ConfigError(
@@ -292,7 +312,9 @@ def _annotate(run: Run, action: str, points: str, reason: str, who: str) -> tupl
                 f"{run.run_id} has no point {missing[0]}",
                 f"it has {min(known)} to {max(known)}" if known else "it has none",
             )
-    return annotate(run.folder, action, numbers, reason, who), try_derive(run.folder)
+    return annotate(run.folder, action, numbers, reason, who), try_derive(
+        run.folder, only_results=True
+    )
 
 
 def point_numbers(text: str) -> list[int]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import typer
 
+from daq.version import version
 from gap.check.campaign import BESIDE, HELD_OUT, Plan, parse_numbers, run_campaign
 from gap.check.ledger import enter, used_before
 from gap.check.scoring.forms import FORMLESS, side_by_side
@@ -51,7 +51,7 @@ def check_command(
                 err=True,
             )
         if not (out / "results.jsonl").exists():
-            enter(ledger, numbers, version("pamrig"), purpose or "check")
+            enter(ledger, numbers, version(), purpose or "check")
     plan = Plan(stream, numbers, out, baselines=baselines, jobs=jobs, scheduler=scheduler)
     entries = run_or_stop(plan)
     found = {"stream": stream, "first": numbers[0], "last": numbers[-1], **summary(entries)}

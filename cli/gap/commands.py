@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cli.gap.effects import effects
-from cli.gap.paths import check_paths
+from cli.gap.paths import data_folder
 from cli.gap.thesis import thesis
 from cli.investigate.command import investigate
 from cli.options import (
@@ -81,28 +81,30 @@ def where(
         typer.Option("--out", help="Figure of the residual to write (.png, .svg, .pdf)."),
     ] = None,
     simulator: SimulatorOption = None,
+    runs: RunsOption = RUNS,
     no_cache: NoCacheOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Quality of the data, the gap by stage, and which comparisons show it."""
-    check_paths(data, simulator)
+    folder = data_folder(data, runs, simulator)
     from cli.gap.verdicts import Question, where_command
 
-    where_command(Question(data, "", simulator, not no_cache), out, as_json)
+    where_command(Question(folder, "", simulator, not no_cache), out, as_json)
 
 
 def diagnose(
     data: DataArgument,
     without: WithoutOption = "",
     simulator: SimulatorOption = None,
+    runs: RunsOption = RUNS,
     no_cache: NoCacheOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Name the effect behind the gap, or say why it cannot be named."""
-    check_paths(data, simulator)
+    folder = data_folder(data, runs, simulator)
     from cli.gap.verdicts import Question, diagnose_command
 
-    diagnose_command(Question(data, without, simulator, not no_cache), as_json)
+    diagnose_command(Question(folder, without, simulator, not no_cache), as_json)
 
 
 def shrink(
@@ -110,14 +112,15 @@ def shrink(
     without: WithoutOption = "",
     out: OutFileOption = None,
     simulator: SimulatorOption = None,
+    runs: RunsOption = RUNS,
     no_cache: NoCacheOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """How far the named effect reduces the gap; writes the improved plant."""
-    check_paths(data, simulator)
+    folder = data_folder(data, runs, simulator)
     from cli.gap.verdicts import Question, shrink_command
 
-    shrink_command(Question(data, without, simulator, not no_cache), out, as_json)
+    shrink_command(Question(folder, without, simulator, not no_cache), out, as_json)
 
 
 def next_experiment(
@@ -125,14 +128,15 @@ def next_experiment(
     without: WithoutOption = "",
     out: OutFileOption = None,
     simulator: SimulatorOption = None,
+    runs: RunsOption = RUNS,
     no_cache: NoCacheOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """The experiment or reference standard that would resolve what is open."""
-    check_paths(data, simulator)
+    folder = data_folder(data, runs, simulator)
     from cli.gap.verdicts import Question, next_command
 
-    next_command(Question(data, without, simulator, not no_cache), out, as_json)
+    next_command(Question(folder, without, simulator, not no_cache), out, as_json)
 
 
 def report(
@@ -140,14 +144,15 @@ def report(
     out: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("gap.html"),
     without: WithoutOption = "",
     simulator: SimulatorOption = None,
+    runs: RunsOption = RUNS,
     no_cache: NoCacheOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Diagnose a data set and write the verdict as one self-contained HTML page."""
-    check_paths(data, simulator)
+    folder = data_folder(data, runs, simulator)
     from cli.gap.verdicts import Question, report_command
 
-    report_command(Question(data, without, simulator, not no_cache), out, as_json)
+    report_command(Question(folder, without, simulator, not no_cache), out, as_json)
 
 
 def export(

@@ -1,16 +1,24 @@
-"""A wrong path is reported before anything large is imported: seconds sooner."""
+"""The data of a diagnosis; a wrong path is reported before anything large is imported."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
+from daq.store.store import find_run, list_runs
 from gap.errors import GapError
 
 
-def check_paths(data: Path, simulator: Path | None) -> None:
-    """Raise `GapError` where the folder of the data or the simulator's file is not there."""
-    if not os.path.exists(data):
-        raise GapError(str(data), "no such folder", "check the path")
+def data_folder(data: str, runs: Path, simulator: Path | None) -> Path:
+    """The folder that a diagnosis reads: a path, or a run of ``runs`` by id or as 'last'.
+
+    Raises:
+        GapError: there is no such folder or run, or the simulator's file is not there.
+    """
     if simulator is not None and not os.path.exists(simulator):
         raise GapError(str(simulator), "no such file", "give the description of a simulator")
+    if os.path.exists(data):
+        return Path(data)
+    if data == "last" or data in [info.run_id for info in list_runs(runs)]:
+        return Path(find_run(runs, data).folder)
+    raise GapError(data, f"no such folder, and no run of this id in {runs}", "check the path")

@@ -13,11 +13,12 @@ from cli.gap.progress import progress_line
 from cli.output import print_json
 from gap.data.dataset import DataSet
 from gap.decision.diagnosis import Diagnosis, diagnosis
+from gap.design.config import DESIGN
 from gap.output import check_out, write_text
 from gap.progress import stage
 from gap.reporting.empirical import empirical_lines
 from gap.simulators.open import open_data_with
-from gap.verdict import Status, Verdict, plain
+from gap.verdict import Experiment, Gap, Status, Verdict, plain
 
 
 def _ids(text: str) -> list[str]:
@@ -164,8 +165,10 @@ def next_command(question: Question, out: Path | None, as_json: bool) -> None:
     from gap.design.advise import protocol_text
 
     check_out(out)
-    verdict = question.answer().verdict
+    answer = question.answer()
+    verdict = answer.verdict
     experiment = verdict.next_experiment
+    rig = _rig_of(question.data)
     written = None
     if experiment is not None and out is not None:
         text = protocol_text(experiment)
@@ -181,7 +184,7 @@ def next_command(question: Question, out: Path | None, as_json: bool) -> None:
             }
         )  # fmt: skip
         return
-    lines = _next_text(verdict, written)
+    lines = _next_text(verdict, written, rig)
     if out is not None and written is None:
         lines.append(f"{out} was not written: the advice is not a test protocol")
     typer.echo("\n".join(lines))
@@ -204,11 +207,38 @@ def report_command(question: Question, out: Path, as_json: bool) -> None:
         typer.echo(f"report   {out}")
 
 
-def _next_text(verdict: Verdict, written: str | None) -> list[str]:
+def _rig_of(data: Path) -> str:
+    """The rig that the data were recorded on, as --rig takes it; "" where it is not known."""
+    from daq.errors import RecordError
+    from daq.store.run import Run
+
+    try:
+        rig = Run(data).manifest.get("rig") or {}
+    except RecordError:
+        return ""
+    source = str(rig.get("source") or "")
+    shipped = source.startswith("configs/rigs/") and not Path(source).exists()
+    return Path(source).stem if shipped else source
+
+
+def _separated(verdict: Verdict, experiment: Experiment) -> bool:
+    """Whether the data tell the best explanation from its nearest rival already."""
+    named = verdict.status in (Status.NAMED, Status.NAMED_FORM_INADEQUATE)
+    return named and experiment.separation_now >= DESIGN.enough_sd
+
+
+def _next_text(verdict: Verdict, written: str | None, rig: str) -> list[str]:
     lines = [_summary(verdict)]
     experiment = verdict.next_experiment
     if experiment is None:
         return [*lines, "next        no experiment of the library would resolve what is open"]
+    if _separated(verdict, experiment) and written is None:
+        return [
+            *lines,
+            f"next        nothing needed: {' and '.join(experiment.between)} are "
+            f"{experiment.separation_now:.1f} standard deviations apart already",
+            f"            to be surer still: {experiment.why}",
+        ]
     settings = ", ".join(f"{k} {v}" for k, v in experiment.settings.items())
     lines.append(f"next        {experiment.trials} x {experiment.protocol} ({settings})")
     if math.isfinite(experiment.separation_after):
@@ -219,7 +249,8 @@ def _next_text(verdict: Verdict, written: str | None) -> list[str]:
     lines.append(f"why         {experiment.why}")
     if written:
         lines.append(
-            f"written     {written}; run it with pamrig {experiment.protocol} --protocol {written}"
+            f"written     {written}; run it with pamrig {experiment.protocol} --rig {rig or 'RIG'}"
+            f" --protocol {written}"
         )
     return lines
 
@@ -248,22 +279,26 @@ def _estimate(name: str, estimate: Any) -> str:
 
 
 def _gap_text(verdict: Verdict) -> list[str]:
-    gap = verdict.gap
+    gap = verdict.headline_gap
     if gap is None:
         return []
-    lines = [
-        f"gap         without fit {gap.before:.3g}, recalibrated {gap.recalibrated:.3g}"
-        + (f", after {gap.after:.3g}" if gap.after is not None else "")
-        + (f", floor {gap.floor:.3g}" if gap.floor is not None else "")
-        + f" {gap.unit} "
-        + (f"(held out by {gap.held_out})" if gap.held_out else "(one setting: nothing held out)")
-    ]
+    lines = [_gap_line("gap", gap)]
     if gap.closed is not None and gap.closed_low is not None and gap.closed_high is not None:
         lines.append(
             f"closed      {100 * gap.closed:.0f} % "
             f"({100 * gap.closed_low:.0f} to {100 * gap.closed_high:.0f})"
         )
-    return lines
+    return lines + [_gap_line("", other) for other in verdict.channels[1:]]
+
+
+def _gap_line(name: str, gap: Gap) -> str:
+    return (
+        f"{name:12}without fit {gap.before:.3g}, recalibrated {gap.recalibrated:.3g}"
+        + (f", after {gap.after:.3g}" if gap.after is not None else "")
+        + (f", floor {gap.floor:.3g}" if gap.floor is not None else "")
+        + f" {gap.unit} "
+        + (f"(held out by {gap.held_out})" if gap.held_out else "(one setting: nothing held out)")
+    )
 
 
 def _where_text(verdict: Verdict) -> list[str]:

@@ -41,7 +41,12 @@ class ProgressLine:
         self._runner = runner
         self._start = time.monotonic()
         if not self._quiet:
+            from rigs.devices.operator import at_a_terminal
+            from rigs.execution.control import KEYS
+
             typer.echo(f"recording to {record.folder}", err=True)
+            if at_a_terminal():
+                typer.echo(f"keys, then Enter: {KEYS}", err=True)
 
     def state(self, text: str) -> None:
         """Show a new phase; without a terminal to redraw, print a line."""

@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.calibration import Calibration
+from daq.errors import RecordError
 from daq.link.clockfit import ClockMap
 from daq.record.disk import disk_error
-from daq.record.safe_read import sum_inside
-from daq.record.sealed import write_sealed
+from daq.record.safe_read import read_inside, sum_inside
+from daq.record.sealed import open_file, write_sealed
 from daq.record.segments import Columns
 from daq.store.annotations import annotation_sums
 from daq.store.run import PARTIAL, Run, time_s
@@ -34,14 +35,22 @@ CALIBRATED = {
     ("valve", "setpoint_x16"): "pressure_kpa",
     ("balance", "grams"): "force_n",
 }
+COMMANDS = {"inlet_u5": "inlet_cmd", "vent_u5": "outlet_cmd"}
+"""Names of the valve commands, here as in the dataset format; 1 is open for the whole tick."""
 VALVE_STREAM = "valve"
 _TICK_U5 = wire.TICK_US / wire.PULSE_UNIT_US
 
 
-def derive(run: Run, makers: Iterable[Maker] = ()) -> Path:
+def derive(run: Run, makers: Iterable[Maker] = (), kept: Iterable[str] = ()) -> Path:
     """Create ``derived/`` again: samples in engineering units, then the files of ``makers``.
 
     The old folder stays unchanged until the new one is complete.
+
+    Args:
+        run: an opened run.
+        makers: create the other files.
+        kept: names of files that are taken over from the old folder, each if it agrees with its
+            checksum there; the others are made again.
 
     Returns:
         the folder.
@@ -54,9 +63,11 @@ def derive(run: Run, makers: Iterable[Maker] = ()) -> Path:
     try:
         shutil.rmtree(fresh, ignore_errors=True)
         fresh.mkdir()
+        _take_over(run, set(kept), target, fresh)
         for stream in run.streams:
-            name = "samples" if stream == VALVE_STREAM else stream
-            write_samples(run, stream, fresh / f"{name}.parquet")
+            path = fresh / samples_file(stream)
+            if not path.exists():
+                write_samples(run, stream, path)
         for make in makers:
             make(run, fresh)
         seal_folder(run, fresh)
@@ -69,6 +80,23 @@ def derive(run: Run, makers: Iterable[Maker] = ()) -> Path:
         with contextlib.suppress(OSError):
             shutil.rmtree(fresh, ignore_errors=True)
     return target
+
+
+def samples_file(stream: str) -> str:
+    """Name of the file with the samples of a stream."""
+    return f"{'samples' if stream == VALVE_STREAM else stream}.parquet"
+
+
+def _take_over(run: Run, names: set[str], old: Path, fresh: Path) -> None:
+    """Copy the named files of ``old`` that agree with its manifest."""
+    with contextlib.suppress(RecordError, KeyError, TypeError, ValueError):
+        manifest = open_file(read_inside(old, "manifest.json"))
+        if manifest["run_id"] != run.belonging.run_id:
+            return
+        for name in names & set(manifest["files"]):
+            about = manifest["files"][name]
+            if sum_inside(old, name) == (about["size"], about["crc32"]):
+                shutil.copyfile(old / name, fresh / name)
 
 
 def seal_folder(run: Run, folder: Path) -> None:
@@ -131,8 +159,8 @@ def scaled(
                 name, values = "setpoint_kpa", calibration.apply(values / 16.0)
             else:
                 name, values = calibration.quantity, calibration.apply(values)
-        elif stream == VALVE_STREAM and name in ("inlet_u5", "vent_u5"):
-            name, values, unit = name.replace("_u5", "_cmd"), values / _TICK_U5, "share of 1 ms"
+        elif stream == VALVE_STREAM and name in COMMANDS:
+            name, values, unit = COMMANDS[name], values / _TICK_U5, "share of 1 ms"
         columns[name] = values
         if unit is not None:
             units[name] = unit

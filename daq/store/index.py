@@ -21,12 +21,13 @@ from daq.store.info import RunInfo, run_info
 from daq.store.run import Run
 
 INDEX = "index.sqlite"
-LAYOUT = 2
+LAYOUT = 3
 """Version of the columns below; an index of another version is rebuilt."""
 FILES = ("run.json", "final.json", ANNOTATIONS)
 COLUMNS = (
     "run_id TEXT PRIMARY KEY", "started_utc TEXT", "protocol TEXT", "specimen TEXT", "outcome TEXT",
     "duration_s REAL", "operator TEXT", "rig TEXT", "excluded INTEGER", "continues TEXT",
+    "origin TEXT",
     "stamp TEXT",
 )  # fmt: skip
 CREATE = f"CREATE TABLE runs ({', '.join(COLUMNS)})"

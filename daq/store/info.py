@@ -10,6 +10,9 @@ from daq.errors import RecordError
 from daq.store.annotations import excluded_points
 from daq.store.run import DAMAGED, Run
 
+BENCH = "bench"
+"""Origin of a run that a test on a bench made, real or virtual."""
+
 
 @dataclass(frozen=True)
 class RunInfo:
@@ -24,6 +27,7 @@ class RunInfo:
         folder: path of the folder.
         excluded: number of excluded points; -1 if the annotations are damaged.
         continues: the run that this one continues; empty for none.
+        origin: "bench", "calibration", "simulation" or "import".
     """
 
     run_id: str
@@ -37,6 +41,7 @@ class RunInfo:
     rig: str = ""
     excluded: int = 0
     continues: str = ""
+    origin: str = BENCH
 
     def as_dict(self) -> dict[str, Any]:
         """The attributes for ``--json``."""
@@ -59,7 +64,17 @@ def run_info(run: Run) -> RunInfo:
         rig=str((manifest.get("rig") or {}).get("name", "")),
         excluded=_excluded(run.folder),
         continues=str((manifest.get("continues") or {}).get("run_id", "")),
+        origin=_origin(manifest),
     )
+
+
+def _origin(manifest: dict[str, Any]) -> str:
+    if manifest.get("imported"):
+        return "import"
+    if manifest.get("simulated"):
+        return "simulation"
+    calibration = str(manifest.get("protocol", "")).startswith("calibrate-")
+    return "calibration" if calibration else BENCH
 
 
 def _excluded(folder: Path) -> int:

@@ -12,7 +12,7 @@ from daq.errors import RecordError
 from daq.record.runname import by_start
 from daq.record.safe_read import names_inside
 from daq.store.index import index_path, update_index
-from daq.store.info import RunInfo, run_info
+from daq.store.info import BENCH, RunInfo, run_info
 from daq.store.run import Run, open_run
 
 
@@ -34,15 +34,19 @@ def list_runs(root: Path | str) -> list[RunInfo]:
 def find_run(root: Path | str, text: str) -> Run:
     """The run with the given path, full name, or unique part of the name.
 
-    ``last`` is the newest run.
+    ``last`` is the newest test on a bench; where there is none, the newest run of any origin.
 
     Raises:
         RecordError: no run or several runs match.
     """
     if (Path(text) / "run.json").is_file() or Path(text).is_file():
         return open_run(text)
-    runs = [info.run_id for info in list_runs(root)]
-    found = runs[-1:] if text == "last" else [r for r in runs if r == text]
+    listed = list_runs(root)
+    runs = [info.run_id for info in listed]
+    if text == "last":
+        found = ([info.run_id for info in listed if info.origin == BENCH] or runs)[-1:]
+    else:
+        found = [r for r in runs if r == text]
     found = found or [r for r in runs if text in r]
     if len(found) != 1:
         some = ", ".join(found[:5]) + (", ..." if len(found) > 5 else "")

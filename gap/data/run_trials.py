@@ -20,7 +20,7 @@ import pandas as pd
 
 from analysis.reduction.points import PointReducer, point_events
 from daq.errors import RecordError
-from daq.store.derive import VALVE_STREAM, engineering
+from daq.store.derive import COMMANDS, VALVE_STREAM, engineering
 from daq.store.run import Run
 from plant import tomlfile
 from plant.arrays import Array
@@ -210,8 +210,8 @@ class _Channels:
         time_s = np.asarray(valve["time_s"], dtype=np.float64)
         self._parts.append(("pressure_kpa", time_s, np.asarray(valve["pressure_kpa"])))
         if commands and not _regulated(run):
-            for name, column in (("inlet_cmd", "inlet_cmd"), ("outlet_cmd", "vent_cmd")):
-                self._parts.append((name, *_edges(time_s, np.asarray(valve[column]))))
+            for name in COMMANDS.values():
+                self._parts.append((name, *_edges(time_s, np.asarray(valve[name]))))
         if "balance" in run.streams:
             columns, _ = engineering(run, "balance")
             if "force_n" in columns and len(columns["force_n"]):

@@ -375,6 +375,7 @@ def _verdict(case: _Case, finding: _Finding) -> Verdict:
         probability_none=none * scale,
         probability_unknown=unknown * scale,
         gap=_gap(case, finding.named) if case.held else None,
+        channels=_channels(case, finding.named),
         stages=stage_shares(problem, search.best.fit, case.held) if case.held else (),
         contrasts=contrasts_of(problem),
         limits=detection_limits(problem, SELECTION.least_gain),
@@ -383,6 +384,40 @@ def _verdict(case: _Case, finding: _Finding) -> Verdict:
         notes=(*problem.data.notes, *_shifted_constants(case)),
         evidence={"found": list(search.best.fit.ids), **finding.evidence},
     )
+
+
+def _channels(case: _Case, named: bool) -> tuple[Gap, ...]:
+    """The gaps of all blocks, the largest for the range of its channel first.
+
+    Large: what was closed where an effect is named, else what is above the floor, else what there
+    was without a fit.
+    """
+    scheme = "slot" if len(case.problem.data.slots) > 1 else None
+    found: list[tuple[float, Gap]] = []
+    for block, part in case.held.items():
+        gap = gap_of(block, part, named, case.floor_source, scheme)
+        if named and gap.after is not None:
+            size = gap.recalibrated**2 - gap.after**2
+        else:
+            size = gap.recalibrated**2 - (gap.floor or 0.0) ** 2
+        size = float(np.sqrt(size)) if size > 0 else gap.before * 1e-3
+        found.append((size / _range_of(case.problem, block), gap))
+    return tuple(gap for _, gap in sorted(found, key=lambda one: -one[0]))
+
+
+CHANNEL_OF = {
+    "pressure": "pressure_kpa", "force": "force_n", "load": "force_n", "camera": "length_mm",
+}  # fmt: skip
+
+
+def _range_of(problem: FitProblem, block: str) -> float:
+    """Range of the measured channel of a block over all trials, in its unit."""
+    values = [trial.get(CHANNEL_OF[block]).value for trial in problem.data.trials]
+    values = [part[np.isfinite(part)] for part in values if len(part)]
+    found = [(float(part.min()), float(part.max())) for part in values if len(part)]
+    if not found:
+        return 1.0
+    return max(max(high for _, high in found) - min(low for low, _ in found), 1e-9)
 
 
 def _next_experiment(case: _Case, finding: _Finding) -> Experiment | None:

@@ -123,7 +123,7 @@ def fingerprint(data: DataSet) -> str:
 
 def _block(problem: FitProblem, search: SearchResult, verdict: Verdict) -> str | None:
     """The block that the verdict's gap is about: of its unit, and of its recalibrated error."""
-    gap = verdict.gap
+    gap = verdict.headline_gap
     if gap is None:
         return None
     held = held_out(problem, search.best.fit)

@@ -47,7 +47,7 @@ def figures(examined: Examination) -> dict[str, str]:
 
 def ladder(examined: Examination) -> Figure | None:
     """Held-out error at each step, with the floor as a line."""
-    gap = examined.verdict.gap
+    gap = examined.verdict.headline_gap
     if gap is None or len(examined.ladder) < 2:
         return None
     figure, axes = _figure(6.4, 0.42 * len(examined.ladder) + 1.0)

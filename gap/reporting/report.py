@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from daq.version import version
 from gap.output import write_text
 from gap.reporting.empirical import empirical_sentences
 from gap.reporting.examination import Examination
@@ -75,7 +75,7 @@ def context(examined: Examination) -> dict[str, Any]:
         "notes": verdict.notes,
         "digest": examined.digest,
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "version": _version(),
+        "version": version(),
     }
 
 
@@ -119,10 +119,3 @@ def _confounders(verdict: Verdict) -> list[str]:
         f"{' and '.join(one['ids'])} could take {100 * float(one['share']):.0f} % of its effect"
         for one in found
     ]
-
-
-def _version() -> str:
-    try:
-        return version("pamrig")
-    except PackageNotFoundError:
-        return ""

@@ -59,7 +59,7 @@ def headline(verdict: Verdict) -> str:
 
 
 def _closed(verdict: Verdict) -> str:
-    gap = verdict.gap
+    gap = verdict.headline_gap
     if gap is None or gap.closed is None:
         return ""
     interval = ""
@@ -107,7 +107,7 @@ def parameter_text(name: str, estimate: Estimate) -> str:
 
 def gap_sentences(verdict: Verdict) -> list[str]:
     """How large the gap was and what became of it."""
-    gap = verdict.gap
+    gap = verdict.headline_gap
     if gap is None:
         return []
     text = [

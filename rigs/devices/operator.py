@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+import os
 import queue
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from daq.clock import NS_PER_S
@@ -14,6 +16,9 @@ from daq.errors import DeviceError
 from rigs.devices.event_loop import EventLoop
 
 TRIES = 3
+"""How often a sensor may contradict what was set before the test ends."""
+ANSWERS = 10
+"""How often an answer may be unreadable before the test ends: nobody reads the terminal then."""
 TRUE_WORDS = ("", "y", "yes", "ok", "done")
 
 
@@ -46,18 +51,68 @@ class Operator(Protocol):
         ...
 
 
+class Terminal:
+    """The one thread of the program that reads typed lines; the newest listener gets them.
+
+    Two threads that read the same terminal would take lines from each other, for example in a
+    plan, where one test follows another.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._source: object = None
+        self._listener: Callable[[str | None], None] = lambda _: None
+
+    def listen(self, listener: Callable[[str | None], None]) -> None:
+        """From now on each line goes to ``listener``, and None at the end of the input."""
+        with self._lock:
+            self._listener = listener
+            alive = self._thread is not None and self._thread.is_alive()
+            if not alive or self._source is not sys.stdin:
+                self._source = sys.stdin
+                self._thread = threading.Thread(
+                    target=self._read, args=(sys.stdin,), name="terminal", daemon=True
+                )
+                self._thread.start()
+
+    def _read(self, source: object) -> None:
+        for line in _typed_lines():
+            if self._source is not source:
+                return
+            self._listener(line.strip())
+        if self._source is source:
+            self._listener(None)
+
+
+_terminal = Terminal()
+
+
+def at_a_terminal() -> bool:
+    """Whether somebody can type: the input is a terminal that this program may read."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        return False
+    if not hasattr(os, "tcgetpgrp"):
+        return True
+    try:  # reading in the background would stop the program, and with it the heartbeat
+        return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except OSError:  # not the terminal that the program was started from: nothing stops it
+        return True
+
+
 class ConsoleOperator:
     """A person at the terminal: sees the request, presses Enter or types what was read.
 
     Attributes:
         on_line: takes what is typed while no request is open.
+        is_command: whether a line goes to ``on_line`` even while a request is open.
     """
 
     def __init__(self) -> None:
         self._lines: queue.Queue[str | None] = queue.Queue()
-        self._thread: threading.Thread | None = None
         self._asking = False
         self.on_line: Callable[[str], None] | None = None
+        self.is_command: Callable[[str], bool] = lambda _: False
 
     def begin(self, request: Request) -> None:
         """Print the request and listen."""
@@ -68,18 +123,17 @@ class ConsoleOperator:
         self.listen()
 
     def listen(self) -> None:
-        """Read the terminal from now on, question or not."""
-        if self._thread is None or not self._thread.is_alive():
-            self._thread = threading.Thread(target=self._listen, name="operator", daemon=True)
-            self._thread.start()
+        """Take what is typed from now on, question or not."""
+        _terminal.listen(self._take)
 
-    def _listen(self) -> None:
-        for line in _typed_lines():
-            if self._asking or self.on_line is None:
-                self._lines.put(line.strip())
-            elif line.strip():
-                self.on_line(line.strip())
-        self._lines.put(None)
+    def _take(self, line: str | None) -> None:
+        if line is not None and self.on_line is not None:
+            if self._asking and not self.is_command(line):
+                self._lines.put(line)
+            elif line:
+                self.on_line(line)
+            return
+        self._lines.put(line)
 
     def answer(self, wait_s: float = 0.0) -> str | None:
         """The line typed, without its end; waits for it that long of the wall's time.
@@ -131,23 +185,44 @@ def put_request(operator: Operator, event_loop: EventLoop, request: Request) -> 
     return got[0], (event_loop.clock.now_ns() - start_ns) / NS_PER_S
 
 
+def read_number(text: str, unit: str = "") -> float | None:
+    """A number as a person types it, with its unit or without, or None.
+
+    A decimal comma counts as a decimal point. Text with a comma and a point is no number: which
+    of the two separates thousands is not known.
+    """
+    words = text.strip()
+    words = words.removesuffix(unit).strip() if unit else words
+    if words.count(",") == 1 and "." not in words:
+        words = words.replace(",", ".")
+    try:
+        value = float(words)
+    except ValueError:
+        return None
+    # Python would take 1_0 for ten.
+    return value if "_" not in words and math.isfinite(value) else None
+
+
 def request_number(operator: Operator, event_loop: EventLoop, request: Request) -> float:
-    """A number that a person reads and types; a decimal comma or a word is asked again.
+    """A number that a person reads and types; anything else is asked again.
 
     Raises:
-        DeviceError: no number in three tries.
+        DeviceError: no number in ``ANSWERS`` answers.
     """
-    words = ""
-    for _ in range(TRIES):
-        text, _ = put_request(operator, event_loop, request)
-        words = text.removesuffix(request.unit).strip()
-        try:
-            if "_" not in words:  # Python would take 1_0 for ten
-                return float(words)
-        except ValueError:
-            continue
-    raise DeviceError(
-        "operator", f"{words!r} is no number in {request.unit}", "type it with a decimal point"
+    note, text = "", ""
+    for _ in range(ANSWERS):
+        asked = replace(request, text=f"{note}{request.text}")
+        text, _ = put_request(operator, event_loop, asked)
+        value = read_number(text, request.unit)
+        if value is not None:
+            return value
+        note = f"{text!r} is not a number in {request.unit}. Again: "
+    raise _unreadable("operator", text, f"not a number in {request.unit}")
+
+
+def _unreadable(where: str, text: str, what: str) -> DeviceError:
+    return DeviceError(
+        where, f"{text!r} is {what}, after {ANSWERS} answers", "answer at a terminal"
     )
 
 
@@ -230,11 +305,8 @@ class ManualAxis:
         note = ""
         for attempt in range(1, TRIES + 1):
             text = f"{self._wording(value)}{note}, then press Enter"
-            answer, seconds = put_request(
-                self._operator, self._event_loop, Request(self.name, value, self.unit, text)
-            )
+            typed, seconds = self._confirmed(Request(self.name, value, self.unit, text))
             waited += seconds
-            typed = self._typed(answer, value) if self._marked or self._check is None else value
             read = typed if self._check is None else self._check()
             if self._check is None or abs(read - typed) <= self._tolerance:
                 setting = ManualSetting(
@@ -263,17 +335,31 @@ class ManualAxis:
             return what if value else "take the load off the muscle"
         return f"{self._verb} {self.name} to {value:g} {self.unit}"
 
-    def _typed(self, answer: str, asked: float) -> float:
-        if answer.lower() in TRUE_WORDS:
-            return asked
-        try:
-            return float(answer)
-        except ValueError:
-            raise DeviceError(
-                f"manual axis {self.name}",
-                f"{answer!r} is neither Enter nor a number in {self.unit}",
-                "press Enter, or type what was read with a decimal point",
-            ) from None
+    def _confirmed(self, request: Request) -> tuple[float, float]:
+        """Put a request until Enter or a number comes: (value, waited in s).
+
+        Raises:
+            DeviceError: neither came in ``ANSWERS`` answers.
+        """
+        waited, note, answer = 0.0, "", ""
+        for _ in range(ANSWERS):
+            asked = replace(request, text=f"{note}{request.text}")
+            answer, seconds = put_request(self._operator, self._event_loop, asked)
+            waited += seconds
+            number = read_number(answer, self.unit)
+            if answer.lower() in TRUE_WORDS or (number is not None and not self._types):
+                return request.value, waited
+            if number is not None:
+                return number, waited
+            note = f"{answer!r} is neither Enter nor a number in {self.unit}. Again: "
+        raise _unreadable(
+            f"manual axis {self.name}", answer, f"neither Enter nor a number in {self.unit}"
+        )
+
+    @property
+    def _types(self) -> bool:
+        """Whether a typed number counts: no sensor reads it, or what is set is marked."""
+        return self._marked or self._check is None
 
 
 class ManualStage:

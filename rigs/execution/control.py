@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 import threading
 import time
 from collections import deque
@@ -26,6 +27,8 @@ WORDS = {
 }
 SHORT = {"p": "pause", "c": "resume", "s": "skip", "r": "repeat", "m": "mark", "q": "stop"}
 """First letters as typed at the terminal; p pauses, and goes on when it is typed again."""
+KEYS = "p pause or continue, s skip, r repeat, m TEXT mark, q stop"
+"""The letters, for the terminal."""
 SUFFIX = ".control"
 
 
@@ -62,6 +65,12 @@ def clear_stale(root: Path) -> None:
         is_heard(path)
 
 
+def is_request(text: str) -> bool:
+    """Whether a typed line is a request to the test."""
+    first = text.partition(" ")[0].lower()
+    return first in SHORT or first in WORDS
+
+
 class RunControl:
     """Requests on their way to a running test; may be used from any thread."""
 
@@ -92,7 +101,7 @@ class RunControl:
         try:
             self.request(line)
         except ConfigError as error:
-            print(error, flush=True)
+            print(error, file=sys.stderr, flush=True)
 
     def listen(self, path: Path, vent: Path | None = None) -> None:
         """Also take whole lines that are appended to a file, from now on.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +18,9 @@ from rigs.bench.locks import vent_request
 from rigs.bench.rig import Rig, firmware_parameters, open_rig
 from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
 from rigs.devices.lines import LineDevice
-from rigs.devices.operator import ConsoleOperator, Operator
+from rigs.devices.operator import ConsoleOperator, Operator, at_a_terminal
 from rigs.devices.stage import Stage
-from rigs.execution.control import RunControl, control_file
+from rigs.execution.control import RunControl, control_file, is_request
 from rigs.execution.manifest import manifest
 from rigs.execution.procedure import Plan, Procedure
 from rigs.execution.recording import (
@@ -101,9 +100,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     def method() -> Steps:
         return remaining(plan.steps(), continues["trials"]) if continues else plan.steps()
 
-    points, seconds = 0, 0.0
-    if not kind.open_ended:
-        points, seconds = outline(method(), config.stage.speed_mm_s)
+    points, seconds = (0, 0.0) if kind.open_ended else outline(method(), config.stage.speed_mm_s)
     check_disk(root, points)
     stop = stop or StopFlag()
     watch = watch or Watch()
@@ -140,9 +137,12 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
             control.listen(
                 control_file(record.folder), None if config.is_virtual else vent_request(config)
             )
-            if isinstance(rig.operator, ConsoleOperator) and sys.stdin.isatty():
-                rig.operator.on_line = control.typed
-                rig.operator.listen()
+            if at_a_terminal():
+                # A simulated person answers the requests; the keys are of the person here.
+                console = rig.operator if isinstance(rig.operator, ConsoleOperator) else None
+                keyboard = console or ConsoleOperator()
+                keyboard.on_line, keyboard.is_command = control.typed, is_request
+                keyboard.listen()
             runner.progress.seconds = seconds
             runner.run(method(), points, arm=not kind.open_ended)
         except (PamrigError, Stopped) as caught:

@@ -23,6 +23,7 @@ class Isotonic(MethodParameters):
     masses_kg: tuple[float, ...]
     pressures_kpa: tuple[float, ...]
     method: Method
+    rest_length_mm: float = 0.0
     source: str = ""
 
     def steps(self) -> Steps:
@@ -51,6 +52,7 @@ def read(name: str, config: RigConfig) -> Isotonic:
         masses_kg=read_masses(t, config),
         pressures_kpa=t.numbers("pressures_kpa", 0, config.limits.pressure_kpa, unit="kPa"),
         method=read_method(t, config.limits, drift_mm=0.02),
+        rest_length_mm=t.number("rest_length_mm", 0.0, 10_000.0, 0.0, unit="mm"),
         source=t.source,
     )
     t.finish()

@@ -70,7 +70,7 @@ class CommandedInstrument(LineDevice):
         self._serial = serial
         self._resync()
         if not self.form.identify:
-            self.identity = {"serial": serial, "checked": "no, it cannot say who it is"}
+            self.identity = {"serial": serial, "identity": "not verifiable"}
             return self.identity
         answer = self._query(self.form.identify, self.form.identify_pattern)
         match = self.form.identify_pattern.fullmatch(answer)

@@ -354,7 +354,7 @@ class PortInstrument(Readings):
             )
         if "serial" not in self.identity:
             self.identity["serial"] = serial
-            self.identity["checked"] = "no, it cannot say who it is"
+            self.identity["identity"] = "not verifiable"
         return self.identity
 
     @property

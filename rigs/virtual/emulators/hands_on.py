@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
 
-from rigs.devices.operator import ConsoleOperator, Request
+from rigs.devices.operator import ConsoleOperator, Request, read_number
 from rigs.virtual.emulators.operator import VirtualOperator
 
 WAIT_S = 0.2
@@ -41,7 +40,6 @@ class HandsOn(ConsoleOperator):
         self._request = None
         if request.value != request.value:
             return text or self._hands.perform(request)
-        with contextlib.suppress(ValueError):
-            request = replace(request, value=float(text))
-        self._hands.perform(request)
+        typed = read_number(text, request.unit)
+        self._hands.perform(request if typed is None else replace(request, value=typed))
         return text
