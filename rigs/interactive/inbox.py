@@ -50,7 +50,7 @@ def send_tables(link: Connection, tables: Tables) -> None:
 def receive_tables(link: Connection) -> Tables:
     """Receive tables of columns."""
     tables: Tables = {}
-    with np.load(io.BytesIO(link.recv_bytes()), allow_pickle=False) as archive:
+    with np.load(io.BytesIO(link.recv_bytes())) as archive:
         for key in archive.files:
             table, column = key.split("/", 1)
             tables.setdefault(table, {})[column] = archive[key]
