@@ -5,6 +5,10 @@ from __future__ import annotations
 from importlib import import_module
 
 from analysis.findings.findings import Analysis
+from daq.errors import ConfigError
+
+GROUP = "pamrig.analyses"
+"""Entry points of installed packages: protocol name to an ``Analysis``."""
 
 ANALYSES: dict[str, str] = {
     **{
@@ -24,14 +28,24 @@ ANALYSES: dict[str, str] = {
 def analysis_of(protocol: object) -> Analysis:
     """The analysis of a protocol.
 
-    A protocol that is not listed here has its settled points as result; a record that names no
-    protocol is an isometric test.
+    A protocol that is not listed here has the analysis that an installed package brings, or else
+    its settled points as result. A record that names no protocol is an isometric test.
     """
     name = protocol if isinstance(protocol, str) else "isometric"
     if name not in ANALYSES:
-        from analysis.findings.points import points_analysis
-
-        return points_analysis(name)
+        return _own(name)
     found = {a.name: a for a in import_module(f"analysis.findings.{ANALYSES[name]}").ANALYSES}[name]
     assert isinstance(found, Analysis)
+    return found
+
+
+def _own(name: str) -> Analysis:
+    from analysis.findings.points import points_analysis
+    from daq.user_program import installed, load_installed
+
+    if name not in installed(GROUP):
+        return points_analysis(name)
+    found = load_installed(GROUP, name)
+    if not isinstance(found, Analysis):
+        raise ConfigError(f"{GROUP}: {name}", "is not an Analysis")
     return found

@@ -51,8 +51,8 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "mine.csv").write_text("pressure_kpa,length_mm,force_n\n" + "\n".join(rows) + "\n")
     prepare_page(folder)
     (folder / "big.csv").write_text(large_muscle())
-    example = HOUSE / "docs" / "examples" / "simulators" / "first"
-    shutil.copytree(example, folder, dirs_exist_ok=True)
+    for example in ("simulators/first", "protocols"):
+        shutil.copytree(HOUSE / "docs" / "examples" / example, folder, dirs_exist_ok=True)
     for words in (("make_bench.py", "bench.csv"), ("convert.py", "bench.csv", "mydata")):
         subprocess.run([sys.executable, *words], cwd=folder, check=True, timeout=900)
     run(folder, "pamrig isometric --protocol isometric-short")

@@ -737,9 +737,9 @@ def test_everything_listens_on_loopback_and_bears_what_comes(tmp_path: Path) -> 
 RUNS_CODE = {"eval", "exec", "compile", "__import__"}
 RUNS_TEXT = {"lambdify", "sympify", "parse_expr", "run_path", "run_module", "exec_module"}
 LOADS_CODE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml", "code"}
-PROGRAMS = {("gap/simulators/python_function.py", "exec_module")}
-"""A simulator that a user names on the command line is the user's own program, like a script given
-to Python. It is no data: no file of a data set, a rig or a record can name one."""
+PROGRAMS = {("daq/user_program.py", "exec_module")}
+"""A simulator or a protocol that a user names on the command line is the user's own program, like a
+script given to Python. It is no data: no file of a data set, a rig or a record can name one."""
 
 
 def test_nothing_that_is_read_can_be_run() -> None:

@@ -40,7 +40,12 @@ class TestOptions:
 
 
 def protocol_command(name: str, options: TestOptions) -> int:
-    """Run a protocol; returns the exit status."""
+    """Run a protocol; returns the exit status.
+
+    Args:
+        name: of a protocol, or a Python file that holds one.
+        options: of the command line.
+    """
     from analysis.reporting.derived import try_derive
     from daq.interrupt import stop_on_signals
     from rigs.execution.session import run_protocol
@@ -49,6 +54,7 @@ def protocol_command(name: str, options: TestOptions) -> int:
     from rigs.rigfile.config import load_rig
 
     kind = procedure(name)
+    name = kind.name
     config = load_rig(options.rig or default_rig(name), options.seed)
     if options.seed is not None and config.virtual is None:
         raise ConfigError(config.source, "--seed is for virtual benches", "leave it out")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -24,6 +25,9 @@ from rigs.protocols.names import PROTOCOLS, default_rig, default_specimen
 ProtocolOption = Annotated[
     str, typer.Option("--protocol", help="Protocol file, or the name of a shipped one.")
 ]
+
+
+OWN = "Run a protocol of your own: a Python file, or one that an installed package brings."
 
 
 def _command(name: str) -> Callable[..., None]:
@@ -64,10 +68,25 @@ def _command(name: str) -> Callable[..., None]:
     return command
 
 
+def _own_command() -> Callable[..., None]:
+    """The command of the user's own protocols: the options of all tests behind one argument."""
+
+    def command(test: str, **options: Any) -> None:
+        _command(test)(**options)
+
+    shared = inspect.signature(_command(""), eval_str=True)
+    test = Annotated[str, typer.Argument(help="Python file, or name of an installed protocol.")]
+    first = inspect.Parameter("test", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=test)
+    parameters = [first, *shared.parameters.values()]
+    command.__signature__ = shared.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return command
+
+
 def add_protocols(app: typer.Typer, runs_app: typer.Typer) -> None:
     """Add the commands that run tests to `app`, and those on recorded runs to `runs_app`."""
     for name, summary in PROTOCOLS.items():
         app.command(name, help=summary)(_command(name))
+    app.command("test", help=OWN)(_own_command())
     runs_app.command("tell")(send_request)
     app.command("continue")(continue_test)
     app.command("run")(run_plan)

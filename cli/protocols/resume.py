@@ -15,10 +15,12 @@ from daq.interrupt import StopFlag
 from daq.record.sealed import plain
 from daq.store.run import open_run
 from daq.store.store import find_run, list_runs
+from daq.user_program import installed
 from rigs.execution.procedure import Plan, Procedure
 from rigs.execution.resume import continuation
 from rigs.execution.runner import Watch
 from rigs.protocols.names import PROTOCOLS
+from rigs.protocols.own import GROUP
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig, load_rig
 
@@ -42,8 +44,12 @@ def same_test(run: Run, rig: str = "", protocol: str = "") -> tuple[Procedure, R
     """
     manifest = run.manifest
     name = str(manifest.get("protocol"))
-    if name not in PROTOCOLS:
-        raise ConfigError(run.run_id, f"{name!r} is not a protocol of this version")
+    if name not in {*PROTOCOLS, *installed(GROUP)}:
+        raise ConfigError(
+            run.run_id,
+            f"{name!r} is not a protocol of this version or of an installed package",
+            "a protocol in a file of your own is not continued; run it again",
+        )
     seed = (manifest.get("virtual") or {}).get("seed")
     recorded_rig = manifest.get("rig") or {}
     config = load_rig(rig or _named(str(recorded_rig.get("source", ""))), seed)

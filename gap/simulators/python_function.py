@@ -8,8 +8,6 @@ user's own code, named on the command line by way of its description, and it run
 from __future__ import annotations
 
 import importlib
-import importlib.util
-import sys
 import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.user_program import load_program, place_in
 from gap.data.simulator import Stage
 from gap.data.trial import CHANNELS, COMMANDS, Trial
 from gap.errors import GapError
@@ -151,29 +150,10 @@ def _module(about: Description, where: str) -> ModuleType:
         path = about.file(where).resolve()
         if not path.is_file():
             raise about.error("function", f"no such file {where}", "it is relative to this file")
-        folder = str(path.parent)
-        if folder not in sys.path:  # at the end: a neighbour must not hide a library
-            sys.path.append(folder)
-        name = f"pamrig_simulator_{abs(hash(path))}_{path.stem}"
-        spec = importlib.util.spec_from_file_location(name, path)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
-        spec.loader.exec_module(module)
+        return load_program(path)
     except GapError:
         raise
     except (Exception, SystemExit) as error:
         raise about.error(
-            "function", f"{where} cannot be imported: {first_line(error)}{_place_in(error, where)}"
+            "function", f"{where} cannot be imported: {first_line(error)}{place_in(error, where)}"
         ) from None
-    return module
-
-
-def _place_in(error: BaseException, where: str) -> str:
-    """The line of the user's own file in which the import failed."""
-    if isinstance(error, SyntaxError):
-        return f" (line {error.lineno})"
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if Path(frame.filename).name == Path(where).name]
-    return f" (line {own[-1].lineno})" if own else ""

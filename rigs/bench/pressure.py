@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from importlib import import_module
 
 from daq.clock import Deadline
 from daq.errors import PamrigError
@@ -14,7 +13,7 @@ from rigs.devices.instruments.supply import Supply
 from rigs.devices.operator import ManualAxis
 from rigs.devices.pressure.source import PressureSource, SourceParts
 from rigs.devices.valve_controller import ValveController
-from rigs.rigfile.pressure_source import MODULES
+from rigs.rigfile.pressure_source import source_module
 
 SAFE_KPA = 10.0
 VENT_S = 5.0
@@ -36,7 +35,7 @@ def open_pressure_source(
     """
     config = ports.config
     settings = config.pressure_source
-    module = import_module(f"rigs.devices.pressure.{MODULES[settings.kind]}")
+    module = source_module(settings.kind, "rigs.devices.pressure")
     parts = SourceParts(
         config, valve, event_loop, axes, lambda: ports.open("pressure_source", settings)
     )  # fmt: skip

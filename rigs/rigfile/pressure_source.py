@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any
 
+from daq.user_program import installed, load_installed
 from rigs.rigfile.device import Device
 from rigs.rigfile.toml_reader import Table
 
@@ -20,6 +22,10 @@ The module of that name in ``rigs.devices.pressure`` holds ``open_source(parts)`
 not of ``WITHOUT_PORT`` has a port, and a module of the same name in ``rigs.virtual.emulators`` with
 ``emulator(settings, plant, send)``.
 """
+
+GROUP = "pamrig.pressure_sources"
+"""Entry points of installed packages: kind to a module with ``open_source`` and, for the virtual
+bench, ``emulator``. Such a kind has a port."""
 
 WITHOUT_PORT = ("solenoids", "regulator-output", "hand-regulator")
 SCHEME = {"solenoids": "pwm", "regulator-output": "reg"}
@@ -58,7 +64,9 @@ def read_pressure_source(root: Table, scheme: str, by_hand: bool) -> PressureSou
     if "pressure_source" not in root:
         return PressureSourceSettings("", 0, "", implied, file=root.source)
     t = root.table("pressure_source")
-    kind = t.text("kind", choices=tuple(MODULES))
+    kind = t.text("kind")
+    if kind not in MODULES and kind not in installed(GROUP):
+        raise t.fail("kind", f"{kind!r} is not one of {', '.join((*MODULES, *installed(GROUP)))}")
     if kind == "hand-regulator" and not by_hand:
         raise t.fail("kind", "needs the table [manual.pressure]", "add it (docs/instruments.md)")
     if by_hand and kind != "hand-regulator":
@@ -77,3 +85,14 @@ def read_pressure_source(root: Table, scheme: str, by_hand: bool) -> PressureSou
         own={key: t.raw(key) for key in t.keys() if key not in common},  # noqa: SIM118
         file=root.source,
     )
+
+
+def source_module(kind: str, package: str) -> Any:
+    """The module of a kind: that in ``package``, or the one that an installed package brings.
+
+    Raises:
+        ConfigError: the installed package cannot be loaded.
+    """
+    if kind in MODULES:
+        return import_module(f"{package}.{MODULES[kind]}")
+    return load_installed(GROUP, kind)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable
-from importlib import import_module
 from typing import Protocol
 
 import numpy as np
@@ -17,7 +16,7 @@ from plant.physics.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MA
 from plant.simulator.bench import BenchSim
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.instruments import TextDevice
-from rigs.rigfile.pressure_source import MODULES
+from rigs.rigfile.pressure_source import source_module
 from rigs.virtual.emulators.emulator import Emulator
 from rigs.virtual.emulators.modbus import VirtualModbus
 from rigs.virtual.emulators.operator import VirtualOperator
@@ -115,8 +114,8 @@ class Extras:
 
     def _pressure_source(self) -> Emulator:
         """That of the rig's pressure source, of the module with its driver's name."""
-        kind = MODULES[self._config.pressure_source.kind]
-        module = import_module(f"rigs.virtual.emulators.{kind}")
+        kind = self._config.pressure_source.kind
+        module = source_module(kind, "rigs.virtual.emulators")
         made: Emulator = module.emulator(
             self._config.pressure_source, self._bench.plant, self._sender("pressure_source")
         )
