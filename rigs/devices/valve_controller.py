@@ -144,7 +144,8 @@ class ValveController:
         if self._expected is None or self.other_set_point is not None:
             return
         sent, first_seq = self._expected
-        other = (batch["seq"] >= first_seq) & (batch["setpoint_x16"] != sent)
+        seq = batch["seq"].astype(np.int64)
+        other = (seq >= first_seq) & (batch["setpoint_x16"] != sent)
         if other.any():
             got = int(batch["setpoint_x16"][other][0])
             self.other_set_point = (got / 16.0, sent / 16.0)
