@@ -201,6 +201,7 @@ def test_a_viewer_s_process_that_is_stopped():
 
 
 def test_a_viewer_s_process_that_is_killed_is_stated_once(caplog):
+    caplog.set_level("INFO")
     view = LiveView("killed", isometric_layout(), page=False, port=0)
     feed(view, 0.2)
     os.kill(view.pid, signal.SIGKILL)

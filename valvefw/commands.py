@@ -1,4 +1,6 @@
-"""Text requests `<id> <verb> [arg ...]` and replies `<id> ok ...` or `<id> err <code> ...`.
+"""Text requests `<id> <verb> [arg ...] [@session]` and their replies.
+
+A reply is `<id> ok ...` or `<id> err <code> ...`.
 
 Invalid arguments are refused, never clipped. All verbs: docs/reference/wire-format.md.
 """
@@ -9,6 +11,7 @@ from valvefw.wire import (
     CAPTURE_LEAD_US,
     CAPTURE_N,
     CAPTURE_US,
+    GUARDED,
     MAX_REQUEST,
     MAX_SAMPLES,
     PROTO,
@@ -60,6 +63,8 @@ class Commands:
 
     def __init__(self, controller) -> None:  # type: ignore[no-untyped-def]
         self._c = controller
+        self._session = 0  # of the present request
+        self._told = False
         self._verbs = {
             "id": (0, 0, self._id),
             "help": (0, 0, self._help),
@@ -104,6 +109,10 @@ class Commands:
             if verb is None:
                 raise Refused("verb", "unknown verb, try help")
             args = words[2:]
+            self._session = 0
+            if args and args[-1][0] == "@":
+                self._session = _number(args.pop()[1:], 1, 65535, "session")
+            self._check_session(words[1])
             if not verb[0] <= len(args) <= verb[1]:
                 raise Refused(
                     "syntax", "%s takes %d to %d arguments" % (words[1], verb[0], verb[1])
@@ -112,6 +121,17 @@ class Commands:
         except Refused as refused:
             return "%d err %s %s" % (request_id, refused.code, refused.text)
         return "%d ok %s" % (request_id, text) if text else "%d ok" % request_id
+
+    def _check_session(self, verb: str) -> None:
+        c = self._c
+        if verb not in GUARDED or not c.safety.armed or self._session == c.session:
+            return
+        if c.session:
+            c.foreign += 1
+            if not self._told:
+                self._told = True
+                c.event("foreign verb=%s n=%d" % (verb, c.foreign))
+            raise Refused("session", "another host has armed: vent, or stop and arm anew")
 
     def _need_armed(self) -> None:
         c = self._c
@@ -161,7 +181,7 @@ class Commands:
     def _stat(self, args: list[str]) -> str:
         c = self._c
         state = "fault" if c.safety.faults else "armed" if c.safety.armed else "disarmed"
-        return "state=%s scheme=%s sp=%d counts=%d t=%d bad=%d lost=%d" % (
+        return "state=%s scheme=%s sp=%d counts=%d t=%d bad=%d lost=%d foreign=%d" % (
             state,
             c.scheme.name if c.scheme is not None else "idle",
             c.setpoint_x16,
@@ -169,6 +189,7 @@ class Commands:
             c.board.ticks_us(),
             c.receiver.bad_frames,
             c.receiver.lost_bytes,
+            c.foreign,
         )
 
     def _conf(self, args: list[str]) -> str:
@@ -222,6 +243,9 @@ class Commands:
         if reason:
             raise Refused("conf", reason)
         c.board.tidy()  # not needed again for minutes
+        c.session = self._session
+        c.foreign = 0
+        self._told = False
         c.safety.arm(c.values)
         return ""
 

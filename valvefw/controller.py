@@ -115,10 +115,12 @@ class Controller:
             self.schemes[kind.name] = kind()
         self.scheme: Scheme | None = None  # None: vented
         self.setpoint_x16 = 0
+        self.session = 0  # of the host that armed; 0: none was named
+        self.foreign = 0  # refused commands of others since arming
         self.receiver = Receiver(board)
         self.capture = Capture(board, self.core)
         self._commands = Commands(self)
-        self._words = array("i", [0] * 9)
+        self._words = array("i", [0] * 12)
         self._reply = bytearray(ONE_BLOCK)
         self._regulator = 0
         self._reported = 0
@@ -218,8 +220,11 @@ class Controller:
         """
         frame = self.receiver.frame
         words = self._words
-        if split(frame, size, words) != 3 or words[1] > 5 or words[4] != 2:
+        n = split(frame, size, words)
+        if n < 3 or n > 4 or words[1] > 5 or words[4] != 2:
             return False
+        if n == 4 and words[11] > -2:
+            return False  # no session
         request_id = words[2]
         value = words[8]
         if not 0 <= request_id <= 65535 or value < 0:
@@ -227,6 +232,8 @@ class Controller:
         verb = frame[words[3]] << 8 | frame[words[3] + 1]
         scheme = self.scheme
         s = self._state
+        if self.session and s[ARMED] and (n == 3 or words[11] != -2 - self.session):
+            return False
         out = self._reply
         out[1] = REPLY
         at = put_number(out, 2, request_id, 0)

@@ -86,15 +86,16 @@ class Receiver:
 def split(frame: ptr8, size: int, words: ptr32) -> int:
     """Find the words of a request of ``size`` bytes (with its type byte) in ``frame``.
 
-    ``words`` gets start, length and decimal value of each of the first three; the value is -1 if
-    the word is no decimal number of up to nine digits. Returns the number of words, or -1 if a
-    character is not printable.
+    ``words`` gets start, length and decimal value of each of the first four; the value is -1 if
+    the word is no decimal number of up to nine digits, and -2 less the number behind an ``@``.
+    Returns the number of words, or -1 if a character is not printable.
     """
     n = 0
     at = 2
     end = size + 1
     length = 0
     value = 0
+    mark = 0
     while at <= end:
         byte = 32
         if at < end:
@@ -103,17 +104,23 @@ def split(frame: ptr8, size: int, words: ptr32) -> int:
             return -1
         if byte != 32:
             length += 1
-            if byte < 48 or byte > 57 or length > 9:
-                value = -1
-            if value >= 0:
-                value = value * 10 + byte - 48
+            if byte == 64 and length == 1:
+                mark = 1
+            else:
+                if byte < 48 or byte > 57 or length > 9:
+                    value = -1
+                if value >= 0:
+                    value = value * 10 + byte - 48
         elif length:
-            if n < 3:
+            if mark and value >= 0:
+                value = -2 - value
+            if n < 4:
                 words[3 * n] = at - length
                 words[3 * n + 1] = length
                 words[3 * n + 2] = value
             n += 1
             length = 0
             value = 0
+            mark = 0
         at += 1
     return n

@@ -39,6 +39,10 @@ FLAG_HEARTBEAT = 32
 FLAG_PROX_A = 64
 FLAG_PROX_B = 128
 
+# What moves air, keeps the heart beating or changes the time base: while armed, only for the
+# session that armed. Anyone may read, vent and stop.
+GUARDED = ("hb", "sp", "scheme", "pulse", "capture", "led", "telemetry")
+
 MAX_PAYLOAD = 400
 MAX_REQUEST = 96
 

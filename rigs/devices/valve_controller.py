@@ -7,6 +7,7 @@ a protocol that hangs stops beating, and the firmware vents.
 from __future__ import annotations
 
 import re
+import secrets
 from collections import deque
 from collections.abc import Callable
 
@@ -42,6 +43,10 @@ class ValveController:
         link: bytes in and out.
         clock: stamps requests and replies.
         event_loop: of the bench.
+
+    Attributes:
+        other_set_point: set-point in telemetry that was never sent, and the one that was, in
+            counts; None if all agree.
     """
 
     def __init__(self, link: Link, clock: Clock, event_loop: EventLoop) -> None:
@@ -51,7 +56,10 @@ class ValveController:
         self._framer = CobsFramer()
         self._next_id = 1
         self._replies: dict[int, Reply] = {}
-        self._waiting: set[int] = set()
+        self._waiting: dict[int, str] = {}
+        self._session = 0
+        self._expected: tuple[int, int] | None = None
+        self.other_set_point: tuple[float, float] | None = None
         self._pings: dict[int, int] = {}
         self._beat_count = 0
         self._next_beat_ns = 0
@@ -109,6 +117,8 @@ class ValveController:
         sent_ns = self._pings.get(reply.id)
         if sent_ns is None:
             if reply.id in self._waiting:
+                if reply.ok:
+                    self._took(self._waiting[reply.id])
                 self._replies[reply.id] = reply
             return
         for earlier in list(self._pings):  # answers keep their order: those before it are lost
@@ -121,6 +131,24 @@ class ValveController:
                 raise CodecError(f"a reply says t={reply.values['t'][:20]!r}, expected a number")
             device_us = self.telemetry.device_time.unwrap(int(reply.values["t"]), host_ns)
             self.clock_fit.add(sent_ns, host_ns, device_us)
+
+    def _took(self, text: str) -> None:
+        """A command was carried out: all telemetry from now on must have its set-point."""
+        verb, *args = text.split()
+        if verb in ("sp", "scheme", "vent", "stop", "arm"):
+            setpoint_x16 = int(args[0]) if verb == "sp" else 0
+            self._expected = (setpoint_x16, self.telemetry.next_seq or 0)
+
+    def _check_set_point(self, batch: Batch) -> None:
+        """Compare the set-point that telemetry reads back with the one that was sent."""
+        if self._expected is None or self.other_set_point is not None:
+            return
+        sent, first_seq = self._expected
+        seq = batch["seq"].astype(np.int64)
+        other = (seq >= first_seq) & (batch["setpoint_x16"] != sent)
+        if other.any():
+            got = int(batch["setpoint_x16"][other][0])
+            self.other_set_point = (got / 16.0, sent / 16.0)
 
     def _event(self, text: str) -> None:
         self.events.append(text)
@@ -137,6 +165,7 @@ class ValveController:
         # The old clock is gone with the old boot: its pings would bend the new fit.
         self.clock_fit = ClockFit()
         self._pings.clear()
+        self._expected = None
         if self.on_event is not None:
             self.on_event(f"reboot old={old} new={new}")
 
@@ -155,6 +184,7 @@ class ValveController:
         self._filled += n
         self.seq_end = int(batch["seq"][-1]) + 1
         self.flags = int(batch["flags"][-1])
+        self._check_set_point(batch)
         for listener in self.on_batch:
             listener(batch)
 
@@ -171,6 +201,8 @@ class ValveController:
     def _send(self, text: str) -> int:
         request_id = self._next_id
         self._next_id = request_id % 65535 + 1
+        if self._session and text.split(" ", 1)[0] in wire.GUARDED:
+            text += f" @{self._session}"
         self._link.write(encode_request(request_id, text))
         return request_id
 
@@ -182,7 +214,7 @@ class ValveController:
             DeviceError: the controller refused, with its own words.
         """
         request_id = self._next_id
-        self._waiting.add(request_id)
+        self._waiting[request_id] = text
         self._send(text)
         try:
             if not self._event_loop.until(lambda: request_id in self._replies, seconds):
@@ -193,7 +225,7 @@ class ValveController:
                 )
             reply = self._replies.pop(request_id)
         finally:
-            self._waiting.discard(request_id)
+            self._waiting.pop(request_id, None)
         if not reply.ok:
             raise DeviceError(self.name, f"refused {text!r} ({reply.code})", reply.text)
         return reply.values
@@ -258,7 +290,10 @@ class ValveController:
             self.request(f"set {key} {value}")
 
     def arm(self) -> None:
-        """Allow the inlet to open; the heartbeat must already be running."""
+        """Allow the inlet to open; the heartbeat must already be running.
+
+        A new session begins: the firmware then refuses the commands of every other program.
+        """
         now = self.request("id")
         if not {"conf", "boot"} <= now.keys():
             raise DeviceError(
@@ -267,11 +302,22 @@ class ValveController:
                 "install the firmware that belongs to this version of pamrig",
             )
         self.identity = now
-        self.request(f"arm {now['conf']} {now['boot']}")
+        self._session = 10_000 + secrets.randbelow(55_536)  # as long in every run
+        self.other_set_point = None
+        self.request(f"arm {now['conf']} {now['boot']} @{self._session}")
 
     def set_point(self, counts: float) -> None:
         """Regulate to a pressure given in raw counts (sent as sixteenths)."""
         self.request(f"sp {round(counts * 16)}")
+
+    def foreign_commands(self) -> int:
+        """Commands of other programs that the firmware has refused since arming.
+
+        It is asked only if the firmware has reported one.
+        """
+        if not any(text.startswith("foreign") for text in self.events):
+            return 0
+        return int(self.request("stat").get("foreign", "0"))
 
     def stop(self) -> None:
         """Vent and disarm."""

@@ -8,6 +8,7 @@ vents; so does a record that can no longer be written.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from rigs.devices.operator import ManualAxis, ManualSetting
 from rigs.devices.valve_controller import ALIVE_S
 from rigs.execution.control import RunControl
 from rigs.execution.recording import temperature
-from rigs.execution.settling import SAMPLE_S, has_settled
+from rigs.execution.settling import SAMPLE_S, has_settled, still_settled
 from rigs.execution.steering import Steering
 from rigs.steps.context import RunFault
 from rigs.steps.custom_step import Answer, CustomStep, Step, Steps
@@ -111,6 +112,14 @@ class Runner:
                     valve.name,
                     "restarted in mid-run (new boot id)",
                     "check its power supply; the run up to here is kept",
+                )
+            if valve.other_set_point is not None:
+                apply = self.rig.config.calibrations["pressure_kpa"].apply
+                got, sent = (float(apply(counts)) for counts in valve.other_set_point)
+                raise RunFault(
+                    valve.name,
+                    f"its set-point reads back as {got:.1f} kPa, {sent:.1f} kPa was sent",
+                    "another program or person commands the controller: end that first",
                 )
             if not self.rig.pressure_source.armed:
                 raise RunFault(valve.name, "disarmed itself", "see its fault list")
@@ -206,6 +215,9 @@ class Runner:
                 lower_load(self)
             self.rig.pressure_source.release()
             pressure = self.rig.vent()
+            refused = self.rig.valve.foreign_commands()
+            if refused:
+                self.record.event("foreign_commands", device="valve", refused=refused)
             self.record.event("vented", pressure_kpa=pressure, confirmed=bool(pressure < SAFE_KPA))
             if not pressure < SAFE_KPA:
                 self.watch.log(f"WARNING: pressure still reads {pressure:.0f} kPa after venting")
@@ -373,6 +385,7 @@ class Runner:
             seq, rows = self.window(step.seconds, step.frames, look)
         if self.steering.skip:
             return
+        step = self._judged_again(step)
         take = self.steering.take
         more: dict[str, Any] = {} if take == 1 else {"take": take}
         if "thermometer" in self.rig.instruments:
@@ -391,6 +404,17 @@ class Runner:
             float(cal["force_n"].apply(grams.mean())),
             float(cal["length_mm"].apply(np.mean(lengths))) if lengths else float("nan"),
         )
+
+    def _judged_again(self, step: Measure) -> Measure:
+        """The point as not settled if it moved while it was measured."""
+        settle = self.steering.settle
+        if not step.settled or settle is None or settle.pressure_kpa != step.set_pressure_kpa:
+            return step
+        if still_settled(self.rig, settle, step.seconds):
+            return step
+        self.record.event("moved", order=step.order, set_pressure_kpa=step.set_pressure_kpa)
+        self.watch.log(f"point {step.order} moved while it was measured; marked as not settled")
+        return replace(step, settled=False)
 
 
 def outcome_of(error: BaseException | None) -> str:

@@ -206,6 +206,8 @@ def _connect(rig: Rig, record: RecordWriter, watch: Watch) -> None:
         record.event(kind, device="valve", text=text)
         if text.startswith("reboot"):
             watch.log("WARNING: the valve controller restarted; check its power supply")
+        if text.startswith("foreign"):
+            watch.log("WARNING: another program sends commands to the valve controller (refused)")
 
     def gap(found: Gap) -> None:
         record.event("gap", stream="valve", seq=found.seq, missing=found.missing)

@@ -23,17 +23,9 @@ def has_settled(rig: Rig, camera: Mapping[str, Any], step: Settle) -> Callable[[
         step: criterion and set-point.
     """
     c = step.criterion
-    samples = round(c.window_s / SAMPLE_S)
-    readings = max(4, round(c.window_s * 10))
+    samples, readings = _sizes(step, c.window_s)
     first_seq = rig.valve.seq_end
     first_row = rig.balance.rows
-    cal = rig.config.calibrations
-    newton = abs(cal["force_n"].scale)
-    tolerance = c.pressure_kpa
-    if not rig.pressure_source.closed_on_sensor:
-        # The source is not closed on this sensor, so the two may differ by what the
-        # sensor's calibration allows.
-        tolerance += 3 * float(cal["pressure_kpa"].u(step.pressure_kpa))
     length = _Length(rig, camera, c.window_s, c.drift_mm) if c.drift_mm is not None else None
 
     def settled() -> bool:
@@ -41,23 +33,47 @@ def has_settled(rig: Rig, camera: Mapping[str, Any], step: Settle) -> Callable[[
             return False
         if c.drift_n is not None and rig.balance.rows < first_row + readings:
             return False
-        counts = rig.valve.recent_counts(samples)
-        half = len(counts) // 2
-        means = (counts[:half].mean(), counts[half:].mean())  # a calibration is a straight line
-        early, late = (float(cal["pressure_kpa"].apply(mean)) for mean in means)
-        if abs((early + late) / 2 - step.pressure_kpa) > tolerance:
+        if not _rests(rig, step, samples, readings):
             return False
-        if abs(late - early) > c.drift_kpa:
-            return False
-        if c.drift_n is not None:
-            grams, stable = rig.balance.recent(readings)
-            half = len(grams) // 2
-            drift = abs(float(np.mean(grams[:half]) - np.mean(grams[half:]))) * newton
-            if not bool(stable.all()) or drift > c.drift_n:
-                return False
         return length is None or length.rests()
 
     return settled
+
+
+def still_settled(rig: Rig, step: Settle, seconds: float) -> bool:
+    """Whether pressure and force of the last ``seconds`` still fulfil the criterion.
+
+    Asked at the end of a measuring window: what settled before it may have moved in it. A window
+    shorter than the criterion's is judged over the criterion's.
+    """
+    return _rests(rig, step, *_sizes(step, max(seconds, step.criterion.window_s)))
+
+
+def _sizes(step: Settle, seconds: float) -> tuple[int, int]:
+    """Pressure samples and balance readings in a time."""
+    return round(seconds / SAMPLE_S), max(4, round(seconds * 10))
+
+
+def _rests(rig: Rig, step: Settle, samples: int, readings: int) -> bool:
+    """Whether the newest samples and readings fulfil the criterion."""
+    c, cal = step.criterion, rig.config.calibrations
+    tolerance = c.pressure_kpa
+    if not rig.pressure_source.closed_on_sensor:
+        # The source is not closed on this sensor, so the two may differ by what the
+        # sensor's calibration allows.
+        tolerance += 3 * float(cal["pressure_kpa"].u(step.pressure_kpa))
+    counts = rig.valve.recent_counts(samples)
+    half = len(counts) // 2
+    means = (counts[:half].mean(), counts[half:].mean())  # a calibration is a straight line
+    early, late = (float(cal["pressure_kpa"].apply(mean)) for mean in means)
+    if abs((early + late) / 2 - step.pressure_kpa) > tolerance or abs(late - early) > c.drift_kpa:
+        return False
+    if c.drift_n is None:
+        return True
+    grams, stable = rig.balance.recent(readings)
+    half = len(grams) // 2
+    drift = abs(float(np.mean(grams[:half]) - np.mean(grams[half:])))
+    return bool(stable.all()) and drift * abs(cal["force_n"].scale) <= c.drift_n
 
 
 class _Length:

@@ -98,6 +98,11 @@ class Steering:
         runner.record.event("paused", seconds=seconds)
         runner.report_state(state)
 
+    @property
+    def settle(self) -> Settle | None:
+        """The criterion that the present point has waited for."""
+        return self._settle
+
     def note(self, step: Step) -> None:
         """Remember how a point was set, so that it can be made again."""
         if isinstance(step, SetLength):
