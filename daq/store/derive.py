@@ -71,8 +71,8 @@ def derive(run: Run, makers: Iterable[Maker] = ()) -> Path:
     return target
 
 
-def seal_folder(run: Run, folder: Path) -> None:
-    """Write ``manifest.json`` with size and CRC of every file in ``folder``."""
+def seal_folder(run: Run, folder: Path, **more: Any) -> None:
+    """Write ``manifest.json`` with size and CRC of every file in ``folder``, and ``more``."""
     files = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -85,6 +85,7 @@ def seal_folder(run: Run, folder: Path) -> None:
             "schema": "pamrig-derived/2",
             "run_id": run.belonging.run_id,
             "annotations": annotation_sums(run.folder),
+            **more,
             "files": files,
         },
         durable=False,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass, field, replace
-from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -335,11 +334,7 @@ def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
 def _camera_calibration(t: Table) -> tuple[Calibration, dict[str, float] | None]:
     """What ``pamrig calibrate camera`` wrote; leaving the plane widens the gain's part."""
     path = Path(t.source).parent / t.text("calibration")
-    found = load_camera_calibration(path)
-    straight = found.calibration
-    off = found.off_plane_per_mm * found.u_off_plane_mm
-    lens = None if found.lens is None else {k: float(v) for k, v in vars(found.lens).items()}
-    return replace(straight, u_gain=hypot(straight.u_gain, off)), lens
+    return load_camera_calibration(path).frozen()
 
 
 def _cell(instruments: InstrumentSettings, force_source: str) -> Calibration | None:
