@@ -115,7 +115,7 @@ def earlier_run(run: Run) -> Run:
             f"continues run {name}, which is not in the same folder",
             "put both runs into one folder",
         )
-    return open_run(folder)
+    return open_run(folder, run.pictures)
 
 
 def _joined(first: Reduction, second: Reduction, trials: list[int], name: str) -> Reduction:

@@ -7,6 +7,7 @@ import pytest
 
 from plant.audit import audit as audit_module
 from plant.audit.printed import same, truncated, unit_in_last_place
+from plant.audit.ranks import r_squared
 from plant.audit.rest import full_regression_c8, full_regression_c9, full_regression_d1
 from plant.fitting.table43 import STATISTICS, describe, recover_braid, table
 from plant.fitting.tables import best_subsets, full_regression, subsets_text
@@ -19,7 +20,7 @@ REPRODUCES = {
     "Full-regression C-8", "Full-regression C-9", "Full-regression D-1, Equation 5-9",
     "Means of Table C-5, Table 4-4", "Means of Table C-7", 'Table D-3, row "std"',
     "Best-fit C-5", "Best-fit C-6", "Best-fit C-7", "Best-fit C-8", "Best-fit C-9",
-    "Best-fit C-10", "Table 4-3, C-39 to C-44: deterministic",
+    "Best-fit C-10", "Table 4-3, C-39 to C-44: deterministic", "Ranks of Table C-33",
 }  # fmt: skip
 MENDED = {
     "Table C-26 (21 degC)", "Equation 4-35", "Equation 4-36", "Equation 4-39", "Table C-37",
@@ -31,7 +32,8 @@ DOES_NOT = {
     "Equation 4-58", "Table 4-5", "Ranks of Tables C-19 to C-25", "Best-fit C-2", "Best-fit C-3",
     "Best-fit C-11", "Table 4-3, C-39 to C-44: Caldwell",
     "Table 4-3, C-39 to C-44: quasi-static", "Table 4-3, C-39 to C-44: black box 21",
-    "Table 4-3, C-39 to C-44: black box T",
+    "Table 4-3, C-39 to C-44: black box T", "Ranks of Table C-16", "Ranks of Table C-17",
+    "Ranks of Table C-34", "Ranks of Table C-36",
 }  # fmt: skip
 
 
@@ -215,3 +217,27 @@ def test_truncation_is_told_from_rounding() -> None:
     assert truncated("0.0086", 0.00869)
     assert not truncated("0.0087", 0.00869)
     assert unit_in_last_place("5.31428E-14") == pytest.approx(1e-19)
+
+
+def test_the_ranks_of_sine_and_cosine_are_what_does_not_follow(rows) -> None:
+    """Length and its cube lead in every row of C-16, C-17 and C-34, as printed."""
+    for name in ("C-16", "C-17", "C-34"):
+        assert "the first 2 places are right in every row" in rows[f"Ranks of Table {name}"].reason
+    assert "at 30, 33, 36, 39 degC the printed ranks are not 1 to 4" in (
+        rows["Ranks of Table C-17"].reason
+    )
+    assert rows["Ranks of Table C-16"].recomputed == "3 of 7 the same"
+    assert rows["Ranks of Table C-36"].recomputed == "5 of 11 the same from C-1"
+
+
+def test_r_squared_of_a_predictor_is_that_of_numpy() -> None:
+    rng = np.random.default_rng(2)
+    x = np.linspace(51.0, 67.0, 14)
+    y = 0.3 * x + np.sin(x) + rng.normal(size=14)
+    for name, column in (("L^3", x**3), ("cos(L)", np.cos(x)), ("log(d)", np.log(x)), ("d", x)):
+        expected = 100 * np.corrcoef(column, y)[0, 1] ** 2
+        assert r_squared(name, x, y) == pytest.approx(expected, rel=1e-9)
+    design = np.column_stack([np.ones(14), x, x**3])
+    rest = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
+    both = 100 * (1 - rest @ rest / np.sum((y - y.mean()) ** 2))
+    assert r_squared("L and L^3", x, y) == pytest.approx(both, rel=1e-6)

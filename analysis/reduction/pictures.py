@@ -13,6 +13,7 @@ import numpy.typing as npt
 from daq.errors import RecordError
 from vision.decode import PictureError, decode_gray
 from vision.gray import RegionError
+from vision.macro import ROI, THRESHOLD, NoMarker, measure_macro
 from vision.marker.edge import measure_gap
 from vision.marker.gap import GapMeasurement
 from vision.marker.lens import Lens
@@ -35,6 +36,8 @@ def decode(jpeg: bytes) -> npt.NDArray[np.uint8] | None:
 def camera_of(run: Run) -> dict[str, Any]:
     """The camera settings of a run for :func:`measure_stored`: region, sync and lens.
 
+    In a derived version also the ``method`` ("edge" or "macro") and what the macro uses.
+
     Raises:
         RecordError: the camera settings in run.json are invalid.
     """
@@ -50,7 +53,8 @@ def camera_of(run: Run) -> dict[str, Any]:
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         where = str(run.folder / "run.json")
         raise RecordError(where, f"camera: invalid camera settings ({error})") from error
-    return {"region": region, "sync": sync, "lens": lens}
+    chosen = {k: camera[k] for k in ("method", "threshold", "flip") if run.pictures and k in camera}
+    return {"region": region, "sync": sync, "lens": lens, **chosen}
 
 
 def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> GapMeasurement:
@@ -61,6 +65,8 @@ def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> Ga
     untrusted measurement without a region; its reason states this.
     """
     region, sync, lens = (camera.get(key) for key in ("region", "sync", "lens"))
+    if camera.get("method") == "macro":
+        return _macro(gray, camera)
     try:
         gap = measure_gap(
             gray,
@@ -73,3 +79,16 @@ def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> Ga
         pixels, u_pixels = Lens(**lens).gap(gap)
         gap = replace(gap, pixels=pixels, u_pixels=u_pixels)
     return gap
+
+
+def _macro(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> GapMeasurement:
+    """The thesis's macro: whole pixels, with the resolution of one as uncertainty."""
+    region = camera.get("region")
+    try:
+        pixels = measure_macro(
+            gray, int(camera.get("threshold", THRESHOLD)), tuple(region) if region else ROI,
+            bool(camera.get("flip", True)),
+        )  # fmt: skip
+    except (RegionError, NoMarker) as error:
+        return GapMeasurement(math.nan, math.nan, False, str(error))
+    return GapMeasurement(float(pixels), 1 / math.sqrt(12.0), True, "")

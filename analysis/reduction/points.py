@@ -178,7 +178,7 @@ class PointReducer:
         self.live_pixels = {
             event["frame"]: event["pixels"]
             for event in run.events
-            if event.get("kind") == "length" and event.get("trusted")
+            if event.get("kind") == "length" and event.get("trusted") and run.pictures is None
         }
         self.calibrations = {
             name: run.calibration(name) for name in ("pressure_kpa", "length_mm", "force_n")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from daq.errors import PamrigError, RecordError
 from daq.store.derive import derive, samples_file
@@ -43,6 +46,52 @@ def derive_all(folder: Path | str, only_results: bool = False) -> Run:
     with contents_of(run):
         derive(run, makers, kept)
     return open_run(folder)
+
+
+def derive_version(folder: Path | str, pictures: Mapping[str, Any]) -> Path:
+    """Make table and report again with other settings for the pictures, as a new version.
+
+    The derived files and earlier versions stay as they are.
+
+    Args:
+        folder: of the run.
+        pictures: as for :class:`daq.store.run.Run`.
+
+    Returns:
+        the folder of the version.
+
+    Raises:
+        RecordError: the run has no pictures, is too damaged, or cannot be written to.
+    """
+    from analysis.reduction.points import write_table
+    from analysis.reporting.report import write_report
+    from analysis.run_table import contents_of, record_findings, reduce_run
+    from daq.store.versions import make_version
+
+    run = open_run(folder, pictures)
+    if not run.frames:
+        raise RecordError(str(folder), "holds no pictures", "choose a run with a camera")
+    record_findings(run)
+    reduction = reduce_run(run)
+    note = f"a derived version, made with other settings for the pictures: {_in_words(pictures)}"
+    reduction = replace(reduction, own_notes=(note, *reduction.own_notes))
+
+    def table(run: Run, out: Path) -> None:
+        del run
+        write_table(reduction, out)
+
+    def report(run: Run, out: Path) -> None:
+        write_report(run, out / "report.html", reduction)
+
+    with contents_of(run):
+        return make_version(run, [table, report])
+
+
+def _in_words(pictures: Mapping[str, Any]) -> str:
+    parts = [f"{key} {value}" for key, value in pictures.get("camera", {}).items() if key != "lens"]
+    if "length_mm" in pictures:
+        parts.append(f"calibration {pictures['length_mm'].get('id') or 'without id'}")
+    return ", ".join(parts)
 
 
 def try_derive(

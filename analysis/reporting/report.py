@@ -178,7 +178,7 @@ def record_hash(folder: Path) -> str:
     """SHA-256 over names and contents of the record, without derived files and annotations."""
     total = hashlib.sha256()
     for name, _ in names_inside(folder):
-        if name.startswith(("derived/", f"{PARTIAL}/")) or name in (ANNOTATIONS, SEAL):
+        if name.startswith(("derived/", "derived-", f"{PARTIAL}/")) or name in (ANNOTATIONS, SEAL):
             continue
         try:
             with open_inside(folder, name, LARGEST_BULK) as (file, _):

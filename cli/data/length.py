@@ -12,24 +12,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.options import JsonOption, bounded
+from cli.data.pictures import METHODS, Box, OwnSettings, own_settings, parse_box
+from cli.options import RUNS, JsonOption, RunsOption, bounded
 from daq.errors import ConfigError, PamrigError
 
 if TYPE_CHECKING:
     from rigs.calibration.frames import SourceFrame
     from rigs.rigfile.camera_calibration import CameraCalibration
 
-METHODS = ("edge", "macro")
 MACRO_THRESHOLD = 130
 MOST_LIVE_FRAMES = 100_000
 MACRO_ROI = (10, 300, 500, 70)
 MACRO_U_PIXELS = 1 / math.sqrt(12)  # resolution of whole pixels; does not cover specks
-Box = tuple[int, int, int, int]
 
 
 def length(
     frames: Annotated[
-        str, typer.Argument(help="Picture, folder, TIFF stack, video or run folder.")
+        str, typer.Argument(help="Picture, folder, TIFF stack, video, run folder or run id.")
     ],
     method: Annotated[str, typer.Option(help="edge or macro.")] = "edge",
     calibration: Annotated[Path | None, typer.Option(help="Camera calibration file.")] = None,
@@ -46,6 +45,7 @@ def length(
         bool, typer.Option("--flip/--no-flip", help="Macro: flip horizontally.")
     ] = True,
     count: Annotated[int, typer.Option(help="Frames to take from a live camera.")] = 1,
+    runs: RunsOption = RUNS,
     as_json: JsonOption = False,
 ) -> None:
     """Measure lengths in pictures; exit status 2 if no frame gave a length."""
@@ -54,6 +54,7 @@ def length(
     rows = measure_lengths(
         frames, method, calibration=calibration, threshold=threshold,
         roi=parse_box(roi) if roi else None, flip=flip, preview=preview, count=count,
+        runs=runs,
     )  # fmt: skip
     failed = write_lengths(
         rows, str(frames), method, as_json, lambda part: typer.echo(part, nl=False)
@@ -100,25 +101,6 @@ class LengthRow:
         return text if self.trusted else f"{text}; not trusted: {self.reason}"
 
 
-def parse_box(text: str, key: str = "--roi") -> Box:
-    """``left,top,width,height`` as four whole numbers.
-
-    Raises:
-        ConfigError: the text is something else.
-    """
-    try:
-        numbers = [int(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 4 or min(numbers) < 0 or 0 in numbers[2:]:
-        raise ConfigError(
-            key,
-            f"expected left,top,width,height in whole pixels, got {text!r}",
-            "for example 10,300,500,70",
-        )
-    return numbers[0], numbers[1], numbers[2], numbers[3]
-
-
 def measure_lengths(
     frames: str | Path,
     method: str = "edge",
@@ -129,17 +111,20 @@ def measure_lengths(
     flip: bool = True,
     preview: Path | None = None,
     count: int = 1,
+    runs: Path = RUNS,
 ) -> Iterator[LengthRow]:
     """Measure every frame of a source.
 
     Args:
         frames: picture, folder, TIFF stack, video, run folder, ``uvc:0`` or ``virtual:55``.
         method: ``edge`` or ``macro``.
-        calibration: file that converts pixels to mm; None leaves length_mm and u_mm nan.
+        calibration: file that converts pixels to mm; None takes that of a recorded run, and
+            leaves length_mm and u_mm of other pictures nan.
         threshold, roi, flip: the macro's parameters. The edge method also uses roi (frame
             coordinates, not flipped); None is the whole frame.
         preview: picture to write of the first frame that can be read.
         count: frames to take from a live camera.
+        runs: folder of runs, where ``frames`` is a run id.
 
     Raises:
         FramesError: no frames, or not pictures. ConfigError: a parameter. RecordError: a run.
@@ -152,8 +137,11 @@ def measure_lengths(
     to_mm = None if calibration is None else load_camera_calibration(calibration)
     if method == "macro":
         roi = roi or MACRO_ROI
-    for item in open_frames(frames, count=count):
-        row, gap = _measure(item, method, threshold, roi, flip, to_mm)
+    own = own_settings(frames, runs)
+    if own is not None and calibration is None:
+        to_mm = own.calibration
+    for item in open_frames(frames if own is None else own.folder, count=count):
+        row, gap = _measure(item, method, threshold, roi, flip, to_mm, own)
         if preview is not None and item.image is not None:
             _draw_preview(
                 preview, item.image, method=method, measured=gap, threshold=threshold, roi=roi,
@@ -170,6 +158,7 @@ def _measure(
     roi: Box | None,
     flip: bool,
     calibration: CameraCalibration | None,
+    own: OwnSettings | None = None,
 ) -> tuple[LengthRow, Any]:
     """The length in one frame, and what the edge method measured (None for the macro)."""
     from vision.gray import FrameError, RegionError
@@ -184,7 +173,10 @@ def _measure(
             pixels: float = measure_macro(item.image, threshold, roi or MACRO_ROI, flip)
             u_pixels, trusted, reason = MACRO_U_PIXELS, True, ""
         else:
-            gap = measure_gap(item.image, roi)
+            if own is not None and calibration is own.calibration:
+                gap = own.measure(item.image, roi)
+            else:
+                gap = measure_gap(item.image, roi)
             pixels, u_pixels, trusted, reason = gap.pixels, gap.u_pixels, gap.trusted, gap.reason
     except (FrameError, NoMarker) as error:
         return LengthRow(item.file, item.frame, reason=str(error)), None
@@ -212,6 +204,7 @@ def length_report(
     flip: bool = True,
     as_json: bool = False,
     count: int = 1,
+    runs: Path = RUNS,
 ) -> tuple[str, str]:
     """The output of `pamrig length`, and an error text ("" if a frame gave a length).
 
@@ -221,6 +214,7 @@ def length_report(
     rows = measure_lengths(
         frames, method, calibration=calibration, threshold=threshold,
         roi=parse_box(roi) if roi else None, flip=flip, preview=preview, count=count,
+        runs=runs,
     )  # fmt: skip
     parts: list[str] = []
     failed = write_lengths(rows, str(frames), method, as_json, parts.append)

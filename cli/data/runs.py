@@ -104,6 +104,11 @@ def show(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption
         "  events: " + ", ".join(f"{n} {kind}" for kind, n in sorted(facts["events"].items()))
     )
     typer.echo("  derived: " + (", ".join(facts["derived"]) or "nothing (pamrig runs rebuild)"))
+    for name, settings in facts["versions"].items():
+        chosen = {**settings.get("camera", {})}
+        if "length_mm" in settings:
+            chosen["calibration"] = settings["length_mm"].get("id", "")
+        typer.echo(f"  version {name}: {chosen}")
     for problem in facts["problems"]:
         typer.echo(f"  PROBLEM {problem}")
 
@@ -138,14 +143,36 @@ def verify(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOpti
 
 
 def rebuild(
-    run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption = False
+    run: RunArgument = "last",
+    vision: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vision",
+            help="NAME=VALUE: other region, method, threshold, flip or calibration for its"
+            " pictures. Makes table and report as a new version; nothing is replaced.",
+        ),
+    ] = None,
+    runs: RunsOption = RUNS,
+    as_json: JsonOption = False,
 ) -> None:
     """Make everything derived from the record again: table, samples, report, view."""
-    from analysis.reporting.derived import derive_all
+    from analysis.reporting.derived import derive_all, derive_version
     from analysis.run_table import record_findings
     from daq.store.store import find_run
 
     found = find_run(runs, run)
+    if vision:
+        from cli.data.pictures import vision_settings
+
+        folder = derive_version(found.folder, vision_settings(vision))
+        made_files = sorted(p.name for p in folder.iterdir())
+        if as_json:
+            told = {"run_id": found.run_id, "version": folder.name, "derived": made_files}
+            print_json({**told, "problems": list(record_findings(found))})
+        else:
+            typer.echo(f"{folder}: {', '.join(made_files)}")
+            state_findings(record_findings(found))
+        return
     problems = record_findings(found)
     made = derive_all(found.folder)
     names = sorted(p.name for p in (made.folder / "derived").iterdir())

@@ -143,12 +143,13 @@ def annotation_sums(folder: Path) -> dict[str, Any]:
     return {"count": len(read_annotations(folder)), **sums(_bytes(folder))}
 
 
-def annotations_differ(folder: Path, manifest: dict[str, Any]) -> str:
+def annotations_differ(folder: Path, manifest: dict[str, Any], later: bool = False) -> str:
     """Why derived files were not made with the present annotations; "" if they were.
 
     Args:
         folder: of the run.
         manifest: members of the manifest of the derived files.
+        later: annotations that were added since do not matter.
     """
     made_with = manifest.get("annotations")
     if not isinstance(made_with, dict):
@@ -157,7 +158,7 @@ def annotations_differ(folder: Path, manifest: dict[str, Any]) -> str:
     data = _bytes(folder)
     if type(size) is not int or sums(data[: max(size, 0)])["crc32"] != made_with.get("crc32"):
         return "was made with annotations that are not there any more"
-    return "was made before the last annotation" if len(data) > size else ""
+    return "was made before the last annotation" if len(data) > size and not later else ""
 
 
 def _bytes(folder: Path) -> bytes:

@@ -99,8 +99,8 @@ def _take_over(run: Run, names: set[str], old: Path, fresh: Path) -> None:
                 shutil.copyfile(old / name, fresh / name)
 
 
-def seal_folder(run: Run, folder: Path) -> None:
-    """Write ``manifest.json`` with size and CRC of every file in ``folder``."""
+def seal_folder(run: Run, folder: Path, **more: Any) -> None:
+    """Write ``manifest.json`` with size and CRC of every file in ``folder``, and ``more``."""
     files = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -113,6 +113,7 @@ def seal_folder(run: Run, folder: Path) -> None:
             "schema": "pamrig-derived/2",
             "run_id": run.belonging.run_id,
             "annotations": annotation_sums(run.folder),
+            **more,
             "files": files,
         },
         durable=False,

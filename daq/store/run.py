@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import zlib
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,13 +30,18 @@ if TYPE_CHECKING:
 
 INTERRUPTED = "interrupted"
 DAMAGED = "damaged"
+DERIVED = "derived"
 PARTIAL = "derived.partial"
 """Folder of derived files until they are complete."""
 _STRANGE = "a file was exchanged, edited or cut off: `pamrig runs verify` lists all; restore it"
 
 
-def open_run(path: Path | str) -> Run:
+def open_run(path: Path | str, pictures: Mapping[str, Any] | None = None) -> Run:
     """Open the run in folder ``path``, or the run that the file ``path`` belongs to.
+
+    Args:
+        path: of the run.
+        pictures: other settings for its pictures, see :class:`Run`.
 
     Raises:
         RecordError: there is no run.
@@ -46,7 +52,7 @@ def open_run(path: Path | str) -> Run:
     if not (folder / "run.json").is_file():
         what = "no such folder" if not folder.exists() else "not a run: it contains no run.json"
         raise RecordError(str(path), what, "pamrig runs list shows all runs")
-    return Run(folder)
+    return Run(folder, pictures)
 
 
 class Run:
@@ -54,11 +60,15 @@ class Run:
 
     Attributes:
         folder: path of the run folder.
+        pictures: settings for a derived version (:mod:`daq.store.versions`) that take the place
+            of those in run.json: ``camera``, members of its table ``camera``, and ``length_mm``,
+            a calibration. None for the run as it was recorded.
         problems: damage found so far; :func:`daq.store.verify.verify` checks everything.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, pictures: Mapping[str, Any] | None = None) -> None:
         self.folder = folder
+        self.pictures = dict(pictures) if pictures else None
         self.problems: list[Problem] = []
         self._samples: dict[str, Columns] = {}
         self._lost: dict[str, list[tuple[int, int]]] = {}
@@ -88,7 +98,7 @@ class Run:
             )
         for name, why in self.belonging.strangers.items():
             raise RecordError(str(self.folder / name), why, _STRANGE)
-        return found
+        return _with_pictures(found, self.pictures) if self.pictures else found
 
     @cached_property
     def run_json(self) -> dict[str, Any] | None:
@@ -398,15 +408,19 @@ class Run:
             str(self.folder), "this run has no table", f"pamrig runs rebuild {self.run_id}"
         )
 
-    def derived(self, name: str) -> Path:
+    def derived(self, name: str, folder: str = DERIVED) -> Path:
         """Path of a derived file, after a check of its CRC.
+
+        Args:
+            name: of the file.
+            folder: that of the derived files, or of a derived version.
 
         Raises:
             RecordError: it is missing or damaged, or is not part of the derived files.
         """
-        path = self.folder / "derived" / name
+        path = self.folder / folder / name
         remedy = f"pamrig runs rebuild {self.run_id}"
-        manifest = self.sealed("derived/manifest.json") or {}
+        manifest = self.sealed(f"{folder}/manifest.json") or {}
         if manifest and manifest.get("run_id") != self.belonging.run_id:
             raise RecordError(str(path), f"belongs to run {manifest.get('run_id')}", remedy)
         if stale := annotations_differ(self.folder, manifest):
@@ -415,7 +429,7 @@ class Run:
         listed = files.get(name) if isinstance(files, dict) else None
         if not isinstance(listed, dict) or not path.is_file():
             raise RecordError(str(path), "missing, or not listed in its manifest", remedy)
-        data = read_inside(self.folder, f"derived/{name}", LARGEST_BULK)
+        data = read_inside(self.folder, f"{folder}/{name}", LARGEST_BULK)
         if f"{zlib.crc32(data):08x}" != listed.get("crc32") or len(data) != listed.get("size"):
             raise RecordError(str(path), "does not match its CRC", remedy)
         return path
@@ -445,3 +459,16 @@ def time_s(host_ns: Any, start_ns: int) -> Any:
 def stream_of(index: ChunkIndex) -> str:
     """Name of the stream of an index."""
     return index.index.removeprefix("samples/").removesuffix(".index.jsonl")
+
+
+def _with_pictures(manifest: dict[str, Any], pictures: Mapping[str, Any]) -> dict[str, Any]:
+    """Members of run.json with other settings for pictures."""
+    camera = {**(manifest.get("camera") or {}), **pictures.get("camera", {})}
+    calibrations = manifest.get("calibrations", {})
+    if (length := pictures.get("length_mm")) is not None:
+        if isinstance(calibrations, dict):
+            calibrations = {**calibrations, "length_mm": length}
+        else:
+            others = [c for c in calibrations if c.get("quantity") != "length_mm"]
+            calibrations = [*others, length]
+    return {**manifest, "camera": camera, "calibrations": calibrations}

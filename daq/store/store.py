@@ -14,6 +14,7 @@ from daq.record.safe_read import names_inside
 from daq.store.index import index_path, update_index
 from daq.store.info import BENCH, RunInfo, run_info
 from daq.store.run import Run, open_run
+from daq.store.versions import version_folders, version_settings
 
 
 def list_runs(root: Path | str) -> list[RunInfo]:
@@ -79,6 +80,7 @@ def show(run: Run) -> dict[str, Any]:
         "calibrations": read(lambda: [c.to_dict() for c in run.calibrations.values()], []),
         "final": {k: v for k, v in (run.final or {}).items() if k != "files"},
         "derived": sorted(p.name for p in derived.iterdir()) if derived.is_dir() else [],
+        "versions": {n: version_settings(run, n) for n in version_folders(run.folder)},
         "bytes": sum(size for _, size in there),
         "problems": sorted({*(str(p) for p in run.problems), *refused}),
     }

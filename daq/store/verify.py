@@ -15,8 +15,9 @@ from daq.record.sealed import open_file
 from daq.record.written import WRITTEN, Written
 from daq.store.annotations import ANNOTATIONS, SEAL, annotations_differ, read_annotations
 from daq.store.belongs import EVENTS
-from daq.store.run import INTERRUPTED, PARTIAL, Run, stream_of
+from daq.store.run import DERIVED, INTERRUPTED, PARTIAL, Run, stream_of
 from daq.store.validate import structure_error
+from daq.store.versions import missing_versions, version_folders
 
 MOST_FINDINGS = 50
 """So many are stated in reports and exports; `pamrig runs verify` states all."""
@@ -138,28 +139,39 @@ def _ahead_problems(run: Run, index: ChunkIndex) -> str:
 
 
 def _derived_problems(run: Run, seen: set[str]) -> Iterator[Problem]:
-    name = "derived/manifest.json"
-    if not os.path.lexists(run.folder / name):
-        return
+    names = version_folders(run.folder)
+    for folder in (DERIVED, *names):
+        if os.path.lexists(run.folder / folder / "manifest.json"):
+            yield from _folder_problems(run, folder, seen)
+    for missing in missing_versions(names):
+        yield Problem(missing, 0, "missing: a later derived version is there")
+
+
+def _folder_problems(run: Run, folder: str, seen: set[str]) -> Iterator[Problem]:
+    """Damage in the derived files, or in a derived version."""
+    name = f"{folder}/manifest.json"
     seen.add(name)
-    replace = "pamrig runs rebuild replaces it"
+    own = folder == DERIVED
+    replace = "pamrig runs rebuild replaces it" if own else "make the version again"
     try:
         fields = open_file(read_inside(run.folder, name))
         listed = fields.get("files")
     except (ValueError, RecordError):
         yield Problem(name, 0, f"does not match its CRC; {replace}")
         return
-    if not isinstance(listed, dict) or structure_error(name, fields):
+    if not isinstance(listed, dict) or structure_error("derived/manifest.json", fields):
         yield Problem(name, 0, f"is not a list of files; {replace}")
         return
     files = {
-        f"derived/{file}": Written(sums["size"], sums["crc32"], True)
+        f"{folder}/{file}": Written(sums["size"], sums["crc32"], True)
         for file, sums in listed.items()
     }
     seen.update(files)
     if fields.get("run_id") != run.belonging.run_id:
         yield Problem(name, 0, f"belongs to run {fields.get('run_id')}; {replace}")
-    elif wrong := annotations_differ(run.folder, fields):
+    elif not own and fields.get("version") != folder:
+        yield Problem(name, 0, f"is that of {fields.get('version')}; {replace}")
+    elif wrong := annotations_differ(run.folder, fields, later=not own):
         yield Problem(name, 0, f"{wrong}; {replace}")
     yield from _sums(run.folder, files, set())
 

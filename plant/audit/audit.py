@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from plant.audit import lengths as audit_lengths
+from plant.audit import ranks as audit_ranks
 from plant.audit import rest as audit_rest
 from plant.audit import temperature as audit_temperature
 from plant.audit.printed import Row, verdict
@@ -32,7 +33,8 @@ REASONS = {
 def audit() -> list[Row]:
     """All rows of the audit, in the order of the thesis; takes a few seconds."""
     return [
-        *audit_lengths.audit(), *audit_temperature.audit(), *audit_rest.audit(), *_table_4_3()
+        *audit_lengths.audit(), *audit_temperature.audit(), *audit_rest.audit(),
+        *audit_ranks.audit(), *_table_4_3(),
     ]  # fmt: skip
 
 

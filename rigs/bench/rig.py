@@ -151,11 +151,13 @@ def open_rig(
         ports = Ports(config, clock, stack, bench)
         identities = {"valve": valve.identity}
         supply = open_supply(ports, event_loop, identities)
-        if bench is not None:
+        if bench is not None and not config.camera.replayed:
             eye = CallCamera(bench.expose, config.camera.serial)
             camera = FreshCamera(eye, clock, bench.camera_model.noise > 0.0)
         else:
-            camera = FreshCamera(open_camera(config.camera, event_loop), clock)
+            # Recorded pictures may be alike: of a single one, or of a drawing without noise.
+            noisy = not config.camera.replayed
+            camera = FreshCamera(open_camera(config.camera, event_loop), clock, noisy)
             stack.callback(camera.close)
         person = operator or default_operator(ports, bench)
         instruments = open_readers(ports, event_loop)

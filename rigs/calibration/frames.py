@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +13,9 @@ import numpy.typing as npt
 
 from daq.errors import PamrigError
 from plant import tomlfile
+from vision.files import LARGEST_PICTURE, PICTURES, natural
 
-PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp", ".tif", ".tiff"}
 STACKS = {".tif", ".tiff"}
-LARGEST_PICTURE = 80 << 20
-"""Bytes of a picture's file; what its decoding may lay out is bounded in ``vision.decode``."""
 MOST_LOST = 10_000
 VIDEOS = {".avi", ".mp4", ".mkv", ".mov", ".mjpg", ".mjpeg", ".m4v", ".webm", ".mpg"}
 
@@ -87,15 +84,10 @@ def _remedy() -> str:
     return f"known pictures: {' '.join(sorted(PICTURES))}; known videos: {' '.join(sorted(VIDEOS))}"
 
 
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    parts = re.split(r"(\d+)", path.name)
-    return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts]
-
-
 def _folder(path: Path) -> Iterator[SourceFrame]:
     known = PICTURES | VIDEOS
     files = sorted(
-        (p for p in path.iterdir() if p.is_file() and p.suffix.lower() in known), key=_natural
+        (p for p in path.iterdir() if p.is_file() and p.suffix.lower() in known), key=natural
     )
     if not files:
         raise FramesError(str(path), "the folder holds no picture", _remedy())

@@ -6,20 +6,28 @@ import contextlib
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from daq.clock import Deadline
-from daq.errors import DeviceError, DeviceTimeout, LinkLost
+from daq.errors import DeviceError, DeviceTimeout, LinkLost, PamrigError
+from daq.store.run import Run, open_run
+from plant import tomlfile
 from rigs.devices.event_loop import EventLoop
-from rigs.rigfile.config import CameraDevice
+from rigs.rigfile.config import REPLAY, CameraDevice
+from vision.decode import PictureError, decode_gray
+from vision.files import LARGEST_PICTURE, picture_files
 
 if TYPE_CHECKING:
     from rigs.devices.uvc import UvcCamera
 
 TRIGGER_S = 2.0
+REPLAY_S = 0.02
+"""So long a picture from a folder or a run takes: that of 50 pictures a second."""
+JPEG_START = b"\xff\xd8\xff"
 
 
 @dataclass(frozen=True)
@@ -27,12 +35,14 @@ class Frame:
     """One picture.
 
     ``gray`` is (h, w) uint8; ``host_ns`` the host's monotonic time of mid-exposure as far
-    as the source can tell; ``seq`` the camera's own count.
+    as the source can tell; ``seq`` the camera's own count; ``jpeg`` its bytes, where it comes as
+    such: the record then keeps them as they are.
     """
 
     seq: int
     host_ns: int
     gray: npt.NDArray[np.uint8]
+    jpeg: bytes = b""
 
 
 def is_lit(gray: npt.NDArray[np.uint8]) -> bool:
@@ -164,6 +174,70 @@ class TriggeredUvc:
         self._camera.close()
 
 
+class ReplayCamera:
+    """Recorded pictures in place of a camera: those of a folder, or those stored in a run.
+
+    Each trigger gives the next one, stamped with the time of the trigger. JPEG pictures go into
+    the record as they are, so that their lengths are the same to the bit. Pictures that a run took
+    of the sync LED are left out: their pattern is that of another time.
+
+    Args:
+        source: ``replay:`` and the path of a folder of pictures or a run.
+        event_loop: of the bench, which goes on meanwhile.
+        again: begin anew after the last picture; without it a further trigger is an error.
+    """
+
+    def __init__(self, source: str, event_loop: EventLoop, again: bool = False) -> None:
+        self._event_loop = event_loop
+        self._again = again
+        self._given = 0
+        self._name = f"camera ({source})"
+        self._path = Path(source.removeprefix(REPLAY))
+        self.identity = {"source": source}
+        self._run: Run | None = None
+        self._pictures: list[int] | list[Path] = []
+        try:
+            if (self._path / "run.json").is_file():
+                self._run = open_run(self._path)
+                self._pictures = [int(f["frame"]) for f in self._run.frames if not f.get("sync")]
+                self.identity["run_id"] = self._run.run_id
+            else:
+                self._pictures = picture_files(self._path)
+        except OSError as error:
+            what = f"cannot be read: {error.strerror}"
+            raise DeviceError(self._name, what, "check camera.source in the rig file") from None
+        if not self._pictures:
+            raise DeviceError(self._name, "holds no picture", "check camera.source in the rig file")
+        self.identity["pictures"] = str(len(self._pictures))
+
+    def trigger(self) -> Frame:
+        """The next picture. Raises DeviceError if there is none, or it cannot be decoded."""
+        number = len(self._pictures)
+        if self._given >= number and not self._again:
+            raise DeviceError(
+                self._name, f"its {number} pictures are used up",
+                "record more, or set camera.repeat = true",
+            )  # fmt: skip
+        self._event_loop.for_seconds(REPLAY_S)
+        which = self._pictures[self._given % number]
+        try:
+            if isinstance(which, Path):
+                data = tomlfile.read_bytes(which, LARGEST_PICTURE)
+            else:
+                assert self._run is not None
+                data = self._run.frame_bytes(which)
+            gray = decode_gray(data, eight_bit=True)
+        except (OSError, PictureError, PamrigError) as error:
+            name = which.name if isinstance(which, Path) else f"frame {which}"
+            raise DeviceError(self._name, f"{name} cannot be read: {error}") from None
+        self._given += 1
+        jpeg = data if data.startswith(JPEG_START) else b""
+        return Frame(self._given, self._event_loop.clock.now_ns(), gray, jpeg)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
 def open_camera(config: CameraDevice, event_loop: EventLoop) -> Camera:
     """Open a camera that is not part of an in-process bench; ``event_loop`` runs the bench.
 
@@ -171,6 +245,8 @@ def open_camera(config: CameraDevice, event_loop: EventLoop) -> Camera:
         DeviceError: it cannot be opened, or is another one than the rig file names.
     """
     camera: Camera
+    if config.source.startswith(REPLAY):
+        return ReplayCamera(config.source, event_loop, config.repeat)
     if config.source.startswith("tcp:"):
         camera = TcpCamera(config.source)
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,13 @@ class CameraCalibration:
                 f"({straight.id or 'no id'})"
             )
         return value, u, doubt
+
+    def frozen(self) -> tuple[Calibration, dict[str, float] | None]:
+        """The calibration with the depth in its gain, and the lens: as run.json holds them."""
+        straight = self.calibration
+        off = self.off_plane_per_mm * self.u_off_plane_mm
+        lens = None if self.lens is None else {k: float(v) for k, v in vars(self.lens).items()}
+        return replace(straight, u_gain=math.hypot(straight.u_gain, off)), lens
 
     def to_dict(self) -> dict[str, Any]:
         """For the calibration file and run.json."""

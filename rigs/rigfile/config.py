@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass, field, replace
-from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ SENSORS = {"pressure_kpa": "valve", "force_n": "balance"}
 TOP_COUNT = 4095
 """The controller's converter has 12 bits; a calibration's domain may be narrower."""
 VIRTUAL = "virtual"
+REPLAY = "replay:"
 """The port of a device that is simulated in this process."""
 MOST_SEED = 2**63 - 1
 
@@ -87,8 +87,9 @@ class CameraSync:
 
 @dataclass(frozen=True)
 class CameraDevice:
-    """The camera: "virtual", "uvc:INDEX" or "tcp://host:port" of a virtual bench.
+    """The camera: "virtual", "uvc:INDEX", "tcp://host:port" of a virtual bench, "replay:PATH".
 
+    ``repeat`` lets the pictures of a replay begin anew after the last one.
     ``region`` is where the marks are looked for (None: the whole picture); ``lens`` the
     distortion that the camera's calibration file holds, as its plain values.
     """
@@ -99,6 +100,12 @@ class CameraDevice:
     region: Box | None = None
     sync: CameraSync | None = None
     lens: dict[str, float] | None = None
+    repeat: bool = False
+
+    @property
+    def replayed(self) -> bool:
+        """Whether its pictures were taken before, of another muscle or at another time."""
+        return self.source.startswith(REPLAY)
 
 
 @dataclass(frozen=True)
@@ -203,7 +210,7 @@ def _check_whole(rig: RigConfig, root: Table) -> None:
     """What no single key can tell: mixed rigs, and limits beyond a sensor's range."""
     ports = {
         "valve": rig.valve.port == VIRTUAL,
-        "camera": rig.camera.source == VIRTUAL,
+        **({} if rig.camera.replayed else {"camera": rig.camera.source == VIRTUAL}),
         **{k: d.port == VIRTUAL for k, d in rig.instruments.ports().items()},
     }
     if rig.balance.port:
@@ -316,30 +323,38 @@ def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
     """The camera, and the calibration of lengths where it names a file of its own."""
     length, lens = _camera_calibration(t) if "calibration" in t else (None, None)
     out = CameraDevice(
-        source=t.text("source"),
+        source=_camera_source(t),
         serial=t.ascii("serial", ""),
+        repeat=t.flag("repeat", False),
         jpeg_quality=t.integer("jpeg_quality", 50, 100, 95),
         region=_box(t, "region") if "region" in t else None,
         sync=_sync(t.table("sync")) if "sync" in t else None,
         lens=lens,
     )
     scheme = out.source.split(":")[0]
-    if scheme not in (VIRTUAL, "uvc", "tcp"):
+    if scheme not in (VIRTUAL, "uvc", "tcp", REPLAY[:-1]) or out.source == REPLAY:
         raise t.fail(
-            "source", f"{out.source!r} is no camera", 'use "virtual", "uvc:0" or "tcp://host:port"'
-        )
+            "source", f"{out.source!r} is no camera",
+            'use "virtual", "uvc:0", "tcp://host:port" or "replay:FOLDER"',
+        )  # fmt: skip
+    if out.repeat and not out.replayed:
+        raise t.fail("repeat", "is for recorded pictures", 'use it with source = "replay:FOLDER"')
     t.finish()
     return out, length
+
+
+def _camera_source(t: Table) -> str:
+    """The source as given; the path of recorded pictures is relative to the rig file."""
+    source = t.text("source")
+    if not source.startswith(REPLAY) or source == REPLAY:
+        return source
+    return REPLAY + str(Path(t.source).parent / source.removeprefix(REPLAY))
 
 
 def _camera_calibration(t: Table) -> tuple[Calibration, dict[str, float] | None]:
     """What ``pamrig calibrate camera`` wrote; leaving the plane widens the gain's part."""
     path = Path(t.source).parent / t.text("calibration")
-    found = load_camera_calibration(path)
-    straight = found.calibration
-    off = found.off_plane_per_mm * found.u_off_plane_mm
-    lens = None if found.lens is None else {k: float(v) for k, v in vars(found.lens).items()}
-    return replace(straight, u_gain=hypot(straight.u_gain, off)), lens
+    return load_camera_calibration(path).frozen()
 
 
 def _cell(instruments: InstrumentSettings, force_source: str) -> Calibration | None:

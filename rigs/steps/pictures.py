@@ -49,6 +49,8 @@ def load_measuring(quality: int) -> None:
 
 def store(rig: Rig, record: RecordWriter, frame: Frame, **meta: Any) -> tuple[int, bytes]:
     """Encode a frame and append it to the record; its number and its bytes."""
+    if frame.jpeg:
+        return record.frame(frame.jpeg, frame.host_ns, seq=frame.seq, **meta), frame.jpeg
     quality = [cv2.IMWRITE_JPEG_QUALITY, rig.config.camera.jpeg_quality]
     ok, data = cv2.imencode(".jpg", frame.gray, quality)
     if not ok:
