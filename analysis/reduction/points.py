@@ -148,6 +148,12 @@ def exclude(reduction: Reduction, reasons: Mapping[int, str]) -> Reduction:
     )
 
 
+def pressure_sensor(run: Run) -> str:
+    """Stream of the instrument whose reading is the pressure of a run; "" for the controller."""
+    stated = run.manifest.get("pressure_sensor") or {}
+    return str(stated.get("instrument") or "")
+
+
 class PointReducer:
     """Reduction of the settled points of one recorded run, with notes on defects.
 
@@ -177,6 +183,12 @@ class PointReducer:
         self.calibrations = {
             name: run.calibration(name) for name in ("pressure_kpa", "length_mm", "force_n")
         }
+        self._controller = self.calibrations["pressure_kpa"]
+        self._differences: list[float] = []
+        self.sensor = pressure_sensor(run)
+        if self.sensor:
+            self.transducer = self._samples(self.sensor, ("row", "reading"))
+            self.calibrations["pressure_kpa"] = run.instrument_calibrations[self.sensor]
 
     def reduce(self, points: list[dict[str, Any]]) -> Reduction:
         """The table of these point events."""
@@ -185,6 +197,12 @@ class PointReducer:
         for what, places in self._places.items():
             more = f" and {len(places) - 1} more" if len(places) > 1 else ""
             self.notes.append(f"{what}: {places[0]}{more}")
+        if self._differences:
+            low, high = min(self._differences), max(self._differences)
+            self.notes.append(
+                f"pressure is the reading of {self.sensor}; the controller's own reading differs"
+                f" from it by {low:+.2f} to {high:+.2f} kPa"
+            )
         if self.run.outcome != "clean":
             self.notes.append(
                 f"the run is {self.run.outcome}: the table holds the {len(rows)} points it reached"
@@ -216,7 +234,7 @@ class PointReducer:
     def row(self, point: dict[str, Any]) -> dict[str, Any]:
         """One row of the table: means, uncertainties and labels of a point event."""
         name = f"point {point['order']}"
-        pressure = self._pressure(point["valve_seq"], name)
+        pressure = self._pressure(point, name)
         row: dict[str, Any] = {
             "n_samples": pressure.n,
             **_labels(point),
@@ -253,12 +271,24 @@ class PointReducer:
         if not math.isfinite(value):
             row["u_temperature_c_noise"] = math.nan
 
-    def _pressure(self, window: list[int], name: str) -> WindowMean:
+    def _pressure(self, event: Mapping[str, Any], name: str) -> WindowMean:
+        """Pressure in the window of an event: by its own sensor, or by the controller."""
+        controller = self._controller_pressure(event["valve_seq"], name)
+        if not self.sensor:
+            return controller
+        readings = self._window(
+            self.transducer, event["pressure_rows"], name, "pressure readings are missing"
+        )
+        mean = window_mean(_applied(self.calibrations["pressure_kpa"], readings))
+        if event.get("kind") == "point":
+            self._differences.append(controller.mean - mean.mean)
+        return mean
+
+    def _controller_pressure(self, window: list[int], name: str) -> WindowMean:
         counts = self._window(self.valve, window, name, "pressure samples are missing")
         if len(counts) and (counts.min() == 0 or counts.max() >= CODES - 1):
             self._add_defect("pressure is at the end of the sensor's range", name)
-        calibration = self.calibrations["pressure_kpa"]
-        return window_mean(_applied(calibration, counts), abs(calibration.scale))
+        return window_mean(_applied(self._controller, counts), abs(self._controller.scale))
 
     def _force(self, window: list[int], name: str) -> WindowMean:
         grams = self._window(self.balance, window, name, "balance readings are missing")
@@ -331,7 +361,7 @@ class PointReducer:
             if event.get("kind") != "zero":
                 continue
             name = f"zero {event['when']} trial {event['trial']}"
-            mean = self._pressure(event["valve_seq"], name)
+            mean = self._pressure(event, name)
             limit = 3.0 * math.hypot(mean.u, calibration.u_offset)
             if abs(mean.mean) > limit:
                 beyond.append((mean.mean, limit, name))

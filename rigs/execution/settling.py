@@ -9,16 +9,20 @@ import numpy as np
 
 from daq.clock import NS_PER_S
 from rigs.bench.rig import Rig
+from rigs.execution.pressure_sensor import PressureSensor
 from rigs.steps.steps import Settle
 
 SAMPLE_S = 1e-3
 
 
-def has_settled(rig: Rig, camera: Mapping[str, Any], step: Settle) -> Callable[[], bool]:
+def has_settled(
+    rig: Rig, sensor: PressureSensor, camera: Mapping[str, Any], step: Settle
+) -> Callable[[], bool]:
     """Asked from now on, in every round: does the last window fulfil the criterion?
 
     Args:
         rig: open instruments.
+        sensor: whose reading is the pressure.
         camera: how pictures are measured, as run.json says it.
         step: criterion and set-point.
     """
@@ -27,6 +31,8 @@ def has_settled(rig: Rig, camera: Mapping[str, Any], step: Settle) -> Callable[[
     readings = max(4, round(c.window_s * 10))
     first_seq = rig.valve.seq_end
     first_row = rig.balance.rows
+    first_reading = sensor.rows
+    pressures = sensor.needed(c.window_s)
     cal = rig.config.calibrations
     newton = abs(cal["force_n"].scale)
     tolerance = c.pressure_kpa
@@ -34,6 +40,9 @@ def has_settled(rig: Rig, camera: Mapping[str, Any], step: Settle) -> Callable[[
         # The source is not closed on this sensor, so the two may differ by what the
         # sensor's calibration allows.
         tolerance += 3 * float(cal["pressure_kpa"].u(step.pressure_kpa))
+    if sensor.instrument is not None:
+        # Neither is this sensor: the set-point is that of the controller.
+        tolerance += sensor.band_kpa(step.pressure_kpa)
     length = _Length(rig, camera, c.window_s, c.drift_mm) if c.drift_mm is not None else None
 
     def settled() -> bool:
@@ -41,10 +50,11 @@ def has_settled(rig: Rig, camera: Mapping[str, Any], step: Settle) -> Callable[[
             return False
         if c.drift_n is not None and rig.balance.rows < first_row + readings:
             return False
-        counts = rig.valve.recent_counts(samples)
-        half = len(counts) // 2
-        means = (counts[:half].mean(), counts[half:].mean())  # a calibration is a straight line
-        early, late = (float(cal["pressure_kpa"].apply(mean)) for mean in means)
+        if sensor.rows < first_reading + pressures:
+            return False
+        kpa = sensor.recent_kpa(samples, pressures)
+        half = len(kpa) // 2
+        early, late = float(kpa[:half].mean()), float(kpa[half:].mean())
         if abs((early + late) / 2 - step.pressure_kpa) > tolerance:
             return False
         if abs(late - early) > c.drift_kpa:
