@@ -203,6 +203,13 @@ class PointReducer:
                 f"pressure is the reading of {self.sensor}; the controller's own reading differs"
                 f" from it by {low:+.2f} to {high:+.2f} kPa"
             )
+        counters = (self.run.final or {}).get("counters") or {}
+        bunch_ms = number_or_nan((counters.get("balance") or {}).get("bunch_ms"))
+        if bunch_ms > 0:
+            self.notes.append(
+                f"force readings came together, each up to {bunch_ms:.0f} ms late: the standard"
+                f" uncertainty of their times is {bunch_ms / math.sqrt(12.0):.0f} ms"
+            )
         if self.run.outcome != "clean":
             self.notes.append(
                 f"the run is {self.run.outcome}: the table holds the {len(rows)} points it reached"
