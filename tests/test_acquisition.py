@@ -22,7 +22,7 @@ from daq.errors import LinkLost
 from daq.link.acquisition import Acquisition, available
 from daq.link.lateness import Lateness
 from daq.link.transport import SerialLink
-from rigs.bench.computer import Computer
+from rigs.bench.computer import Computer, raised_priority
 from rigs.bench.doctor import computer_finding
 from rigs.bench.rig import open_valve
 from rigs.devices.event_loop import EventLoop
@@ -211,6 +211,16 @@ def test_the_classes_give_the_quantile_to_12_percent() -> None:
         assert exact <= lateness.quantile_s(share) <= exact * 1.13
     assert lateness.as_dict()["rounds"] == 20_000
     assert Lateness().as_dict() == {"rounds": 0, "max_ms": 0.0, "p99_ms": 0.0}
+
+
+def test_the_priority_is_raised_while_it_is_needed_and_given_back() -> None:
+    def now() -> tuple[int, int]:
+        return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
+
+    before = now()
+    with raised_priority() as granted:
+        assert (now() == before) is (granted == "normal")
+    assert now() == before
 
 
 class SlowClock(RealClock):

@@ -34,29 +34,52 @@ def heartbeat_limit_s(config: RigConfig) -> float:
 
 
 NICE = -10
+REAL_TIME = 1
+"""Priority of the program among real-time threads: below the process that beats."""
 THREADS = Path("/proc/self/task")
 """Linux keeps a priority for each thread."""
 
 
+def _threads() -> list[int]:
+    return sorted(int(entry.name) for entry in THREADS.iterdir())
+
+
 @contextlib.contextmanager
-def raised_priority() -> Iterator[bool]:
+def raised_priority() -> Iterator[str]:
     """Priority of this program's threads above that of other programs, where the system grants it.
 
-    Children that are there already, such as the viewer, keep theirs.
+    Children that are there already, such as the viewer, keep theirs. All threads get it, because a
+    thread of lower priority may hold the interpreter's lock.
+
+    Yields:
+        What was granted: "SCHED_RR", "nice -10" or "normal".
     """
-    before: dict[int, int] = {}
-    with contextlib.suppress(OSError, ValueError):
-        for thread in sorted(int(entry.name) for entry in THREADS.iterdir()):
-            with contextlib.suppress(ProcessLookupError):
-                old = os.getpriority(os.PRIO_PROCESS, thread)
-                os.setpriority(os.PRIO_PROCESS, thread, min(old, NICE))
-                before[thread] = old
+    granted, old = "normal", 0
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        old = os.getpriority(os.PRIO_PROCESS, 0)
+        granted = _raise(_threads())
     try:
-        yield bool(before)
+        yield granted
     finally:
-        for thread, old in before.items():
-            with contextlib.suppress(OSError):
-                os.setpriority(os.PRIO_PROCESS, thread, old)
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            for thread in _threads() if granted != "normal" else []:
+                with contextlib.suppress(ProcessLookupError):
+                    if granted == "SCHED_RR":
+                        os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+                    else:
+                        os.setpriority(os.PRIO_PROCESS, thread, old)
+
+
+def _raise(threads: list[int]) -> str:
+    """Real-time priority for these threads, or a higher one."""
+    try:
+        for thread in threads:
+            os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(REAL_TIME))
+        return "SCHED_RR"
+    except PermissionError:
+        for thread in threads:
+            os.setpriority(os.PRIO_PROCESS, thread, NICE)
+        return f"nice {NICE}"
 
 
 class Computer:
@@ -68,13 +91,13 @@ class Computer:
 
     Attributes:
         limit_s: how long the controller waits for a heartbeat.
-        raised: whether the program itself got a higher priority.
+        granted: priority of the program itself.
     """
 
     def __init__(self, event_loop: EventLoop, config: RigConfig) -> None:
         self._event_loop = event_loop
         self.limit_s = heartbeat_limit_s(config)
-        self.raised = False
+        self.granted = "normal"
         self._restart_ns = 0
 
     @property
@@ -133,10 +156,6 @@ class Computer:
         limits = f"the controller waits {self.limit_s * 1e3:.0f} ms for a heartbeat"
         return f"the computer was too busy: {', '.join(late)}; {limits}"
 
-    @property
-    def _own(self) -> str:
-        return f"nice {NICE}" if self.raised else "normal"
-
     def as_dict(self) -> dict[str, Any]:
         """For the record."""
         acquisition = self._event_loop.acquisition
@@ -146,7 +165,7 @@ class Computer:
             "reading": self.reading.as_dict(),
             "program": self.program.as_dict(),
             "priority": {
-                "heartbeat": self._own if acquisition is None else acquisition.priority,
-                "program": self._own,
+                "heartbeat": self.granted if acquisition is None else acquisition.priority,
+                "program": self.granted,
             },
         }

@@ -186,7 +186,7 @@ class Runner:
         """Carry out every step. Ends the run venting, whatever is raised."""
         with contextlib.ExitStack() as stack:
             if not self.rig.clock.virtual:
-                self.computer.raised = stack.enter_context(raised_priority())
+                self.computer.granted = stack.enter_context(raised_priority())
             self._run(steps, points)
 
     def _run(self, steps: Steps, points: int) -> None:
