@@ -7,7 +7,7 @@ READY  := $(VENV)/.ready
 # The tests start many programs, each of which would translate all libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test golden lint types bench campaign faults fuzz soak real audit look board wheel lock clean
+.PHONY: demo test golden lint types bench campaign faults fuzz soak load real audit look board wheel lock clean
 
 # Every file that is installed has a sum in a lock file; nothing is built from sources.
 HASHED := --quiet --no-compile --no-deps --require-hashes --only-binary :all:
@@ -44,6 +44,9 @@ fuzz: $(READY)   ## ten million inputs that nobody would write
 soak: $(READY)   ## a virtual day at 1 kHz and a real hour: memory and completeness, and their page
 	$(BIN)/python -m tests.soak --hours 24 --page docs/evidence/soak.md
 	$(BIN)/python -m tests.soak --real --page docs/evidence/soak.md
+
+load: $(READY)   ## runs in real time on a busy computer, none vented, and their page
+	$(BIN)/python -m tests.overload --privileged --page docs/evidence/overload.md
 
 SECONDS ?= 60
 TRIALS ?= 1000

@@ -14,7 +14,8 @@ import pytest
 
 from daq.clock import RealClock, VirtualClock
 from daq.errors import LinkLost, PortError
-from daq.link.transport import READ_TIMEOUT_S, Link, SerialLink, memory_pair
+from daq.link.ports import READ_TIMEOUT_S
+from daq.link.transport import Link, SerialLink, memory_pair
 
 pty_only = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
 

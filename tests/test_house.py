@@ -16,7 +16,7 @@ HOUSE = Path(__file__).resolve().parent.parent
 MOST_FILES = 15
 # Where each of these may be imported, and nowhere else.
 ONLY_IN = {
-    "serial": ("daq/link/transport.py",),
+    "serial": ("daq/link/ports.py",),
     "rerun": ("daq/live", "daq/live/viewfile.py"),
     "machine": ("valvefw/boards/", "valvefw/board_"),
     "rp2": ("valvefw/boards/", "valvefw/board_"),

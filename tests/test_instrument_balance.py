@@ -63,6 +63,58 @@ def test_an_injected_fault(fault: str, kinds: set[str]) -> None:
     assert set(balance.counters()) > kinds
 
 
+def bunched_scales(rate_hz: float, bunch_ms: int) -> tuple[Scales, Balance]:
+    """A balance of that rate behind an adapter that delivers only now and then."""
+    desk, first = scales()
+    desk.event_loop.remove(first.poll)
+    desk.rows.clear()
+    desk.device.period_ns = round(1e9 / rate_hz)
+    desk.device.wire.bunch_ns = bunch_ms * 1_000_000
+    balance = Balance(desk.reopen(), desk.event_loop)
+    desk.event_loop.add(balance.poll)
+    desk.watch(balance, "grams")
+    balance.connect("BAL-1")
+    return desk, balance
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize(
+    ("rate_hz", "bunch_ms"), [(10, 16), (23, 16), (92, 16), (10, 50), (23, 50), (60, 50), (92, 50)]
+)
+def test_readings_that_an_adapter_delivers_together_stay(
+    rate_hz: int, bunch_ms: int, moving: bool
+) -> None:
+    """At rest two readings say the same: before, both were dropped as one that was repeated."""
+    desk, balance = bunched_scales(rate_hz, bunch_ms)
+    if not moving:
+        desk.device._force_n = lambda: 1.0
+    desk.event_loop.for_seconds(2.0 + 40.0 / rate_hz)  # until the stream is known
+    faults, rows = balance.faults.total, balance.rows
+    desk.event_loop.for_seconds(20.0)
+    assert balance.faults.total == faults
+    assert balance.rows - rows == pytest.approx(20 * rate_hz, abs=5)
+    if moving:  # 2 g/s: a reading is as late as its bunch, and never early
+        late_s = [(desk.truth(t) - v) / -2.0 for t, v in desk.rows[-200:]]
+        assert min(late_s) > -1e-3
+        assert max(late_s) < bunch_ms * 1e-3 + 2e-3
+    stated_ms = balance.counters().get("bunch_ms", 0)
+    assert stated_ms <= 1.2 * bunch_ms + 2
+    if rate_hz != 10:  # at 10 Hz the adapter is in step with the readings, or nearly so
+        assert stated_ms >= 0.5 * bunch_ms
+
+
+def test_a_doubled_reading_is_found_after_lost_ones_and_pauses() -> None:
+    desk, balance = scales()
+    desk.event_loop.for_seconds(8.0)
+    for fault in ("drop", "double", "late", "double", "drop", "drop", "stale"):
+        before = balance.faults.total
+        desk.device.wire.arrange(fault)
+        desk.event_loop.for_seconds(3.0)
+        assert fault == "drop" or balance.faults.total > before, fault
+    assert desk.worst() < 0.001
+    assert "bunch_ms" not in balance.counters()
+
+
 @pytest.mark.parametrize(
     "line",
     ["S S   -123.45 g", "S S    -123.4566 g", "S S     -12.345 kg", "S S    -123,456 g",

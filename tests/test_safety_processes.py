@@ -1,7 +1,8 @@
 """Real processes, a real port, real time: the host is stopped dead, or talks rubbish.
 
 The bench runs in a process of its own and writes its truth down; a small host arms it, fills the
-muscle and beats. Times are the bench's: from the last heartbeat that reached it.
+muscle and beats. Times are the bench's: from the last heartbeat that reached it. A host that is
+stopped dead has a process that goes on beating for at most the second that was granted.
 """
 
 from __future__ import annotations
@@ -19,8 +20,11 @@ import pytest
 
 from bench_process import ATTEMPTS, bench_process, pamrig, run_folder, run_pamrig
 from daq.store.run import open_run
+from rigs.devices.valve_controller import ALIVE_S
 
 SILENT_S = 0.350
+LATE_S = 0.15
+"""The bench, too, is a process that waits for its turn."""
 EMPTY_S = {"virtual": 1.5, "virtual-thesis": 0.3}
 EMPTY_KPA = 20.0
 
@@ -77,7 +81,8 @@ def without_its_host(folder: Path, rig: str, how: str) -> list[dict[str, Any]]:
                 return []
             assert said == "ready\n"
             os.kill(host.pid, signal.SIGSTOP)
-            end_ns = time.monotonic_ns() + round((SILENT_S + EMPTY_S[rig] + 0.5) * 1e9)
+            stopped_ns = time.monotonic_ns()
+            end_ns = stopped_ns + round((ALIVE_S + SILENT_S + EMPTY_S[rig] + 0.5) * 1e9)
             rng = random.Random(1)
             with (folder / "bench" / "valve").open("wb", buffering=0) as port:
                 # The bench may lag behind the wall clock; its own time is what counts.
@@ -85,7 +90,10 @@ def without_its_host(folder: Path, rig: str, how: str) -> list[dict[str, Any]]:
                     if how == "garbage":
                         port.write(rng.randbytes(115))
                     time.sleep(0.01)
-            return bench.truth()
+            truth = bench.truth()
+            last_ns = max(line["last_heartbeat_ns"] for line in truth)
+            assert (last_ns - stopped_ns) * 1e-9 <= ALIVE_S + LATE_S
+            return truth
         finally:
             host.kill()
             host.wait()

@@ -11,7 +11,7 @@ import pytest
 import micropython_host
 from daq.clock import VirtualClock
 from daq.errors import DeviceError, LinkLost, PamrigError, PortError
-from daq.link.transport import ModemLines
+from daq.link.ports import ModemLines
 from rigs.bench import firmware
 from rigs.bench.console import converse
 from rigs.devices.rs232 import Rs232Board

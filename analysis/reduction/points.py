@@ -154,6 +154,12 @@ def exclude(reduction: Reduction, reasons: Mapping[int, str]) -> Reduction:
     )
 
 
+def pressure_sensor(run: Run) -> str:
+    """Stream of the instrument whose reading is the pressure of a run; "" for the controller."""
+    stated = run.manifest.get("pressure_sensor") or {}
+    return str(stated.get("instrument") or "")
+
+
 class PointReducer:
     """Reduction of the settled points of one recorded run, with notes on defects.
 
@@ -183,6 +189,12 @@ class PointReducer:
         self.calibrations = {
             name: run.calibration(name) for name in ("pressure_kpa", "length_mm", "force_n")
         }
+        self._controller = self.calibrations["pressure_kpa"]
+        self._differences: list[float] = []
+        self.sensor = pressure_sensor(run)
+        if self.sensor:
+            self.transducer = self._samples(self.sensor, ("row", "reading"))
+            self.calibrations["pressure_kpa"] = run.instrument_calibrations[self.sensor]
 
     def reduce(self, points: list[dict[str, Any]]) -> Reduction:
         """The table of these point events."""
@@ -192,6 +204,19 @@ class PointReducer:
         for what, places in self._places.items():
             more = f" and {len(places) - 1} more" if len(places) > 1 else ""
             self.notes.append(f"{what}: {places[0]}{more}")
+        if self._differences:
+            low, high = min(self._differences), max(self._differences)
+            self.notes.append(
+                f"pressure is the reading of {self.sensor}; the controller's own reading differs"
+                f" from it by {low:+.2f} to {high:+.2f} kPa"
+            )
+        counters = (self.run.final or {}).get("counters") or {}
+        bunch_ms = number_or_nan((counters.get("balance") or {}).get("bunch_ms"))
+        if bunch_ms > 0:
+            self.notes.append(
+                f"force readings came together, each up to {bunch_ms:.0f} ms late: the standard"
+                f" uncertainty of their times is {bunch_ms / math.sqrt(12.0):.0f} ms"
+            )
         if self.run.outcome != "clean":
             self.notes.append(
                 f"the run is {self.run.outcome}: the table holds the {len(rows)} points it reached"
@@ -236,8 +261,7 @@ class PointReducer:
     def row(self, point: dict[str, Any]) -> dict[str, Any]:
         """One row of the table: means, uncertainties and labels of a point event."""
         name = f"point {point['order']}"
-        vented = point.get("set_pressure_kpa") == 0.0
-        pressure = self._pressure(point["valve_seq"], name, vented)
+        pressure = self._pressure(point, name, point.get("set_pressure_kpa") == 0.0)
         row: dict[str, Any] = {
             "n_samples": pressure.n,
             **_labels(point),
@@ -274,8 +298,21 @@ class PointReducer:
         if not math.isfinite(value):
             row["u_temperature_c_noise"] = math.nan
 
-    def _pressure(self, window: list[int], name: str, vented: bool) -> WindowMean:
-        """Mean pressure of a window.
+    def _pressure(self, event: Mapping[str, Any], name: str, vented: bool) -> WindowMean:
+        """Pressure in the window of an event: by its own sensor, or by the controller."""
+        controller = self._controller_pressure(event["valve_seq"], name, vented)
+        if not self.sensor:
+            return controller
+        readings = self._window(
+            self.transducer, event["pressure_rows"], name, "pressure readings are missing"
+        )
+        mean = window_mean(_applied(self.calibrations["pressure_kpa"], readings))
+        if event.get("kind") == "point":
+            self._differences.append(controller.mean - mean.mean)
+        return mean
+
+    def _controller_pressure(self, window: list[int], name: str, vented: bool) -> WindowMean:
+        """Mean of the controller's reading in a window.
 
         At no pressure some samples of a sensor without a live zero are at its lower end; that is
         a defect only where all of them are, because the zero is then unknown.
@@ -285,8 +322,7 @@ class PointReducer:
             counts.max() >= CODES - 1 or (counts.max() if vented else counts.min()) == 0
         ):
             self._add_defect("pressure is at the end of the sensor's range", name)
-        calibration = self.calibrations["pressure_kpa"]
-        return window_mean(_applied(calibration, counts), abs(calibration.scale))
+        return window_mean(_applied(self._controller, counts), abs(self._controller.scale))
 
     def _force(self, window: list[int], name: str) -> WindowMean:
         grams = self._window(self.balance, window, name, "balance readings are missing")
@@ -359,7 +395,7 @@ class PointReducer:
             if event.get("kind") != "zero":
                 continue
             name = f"zero {event['when']} trial {event['trial']}"
-            mean = self._pressure(event["valve_seq"], name, vented=True)
+            mean = self._pressure(event, name, vented=True)
             limit = 3.0 * math.hypot(mean.u, calibration.u_offset)
             if abs(mean.mean) > limit:
                 beyond.append((mean.mean, limit, name))

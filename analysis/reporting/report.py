@@ -118,6 +118,7 @@ def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
             and not (event.get("kind") == "camera_sync" and event.get("found"))
         ],
         "counters": final.get("counters"),
+        "lateness": final.get("lateness"),
         "problems": list(record_findings(run)),
         "clock_fit": final.get("clock_fit") or _last(run, "clockfit"),
         "camera_sync": _last(run, "camera_sync"),

@@ -100,6 +100,12 @@ def show(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOption
             f"  telemetry: {missing} samples missing in {gaps} gaps, {damaged} damaged frames, "
             f"{twice} duplicates"
         )
+    lateness = final.get("lateness")
+    for what in ("heartbeat", "reading", "program"):
+        late = lateness.get(what) if isinstance(lateness, dict) else None
+        if isinstance(late, dict):
+            most, usual = late.get("max_ms", "unknown"), late.get("p99_ms", "unknown")
+            typer.echo(f"  lateness of the {what}: at most {most} ms, 99 % below {usual} ms")
     typer.echo(
         "  events: " + ", ".join(f"{n} {kind}" for kind, n in sorted(facts["events"].items()))
     )

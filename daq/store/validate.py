@@ -12,8 +12,9 @@ TABLES = {
     "run.json": (
         "started", "parameters", "rig", "limits", "conditions", "camera", "calibrations", "devices",
         "software", "virtual", "load", "continues", "instrument_calibrations", "stated_uncertainty",
+        "pressure_sensor",
     ),
-    "final.json": ("rows", "files", "ended", "counters", "clock_fit", "write_failure"),
+    "final.json": ("rows", "files", "ended", "counters", "clock_fit", "write_failure", "lateness"),
     "derived/manifest.json": ("files",),
 }  # fmt: skip
 """Members that must be tables if present."""

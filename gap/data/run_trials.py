@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis.reduction.points import PointReducer, point_events
+from analysis.reduction.points import PointReducer, point_events, pressure_sensor
 from daq.errors import RecordError
+from daq.record.segments import Columns
 from daq.store.derive import COMMANDS, VALVE_STREAM, engineering
 from daq.store.run import Run
 from plant import tomlfile
@@ -208,7 +209,7 @@ class _Channels:
         self._parts: list[tuple[str, Array, Array]] = []
         valve, _ = engineering(run, VALVE_STREAM)
         time_s = np.asarray(valve["time_s"], dtype=np.float64)
-        self._parts.append(("pressure_kpa", time_s, np.asarray(valve["pressure_kpa"])))
+        self._parts.append(("pressure_kpa", *_pressure(run, time_s, valve)))
         if commands and not _regulated(run):
             for name in COMMANDS.values():
                 self._parts.append((name, *_edges(time_s, np.asarray(valve[name]))))
@@ -265,6 +266,15 @@ def _edges(time_s: Array, share: Array) -> tuple[Array, Array]:
     )
     order = np.lexsort((values, times))
     return times[order], values[order]
+
+
+def _pressure(run: Run, time_s: Array, valve: Columns) -> tuple[Array, Array]:
+    """Times and values of the pressure: by its own sensor where the run has one."""
+    sensor = pressure_sensor(run)
+    if not sensor:
+        return time_s, np.asarray(valve["pressure_kpa"])
+    columns, _ = engineering(run, sensor)
+    return np.asarray(columns["time_s"]), np.asarray(columns["pressure_kpa"])
 
 
 def _instruments(run: Run) -> list[tuple[str, Array, Array]]:

@@ -12,6 +12,7 @@ import typer
 
 from daq.clock import Clock
 from daq.errors import PamrigError
+from rigs.bench.computer import Computer
 from rigs.bench.rig import Rig, open_rig
 from rigs.devices.valve_controller import ALIVE_S
 from rigs.rigfile.config import RigConfig, load_rig
@@ -104,6 +105,8 @@ def _devices(rig: Rig) -> Iterator[Finding]:
     rig.valve.request("timing")  # begins anew with each request
     rig.event_loop.for_seconds(LISTEN_S)
     yield _timing(rig.valve.request("timing"))
+    if not rig.clock.virtual:
+        yield computer_finding(Computer(rig.event_loop, config))
     counts = rig.valve.recent_counts(1000)
     if len(counts) < 500:
         yield Finding("telemetry", "stop", f"only {len(counts)} samples in {LISTEN_S:g} s")
@@ -139,6 +142,23 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         yield Finding(
             "fault", "warn", f"latched: {', '.join(rig.valve.faults) or 'see pamrig vent'}"
         )
+
+
+def computer_finding(computer: Computer) -> Finding:
+    """How late the computer was during the listen, and what to expect of it in a run."""
+    late_s, spare_s = computer.heartbeat.max_s, computer.spare_s
+    about = computer.as_dict()
+    detail = (
+        f"the computer was late by up to {late_s * 1e3:.1f} ms"
+        f" (99 %: {about['heartbeat']['p99_ms']:.1f} ms, the program itself"
+        f" {computer.program.max_s * 1e3:.0f} ms, priority {about['priority']['heartbeat']});"
+        f" the heartbeat limit is {computer.limit_s * 1e3:.0f} ms"
+    )
+    if late_s >= spare_s:
+        return Finding("computer", "stop", f"{detail}: a run would be vented; close other programs")
+    if late_s >= spare_s / 4:
+        return Finding("computer", "warn", f"{detail}: a busier moment may vent a run")
+    return Finding("computer", "ok", f"{detail}: enough")
 
 
 def _timing(answer: dict[str, str]) -> Finding:

@@ -11,6 +11,7 @@ import numpy as np
 from analysis.reduction.pictures import measure_stored
 from daq.clock import Clock
 from daq.errors import ConfigError, DeviceError, PamrigError
+from daq.link.acquisition import Acquisition
 from daq.link.transport import Link, SerialLink
 from rigs.devices.camera import Camera
 from rigs.devices.event_loop import EventLoop
@@ -41,12 +42,19 @@ class Ports:
         clock: stamps what comes.
         stack: closes what was opened.
         bench: the virtual bench, or None.
+        acquisition: the process that reads the ports, or None.
     """
 
     def __init__(
-        self, config: RigConfig, clock: Clock, stack: ExitStack, bench: VirtualBench | None = None
+        self,
+        config: RigConfig,
+        clock: Clock,
+        stack: ExitStack,
+        bench: VirtualBench | None = None,
+        acquisition: Acquisition | None = None,
     ) -> None:
         self.config = config
+        self._acquisition = acquisition
         self._clock = clock
         self._stack = stack
         self._bench = bench
@@ -81,7 +89,7 @@ class Ports:
 
     def _serial(self, name: str, device: Device) -> SerialLink:
         try:
-            return SerialLink(device.port, device.baud, self._clock)
+            return SerialLink(device.port, device.baud, self._clock, acquisition=self._acquisition)
         except PamrigError as error:
             where = f"{name} ({self.config.source}: {name}.port = {device.port!r})"
             raise type(error)(where, error.what, error.remedy) from None
@@ -111,14 +119,15 @@ def open_supply(
 def open_readers(ports: Ports, event_loop: EventLoop) -> dict[str, Instrument]:
     """Every instrument that gives readings, opened but not yet checked.
 
-    The source of force may not come back by itself when its link was lost: a test cannot do
-    without it, and what a load cell reads after it was without power is another zero.
+    The sources of force and pressure may not come back by themselves when their link was lost: a
+    test cannot do without them, and what a load cell reads after it was without power is another
+    zero.
     """
     config = ports.config
     out: dict[str, Instrument] = {}
     for name, device in config.instruments.readers().items():
         link = ports.open(name, device)
-        needed = name == config.force_source
+        needed = name in (config.force_source, config.pressure_source.sensor)
         reopen = None if needed else ports.reopener(name, device)
         if isinstance(device, TextDevice):
             out[name] = TextInstrument(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from daq.clock import Clock, RealClock, VirtualClock
 from daq.errors import ConfigError, PamrigError
+from daq.link.acquisition import Acquisition, available
 from daq.link.transport import Link
 from rigs.bench.locks import rig_lock
 from rigs.bench.ports import (
@@ -98,6 +99,7 @@ def open_valve(
     """
     with ExitStack() as stack:
         link: Link
+        acquisition: Acquisition | None = None
         if bench is not None:
             clock = bench.plug_in()
             link = bench.links["valve"]
@@ -116,8 +118,13 @@ def open_valve(
         else:
             clock = RealClock() if clock is None else clock
             stack.enter_context(rig_lock(config))
-            link = Ports(config, clock, stack).open("valve", config.valve)
-        event_loop = EventLoop(clock, VIRTUAL_PERIOD_S if clock.virtual else REAL_PERIOD_S)
+            if available():
+                acquisition = Acquisition()
+                stack.callback(acquisition.close)
+            ports = Ports(config, clock, stack, acquisition=acquisition)
+            link = ports.open("valve", config.valve)
+        period_s = VIRTUAL_PERIOD_S if clock.virtual else REAL_PERIOD_S
+        event_loop = EventLoop(clock, period_s, acquisition)
         valve = ValveController(link, clock, event_loop)
         event_loop.add(valve.poll)
         stack.callback(_last_words, valve)
@@ -148,7 +155,7 @@ def open_rig(
     with open_valve(config, clock, bench) as (valve, event_loop, stack, bench):
         clock = event_loop.clock
         valve.configure(firmware_parameters(config))
-        ports = Ports(config, clock, stack, bench)
+        ports = Ports(config, clock, stack, bench, event_loop.acquisition)
         identities = {"valve": valve.identity}
         supply = open_supply(ports, event_loop, identities)
         if bench is not None and not config.camera.replayed:

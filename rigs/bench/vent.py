@@ -63,7 +63,7 @@ def vent_rig(config: RigConfig) -> float:
     """
     with open_valve(config) as (valve, event_loop, stack, bench):
         valve.stop()  # first of all; an outlet that is shut at rest opens once it has its supply
-        ports, supply = Ports(config, event_loop.clock, stack, bench), None
+        ports, supply = Ports(config, event_loop.clock, stack, bench, event_loop.acquisition), None
         with contextlib.suppress(PamrigError):
             supply = open_supply(ports, event_loop, {})
         # A source with a port of its own may be gone: the controller's valves vent without it.

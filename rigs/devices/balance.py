@@ -15,6 +15,7 @@ import numpy.typing as npt
 from daq.errors import DeviceError
 from daq.link.transport import Link
 from rigs.devices.event_loop import EventLoop
+from rigs.devices.instruments.arrivals import Arrivals
 from rigs.devices.lines import LineDevice
 
 # The value is right-aligned in ten characters: a lost or doubled one shows by the length.
@@ -35,7 +36,8 @@ class Balance(LineDevice):
     """A balance that sends its readings by itself (SIR) and is tared before use.
 
     Every reading becomes a row (row number, host time, grams, stable). Overload, underload,
-    "not ready" and other units are counted as faults and never become a value.
+    "not ready" and other units are counted as faults and never become a value. Readings that an
+    adapter delivered together stay, with the time at which they came.
     """
 
     def __init__(self, link: Link, event_loop: EventLoop) -> None:
@@ -48,6 +50,7 @@ class Balance(LineDevice):
         self._held: tuple[int, float, bool] | None = None
         self._heard_ns = 0
         self._burst = self._paused = False
+        self._arrivals = Arrivals()
         self.identity: dict[str, str] = {}
         self.on_rows: list[Callable[[dict[str, npt.NDArray[np.generic]]], None]] = []
         self.last_problem = ""
@@ -86,7 +89,10 @@ class Balance(LineDevice):
     def _row(self, host_ns: int, grams: float, stable: bool) -> None:
         """A whole reading; it stands once no other has come on its heels."""
         gap_ns, self._heard_ns = host_ns - self._heard_ns, host_ns
-        if gap_ns < CLOSE_NS and (self._burst or self._odd(grams)):
+        close = gap_ns < CLOSE_NS
+        self._arrivals.heard(host_ns, close)
+        bunched = close and not self._paused and self._arrivals.possible(host_ns)
+        if close and not bunched and (self._burst or self._odd(grams)):
             for _ in range(1 + (self._held is not None)):
                 self._bad("stale", "two readings at once: repeated, or held up on the way")
             self._held = None
@@ -95,6 +101,7 @@ class Balance(LineDevice):
         self._burst = False
         self._paused = gap_ns > PAUSE_NS
         self._release()
+        self._arrivals.add(host_ns)
         self._held = (host_ns, grams, stable)
 
     def _odd(self, grams: float) -> bool:
@@ -131,6 +138,11 @@ class Balance(LineDevice):
             self._pending.clear()
             for listener in self.on_rows:
                 listener(batch)
+
+    def counters(self) -> dict[str, int]:
+        """Beside what was lost: how late readings came together, in ms, where they did."""
+        bunch_ms = self._arrivals.bunch_ms
+        return super().counters() | ({"bunch_ms": bunch_ms} if bunch_ms else {})
 
     def recent(self, n: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
         """The newest ``n`` readings, oldest first: (grams (n,), stable (n,))."""

@@ -22,7 +22,7 @@ from valvefw.wire import TICK_US
 
 
 class Lines(Protocol):
-    """What is needed of ``daq.link.transport.ModemLines``."""
+    """What is needed of ``daq.link.ports.ModemLines``."""
 
     name: str
 

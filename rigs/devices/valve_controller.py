@@ -1,7 +1,8 @@
 """Driver of the valve controller: text requests with ids, heartbeat, telemetry.
 
 The heartbeat is also the clock ping. It is sent only while the protocol reports progress:
-a protocol that hangs stops beating, and the firmware vents.
+a protocol that hangs stops beating, and the firmware vents. On a port that the acquisition's
+process reads, that process sends it, until the time that the last report of progress allowed.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from daq.link.clockfit import ClockFit
 from daq.link.codec import CodecError, Reply, decode_event, decode_reply, encode_request
 from daq.link.framer import CobsFramer
 from daq.link.telemetry import Gap, TelemetryStream
-from daq.link.transport import Link
+from daq.link.transport import Link, SerialLink
 from rigs.devices.event_loop import EventLoop
 from valvefw import wire
 
@@ -34,6 +35,12 @@ _COUNT = re.compile(r"\d{1,10}\Z", re.ASCII)
 Batch = dict[str, npt.NDArray[np.generic]]
 ALIVE_S = 1.0
 """A step must report progress at least so often, or the heartbeat stops."""
+ALIVE_STEP_NS = 50_000_000
+"""The process that beats is told of progress in steps of this."""
+FIRST_BEAT, LAST_BEAT = 32768, 65535
+"""Request ids of heartbeats that a process of their own sends."""
+BEATS_AHEAD = 40
+"""So many frames it has in hand: more than may be sent without progress being reported."""
 
 
 class ValveController:
@@ -51,13 +58,19 @@ class ValveController:
 
     def __init__(self, link: Link, clock: Clock, event_loop: EventLoop) -> None:
         self._link = link
+        self._beating = link if isinstance(link, SerialLink) and link.beats else None
         self._clock = clock
         self._event_loop = event_loop
         self._framer = CobsFramer()
         self._next_id = 1
+        self._last_id = FIRST_BEAT - 1 if self._beating is not None else LAST_BEAT
+        self._next_beat_id = FIRST_BEAT
+        self._beats_queued = 0
+        self._told_until_ns = 0
         self._replies: dict[int, Reply] = {}
         self._waiting: dict[int, str] = {}
-        self._session = 0
+        # From the beginning: heartbeats are made up ahead of arming. As long in every run.
+        self._session = 10_000 + secrets.randbelow(55_536)
         self._expected: tuple[int, int] | None = None
         self.other_set_point: tuple[float, float] | None = None
         self._pings: dict[int, int] = {}
@@ -90,7 +103,10 @@ class ValveController:
 
     def poll(self) -> None:
         """Read what has come, hand it on, and beat if it is time and the test is alive."""
-        for chunk in self._link.read():
+        chunks = self._link.read()
+        if self._beating is not None:
+            self._note_beats(self._beating)
+        for chunk in chunks:
             if self.on_bytes is not None:
                 self.on_bytes(chunk.host_ns, chunk.data)
             for payload in self._framer.feed(chunk.data):
@@ -99,7 +115,9 @@ class ValveController:
                 except CodecError:
                     self.bad_payloads += 1
         now_ns = self._clock.now_ns()
-        if self._next_beat_ns <= now_ns < self._alive_until_ns:
+        if self._beating is not None:
+            self._tell_alive(self._beating, now_ns)
+        elif self._next_beat_ns <= now_ns < self._alive_until_ns:
             self._beat(now_ns)
 
     def _payload(self, payload: bytes, host_ns: int) -> None:
@@ -200,11 +218,15 @@ class ValveController:
 
     def _send(self, text: str) -> int:
         request_id = self._next_id
-        self._next_id = request_id % 65535 + 1
-        if self._session and text.split(" ", 1)[0] in wire.GUARDED:
-            text += f" @{self._session}"
+        self._next_id = request_id % self._last_id + 1
+        text = self._signed(text)
         self._link.write(encode_request(request_id, text))
         return request_id
+
+    def _signed(self, text: str) -> str:
+        """A command that only the host that armed may give names its session."""
+        guarded = text.split(" ", 1)[0] in wire.GUARDED
+        return f"{text} @{self._session}" if guarded else text
 
     def request(self, text: str, seconds: float = REPLY_S) -> dict[str, str]:
         """Send one command and wait for the reply that carries its id.
@@ -237,6 +259,39 @@ class ValveController:
     def still(self) -> None:
         """Stop beating at once."""
         self._alive_until_ns = 0
+        if self._beating is not None:
+            self._tell_alive(self._beating, self._clock.now_ns())
+
+    def _tell_alive(self, link: SerialLink, now_ns: int) -> None:
+        """Tell the process that beats until when it may, and see that it has frames.
+
+        It may never for longer than ``ALIVE_S`` from now, so that it stops under a program that
+        hangs or is suspended.
+        """
+        told_ns = self._told_until_ns
+        until_ns = min(self._alive_until_ns, now_ns + round(ALIVE_S * NS_PER_S))
+        if told_ns <= until_ns < told_ns + ALIVE_STEP_NS:
+            return
+        if until_ns and self._beats_queued < BEATS_AHEAD:
+            frames = [self._beat_frame() for _ in range(BEATS_AHEAD)]
+            self._beats_queued += len(frames)
+            link.queue_beats(round(HEARTBEAT_S * NS_PER_S), frames)
+        self._told_until_ns = until_ns
+        link.keep_alive(until_ns)
+
+    def _beat_frame(self) -> tuple[int, bytes]:
+        self._beat_count = (self._beat_count + 1) % 65536  # after 1.8 h it begins anew
+        request_id = self._next_beat_id
+        self._next_beat_id = FIRST_BEAT if request_id == LAST_BEAT else request_id + 1
+        return request_id, encode_request(request_id, self._signed(f"hb {self._beat_count}"))
+
+    def _note_beats(self, link: SerialLink) -> None:
+        """Which frames the process has sent, and when: the pings of the clock."""
+        for request_id, sent_ns in link.take_beats():
+            self._beats_queued -= 1
+            if len(self._pings) > 50:  # replies that never came
+                self.finish()
+            self._pings[request_id] = sent_ns
 
     def _beat(self, now_ns: int) -> None:
         self._beat_count = (self._beat_count + 1) % 65536  # after 1.8 h it begins anew
@@ -292,7 +347,7 @@ class ValveController:
     def arm(self) -> None:
         """Allow the inlet to open; the heartbeat must already be running.
 
-        A new session begins: the firmware then refuses the commands of every other program.
+        From now on the firmware refuses the commands of every other session.
         """
         now = self.request("id")
         if not {"conf", "boot"} <= now.keys():
@@ -302,7 +357,6 @@ class ValveController:
                 "install the firmware that belongs to this version of pamrig",
             )
         self.identity = now
-        self._session = 10_000 + secrets.randbelow(55_536)  # as long in every run
         self.other_set_point = None
         self.request(f"arm {now['conf']} {now['boot']} @{self._session}")
 

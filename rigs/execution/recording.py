@@ -49,6 +49,14 @@ def instrument_manifest(rig: Rig) -> dict[str, Any]:
         out["instrument_calibrations"] = frozen
     if rig.config.force_source != "balance":
         out["force_source"] = rig.config.force_source
+    source = rig.config.pressure_source
+    if source.sensor:
+        out["pressure_sensor"] = {
+            "instrument": source.sensor,
+            "band_kpa": source.sensor_band_kpa or None,
+            "lag_s": source.sensor_lag_s,
+            "stale_s": source.sensor_stale_s,
+        }
     if "thermometer" in rig.instruments:
         out["conditions"] = {**vars(rig.config.conditions), **temperature(rig)}
     return out

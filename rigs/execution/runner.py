@@ -7,6 +7,7 @@ vents; so does a record that can no longer be written.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -17,12 +18,14 @@ from daq.clock import NS_PER_S
 from daq.errors import DeviceError, LinkLost, PamrigError, RecordError
 from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
+from rigs.bench.computer import REMEDY, Computer, raised_priority
 from rigs.bench.pressure import SAFE_KPA
 from rigs.bench.rig import Rig
 from rigs.devices.interfaces import Actuator
 from rigs.devices.operator import ManualAxis, ManualSetting
 from rigs.devices.valve_controller import ALIVE_S
 from rigs.execution.control import RunControl
+from rigs.execution.pressure_sensor import PressureSensor
 from rigs.execution.recording import temperature
 from rigs.execution.settling import SAMPLE_S, has_settled, still_settled
 from rigs.execution.steering import Steering
@@ -46,8 +49,11 @@ from rigs.steps.steps import (
 from rigs.steps.watching import Progress as Progress
 from rigs.steps.watching import Watch as Watch
 
+Rows = dict[str, list[int]]
 BALANCE_SILENCE_S = 2.0
 TELEMETRY_SILENCE_S = 0.5
+BLIND_S = 3.0
+"""So long a computer may keep a run from reading its ports; the firmware keeps the muscle safe."""
 
 
 class Runner:
@@ -63,6 +69,8 @@ class Runner:
 
     Attributes:
         load_kg: mass that hangs on the muscle now; it is lowered before the muscle vents.
+        computer: how late the computer lets the program be.
+        sensor: whose reading is the pressure.
     """
 
     def __init__(
@@ -82,9 +90,12 @@ class Runner:
         self.progress = Progress(0)
         self.steering = Steering(self, control or RunControl())
         self.load_kg = 0.0
+        self.computer = Computer(rig.event_loop, rig.config)
+        self.sensor = PressureSensor(rig)
         self._armed = False
         self._reboots = 0
         self._balance_speaks = True
+        self._round_ns = self._last_round_ns = rig.clock.now_ns()
         self._last_seq = (0, 0)
         self._last_row = (0, 0)
 
@@ -97,16 +108,13 @@ class Runner:
             raise self.record.failed
         self.steering.look()
         self.stop.check()
+        self.computer.look()
+        self._last_round_ns, self._round_ns = self._round_ns, self.rig.clock.now_ns()
         valve = self.rig.valve
         now_ns = self.rig.clock.now_ns()
         if self._armed:
             if valve.faults or valve.fault_latched:
-                words = valve.faults[-1] if valve.faults else "fault latched (telemetry flag)"
-                raise RunFault(
-                    valve.name,
-                    f"reported {words!r}",
-                    "find the cause, then `pamrig doctor`; the fault is cleared by the next run",
-                )
+                raise self._fault()
             if valve.telemetry.reboots > self._reboots:
                 raise RunFault(
                     valve.name,
@@ -124,21 +132,41 @@ class Runner:
             if not self.rig.pressure_source.armed:
                 raise RunFault(valve.name, "disarmed itself", "see its fault list")
         self._last_seq = self._silent("telemetry", valve.seq_end, self._last_seq, now_ns)
+        if self._armed:
+            self.sensor.look(self.computer.blind_s > 0.0)
         if self._balance_speaks:
             rows = self.rig.balance.rows
             self._last_row = self._silent("balance readings", rows, self._last_row, now_ns)
 
+    def _fault(self) -> RunFault:
+        """The fault that the controller reported; with a busy computer where that explains it."""
+        valve = self.rig.valve
+        words = valve.faults[-1] if valve.faults else "fault latched (telemetry flag)"
+        busy = self.computer.busy() if "host_silent" in words else ""
+        if busy:
+            return RunFault(valve.name, f"reported {words!r}; {busy}", REMEDY)
+        return RunFault(
+            valve.name,
+            f"reported {words!r}",
+            "find the cause, then `pamrig doctor`; the fault is cleared by the next run",
+        )
+
     def _silent(self, what: str, count: int, last: tuple[int, int], now_ns: int) -> tuple[int, int]:
         if count != last[0] or last[1] == 0:
             return count, now_ns
+        if 0.0 < self.computer.blind_s < BLIND_S:  # not the device's silence
+            return count, last[1] + now_ns - self._last_round_ns
         limit = TELEMETRY_SILENCE_S if what == "telemetry" else BALANCE_SILENCE_S
         if now_ns - last[1] > limit * NS_PER_S:
             device = self.rig.valve if what == "telemetry" else self.rig.balance
             detail = "" if what == "telemetry" else self.rig.balance.last_problem
+            busy = self.computer.busy()
             raise RunFault(
                 device.name,
-                f"no {what} for {limit:g} s" + (f" (last: {detail})" if detail else ""),
-                "check its cable and power",
+                f"no {what} for {limit:g} s"
+                + (f" (last: {detail})" if detail else "")
+                + (f"; {busy}" if busy else ""),
+                REMEDY if busy else "check its cable and power",
             )
         return last
 
@@ -157,6 +185,8 @@ class Runner:
         source = self.rig.pressure_source
         source.arm()
         if not self.rig.event_loop.until(lambda: source.armed, 2.0):
+            if valve.faults:
+                raise self._fault()
             raise DeviceError(valve.name, "took `arm` but its telemetry does not say so")
         self._armed = True
         self.record.event("armed", identity=valve.identity)
@@ -183,6 +213,12 @@ class Runner:
             points: how many points it makes.
             arm: arm before the first step; otherwise a step does.
         """
+        with contextlib.ExitStack() as stack:
+            if not self.rig.clock.virtual:
+                self.computer.granted = stack.enter_context(raised_priority())
+            self._run(steps, points, arm)
+
+    def _run(self, steps: Steps, points: int, arm: bool) -> None:
         self.progress.points = points
         answer: Answer = None
         event_loop = self.rig.event_loop
@@ -327,7 +363,7 @@ class Runner:
 
     def _settle(self, step: Settle) -> Answer:
         start_ns = self.rig.clock.now_ns()
-        settled = has_settled(self.rig, self.camera, step)
+        settled = has_settled(self.rig, self.sensor, self.camera, step)
         done = self.rig.event_loop.until(
             lambda: self.steering.skip or settled(), step.criterion.timeout_s
         )
@@ -359,10 +395,29 @@ class Runner:
             )
         return [seq, seq + samples], [row, balance.rows]
 
+    def _pressure_rows(self, first: int, seconds: float, seq: list[int], settled: bool) -> Rows:
+        """The range of a transducer's readings in a window; nothing where there is none."""
+        sensor = self.sensor
+        if sensor.instrument is None:
+            return {}
+        needed = first + sensor.needed(seconds)
+        if not self.rig.event_loop.until(lambda: sensor.rows >= needed, sensor.longest_s(seconds)):
+            raise RunFault(
+                sensor.instrument.name,
+                f"sent too little during a window of {seconds:g} s",
+                "check rates, cable and baud rate",
+            )
+        rows = [first, sensor.rows]
+        if settled:
+            sensor.settled(seq, rows)
+        return {"pressure_rows": rows}
+
     def _zero(self, step: Zero) -> None:
+        first = self.sensor.rows
         seq, rows = self.window(step.seconds)
+        more = self._pressure_rows(first, step.seconds, seq, False)
         self.record.event(
-            "zero", trial=step.trial, when=step.when, valve_seq=seq, balance_rows=rows
+            "zero", trial=step.trial, when=step.when, valve_seq=seq, balance_rows=rows, **more
         )
 
     def _measure(self, step: Measure) -> None:
@@ -380,14 +435,17 @@ class Runner:
         if step.mass_kg is None:  # a held length is looked at first, then left in peace
             for _ in range(step.frames):
                 look()
+            first = self.sensor.rows
             seq, rows = self.window(step.seconds)
         else:
+            first = self.sensor.rows
             seq, rows = self.window(step.seconds, step.frames, look)
+        pressure_rows = self._pressure_rows(first, step.seconds, seq, step.settled)
         if self.steering.skip:
             return
         step = self._judged_again(step)
         take = self.steering.take
-        more: dict[str, Any] = {} if take == 1 else {"take": take}
+        more: dict[str, Any] = pressure_rows if take == 1 else {"take": take, **pressure_rows}
         if "thermometer" in self.rig.instruments:
             at = temperature(self.rig)
             more |= {k: at[k] for k in ("temperature_c", "u_temperature_c")}
@@ -396,11 +454,11 @@ class Runner:
         )
         self.progress.done += take == 1
         cal = self.rig.config.calibrations
-        counts = self.rig.valve.recent_counts(seq[1] - seq[0])
+        pressures = self.sensor.recent_kpa(seq[1] - seq[0], self.sensor.rows - first)
         grams, _ = self.rig.balance.recent(rows[1] - rows[0])
         self.watch.point(
             step,
-            float(cal["pressure_kpa"].apply(counts.mean())),
+            float(pressures.mean()),
             float(cal["force_n"].apply(grams.mean())),
             float(cal["length_mm"].apply(np.mean(lengths))) if lengths else float("nan"),
         )
@@ -410,7 +468,7 @@ class Runner:
         settle = self.steering.settle
         if not step.settled or settle is None or settle.pressure_kpa != step.set_pressure_kpa:
             return step
-        if still_settled(self.rig, settle, step.seconds):
+        if still_settled(self.rig, self.sensor, settle, step.seconds):
             return step
         self.record.event("moved", order=step.order, set_pressure_kpa=step.set_pressure_kpa)
         self.watch.log(f"point {step.order} moved while it was measured; marked as not settled")

@@ -155,7 +155,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
             control.close()
             if live is not None:
                 live.close()
-            if _finish(rig, record, outcome, error) != outcome:
+            if _finish(runner, record, outcome, error) != outcome:
                 # The last words did not reach the disk: the run is not what it seemed to be.
                 error = error or record.failed
                 outcome = outcome_of(error)
@@ -256,8 +256,9 @@ def _hear_out(rig: Rig) -> None:
         device.finish()
 
 
-def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException | None) -> str:
+def _finish(runner: Runner, record: RecordWriter, outcome: str, error: BaseException | None) -> str:
     """Flush what is held back, write the last events and close the record; how it ended then."""
+    rig = runner.rig
     _hear_out(rig)
     with contextlib.suppress(RecordError):  # a failed record is the outcome already
         rig.valve.telemetry.flush()
@@ -278,6 +279,7 @@ def _finish(rig: Rig, record: RecordWriter, outcome: str, error: BaseException |
                 **instrument_counters(rig),
             },
             duration_s=(rig.clock.now_ns() - record.start_ns) / NS_PER_S,
+            **({} if rig.clock.virtual else {"lateness": runner.computer.as_dict()}),
         )
     except RecordError:
         if error is None:

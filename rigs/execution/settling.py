@@ -9,23 +9,29 @@ import numpy as np
 
 from daq.clock import NS_PER_S
 from rigs.bench.rig import Rig
+from rigs.execution.pressure_sensor import PressureSensor
 from rigs.steps.steps import Settle
 
 SAMPLE_S = 1e-3
 
 
-def has_settled(rig: Rig, camera: Mapping[str, Any], step: Settle) -> Callable[[], bool]:
+def has_settled(
+    rig: Rig, sensor: PressureSensor, camera: Mapping[str, Any], step: Settle
+) -> Callable[[], bool]:
     """Asked from now on, in every round: does the last window fulfil the criterion?
 
     Args:
         rig: open instruments.
+        sensor: whose reading is the pressure.
         camera: how pictures are measured, as run.json says it.
         step: criterion and set-point.
     """
     c = step.criterion
-    samples, readings = _sizes(step, c.window_s)
+    samples, readings = _sizes(c.window_s)
     first_seq = rig.valve.seq_end
     first_row = rig.balance.rows
+    first_reading = sensor.rows
+    pressures = sensor.needed(c.window_s)
     length = _Length(rig, camera, c.window_s, c.drift_mm) if c.drift_mm is not None else None
 
     def settled() -> bool:
@@ -33,39 +39,44 @@ def has_settled(rig: Rig, camera: Mapping[str, Any], step: Settle) -> Callable[[
             return False
         if c.drift_n is not None and rig.balance.rows < first_row + readings:
             return False
-        if not _rests(rig, step, samples, readings):
+        if sensor.rows < first_reading + pressures:
+            return False
+        if not _rests(rig, sensor, step, c.window_s):
             return False
         return length is None or length.rests()
 
     return settled
 
 
-def still_settled(rig: Rig, step: Settle, seconds: float) -> bool:
+def still_settled(rig: Rig, sensor: PressureSensor, step: Settle, seconds: float) -> bool:
     """Whether pressure and force of the last ``seconds`` still fulfil the criterion.
 
     Asked at the end of a measuring window: what settled before it may have moved in it. A window
     shorter than the criterion's is judged over the criterion's.
     """
-    return _rests(rig, step, *_sizes(step, max(seconds, step.criterion.window_s)))
+    return _rests(rig, sensor, step, max(seconds, step.criterion.window_s))
 
 
-def _sizes(step: Settle, seconds: float) -> tuple[int, int]:
-    """Pressure samples and balance readings in a time."""
+def _sizes(seconds: float) -> tuple[int, int]:
+    """Samples of the controller and balance readings in a time."""
     return round(seconds / SAMPLE_S), max(4, round(seconds * 10))
 
 
-def _rests(rig: Rig, step: Settle, samples: int, readings: int) -> bool:
-    """Whether the newest samples and readings fulfil the criterion."""
+def _rests(rig: Rig, sensor: PressureSensor, step: Settle, seconds: float) -> bool:
+    """Whether the readings of the last seconds fulfil the criterion."""
     c, cal = step.criterion, rig.config.calibrations
+    samples, readings = _sizes(seconds)
     tolerance = c.pressure_kpa
     if not rig.pressure_source.closed_on_sensor:
         # The source is not closed on this sensor, so the two may differ by what the
         # sensor's calibration allows.
         tolerance += 3 * float(cal["pressure_kpa"].u(step.pressure_kpa))
-    counts = rig.valve.recent_counts(samples)
-    half = len(counts) // 2
-    means = (counts[:half].mean(), counts[half:].mean())  # a calibration is a straight line
-    early, late = (float(cal["pressure_kpa"].apply(mean)) for mean in means)
+    if sensor.instrument is not None:
+        # Neither is this sensor: the set-point is that of the controller.
+        tolerance += sensor.band_kpa(step.pressure_kpa)
+    kpa = sensor.recent_kpa(samples, sensor.needed(seconds))
+    half = len(kpa) // 2
+    early, late = float(kpa[:half].mean()), float(kpa[half:].mean())
     if abs((early + late) / 2 - step.pressure_kpa) > tolerance or abs(late - early) > c.drift_kpa:
         return False
     if c.drift_n is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -153,6 +154,28 @@ class RigConfig:
     )
 
     @property
+    def pressure_calibration(self) -> Calibration:
+        """That of the sensor whose reading is the pressure of a test."""
+        sensor = self.pressure_source.sensor
+        if not sensor:
+            return self.calibrations["pressure_kpa"]
+        return self.instruments.readers()[sensor].calibration
+
+    def sensor_band_kpa(self, pressure_kpa: float) -> float:
+        """How far the controller's reading may differ from that of the pressure's own sensor.
+
+        Where the rig file states no band: three standard uncertainties of the difference by both
+        calibrations, and two steps of the controller's converter.
+        """
+        if self.pressure_source.sensor_band_kpa:
+            return self.pressure_source.sensor_band_kpa
+        controller = self.calibrations["pressure_kpa"]
+        u = math.hypot(
+            float(controller.u(pressure_kpa)), float(self.pressure_calibration.u(pressure_kpa))
+        )
+        return 3.0 * u + 2.0 * abs(controller.scale)
+
+    @property
     def is_virtual(self) -> bool:
         """True when every device of this rig is simulated in this process."""
         return self.valve.port == VIRTUAL
@@ -226,6 +249,7 @@ def _check_whole(rig: RigConfig, root: Table) -> None:
             "a rig is either wholly virtual or wholly on ports; this one mixes both",
             'start `pamrig virtual` and use its ports, or set all to "virtual"',
         )
+    _check_sensor(rig, root)
     if rig.is_virtual and rig.virtual is None:
         raise root.fail("virtual", "a virtual rig needs a [virtual] table", "see configs/rigs")
     high = float(rig.calibrations["pressure_kpa"].apply(TOP_COUNT))
@@ -234,6 +258,22 @@ def _check_whole(rig: RigConfig, root: Table) -> None:
             "limits.trip_kpa",
             f"{rig.limits.trip_kpa:g} kPa is above the pressure sensor's range ({high:g} kPa)",
             "a trip that the sensor cannot see protects nobody",
+        )
+
+
+def _check_sensor(rig: RigConfig, root: Table) -> None:
+    """The sensor of the pressure is an instrument of the rig that reads kPa."""
+    sensor = rig.pressure_source.sensor
+    if not sensor:
+        return
+    readers = rig.instruments.readers()
+    fit = [n for n, device in readers.items() if device.form.quantity == "pressure_kpa"]
+    if sensor not in fit:
+        what = "reads no pressure" if sensor in readers else "is no instrument of this rig"
+        raise root.fail(
+            "pressure_source.sensor",
+            f"{sensor!r} {what}",
+            f"one of: controller{''.join(', ' + name for name in fit)}",
         )
 
 

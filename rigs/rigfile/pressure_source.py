@@ -28,6 +28,11 @@ GROUP = "pamrig.pressure_sources"
 bench, ``emulator``. Such a kind has a port."""
 
 WITHOUT_PORT = ("solenoids", "regulator-output", "hand-regulator")
+SENSOR_LAG_S = 0.5
+SENSOR_STALE_S = 1.5
+SENSOR_KEYS = ("sensor", "sensor_band_kpa", "sensor_lag_s", "sensor_stale_s")
+CONTROLLER = "controller"
+"""The sensor of a rig file that names no other."""
 SCHEME = {"solenoids": "pwm", "regulator-output": "reg"}
 """The controller's scheme that a kind needs; a driver with a port checks it by itself."""
 
@@ -37,9 +42,18 @@ class PressureSourceSettings(Device):
     """The pressure source of a rig; ``port`` is empty for one without a port of its own.
 
     ``own`` are the keys that only its driver knows; :meth:`table` reads them.
+
+    ``sensor`` names the instrument whose reading is the pressure of a test; empty for the
+    controller's own. ``sensor_band_kpa`` is how far the two may differ (0: as their calibrations
+    allow), ``sensor_lag_s`` how late its readings are at most, ``sensor_stale_s`` how long it may
+    be silent.
     """
 
     kind: str = "solenoids"
+    sensor: str = ""
+    sensor_band_kpa: float = 0.0
+    sensor_lag_s: float = SENSOR_LAG_S
+    sensor_stale_s: float = SENSOR_STALE_S
     own: Mapping[str, Any] = field(default_factory=dict)
     file: str = ""
 
@@ -64,9 +78,18 @@ def read_pressure_source(root: Table, scheme: str, by_hand: bool) -> PressureSou
     if "pressure_source" not in root:
         return PressureSourceSettings("", 0, "", implied, file=root.source)
     t = root.table("pressure_source")
-    kind = t.text("kind")
+    kind = t.text("kind", implied)
     if kind not in MODULES and kind not in installed(GROUP):
         raise t.fail("kind", f"{kind!r} is not one of {', '.join((*MODULES, *installed(GROUP)))}")
+    named = t.text("sensor", CONTROLLER)
+    sensor: dict[str, Any] = {}
+    if named != CONTROLLER:
+        sensor = {
+            "sensor": named,
+            "sensor_band_kpa": t.number("sensor_band_kpa", 0, 1000, 0.0, unit="kPa"),
+            "sensor_lag_s": t.number("sensor_lag_s", 0.05, 10, SENSOR_LAG_S, unit="s"),
+            "sensor_stale_s": t.number("sensor_stale_s", 0.1, 60, SENSOR_STALE_S, unit="s"),
+        }
     if kind == "hand-regulator" and not by_hand:
         raise t.fail("kind", "needs the table [manual.pressure]", "add it (docs/instruments.md)")
     if by_hand and kind != "hand-regulator":
@@ -75,8 +98,8 @@ def read_pressure_source(root: Table, scheme: str, by_hand: bool) -> PressureSou
         raise t.fail("kind", f'{kind!r} needs valve.static_scheme = "{SCHEME[kind]}"', "change one")
     if kind in WITHOUT_PORT:
         t.finish()
-        return PressureSourceSettings("", 0, "", kind, file=root.source)
-    common = ("kind", "port", "baud", "serial")
+        return PressureSourceSettings("", 0, "", kind, file=root.source, **sensor)
+    common = ("kind", "port", "baud", "serial", *SENSOR_KEYS)
     return PressureSourceSettings(
         t.text("port"),
         t.integer("baud", 300, 4_000_000, 9600),
@@ -84,6 +107,7 @@ def read_pressure_source(root: Table, scheme: str, by_hand: bool) -> PressureSou
         kind=kind,
         own={key: t.raw(key) for key in t.keys() if key not in common},  # noqa: SIM118
         file=root.source,
+        **sensor,
     )
 
 

@@ -36,6 +36,7 @@ class VirtualBalance:
         comma: True prints decimal commas.
         flag: "overload" or "underload" is printed in place of a reading.
         wire: injects faults.
+        period_ns: time between two readings.
     """
 
     def __init__(  # noqa: PLR0913 - a balance has that many named properties
@@ -69,6 +70,7 @@ class VirtualBalance:
         self.wire = Wire(send)
         self._now_ns = 0
         self._sample_ns = SAMPLE_NS
+        self.period_ns = SAMPLE_NS
 
     def feed(self, data: bytes) -> None:
         """Bytes from the host."""
@@ -110,7 +112,7 @@ class VirtualBalance:
         """Take every sample that is due by ``to_ns`` (bench time)."""
         while self._sample_ns <= to_ns:
             self._now_ns = self._sample_ns
-            self._sample_ns += SAMPLE_NS
+            self._sample_ns += self.period_ns
             self._sample()
         self._now_ns = to_ns
         self.wire.advance(to_ns)

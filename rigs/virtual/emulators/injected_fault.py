@@ -14,6 +14,9 @@ class Wire:
     Args:
         send: takes the bytes that go to the host.
         late_ns: how long a late message is held.
+
+    Attributes:
+        bunch_ns: an adapter that delivers only at multiples of this time; 0 for none.
     """
 
     def __init__(self, send: Callable[[bytes], None], late_ns: int = 700_000_000) -> None:
@@ -22,6 +25,9 @@ class Wire:
         self._next: deque[str] = deque()
         self._held: deque[tuple[int, bytes]] = deque()
         self._before = b""
+        self.bunch_ns = 0
+        self._adapter = b""
+        self._deliver_ns = 0
         self.done: list[str] = []
 
     def arrange(self, *faults: str) -> None:
@@ -30,6 +36,10 @@ class Wire:
 
     def send(self, message: bytes, now_ns: int) -> None:
         """One whole message of the instrument; nothing overtakes a late one."""
+        if self.bunch_ns:
+            self._adapter += message
+            self._deliver_ns = -(-now_ns // self.bunch_ns) * self.bunch_ns
+            return
         if self._held:
             self._held.append((self._held[-1][0], message))
             self._before = message
@@ -62,9 +72,14 @@ class Wire:
     @property
     def next_ns(self) -> int | None:
         """When a held message is due."""
+        if self._adapter:
+            return self._deliver_ns
         return self._held[0][0] if self._held else None
 
     def advance(self, now_ns: int) -> None:
         """Send what is due."""
+        if self._adapter and self._deliver_ns <= now_ns:
+            data, self._adapter = self._adapter, b""
+            self._send(data)
         while self._held and self._held[0][0] <= now_ns:
             self._send(self._held.popleft()[1])
