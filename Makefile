@@ -9,12 +9,15 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test golden lint types bench campaign faults fuzz soak real audit look board wheel lock clean
 
-$(READY): requirements.lock pyproject.toml
+# Every file that is installed has a sum in a lock file; nothing is built from sources.
+HASHED := --quiet --no-compile --no-deps --require-hashes --only-binary :all:
+
+$(READY): requirements.lock locks/build.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pamrig needs Python 3.11 or newer")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --no-compile --no-deps -r requirements.lock
-	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-deps --editable .
+	$(BIN)/python -m pip install $(HASHED) -r locks/build.lock
+	$(BIN)/python -m pip install $(HASHED) -r requirements.lock
+	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
 demo: $(READY)   ## an isometric test on the virtual bench, then the thesis's measured table
@@ -51,14 +54,14 @@ board: $(READY)   ## the firmware on an emulated RP2040: IMAGE=RPI_PICO.uf2 BOOT
 real: $(READY)   ## measured data of others, DATA=FOLDER: docs/evidence/real-data.md says which
 	$(BIN)/python -m tests.real "$(DATA)" --page docs/evidence/real-data.md
 
-audit: $(READY)   ## pins of the lock file, and known holes where pip-audit and a network are there
-	$(BIN)/python -m tests.audit
+audit: $(READY)   ## pins and sums of the lock files, an SBOM, and known holes (pip-audit, a network)
+	$(BIN)/python -m tests.audit --sbom out/sbom.json
 
 look: $(READY)   ## what needs a browser: the pictures in docs
 	$(BIN)/python -m pytest -m look
 
-$(VENV)/.peers: $(READY)   # pamrig's own packages stay as they are pinned
-	$(BIN)/python -m pip install --quiet --constraint requirements.lock --editable '.[bench,peers]'
+$(VENV)/.peers: $(READY) locks/peers.lock   # pamrig's own packages stay as they are pinned
+	$(BIN)/python -m pip install $(HASHED) -r locks/peers.lock
 	@touch $@
 
 bench: $(VENV)/.peers   ## side by side with what one would use instead: docs/evidence/benchmarks.md
@@ -73,10 +76,19 @@ types: $(READY)
 	$(BIN)/mypy
 
 wheel: $(READY)
-	$(BIN)/python -m build --wheel --outdir dist .
+	$(BIN)/python -m build --wheel --no-isolation --outdir dist .
 
-lock:   ## pin anew after changing dependencies (needs uv)
-	uv pip compile --quiet pyproject.toml --extra test --extra dev --extra bench --extra symbolic --universal --no-header --no-annotate --upgrade --output-file requirements.lock
+# Sums of every file of a version: wheels of Linux, macOS and Windows, and the sources.
+COMPILE = uv pip compile --quiet --universal --no-header --no-annotate --generate-hashes $(UPGRADE)
+EXTRAS  := --extra test --extra dev --extra bench --extra symbolic
+
+lock: UPGRADE ?= --upgrade
+lock:   ## pin anew after changing dependencies (needs uv); UPGRADE= keeps the versions
+	$(COMPILE) pyproject.toml $(EXTRAS) --output-file requirements.lock
+	$(COMPILE) pyproject.toml --constraint requirements.lock --output-file locks/run.lock
+	$(COMPILE) --group build --output-file locks/build.lock
+	$(COMPILE) pyproject.toml --extra bench --extra peers --constraint requirements.lock --output-file locks/peers.lock
+	$(COMPILE) --group audit --output-file locks/audit.lock
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache

@@ -16,13 +16,22 @@ ANALYSES: dict[str, str] = {
     "switching-time": "switching",
     "switching-voltage": "switching",
     "simulate": "simulation",
+    "interactive": "points",
 }  # fmt: skip
 """Protocol to module of ``analysis.findings``; its ``ANALYSES`` has an entry with that name."""
 
 
 def analysis_of(protocol: object) -> Analysis:
-    """The analysis of a protocol; that of isometric tests if the protocol is unknown."""
-    name = protocol if isinstance(protocol, str) and protocol in ANALYSES else "isometric"
+    """The analysis of a protocol.
+
+    A protocol that is not listed here has its settled points as result; a record that names no
+    protocol is an isometric test.
+    """
+    name = protocol if isinstance(protocol, str) else "isometric"
+    if name not in ANALYSES:
+        from analysis.findings.points import points_analysis
+
+        return points_analysis(name)
     found = {a.name: a for a in import_module(f"analysis.findings.{ANALYSES[name]}").ANALYSES}[name]
     assert isinstance(found, Analysis)
     return found

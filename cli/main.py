@@ -60,7 +60,7 @@ def _group(name: str, summary: str) -> typer.Typer:
 
 runs_app = _group("runs", "List, show, verify and rebuild recorded runs.")
 add_runs(runs_app)
-add_models(_group("models", "Models of the muscle: list, compare, audit."))
+add_models(_group("models", "Models of the muscle: list, compare, audit, rotary."))
 add_imports(_group("import", "Make a run or a data set from data measured elsewhere."))
 add_calibration(_group("calibrate", "Calibrate an instrument."))
 add_gap(

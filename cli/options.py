@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
+
+from daq.errors import ConfigError
 
 RUNS = Path("runs")
 
@@ -44,3 +47,25 @@ WarmOption = Annotated[
 WithoutOption = Annotated[
     str, Option("--without", help="Effects to remove from the catalogue, separated by commas.")
 ]
+
+
+def bounded(
+    option: str, value: float, low: float, high: float, unit: str = "", *, above: bool = False
+) -> None:
+    """Refuse an option's number outside ``low`` to ``high``.
+
+    Args:
+        option: its name.
+        value: what was given.
+        low, high: the ends; both are allowed.
+        unit: for the message.
+        above: ``low`` itself is not allowed.
+
+    Raises:
+        ConfigError: names option, range and value.
+    """
+    if math.isfinite(value) and low <= value <= high and not (above and value == low):
+        return
+    unit = f" {unit}" if unit else ""
+    wanted = f"above {low:g} up to {high:g}" if above else f"from {low:g} to {high:g}"
+    raise ConfigError(option, f"expected a number {wanted}{unit}, got {value:g}")

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from daq.store.run import Run
     from gap.data.simulator import ExternalSimulator
     from gap.verdict import Verdict
+    from rigs.interactive.client import InteractiveRig
 
 NEWEST_S = 1.0
 """Older readings of a slow stream are left out of `RecordedRun.joined`."""
 
-__all__ = ["RecordedRun", "diagnose", "open_run", "runs", "simulate"]
+__all__ = ["RecordedRun", "diagnose", "open_rig", "open_run", "runs", "simulate"]
 
 
 class RecordedRun:
@@ -121,6 +122,20 @@ def open_run(run: str | Path = "last", runs: str | Path = "runs") -> RecordedRun
     for text in opened.problems:
         warnings.warn(f"{opened.run.run_id}: {text}", stacklevel=2)
     return opened
+
+
+def open_rig(rig: str | Path = "virtual", runs: str | Path = "runs", **more: Any) -> InteractiveRig:
+    """Open a rig to drive it by hand from a notebook or a script.
+
+    ``with pamrig.open_rig("bench.toml") as rig: ...``; see
+    `rigs.interactive.client.InteractiveRig` for its methods and for ``more``.
+
+    Raises:
+        daq.errors.PamrigError: the rig cannot be opened; names device or file, key and remedy.
+    """
+    from rigs.interactive.client import InteractiveRig
+
+    return InteractiveRig(rig, runs, **more)
 
 
 def runs(folder: str | Path = "runs") -> pd.DataFrame:

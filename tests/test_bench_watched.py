@@ -1,15 +1,17 @@
-"""A viewer that is absent, frozen or killed costs a real-time test nothing."""
+"""A viewer that is attacked, frozen or killed costs a real-time test nothing."""
 
 from __future__ import annotations
 
 import os
 import re
 import socket
+import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import psutil
 import pytest
 
 from bench_process import (
@@ -25,19 +27,40 @@ from bench_process import (
 )
 from daq.store.run import open_run
 from daq.store.verify import verify
+from door_attack import crowd, flood
 
 pytestmark = pytest.mark.realtime
 # A bench in a laboratory has its computer to itself; a test machine need not.
-LATE_MS = 10.0 if os.environ.get("PAMRIG_CAMPAIGN") else None
+FULL = bool(os.environ.get("PAMRIG_CAMPAIGN"))
+LATE_MS = 10.0 if FULL else None
+CROWD, FLOOD = (10_000, 10_000) if FULL else (300, 100)
 
 
 @contextmanager
-def frozen_viewer(port: int) -> Iterator[None]:
-    """Connects to the live view's server and never reads a byte."""
-    with socket.create_connection(("127.0.0.1", port), timeout=60) as s:
-        # The beginning of an HTTP/2 connection, as a viewer sends it.
-        s.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes.fromhex("000000040000000000"))
+def frozen_viewer(url: str) -> Iterator[None]:
+    """Asks for the data of the live view, and never reads a byte of them."""
+    port, path = re.fullmatch(r"http://127\.0\.0\.1:(\d+)(/.*)", url).groups()
+    with socket.create_connection(("127.0.0.1", int(port)), timeout=60) as s:
+        s.sendall(f"GET {path}view.rrd HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
         yield
+
+
+def attacked(url: str) -> None:
+    """A crowd that says nothing, and beside it a flood of strangers, for some seconds."""
+    port = int(url.split(":")[2].split("/")[0])
+    with crowd(port, CROWD):
+        seen = flood(port, FLOOD, limit_s=60.0)  # at most until the run has ended
+    assert seen.connections >= 100
+    assert seen.content == 0
+    assert set(seen.statuses) <= {"400", "403", "none"}
+    print(f"\n{CROWD} idle connections, {seen.connections} requests: {seen.statuses}")
+
+
+def viewer_of(client: subprocess.Popen[str]) -> psutil.Process:
+    """The viewer's process of a run."""
+    children = psutil.Process(client.pid).children()
+    (found,) = (child for child in children if "daq.live.screen" in child.cmdline())
+    return found
 
 
 def watched(place: Path, viewer: str) -> tuple[int, str, str, str]:
@@ -52,23 +75,26 @@ def watched(place: Path, viewer: str) -> tuple[int, str, str, str]:
         while "live view" not in line:
             assert line, client.communicate()
             line = client.stderr.readline()
-        found = re.search(r"127\.0\.0\.1:(\d+)", line)
+        found = re.search(r"http://127\.0\.0\.1:\d+/[\w-]{40,}/", line)
         assert found, line
-        port = int(found[1])
-        if viewer == "absent":
+        if viewer == "killed":
+            time.sleep(3)
+            viewer_of(client).kill()
+            said, told = client.communicate(timeout=LIMIT_S)
+            assert told.count("the viewer's process ended") == 1, told
+        elif viewer == "attacked":
+            time.sleep(2)
+            attacked(found[0])
             said, told = client.communicate(timeout=LIMIT_S)
         else:
-            with frozen_viewer(port):
-                if viewer == "killed":
-                    time.sleep(3)
-                else:
-                    said, told = client.communicate(timeout=LIMIT_S)
-            if viewer == "killed":
+            with frozen_viewer(found[0]):
+                time.sleep(2)
+                viewer_of(client).suspend()
                 said, told = client.communicate(timeout=LIMIT_S)
         return client.returncode, said, told, bench.stop()
 
 
-@pytest.mark.parametrize("viewer", ["absent", "frozen", "killed"])
+@pytest.mark.parametrize("viewer", ["attacked", "frozen", "killed"])
 def test_not_one_sample_is_lost(tmp_path: Path, viewer: str) -> None:
     late_ms: list[float] = []
     for attempt in range(ATTEMPTS):

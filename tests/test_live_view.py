@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,20 +16,13 @@ import psutil
 import pytest
 
 import daq.live.live
+import daq.live.page
 from analysis.layouts import layouts as names
 from analysis.layouts.layouts import isometric_layout
 from daq.live.layout import LiveLayout
 from daq.live.live import LiveView
+from daq.live.page import ViewerError, page_files, viewer_environment, viewer_program
 from daq.live.queue import DropQueue
-from daq.live.scene import Scene
-from daq.live.web import (
-    POLICY,
-    ViewerError,
-    WebViewer,
-    free_port,
-    viewer_environment,
-    viewer_program,
-)
 
 pytestmark = pytest.mark.realtime
 CLOSE_S = 30.0
@@ -95,13 +88,13 @@ def close_in_time(view: LiveView) -> None:
 def client(view: LiveView, folder) -> subprocess.Popen:
     """A real viewer client without a window: it saves what the server sends."""
     command = [str(viewer_program()), "--save", str(folder / "seen.rrd")]
-    command += ["--bind", "127.0.0.1", "--port", str(free_port(0)), view.url]
+    command += ["--bind", "127.0.0.1", "--port", "auto", view.data_url]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process = subprocess.Popen(command, env=viewer_environment(folder), **quiet)
     end = time.monotonic() + 120.0
     while not (folder / "seen.rrd").exists() and time.monotonic() < end:
         time.sleep(0.05)
-    time.sleep(0.5)
+    assert view.wait_for_viewer(60.0)
     return process
 
 
@@ -144,8 +137,23 @@ def seen(path) -> dict[str, int]:
     return rows
 
 
+def styled(path) -> set[str]:
+    """Entities of a file that have a style of their curve."""
+    import warnings
+
+    import rerun.chunk
+
+    found = set()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for chunk in rerun.chunk.RrdReader(str(path)).stream():
+            if any("SeriesLines:" in name for name in chunk.to_record_batch().schema.names):
+                found.add(str(chunk.entity_path))
+    return found
+
+
 def test_nobody_looks():
-    view = LiveView("absent", isometric_layout(), port=0)
+    view = LiveView("absent", isometric_layout(), page=False, port=0)
     assert view.error is None
     took = feed(view, 2.0)
     check_free(took)
@@ -153,27 +161,73 @@ def test_nobody_looks():
     close_in_time(view)
 
 
-def test_server_listens_on_loopback_only():
-    view = LiveView("loopback", isometric_layout(), port=0)
-    port = int(view.url.split(":")[-1].split("/")[0])
-    here = [c for c in psutil.Process().net_connections("tcp") if c.laddr.port == port]
-    assert {c.laddr.ip for c in here if c.status == "LISTEN"} == {"127.0.0.1"}
+def test_the_run_listens_nowhere_and_the_viewer_s_process_on_one_port_of_this_machine():
+    """Rerun's server stood in the run's own process, and took data from anybody."""
+    before = psutil.Process().net_connections()
+    view = LiveView("loopback", isometric_layout(), page=False, port=0)
+    assert psutil.Process().net_connections() == before
+    viewer = psutil.Process(view.pid)
+    listening = [c.laddr for c in viewer.net_connections() if c.status == "LISTEN"]
+    assert [(place.ip, place.port) for place in listening] == [("127.0.0.1", view.port)]
+    assert not any(view.url.split("/")[3] in word for word in viewer.cmdline())
     close_in_time(view)
+    assert not viewer.is_running()
 
 
 def test_a_client_that_connects_and_never_reads():
-    view = LiveView("mute", isometric_layout(), port=0, memory="16MB")
-    port = int(view.url.split(":")[-1].split("/")[0])
-    with socket.create_connection(("127.0.0.1", port)) as mute:
-        mute.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n")
-        took = feed(view, 2.0)
+    view = LiveView("mute", isometric_layout(), page=False, port=0, memory=16_000_000)
+    with socket.create_connection(("127.0.0.1", view.port)) as mute:
+        path = view.data_url.split("/", 3)[3]
+        mute.sendall(f"GET /{path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+        assert view.wait_for_viewer(60.0)
+        took = feed(view, 2.0, frames_hz=100.0)
         check_free(took)
         assert view.error is None
+        assert psutil.Process(view.pid).memory_info().rss < 400e6
         close_in_time(view)
 
 
+def test_a_viewer_s_process_that_is_stopped():
+    """The pipe fills, the queue drops its oldest items, and closing does not wait for it."""
+    queue = DropQueue(bulk_bytes=200_000)
+    view = LiveView("stopped", isometric_layout(), page=False, port=0, queue=queue)
+    os.kill(view.pid, signal.SIGSTOP)
+    took = feed(view, 3.0, frames_hz=100.0)
+    check_free(took)
+    assert view.dropped > 100
+    assert queue.held_bytes <= 200_000
+    close_in_time(view)
+    assert "did not accept" in view.error
+
+
+def test_a_viewer_s_process_that_is_killed_is_stated_once(caplog):
+    view = LiveView("killed", isometric_layout(), page=False, port=0)
+    feed(view, 0.2)
+    os.kill(view.pid, signal.SIGKILL)
+    took = feed(view, 1.0)
+    check_free(took)
+    assert view.error == "the viewer's process ended (status -9)"
+    assert [r.message for r in caplog.records].count(f"live view: {view.error}") == 1
+    assert view.dropped > 100
+    close_in_time(view)
+
+
+def test_the_viewer_s_process_does_not_outlive_the_run():
+    script = (
+        "from daq.live.live import LiveView; import os, time;"
+        "from analysis.layouts.layouts import isometric_layout;"
+        "view = LiveView('x', isometric_layout(), page=False, port=0);"
+        "print(view.pid, flush=True); time.sleep(100)"
+    )
+    run = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    with run:
+        viewer = psutil.Process(int(run.stdout.readline()))
+        run.kill()
+    viewer.wait(10.0)
+
+
 def test_a_viewer_frozen_in_the_middle(tmp_path):
-    view = LiveView("frozen", isometric_layout(), port=0, memory="16MB")
+    view = LiveView("frozen", isometric_layout(), page=False, port=0, memory=16_000_000)
     viewer = client(view, tmp_path)
     try:
         feed(view, 0.5)
@@ -190,7 +244,7 @@ def test_a_viewer_frozen_in_the_middle(tmp_path):
 
 
 def test_a_viewer_killed_in_the_middle_and_another_that_comes_later(tmp_path):
-    view = LiveView("killed", isometric_layout(), port=0)
+    view = LiveView("killed", isometric_layout(), page=False, port=0)
     first, second = tmp_path / "first", tmp_path / "second"
     first.mkdir()
     second.mkdir()
@@ -211,28 +265,11 @@ def test_a_viewer_killed_in_the_middle_and_another_that_comes_later(tmp_path):
     assert view.dropped == 0
 
 
-def test_a_viewer_that_blocks_for_ever_costs_only_the_newest_picture(monkeypatch):
-    """What ``log`` does when its buffers are full, done for certain."""
-    release = threading.Event()
-    monkeypatch.setattr(Scene, "series", lambda *_: release.wait(30.0))
-    monkeypatch.setattr(daq.live.live, "CLOSE_S", 1.0)
-    queue = DropQueue(bulk_bytes=200_000)
-    view = LiveView("stuck", isometric_layout(), port=0, queue=queue)
-    took = feed(view, 2.0, frames_hz=50.0)
-    check_free(took)
-    assert view.dropped > 100
-    assert queue.held_bytes <= 200_000
-    close_in_time(view)
-    assert "did not accept" in view.error
-    release.set()
-
-
-def test_without_the_viewer_installed_the_test_runs_and_the_view_says_why(monkeypatch):
-    for name in [n for n in sys.modules if n.split(".")[0] == "rerun"]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    view = LiveView("missing", isometric_layout(), port=0, web=True)
-    assert "rerun" in view.error
+def test_without_the_viewer_installed_the_test_runs_and_the_view_says_why(tmp_path, monkeypatch):
+    (tmp_path / "rerun.py").write_text("raise ImportError('no rerun here')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    view = LiveView("missing", isometric_layout(), port=0)
+    assert "no rerun here" in view.error
     view.series(names.FORCE, [0.0], [1.0])
     view.text(0.0, "hello")
     assert view.dropped == 2
@@ -244,14 +281,14 @@ def test_a_taken_port_is_left_to_its_owner():
         owner.bind(("127.0.0.1", 0))
         owner.listen()
         taken = owner.getsockname()[1]
-        view = LiveView("second", isometric_layout(), port=taken)
+        view = LiveView("second", isometric_layout(), page=False, port=taken)
         assert view.error is None
-        assert f":{taken}/" not in view.url
+        assert view.port != taken
         close_in_time(view)
 
 
 def test_nonsense_is_refused_and_counted_and_the_rest_is_still_shown(tmp_path):
-    view = LiveView("nonsense", isometric_layout(), port=0)
+    view = LiveView("nonsense", isometric_layout(), page=False, port=0)
     viewer = client(view, tmp_path)
     view.series(names.FORCE, [0.0, 1.0], [1.0])
     view.series(names.FORCE, "when", "what")
@@ -269,7 +306,7 @@ def test_nonsense_is_refused_and_counted_and_the_rest_is_still_shown(tmp_path):
 
 
 def test_series_nobody_planned_for_are_drawn_and_no_more_than_100_points_a_second(tmp_path):
-    view = LiveView("extra", isometric_layout(), port=0)
+    view = LiveView("extra", isometric_layout(), page=False, port=0)
     viewer = client(view, tmp_path)
     t = np.arange(5_000) * 1e-3
     for part in np.split(t, 100):
@@ -284,7 +321,7 @@ def test_series_nobody_planned_for_are_drawn_and_no_more_than_100_points_a_secon
 
 
 def test_a_staircase_is_drawn_by_its_steps_in_order_and_carried_on(tmp_path):
-    view = LiveView("steps", isometric_layout(), port=0)
+    view = LiveView("steps", isometric_layout(), page=False, port=0)
     viewer = client(view, tmp_path)
     t = np.arange(3_000) * 1e-3
     for k, part in enumerate(np.split(t, 60)):
@@ -305,7 +342,7 @@ def test_a_staircase_is_drawn_by_its_steps_in_order_and_carried_on(tmp_path):
 
 
 def test_an_empty_layout_still_shows_what_it_is_handed():
-    view = LiveView("bare", LiveLayout("bare", ()), port=0)
+    view = LiveView("bare", LiveLayout("bare", ()), page=False, port=0)
     view.series("a/b", [0.0], [1.0])
     view.state("c", 0.0, "on")
     close_in_time(view)
@@ -314,32 +351,45 @@ def test_an_empty_layout_still_shows_what_it_is_handed():
 
 
 def test_after_closing_items_are_counted_as_dropped():
-    view = LiveView("closed", isometric_layout(), port=0)
+    view = LiveView("closed", isometric_layout(), page=False, port=0)
     view.close()
     view.series(names.FORCE, [0.0], [0.0])
     view.state(names.STATE, 0.0, "x")
     assert view.dropped == 2
 
 
-def test_the_page_is_served_on_loopback_under_a_policy_and_reports_nothing(tmp_path):
-    import urllib.request
-
-    with LiveView("page", isometric_layout(), port=0, web=True) as view:
-        assert view.web_error is None
-        with urllib.request.urlopen(view.web_url, timeout=60.0) as page:
-            assert page.headers["Content-Security-Policy"] == POLICY
-            assert b"Rerun" in page.read()
-        assert "tel.rerun.io" not in POLICY
-        program = psutil.Process(view._web.pid)
-        assert program.environ()["CI"] == "1"
-        assert program.environ()["XDG_CONFIG_HOME"] != ""
-        ports = [psutil.Process(), program]
-        listening = [c for p in ports for c in p.net_connections("tcp") if c.status == "LISTEN"]
-        assert listening
-        assert {c.laddr.ip for c in listening} == {"127.0.0.1"}
-    assert not program.is_running()
+def test_an_old_picture_goes_before_what_every_viewer_needs(tmp_path):
+    """A viewer that comes late to a long test misses its oldest data, and nothing else."""
+    view = LiveView("long", isometric_layout(), page=False, port=0, memory=2_000_000)
+    feed(view, 2.0, frames_hz=50.0)
+    viewer = client(view, tmp_path)
+    feed(view, 0.3)
+    close_in_time(view)
+    ended(viewer, tmp_path / "seen.rrd")
+    assert (tmp_path / "seen.rrd").stat().st_size < 4_000_000
+    assert curves_in(tmp_path / "seen.rrd")[names.PRESSURE][-1, 0] > 0.2
+    assert f"/{names.PRESSURE}" in styled(tmp_path / "seen.rrd")
 
 
-def test_a_page_that_does_not_come_up_is_named(tmp_path):
-    with pytest.raises(ViewerError, match="rerun viewer"):
-        WebViewer([str(tmp_path / "missing.rrd")], port=0)
+def test_the_page_comes_from_a_program_that_reports_nothing_and_has_ended(monkeypatch):
+    started = []
+
+    class Watched(subprocess.Popen):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            started.append((self, kwargs["env"]))
+
+    monkeypatch.setattr(daq.live.page.subprocess, "Popen", Watched)
+    files = page_files()
+    assert b"Rerun" in files["index.html"].content
+    assert files["re_viewer_bg.wasm"].content[:4] == b"\0asm"
+    ((program, environment),) = started
+    assert program.poll() is not None
+    assert environment["CI"] == "1"
+    assert environment["XDG_CONFIG_HOME"] != os.environ.get("XDG_CONFIG_HOME")
+
+
+def test_a_page_that_does_not_come_up_is_named_and_its_program_is_ended(monkeypatch):
+    monkeypatch.setattr(daq.live.page, "START_S", 0.0)
+    with pytest.raises(ViewerError, match="no page within"):
+        page_files()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from itertools import pairwise
 
@@ -137,3 +138,58 @@ def test_turning_the_other_way_is_the_mirror_image() -> None:
     m = MUSCLES[0]
     assert m.bulge_volume(-0.7) == pytest.approx(float(m.bulge_volume(0.7)))
     assert m.dvolume_dtheta(-0.7) == pytest.approx(-float(m.dvolume_dtheta(0.7)))
+
+
+def said(words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Exit status, standard output and error of `pamrig models rotary`."""
+    from cli.main import main
+
+    monkeypatch.setattr("sys.argv", ["pamrig", "models", "rotary", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code, *capsys.readouterr()
+
+
+def test_the_command_prints_the_model(monkeypatch, capsys) -> None:
+    words = ["--radius-mm", "15", "--length-mm", "40", "--fibre-mm", "50", "--angles", "20,-60"]
+    status, out, _ = said([*words, "--pressures", "200", "--json"], monkeypatch, capsys)
+    assert status == 0
+    found = json.loads(out)
+    muscle = MUSCLES[0]
+    assert found["range_deg"] == pytest.approx(np.degrees(muscle.range_rad))
+    for row, theta in zip(found["rows"], np.radians([20.0, -60.0]), strict=True):
+        volume, slope = quadrature(muscle, theta)
+        assert row["bulge_ml"] == pytest.approx(volume * 1e6, rel=1e-9)
+        assert row["dvolume_ml_per_rad"] == pytest.approx(slope * 1e6, rel=1e-9)
+        assert row["torque_n_m"] == [pytest.approx(-200e3 * slope, rel=1e-9)]
+    status, out, _ = said(words, monkeypatch, capsys)
+    assert status == 0
+    assert len(out.splitlines()) == 4
+    assert "100 kPa, N m" in out
+
+
+def test_the_command_spreads_angles_over_the_range(monkeypatch, capsys) -> None:
+    status, out, _ = said(["--json"], monkeypatch, capsys)
+    rows = json.loads(out)["rows"]
+    assert status == 0
+    assert rows[0]["angle_deg"] == 0.0
+    assert rows[-1]["angle_deg"] == pytest.approx(0.99 * json.loads(out)["range_deg"][1])
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--fibre-mm", "40"], "is not longer than length_m"),
+        (["--radius-mm", "0"], "--radius-mm: expected a number above 0"),
+        (["--angles", "300"], "has no geometry"),
+        (["--angles", "nan"], "--angles: 'nan' is no list of numbers"),
+        (["--pressures", "-1"], "--pressures: expected a number from 0"),
+        (["--pressures", "ten"], "--pressures: 'ten' is no list of numbers"),
+    ],
+)
+def test_what_has_no_geometry_is_one_line(words, text, monkeypatch, capsys) -> None:
+    status, out, error = said(words, monkeypatch, capsys)
+    assert (status, out) == (2, "")
+    assert error.startswith("pamrig: ")
+    assert text in error
+    assert error.count("\n") == 1

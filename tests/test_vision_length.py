@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from cli.data.length import length_report, measure_lengths, parse_box
+from cli.data.length import length_report, measure_lengths, parse_box, write_lengths
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, DeviceError, PamrigError
 from rigs.calibration.camera import calibrate_from_board, calibrate_from_gauges
@@ -165,10 +167,77 @@ def test_bad_roi(roi):
 def test_roi_outside_the_frame_and_unknown_method(tmp_path, frames):
     cv2.imwrite(str(tmp_path / "a.png"), frames[0])
     for method in ("edge", "macro"):
-        with pytest.raises(ConfigError, match="640 x 480"):
-            length_report(tmp_path / "a.png", method=method, roi="900,900,50,50")
+        got, failed = rows(tmp_path / "a.png", method=method, roi="900,900,50,50")
+        assert "640 x 480" in failed
+        assert got[0]["pixels"] is None
+        assert "640 x 480" in got[0]["reason"]
     with pytest.raises(ConfigError, match="edge or macro"):
         length_report(tmp_path / "a.png", method="guess")
+
+
+def test_no_frame_ends_a_folder(tmp_path, frames):
+    """One frame of noise ended 1,680 others with a ValueError and no output at all."""
+    cv2.imwrite(str(tmp_path / "a.png"), frames[0])
+    noise = np.random.default_rng(47).integers(0, 256, (480, 640), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "b.png"), noise)
+    cv2.imwrite(str(tmp_path / "c.png"), np.full((480, 1), 90, np.uint8))
+    cv2.imwrite(str(tmp_path / "d.png"), np.full((480, 640), 90, np.uint8))
+    (tmp_path / "e.png").write_bytes(b"damaged")
+    cv2.imwrite(str(tmp_path / "f.png"), frames[1])
+    for roi in ("", "400,100,240,300"):
+        got, failed = rows(tmp_path, roi=roi)
+        assert not failed
+        assert [row["file"][0] for row in got] == list("abcdef")
+        assert [row["trusted"] for row in got] == [True, False, False, False, False, True]
+        assert all(row["reason"] for row in got[1:5])
+
+
+def test_a_defect_of_the_method_is_the_reason_of_its_row(tmp_path, frames, monkeypatch):
+    import vision.marker.edge as edge
+
+    def broken(frame, roi=None):
+        if frame is not None and frame[0, 0] == 7:
+            raise ZeroDivisionError("division by zero")
+        return measure_gap(frame, roi)
+
+    frames[1][0, 0] = 7
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), frames[k])
+    monkeypatch.setattr(edge, "measure_gap", broken)
+    got, failed = rows(tmp_path)
+    assert not failed
+    assert [row["trusted"] for row in got] == [True, False, True]
+    assert "ZeroDivisionError: division by zero" in got[1]["reason"]
+    _, failed = rows(tmp_path / "1.png")
+    assert "ZeroDivisionError" in failed
+
+
+def test_lengths_come_out_one_by_one():
+    """Everything was kept until the last frame was measured."""
+    parts: list[str] = []
+    seen = []
+
+    def source():
+        for row in measure_lengths("virtual:50,60,70"):
+            seen.append("".join(parts))
+            yield row
+        raise FramesError("camera", "unplugged")
+
+    with pytest.raises(FramesError, match="unplugged"):
+        write_lengths(source(), "camera", "edge", True, parts.append)
+    assert ['"virtual:50"' in text for text in seen] == [False, True, True]
+    assert len(json.loads("".join(parts))) == 3  # whole, though the source broke off
+
+
+def test_the_command_prints_while_it_measures():
+    many = "virtual:" + ",".join(["55"] * 2000)
+    command = [sys.executable, "-m", "cli.main", "length", many]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout.readline().startswith("virtual:55[0]: 136.")
+            assert process.poll() is None
+        finally:
+            process.kill()
 
 
 def test_virtual_source():
@@ -399,3 +468,40 @@ def test_plain_calibration_table_is_taken_too(tmp_path):
         )
     )
     assert isinstance(load_camera_calibration(path), CameraCalibration)
+
+
+GAUGES = ("calibrate", "camera", "--out", "c.toml", "--gauges", "blocks.csv")
+BOARD = ("calibrate", "camera", "--out", "c.toml", "--board", "board.png", "--domain-mm", "50,73")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("length", "virtual:55", "--threshold", "-5"), "--threshold: expected a number from 0 to"),
+        (("length", "virtual:55", "--method", "macro", "--threshold", "256"), "--threshold: "),
+        (("length", "virtual:55", "--count", "0"), "--count: expected a number from 1 to"),
+        (("length", "virtual:55", "--count", "-3"), "--count: "),
+        (("length", "virtual:55", "--roi", "-5,300,500,70"), "--roi: expected left,top,width"),
+        (("length", "virtual:nan"), "virtual:nan: not a length"),
+        ((*GAUGES, "--distance-mm", "0"), "--distance-mm: expected a number above 0"),
+        ((*GAUGES, "--distance-mm", "nan"), "--distance-mm: "),
+        ((*GAUGES, "--u-off-plane-mm", "-1"), "--u-off-plane-mm: expected a number from 0 to"),
+        ((*BOARD, "--square-mm", "-5"), "--square-mm: expected a number above 0 up to 1000 mm"),
+        ((*BOARD, "--offset-mm", "inf"), "--offset-mm: "),
+        ((*BOARD, "--u-offset-mm", "-0.1"), "--u-offset-mm: "),
+        ((*BOARD, "--nearer-mm", "nan"), "--nearer-mm: "),
+        ((*BOARD, "--squares", "nanx6"), "--squares: expected a number from 3 to 1000 corners"),
+        ((*BOARD, "--squares", "-9x6"), "--squares: "),
+    ],
+)
+def test_a_number_out_of_its_bounds_is_refused_in_one_line(words, said, monkeypatch, capsys):
+    from cli.main import main
+
+    monkeypatch.setattr("sys.argv", ["pamrig", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    out, err = capsys.readouterr()
+    assert ended.value.code == 2
+    assert out == ""
+    assert err.startswith(f"pamrig: {said}")
+    assert err.count("\n") == 1

@@ -45,11 +45,12 @@ def to_gray(frame: npt.NDArray[Any]) -> npt.NDArray[np.uint8] | npt.NDArray[np.f
         raise FrameError(f"a frame holds 8-bit or 16-bit grey levels, got {array.dtype}")
     if array.dtype == np.uint8 and array.ndim == 2:
         return np.ascontiguousarray(array)
-    levels = array.astype(np.float32, copy=False)
-    if array.dtype == np.uint16:
-        levels /= np.float32(257.0)
-    if levels.ndim == 3:
-        levels = levels[:, :, :3] @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused below
+        levels = array.astype(np.float32, copy=False)
+        if array.dtype == np.uint16:
+            levels /= np.float32(257.0)
+        if levels.ndim == 3:
+            levels = levels[:, :, :3] @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
     if not np.isfinite(levels).all():
         raise FrameError("the frame contains non-finite numbers")
     return np.ascontiguousarray(levels)

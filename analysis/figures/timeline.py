@@ -79,6 +79,25 @@ def min_max(x: Array, y: Array) -> tuple[Array, Array]:
     return np.repeat(x[edges], 2), np.column_stack([low, high]).ravel()
 
 
+def on_spans(seconds: Array, on: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """(begin, length) of each time in which a signal was on, exact to the sample.
+
+    A sample counts until the next one. Of a signal that switches more often than the figure can
+    show, spans within the same of 1200 equal ranges of samples are joined: its envelope.
+    """
+    if not len(on):
+        return []
+    edges = np.diff(np.concatenate(([0], on.astype(np.int8), [0])))
+    first, end = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    if len(first) > ENVELOPE_BINS:
+        bins = np.linspace(0, len(on), ENVELOPE_BINS + 1).astype(int)
+        in_bin = np.searchsorted(bins, first, side="right")
+        new = np.concatenate(([True], in_bin[1:] != in_bin[:-1]))
+        first, end = first[new], end[np.concatenate((new[1:], [True]))]
+    until = np.append(seconds, 2 * seconds[-1] - seconds[-2] if len(seconds) > 1 else seconds[-1])
+    return [(float(a), float(b - a)) for a, b in zip(until[first], until[end], strict=True)]
+
+
 def _point_times(run: Run, seq: npt.NDArray[Any], time_s: Array) -> Array:
     """Middle of each settled window in s, on the axis of the figure."""
     middles = []

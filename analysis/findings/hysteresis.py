@@ -3,6 +3,10 @@
 At each set pressure of a cycle: the value at rising pressure minus that at falling pressure. For
 each cycle: the mean difference by the rules of the thesis, and the area of the loop, which is
 proportional to the energy lost per cycle.
+
+Errors of the calibrations are common to all readings of a loop. The zero of force or length cancels
+in each difference. Its gain scales the whole loop. An error of pressure moves all readings along
+their branches, and a gain error of pressure also stretches the loop along its axis.
 """
 
 from __future__ import annotations
@@ -31,9 +35,12 @@ from analysis.regression.force_lines import nominal_kpa
 from plant.arrays import Array
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from daq.calibration import Calibration
     from daq.store.run import Run
 
 CycleKey = tuple[float, float]
@@ -106,6 +113,31 @@ ISOTONIC = Kind(
 
 
 @dataclass(frozen=True)
+class CommonErrors:
+    """Standard uncertainties of the calibrations, which all readings of a loop share.
+
+    Attributes:
+        u_value_gain: of force or length, relative.
+        u_pressure_gain: relative.
+        u_pressure_offset_kpa: of the zero of pressure.
+        pressure_offset_kpa: pressure at reading zero; gain errors grow from there.
+    """
+
+    u_value_gain: float
+    u_pressure_gain: float
+    u_pressure_offset_kpa: float
+    pressure_offset_kpa: float
+
+
+def common_errors(kind: Kind, calibrations: Mapping[str, Calibration]) -> CommonErrors | None:
+    """What the calibrations of a run allow; None if it has none (imported data)."""
+    value, pressure = calibrations.get(kind.value), calibrations.get("pressure_kpa")
+    if value is None or pressure is None:
+        return None
+    return CommonErrors(value.u_gain, pressure.u_gain, pressure.u_offset, pressure.offset)
+
+
+@dataclass(frozen=True)
 class Cycle:
     """One cycle of rising and falling pressure.
 
@@ -116,8 +148,9 @@ class Cycle:
         repeat: number of the replicate.
         pressure_kpa: set pressures with a reading in both directions, increasing.
         difference: value at rising minus value at falling pressure, in N or mm.
-        u_difference: standard uncertainty from noise; common errors cancel.
+        u_noise: standard uncertainty of each difference from noise.
         up: value at rising pressure.
+        common: what the calibrations allow; None for imported data.
     """
 
     kind: Kind
@@ -126,8 +159,9 @@ class Cycle:
     repeat: int
     pressure_kpa: Array
     difference: Array
-    u_difference: Array
+    u_noise: Array
     up: Array
+    common: CommonErrors | None = None
 
     @property
     def name(self) -> str:
@@ -146,14 +180,19 @@ class Cycle:
 
     @property
     def u_area(self) -> float:
-        """Standard uncertainty of the area; the noise of the differences is independent."""
+        """Standard uncertainty of the area: noise, which is independent, and calibrations."""
         x = self.pressure_kpa
         if len(x) < 2:
             return math.nan
         weight = np.zeros(len(x))
         weight[:-1] += np.diff(x) / 2
         weight[1:] += np.diff(x) / 2
-        return float(np.sqrt(np.nansum((weight * self.u_difference) ** 2)))
+        return self._u(weight, stretched=True)
+
+    @property
+    def u_difference(self) -> Array:
+        """Standard uncertainty of each difference."""
+        return np.array([self._u(weight) for weight in np.eye(len(self.difference))])
 
     def mean(self) -> tuple[float, float]:
         """Mean difference by the rule of the thesis (see ``Kind.rule``), and its uncertainty."""
@@ -162,8 +201,37 @@ class Cycle:
             use = (self.pressure_kpa >= LOWEST_MEAN_KPA) & (self.pressure_kpa < self.top_kpa)
         if not use.any():
             return math.nan, math.nan
-        u = float(np.sqrt(np.nansum(self.u_difference[use] ** 2))) / int(use.sum())
-        return float(self.difference[use].mean()), u
+        return float(self.difference[use].mean()), self._u(use / int(use.sum()))
+
+    def _u(self, weight: Array, stretched: bool = False) -> float:
+        """Standard uncertainty of a weighted sum of the differences.
+
+        Args:
+            weight: of each difference.
+            stretched: the weights are widths in kPa, which a gain error of pressure stretches.
+        """
+        parts = [float(np.sqrt(np.nansum((weight * self.u_noise) ** 2)))]
+        if self.common is not None:
+            e, total = self.common, float(weight @ self.difference)
+            slope = weight * self._slope()
+            by_gain = float(slope @ (self.pressure_kpa - e.pressure_offset_kpa))
+            # A gain error changes the loop that is measured between the set pressures, and the
+            # area of a given loop. A reader may mean either: the larger one is stated.
+            worst = max(abs(by_gain), abs(total) if stretched else 0.0)
+            parts += [
+                e.u_value_gain * total, e.u_pressure_gain * worst,
+                e.u_pressure_offset_kpa * float(slope.sum()),
+            ]  # fmt: skip
+        return math.hypot(*parts)
+
+    def _slope(self) -> Array:
+        """Change of the difference with pressure; 0 at the turn and where the muscle is vented."""
+        slope = np.zeros(len(self.difference))
+        below = self.pressure_kpa < self.pressure_kpa.max()
+        if below.sum() > 1:
+            slope[below] = np.gradient(self.difference[below], self.pressure_kpa[below])
+        slope[self.pressure_kpa <= 0.0] = 0.0
+        return slope
 
 
 def kind_of(table: pd.DataFrame) -> Kind:
@@ -172,12 +240,17 @@ def kind_of(table: pd.DataFrame) -> Kind:
     return ISOTONIC if hung else ISOMETRIC
 
 
-def cycles_of(table: pd.DataFrame) -> list[Cycle]:
+def cycles_of(table: pd.DataFrame, calibrations: Mapping[str, Calibration] = {}) -> list[Cycle]:
     """All cycles of a table with readings in both directions.
 
     If the turning pressure was read once only, its difference is 0, as in Tables C-5 and C-7.
+
+    Args:
+        table: settled points.
+        calibrations: of the run; without them uncertainties are those of noise alone.
     """
     kind = kind_of(table)
+    common = common_errors(kind, calibrations)
     top = table["cycle_max_kpa"] if "cycle_max_kpa" in table else table["pressure_kpa"] * 0.0
     keys = [
         kind.held_values(table).rename("held"),
@@ -213,6 +286,7 @@ def cycles_of(table: pd.DataFrame) -> list[Cycle]:
                 np.array([up[p][0] - down[p][0] for p in both]),
                 np.array(u),
                 np.array([up[p][0] for p in both]),
+                common,
             )
         )
     return found
@@ -225,7 +299,7 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
     table = reduction.table
     kind = kind_of(table)
     unit = kind.value_unit
-    cycles = cycles_of(table)
+    cycles = cycles_of(table, reduction.calibrations)
     rows = []
     for cycle in cycles:
         mean, u_mean = cycle.mean()
@@ -258,8 +332,12 @@ def hysteresis_findings(run: Run, reduction: Reduction) -> Findings:
                 ("mean", f"mean up − down, {unit}"), ("largest", f"largest, {unit}"),
                 ("share", "share, %"), ("area", f"loop area, {unit} kPa"),
             ),
-            caption=f"{EXPANDED}, from the noise of the readings; errors common to both directions"
-            " cancel.",
+            caption=f"{EXPANDED}, from the noise of the readings"
+            + (
+                " and from the calibrations: zeros cancel, a gain error scales a whole loop."
+                if reduction.calibrations
+                else "; no calibration is known."
+            ),
         ),
         _differences(cycles, kind),
     ]  # fmt: skip

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.figures.timeline import on_spans
 from analysis.figures.valve_moves import ValveMoves
 from analysis.findings.findings import (
     EXPANDED,
@@ -163,10 +164,10 @@ def _figure(run: Run, table: pd.DataFrame) -> Figure:
                     ("outlet", part["vent_u5"] > 0, SET),
                 )
                 for lane, (_, on, colour) in enumerate(lanes):
-                    bottom.fill_between(
-                        seconds, lane + 0.1, lane + 0.1 + 0.8 * on, color=colour, linewidth=0,
-                        step="post",
-                    )  # fmt: skip
+                    bottom.broken_barh(
+                        on_spans(seconds, on), (lane + 0.1, 0.8), color=colour, linewidth=0
+                    )
+                bottom.set_ylim(0.0, 4.0)
                 bottom.set_yticks([k + 0.5 for k in range(4)], [name for name, _, _ in lanes])
             for begin, _ in spans:
                 top.axvline(begin, color=QUIET, linewidth=0.5)

@@ -21,29 +21,44 @@ MAX_CORRECTION_KPA = 10.0
 def at_set_pressure(table: pd.DataFrame, value: str) -> pd.DataFrame:
     """The table with ``value`` corrected to each point's set pressure.
 
-    The slope is that between the neighbours in the same trial and direction. The noise of the
-    pressure is added to ``u_VALUE_noise``. ``pressure_kpa`` becomes the set pressure. Vented
-    points and points without neighbours stay unchanged.
+    The slope is that between the neighbours in the same trial and direction. Where a cycle turns,
+    the muscle is still on the rising branch: a reading there at falling pressure has the slope of
+    that branch, and is no neighbour of the falling one. The noise of the pressure is added to
+    ``u_VALUE_noise``. ``pressure_kpa`` becomes the set pressure. Vented points and points without
+    neighbours stay unchanged.
 
     Args:
         table: settled points.
         value: "force_n" or "length_mm".
     """
     out = table.copy()
-    for _, rows in table.groupby(["trial", "direction"], sort=False):
-        good = rows.dropna(subset=["pressure_kpa", value, "set_pressure_kpa"])
-        good = good.sort_values("pressure_kpa", kind="stable")
-        p = good["pressure_kpa"].to_numpy(dtype=np.float64)
-        if len(p) < 2 or (np.diff(p) <= 0).any():
-            continue
-        slope = np.gradient(good[value].to_numpy(dtype=np.float64), p)
-        offset = good["set_pressure_kpa"].to_numpy(dtype=np.float64) - p
-        use = np.abs(offset) <= MAX_CORRECTION_KPA
-        use &= good["set_pressure_kpa"].to_numpy() > 0.0
-        at = good.index[use]
-        out.loc[at, value] = good.loc[at, value] + slope[use] * offset[use]
-        noise = good.loc[at, f"u_{value}_noise"].to_numpy(dtype=np.float64)
-        by_pressure = slope[use] * good.loc[at, "u_pressure_kpa_noise"].to_numpy(dtype=np.float64)
-        out.loc[at, f"u_{value}_noise"] = np.hypot(noise, by_pressure)
-        out.loc[at, "pressure_kpa"] = good.loc[at, "set_pressure_kpa"]
+    for _, trial in table.groupby("trial", sort=False):
+        good = trial.dropna(subset=["pressure_kpa", value, "set_pressure_kpa"])
+        slope = _slopes(good, value).dropna()
+        good = good.loc[slope.index]
+        set_kpa = good["set_pressure_kpa"].astype(np.float64)
+        offset = set_kpa - good["pressure_kpa"].astype(np.float64)
+        at = good.index[(offset.abs() <= MAX_CORRECTION_KPA) & (set_kpa > 0.0)]
+        out.loc[at, value] = good.loc[at, value] + slope[at] * offset[at]
+        noise, by_pressure = good.loc[at, f"u_{value}_noise"], good.loc[at, "u_pressure_kpa_noise"]
+        out.loc[at, f"u_{value}_noise"] = np.hypot(noise, slope[at] * by_pressure)
+        out.loc[at, "pressure_kpa"] = set_kpa[at]
     return out
+
+
+def _slopes(points: pd.DataFrame, value: str) -> pd.Series:
+    """Slope of the own branch at each point of a trial; NaN without neighbours."""
+    slopes = points["pressure_kpa"].astype(np.float64) * np.nan
+    up = points[points["direction"] == "up"]
+    turn = points["set_pressure_kpa"].max()
+    for direction, branch in points.groupby("direction", sort=False):
+        at_turn = (branch["set_pressure_kpa"] == turn) & (direction == "down") & bool(len(up))
+        branch = branch[~at_turn].sort_values("pressure_kpa", kind="stable")
+        p = branch["pressure_kpa"].to_numpy(dtype=np.float64)
+        if len(p) >= 2 and (np.diff(p) > 0).all():
+            slopes[branch.index] = np.gradient(branch[value].to_numpy(dtype=np.float64), p)
+    top = slopes[up.index[up["set_pressure_kpa"] == turn]]
+    if len(top):
+        down = (points["direction"] == "down") & (points["set_pressure_kpa"] == turn)
+        slopes[points.index[down]] = float(top.iloc[-1])
+    return slopes

@@ -17,9 +17,14 @@ AIR_M_S = 65.0
 """Speed of the air in the line (thesis 5.12)."""
 LINE_MM = 62.0
 LEVEL = 0.25
-"""An edge is where the signal passes this fraction of its largest rise ..."""
+"""Flow is detected where the signal is above this fraction of its largest rise ..."""
 NOISES = 6.0
 """... or this many standard deviations of its noise, whichever is larger."""
+PLATEAU = 6
+"""The edge itself is at half of the median of this many samples beside it: midway between two
+samples of a sharp edge, which is its mean position. At a quarter the closing would be late and the
+opening early by a quarter of a sample period; half of the largest rise would be wrong where the
+flow falls during the pulse."""
 
 
 def air_delay_ms(line_mm: float = LINE_MM, air_m_s: float = AIR_M_S) -> float:
@@ -80,11 +85,31 @@ def switching_times(block: Block, delay_ms: float | None = None) -> SwitchingTim
             f"flow {'before the command' if first == 0 else 'to the end of the block'}",
             "the valve leaks, or the command is too long for the block",
         )
-    up = first - (y[first] - level) / (y[first] - y[first - 1])
-    down = last + (y[last] - level) / (y[last] - y[last + 1])
+    up = _half_rise(y[: last + 1], first, base)
+    down = len(y) - 1 - _half_rise(y[first:][::-1], len(y) - 1 - last, base)
     edge_ms = block.period_us * 1e-3
     command_ms = block.lead_us * 1e-3 + delay_ms
     return SwitchingTimes(
         on_ms=float(up) * edge_ms - command_ms,
         off_ms=float(down) * edge_ms - command_ms - block.width_us * 1e-3,
     )
+
+
+def _half_rise(y: npt.NDArray[np.float64], first: int, base: float) -> float:
+    """Where a rise passes half of the level that follows it, in samples, interpolated.
+
+    Args:
+        y: samples; their rise begins at or before ``first``, and it ends with the last of them.
+        first: the first sample in which flow was detected.
+        base: signal without flow.
+    """
+    half = (base + float(np.median(y[first + 1 : first + 1 + PLATEAU]))) / 2.0
+    if first + 1 >= len(y) or half <= base:
+        half = (base + float(y[first])) / 2.0
+    at = first
+    while at + 1 < len(y) and y[at] <= half:
+        at += 1
+    while at > 1 and y[at - 1] > half:
+        at -= 1
+    step = float(y[at] - y[at - 1])
+    return at - min(max((float(y[at]) - half) / step, 0.0), 1.0) if step > 0 else float(at)

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 SCHEMA = "pamrig-report/1"
 NORMAL_EVENTS = (
     "point", "zero", "length", "state", "command", "tare", "clockfit", "armed", "controller",
-    "trial", "marker", "manual", "load", "catch", "mounted", "leak", "try",
+    "trial", "marker", "manual", "load", "catch", "mounted", "leak", "try", "result",
+    "stretch", "disarmed",
 )  # fmt: skip
 """Kinds of events of a normal run. All other kinds are listed among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.options import JsonOption, OperatorOption, RigOption
+from cli.options import JsonOption, OperatorOption, RigOption, bounded
 from cli.output import print_json, writing
 from daq.errors import ConfigError
 
@@ -57,6 +57,13 @@ def camera(
     from rigs.calibration import camera as cc
     from rigs.rigfile.camera_calibration import save_camera_calibration
 
+    bounded("--square-mm", square_mm, 0.0, 1000.0, "mm", above=True)
+    bounded("--offset-mm", offset_mm, -10_000.0, 10_000.0, "mm")
+    bounded("--u-offset-mm", u_offset_mm, 0.0, 1000.0, "mm")
+    bounded("--nearer-mm", nearer_mm, -10_000.0, 10_000.0, "mm")
+    bounded("--u-off-plane-mm", u_off_plane_mm, 0.0, 1000.0, "mm")
+    if distance_mm is not None:
+        bounded("--distance-mm", distance_mm, 0.0, 100_000.0, "mm", above=True)
     if (gauges is None) == (board is None):
         raise ConfigError("pamrig calibrate camera", "give either --gauges or --board")
     if gauges is not None:
@@ -67,6 +74,8 @@ def camera(
         assert board is not None
         domain = _pair(domain_mm, ",", "--domain-mm", "50,73")
         across, down = _pair(squares.lower(), "x", "--squares", "9x6")
+        for corners in (across, down):
+            bounded("--squares", corners, 3, 1000, "corners")
         found = cc.calibrate_from_board(
             board,
             (int(across), int(down)),

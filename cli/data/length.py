@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.options import JsonOption
+from cli.options import JsonOption, bounded
 from daq.errors import ConfigError, PamrigError
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 METHODS = ("edge", "macro")
 MACRO_THRESHOLD = 130
+MOST_LIVE_FRAMES = 100_000
 MACRO_ROI = (10, 300, 500, 70)
 MACRO_U_PIXELS = 1 / math.sqrt(12)  # resolution of whole pixels; does not cover specks
 Box = tuple[int, int, int, int]
@@ -47,10 +49,15 @@ def length(
     as_json: JsonOption = False,
 ) -> None:
     """Measure lengths in pictures; exit status 2 if no frame gave a length."""
-    text, failed = length_report(
-        frames, method, calibration, preview, threshold, roi, flip, as_json, count
+    bounded("--threshold", threshold, 0, 255)
+    bounded("--count", count, 1, MOST_LIVE_FRAMES)
+    rows = measure_lengths(
+        frames, method, calibration=calibration, threshold=threshold,
+        roi=parse_box(roi) if roi else None, flip=flip, preview=preview, count=count,
+    )  # fmt: skip
+    failed = write_lengths(
+        rows, str(frames), method, as_json, lambda part: typer.echo(part, nl=False)
     )
-    typer.echo(text)
     if failed:
         typer.echo(f"pamrig: {failed}", err=True)
     raise typer.Exit(2 if failed else 0)
@@ -60,7 +67,8 @@ def length(
 class LengthRow:
     """The length of one frame, as `pamrig length --json` prints it; nan becomes null.
 
-    `readable` is False where the frame could not be decoded; it is not printed.
+    `readable` is False where the frame could not be decoded, does not hold the region, or ended
+    the measurement by an error; it is not printed.
     """
 
     file: str
@@ -102,7 +110,7 @@ def parse_box(text: str, key: str = "--roi") -> Box:
         numbers = [int(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    if len(numbers) != 4 or numbers[2] < 1 or numbers[3] < 1:
+    if len(numbers) != 4 or min(numbers) < 0 or 0 in numbers[2:]:
         raise ConfigError(
             key,
             f"expected left,top,width,height in whole pixels, got {text!r}",
@@ -178,12 +186,13 @@ def _measure(
         else:
             gap = measure_gap(item.image, roi)
             pixels, u_pixels, trusted, reason = gap.pixels, gap.u_pixels, gap.trusted, gap.reason
-    except RegionError as error:
-        raise ConfigError(
-            f"{item.file}, --roi", str(error), "give left,top,width,height inside the frame"
-        ) from error
     except (FrameError, NoMarker) as error:
         return LengthRow(item.file, item.frame, reason=str(error)), None
+    except RegionError as error:
+        return LengthRow(item.file, item.frame, reason=str(error), readable=False), None
+    except Exception as error:  # a defect of the method must not end a folder of thousands
+        reason = f"the measurement failed ({type(error).__name__}: {error})"
+        return LengthRow(item.file, item.frame, reason=reason, readable=False), None
     length, u, doubt = math.nan, math.nan, ""
     if calibration is not None and math.isfinite(pixels):
         length, u, doubt = calibration.length_mm(pixels, u_pixels, gap)
@@ -209,30 +218,58 @@ def length_report(
     Raises:
         PamrigError: as measure_lengths, and for a calibration that cannot be read.
     """
-    rows = list(
-        measure_lengths(
-            frames, method, calibration=calibration, threshold=threshold,
-            roi=parse_box(roi) if roi else None, flip=flip, preview=preview, count=count,
-        )
+    rows = measure_lengths(
+        frames, method, calibration=calibration, threshold=threshold,
+        roi=parse_box(roi) if roi else None, flip=flip, preview=preview, count=count,
     )  # fmt: skip
-    if not rows:
+    parts: list[str] = []
+    failed = write_lengths(rows, str(frames), method, as_json, parts.append)
+    return "".join(parts).rstrip("\n"), failed
+
+
+def write_lengths(
+    rows: Iterable[LengthRow],
+    source: str,
+    method: str,
+    as_json: bool,
+    write: Callable[[str], object],
+) -> str:
+    """Write each row as soon as it is there; returns an error text ("" if a frame gave a length).
+
+    What was written is whole JSON even if the source fails midway.
+
+    Raises:
+        FramesError: there is no row at all. PamrigError: as the source of the rows.
+    """
+    count = trusted = 0
+    found = False
+    first: LengthRow | None = None  # the first row, or the first that could not be read
+    try:
+        for row in rows:
+            text = row.as_text()
+            if as_json:
+                text = ("," if count else "[") + "\n"
+                text += textwrap.indent(json.dumps(row.as_dict(), indent=1), " ")
+            write(text if as_json else text + "\n")
+            count += 1
+            trusted += row.trusted
+            found |= math.isfinite(row.pixels)
+            if first is None or (first.readable and not row.readable):
+                first = row
+    finally:
+        if count:
+            plural = "s" if count != 1 else ""
+            write("\n]\n" if as_json else f"{count} frame{plural}, {trusted} trusted\n")
+    if first is None:
         from rigs.calibration.frames import FramesError
 
-        raise FramesError(str(frames), "holds no frame", "give a picture, folder, video or run")
-    failed = ""
-    if not any(math.isfinite(row.pixels) for row in rows) and (
-        method == "macro" or not all(row.readable for row in rows)
-    ):
-        remedy = "check that the files are pictures"
-        if method == "macro":
-            remedy = "check --threshold and --roi against a --preview, or use --method edge"
-        failed = str(PamrigError(str(frames), rows[0].reason, remedy))
-    if as_json:
-        return json.dumps([row.as_dict() for row in rows], indent=1), failed
-    trusted = sum(row.trusted for row in rows)
-    lines = [row.as_text() for row in rows]
-    lines.append(f"{len(rows)} frame{'s' if len(rows) != 1 else ''}, {trusted} trusted")
-    return "\n".join(lines), failed
+        raise FramesError(source, "holds no frame", "give a picture, folder, video or run")
+    if found or (method != "macro" and first.readable):
+        return ""
+    remedy = "check that the files are pictures, and --roi"
+    if method == "macro":
+        remedy = "check --threshold and --roi against a --preview, or use --method edge"
+    return str(PamrigError(source, first.reason, remedy))
 
 
 def _draw_preview(path: Path, image: Any, **shown: Any) -> None:

@@ -38,13 +38,14 @@ def report(
 
 
 def view(run: RunArgument = "last", runs: RunsOption = RUNS) -> None:
-    """Open a recorded run in the viewer, until Ctrl-C or until the viewer is closed."""
+    """Show a recorded run as a page in the browser, until Ctrl-C."""
     import signal
     import sys
 
     from analysis.layouts.layouts import measured_edges
     from analysis.registry import analysis_of
     from analysis.run_table import contents_of
+    from daq.live.page import has_screen
     from daq.live.viewfile import open_view
     from daq.store.store import find_run
 
@@ -52,12 +53,17 @@ def view(run: RunArgument = "last", runs: RunsOption = RUNS) -> None:
     with contents_of(found):
         kind = analysis_of(found.manifest.get("protocol"))
         layout = kind.layout(found.manifest.get("parameters") or {})
-    # On SIGTERM, exit normally, so that `finally` also ends the viewer's process.
+    # On SIGTERM, exit normally, so that `finally` also deletes a temporary view.
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     with contents_of(found):
         opened = open_view(found, layout, measured_edges(found))
     try:
         typer.echo(opened.message)
+        if has_screen():
+            import threading
+            import webbrowser
+
+            threading.Thread(target=webbrowser.open, args=(opened.url,), daemon=True).start()
         opened.wait()
     except KeyboardInterrupt:
         pass

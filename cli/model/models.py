@@ -1,4 +1,4 @@
-"""`pamrig fit` and `pamrig models list|compare|audit-thesis`."""
+"""`pamrig fit` and `pamrig models list|compare|audit-thesis|rotary`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cli.model.rotary import rotary
 from cli.options import RUNS, FigureOption, JsonOption, RegionOption, RunsOption, WarmOption
 from cli.output import writing
 from daq.errors import PamrigError
@@ -41,6 +42,7 @@ def add_models(app: typer.Typer) -> None:
     app.command("list")(list_models)
     app.command("compare")(compare)
     app.command("audit-thesis")(audit_thesis)
+    app.command("rotary")(rotary)
 
 
 def fit(

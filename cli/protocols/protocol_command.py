@@ -61,7 +61,9 @@ def live_maker(
         if view.error:
             typer.echo(f"live view: none ({view.error}); the test continues", err=True)
             return feed
-        where = view.web_url or f"open it with: rerun --connect {view.url}"
+        where = view.url
+        if view.page_error:
+            where = f"no page ({view.page_error}); open it with: rerun {view.data_url}"
         typer.echo(f"live view: {where}", err=True)
         if browser and config.is_virtual:
             # On the virtual clock the test would finish before the page is loaded.

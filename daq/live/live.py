@@ -1,43 +1,42 @@
-"""The live view: Rerun with a bounded queue and its own thread.
+"""The live view: a process of its own that draws and serves, fed through a pipe.
 
-A viewer may be absent, suspended or killed. Direct logging into Rerun then blocks for ever once
-its buffers are full. The acquisition therefore never calls Rerun: every method here puts an
-item into a bounded queue, which drops its oldest items (``LiveView.dropped`` counts them), and
-one thread draws. The thread logs to a server in this process on 127.0.0.1, and viewers connect
-to that server. A viewer that does not read uses at most the server's memory limit.
+A viewer may be absent, suspended or killed, and what listens for viewers may be flooded. None of
+this happens in the process of the test. Every method here puts an item into a bounded queue, which
+drops its oldest items (``LiveView.dropped`` counts them), and one thread writes what waits to the
+pipe of the viewer's process (`daq.live.screen`). If that process is slow, the thread waits and the
+queue drops; if it has ended, the test goes on without a view.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import json
 import logging
 import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Concatenate, ParamSpec
+from pathlib import Path
+from typing import Any, BinaryIO, Concatenate, ParamSpec
 
 import numpy as np
-import numpy.typing as npt
 
-from daq.live.decimate import Thinner, decimate
 from daq.live.layout import LiveLayout
-from daq.live.queue import DropQueue, Item
-from daq.live.scene import Line, Scene
-from daq.live.web import WebViewer, free_port, has_client, has_screen
+from daq.live.page import has_screen
+from daq.live.pipe import Floats, items_message, layout_words, pack
+from daq.live.queue import DropQueue
+from daq.live.scene import Line
 
-LOOPBACK = "127.0.0.1"
-PERIOD_S = 0.05  # drawing period
-BIN_S = 0.02  # min/max envelope: at most 100 points per second
-IDLE_FLUSH_S = 0.2  # an incomplete bin is drawn after this time without data
-READOUT_S = 0.25
-HOLD_BEHIND_S = 0.25
-START_S = 60.0  # typically 1 s; loading Rerun takes longer on a busy machine
+PERIOD_S = 0.05  # time between two messages
+START_S = 60.0  # typically 2 s; loading Rerun takes longer on a busy machine
 CLOSE_S = 4.0
-APPLICATION = "pamrig"
+PORT = 9876
+MEMORY = 256_000_000
 
 P = ParamSpec("P")
-Floats = npt.NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 
@@ -54,7 +53,8 @@ def _never_raises(
             else:
                 put(view, *args, **kwargs)
         except Exception as error:
-            view._reject(error)
+            view._queue.drop()
+            _log.debug("live view rejected an item: %s", error)
 
     return call
 
@@ -72,58 +72,81 @@ class LiveView:
     """A window on a running test; the test never waits for it.
 
     No method raises. No method waits, except ``close`` (at most 6 s), ``wait_for_viewer`` and
-    the constructor (imports Rerun, about 1 s; call it before arming). If the viewer cannot
-    start, ``error`` gives the reason and all later items are counted as dropped.
+    the constructor (starts the process, about 2 s; call it before arming). If the viewer cannot
+    start, or when it has ended, ``error`` gives the reason and all later items are counted as
+    dropped.
 
     Args:
         run_id: id of the recording; the name of the run folder.
         layout: panels, names, units and colours.
-        port: of the server on 127.0.0.1; if it is in use, another free one.
-        open_browser: open the web viewer in the default browser, if there is a screen.
-        web: serve the web viewer on loopback (implied by ``open_browser``).
-        memory: limit of the data that the server keeps for viewers that connect later.
+        port: on 127.0.0.1; if it is in use, another free one.
+        open_browser: open the page in the default browser, if there is a screen.
+        page: serve the page, not only the data for the viewer's own program.
+        memory: bytes of data kept for viewers that connect later.
         queue: a queue with other limits than the default.
+
+    Attributes:
+        url: address of the page, with its token.
+        data_url: address of the data, with the same token.
+        page_error: why there is no page; empty if there is one.
+        viewers: number of connected viewers.
     """
 
     def __init__(
         self,
         run_id: str,
         layout: LiveLayout,
-        port: int = 9876,
+        port: int = PORT,
         open_browser: bool = False,
         *,
-        web: bool = False,
-        memory: str = "256MB",
+        page: bool = True,
+        memory: int = MEMORY,
         queue: DropQueue | None = None,
     ) -> None:
         self.run_id = run_id
         self.layout = layout
         self.error: str | None = None
-        self.url = ""
-        self.web_url = ""
+        self.url = self.data_url = self.page_error = ""
         self.port = port
-        self._memory = memory
+        self.viewers = 0
         self._queue = queue or DropQueue()
         self._stop = threading.Event()
         self._started = threading.Event()
         self._closed = False
-        self._web: WebViewer | None = None
-        self.web_error: str | None = None
-        self._rec: Any = None
-        self._thinners: dict[str, tuple[Thinner, float]] = {}
-        self._worker = threading.Thread(target=self._work, name="live view", daemon=True)
-        self._worker.start()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._sender = threading.Thread(target=self._send, name="live view", daemon=True)
+        self._listener = threading.Thread(target=self._listen, name="viewer", daemon=True)
+        begin = {"run_id": run_id, "layout": layout_words(layout), "port": port,
+                 "page": page, "memory": memory}  # fmt: skip
+        try:
+            self._process = _start()
+            _write(_pipe(self._process.stdin), pack(begin))
+        except OSError as error:
+            self._fail(f"the viewer's process did not start: {error}")
+            return
+        self._listener.start()
         if not self._started.wait(START_S):
-            self._fail(f"the viewer's server did not start within {START_S:g} s")
-        if (web or open_browser) and self.error is None:
-            self._serve_web(open_browser)
+            self._fail(f"the viewer did not start within {START_S:g} s")
+            self._process.kill()
+        if self.error is None:
+            self._sender.start()
+            if open_browser and not self.page_error and has_screen():
+                import webbrowser
+
+                # webbrowser.open may block, so call it on another thread.
+                threading.Thread(target=webbrowser.open, args=(self.url,), daemon=True).start()
 
     # -- called by the test ----------------------------------------------------
 
     @property
     def dropped(self) -> int:
-        """Number of items that did not reach the viewer: the queue was full or closed."""
+        """Number of items that were not sent to the viewer: the queue was full or closed."""
         return self._queue.dropped
+
+    @property
+    def pid(self) -> int:
+        """Id of the viewer's process; 0 if it did not start."""
+        return self._process.pid if self._process is not None else 0
 
     @_never_raises
     def series(self, path: str, time_s: Any, values: Any) -> None:
@@ -172,25 +195,42 @@ class LiveView:
         """
         pause, end = threading.Event(), time.monotonic() + timeout_s
         while self.error is None and time.monotonic() < end:
-            if has_client(self.port):
+            if self.viewers:
                 return True
             pause.wait(0.1)
         return False
 
     def close(self) -> None:
-        """Draw the remaining items and stop, within 6 s in any case. May be repeated."""
+        """Send the remaining items and end the process, within 6 s in any case.
+
+        May be repeated.
+        """
         if self._closed:
             return
         self._closed = True
         self._stop.set()
-        self._worker.join(CLOSE_S)
-        if self._worker.is_alive():
-            # The thread is blocked in the viewer's code. As a daemon it does not keep the
-            # process alive.
+        process = self._process
+        if process is None:
+            return
+        end = time.monotonic() + CLOSE_S
+        if self._sender.is_alive():
+            self._sender.join(CLOSE_S)
+        if not self._sender.is_alive():
+            with contextlib.suppress(OSError):
+                _pipe(process.stdin).close()
+        try:
+            process.wait(max(0.1, end - time.monotonic()))
+        except subprocess.TimeoutExpired:
             self.error = self.error or "the viewer did not accept the last data in time"
+            process.kill()
+            process.wait()
+        for thread in (self._sender, self._listener):  # both end with the process
+            if thread.is_alive():
+                thread.join(1.0)
+        for pipe in (process.stdin, process.stdout):
+            with contextlib.suppress(OSError):
+                _pipe(pipe).close()
         self._queue.discard_all()
-        if self._web is not None:
-            self._web.close()
 
     def __enter__(self) -> LiveView:
         return self
@@ -198,118 +238,78 @@ class LiveView:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _reject(self, error: Exception) -> None:
-        self._queue.drop()
-        _log.debug("live view rejected an item: %s", error)
-
     def _fail(self, why: str) -> None:
-        self.error = self.error or why
+        if self.error is None:
+            self.error = why
+            _log.warning("live view: %s", why)
         self._queue.discard_all()
-        _log.warning("live view: %s", why)
-
-    # -- called by the drawing thread ---------------------------------------------
-
-    def _serve_web(self, open_browser: bool) -> None:
-        try:
-            self._web = WebViewer([self.url])
-            self.web_url = self._web.url
-            if open_browser and has_screen():
-                import webbrowser
-
-                # webbrowser.open may block, so call it on another thread.
-                show = threading.Thread(target=webbrowser.open, args=(self.web_url,), daemon=True)
-                show.start()
-        except Exception as error:  # the native viewer can still connect
-            _log.warning("live view: no web viewer: %s", error)
-            self.web_error = str(error)
-
-    def _work(self) -> None:
-        try:
-            scene = self._open()
-        except Exception as error:
-            self._fail(f"{type(error).__name__}: {error}")
-            self._started.set()
-            return
         self._started.set()
-        next_readout, news = 0.0, False
-        while True:
+
+    # -- on threads of their own ---------------------------------------------------
+
+    def _send(self) -> None:
+        """Write what waits, twenty times a second. A viewer that does not read stops this thread.
+
+        The queue then drops.
+        """
+        assert self._process is not None
+        pipe = _pipe(self._process.stdin)
+        stopping = False
+        while not stopping and self.error is None:
             stopping = self._stop.wait(PERIOD_S)
             bulk, pictures, events = self._queue.drain()
-            flushed = self._draw(scene, bulk, events, last=stopping)
-            for picture in pictures:
-                self._try(scene.image, *picture)
-            now = time.monotonic()
-            news = news or flushed or bool(bulk or pictures or events)
-            if news and (now >= next_readout or stopping):
-                news = False
-                next_readout = now + READOUT_S
-                note = f"{self.dropped} items not shown (the viewer was slow)"
-                self._try(scene.hold_steps, 0.0 if stopping else HOLD_BEHIND_S)
-                self._try(scene.readout, note if self.dropped else "")
-            if stopping:
-                break
-        self._try(self._rec.flush, timeout_sec=1.5)
-        self._try(self._rec.disconnect)
+            if not (bulk or pictures or events):
+                continue
+            try:
+                _write(pipe, items_message(bulk, pictures, events, self.dropped))
+            except (OSError, ValueError):  # it has ended: the listener states how
+                self._queue.drop()
+                return
 
-    def _open(self) -> Scene:
-        # Rerun then logs errors as warnings and raises no exceptions.
-        os.environ.setdefault("RERUN_STRICT", "0")
-        import rerun as rr
+    def _listen(self) -> None:
+        """Take what the viewer's process reports, until it ends."""
+        assert self._process is not None
+        pipe = _pipe(self._process.stdout)
+        for line in iter(lambda: pipe.readline(10_000), b""):
+            with contextlib.suppress(ValueError, TypeError):
+                self._heard(json.loads(line))
+        status = self._process.wait()
+        if not self._closed:
+            self._fail(f"the viewer's process ended (status {status})")
 
-        self._rec = rr.RecordingStream(APPLICATION, recording_id=self.run_id)
-        self.port = port = free_port(self.port)
-        self._rec.set_sinks(
-            rr.GrpcServerSink(bind_ip=LOOPBACK, port=port, server_memory_limit=self._memory)
-        )
-        self.url = f"rerun+http://{LOOPBACK}:{port}/proxy"
-        scene = Scene(self._rec, self.layout)
-        scene.start()
-        return scene
+    def _heard(self, words: dict[str, Any]) -> None:
+        if "error" in words:
+            self._fail(str(words["error"]))
+        if "url" in words:
+            self.url, self.data_url = str(words["url"]), str(words["data_url"])
+            self.port, self.page_error = int(words["port"]), str(words["page_error"])
+            self._started.set()
+        self.viewers = int(words.get("viewers", self.viewers))
 
-    def _try(self, call: Any, *args: Any, **kwargs: Any) -> None:
-        try:
-            call(*args, **kwargs)
-        except Exception as error:  # an invalid item must not end the view
-            self._reject(error)
 
-    def _draw(self, scene: Scene, bulk: list[Item], events: list[Item], last: bool) -> bool:
-        """Draw curves and events; True if an incomplete bin was drawn too."""
-        flushed = False
-        curves: dict[str, list[Item]] = {}
-        for item in bulk:
-            curves.setdefault(item[0], []).append(item)
-        now = time.monotonic()
-        for path, items in curves.items():
-            self._try(self._curve, scene, path, items, now)
-        for path, (thinner, fed_at) in list(self._thinners.items()):
-            if thinner.waiting and (last or now - fed_at > IDLE_FLUSH_S):
-                self._try(scene.series, path, *thinner.flush())
-                flushed = True
-        for kind, path, time_s, *rest in events:
-            if kind == "points":
-                label, x, y = rest
-                when = scene.newest_s if time_s is None else time_s
-                self._try(scene.points, path, when, label, x, y)
-            elif kind == "state":
-                self._try(scene.state, path, time_s, *rest)
-            else:
-                self._try(scene.text, path, time_s, *rest)
-        return flushed
+def _start() -> subprocess.Popen[bytes]:
+    """The viewer's process, with this program's own modules and in a session of its own."""
+    house = str(Path(__file__).resolve().parents[2])
+    places = [house, *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "daq.live.screen"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        bufsize=0,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(places)},
+        start_new_session=True,
+    )
 
-    def _curve(self, scene: Scene, path: str, items: list[Item], now: float) -> None:
-        time_s = np.concatenate([item[1] for item in items])
-        values = np.concatenate([item[2] for item in items])
-        channel = self.layout.channels.get(path)
-        if channel is not None and channel.step:
-            # Draw the changes only, and at once; ``hold_steps`` extends the last value.
-            known = np.concatenate(([scene.newest.get(path, np.nan)], values[:-1]))
-            change = values != known
-            scene.series(path, *decimate(time_s[change], values[change], BIN_S))
-            return
-        if path not in self._thinners:
-            reduce = channel.reduce if channel else "minmax"
-            bin_s = BIN_S if reduce == "minmax" else BIN_S / 2.0
-            self._thinners[path] = (Thinner(bin_s, reduce), now)
-        thinner = self._thinners[path][0]
-        self._thinners[path] = (thinner, now)
-        scene.series(path, *thinner.feed(time_s, values))
+
+def _pipe(end: Any) -> BinaryIO:
+    assert end is not None
+    pipe: BinaryIO = end
+    return pipe
+
+
+def _write(pipe: BinaryIO, data: bytes) -> None:
+    """Write all of it: a pipe may take a part."""
+    rest = memoryview(data)
+    while rest:
+        rest = rest[pipe.write(rest) :]

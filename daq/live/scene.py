@@ -1,7 +1,7 @@
 """Draws a layout into a Rerun recording, for the live view and the view file.
 
 Rerun is imported when a ``Scene`` is created, never at import of this module. Calls here may
-block or raise; ``LiveView`` makes them on its own thread.
+block or raise; for a running test they are made in a process of their own (`daq.live.screen`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from daq.live.blueprint import TIMELINE, blueprint
 from daq.live.chart import Chart
 from daq.live.layout import GREY, ORANGE, PALETTE, VERMILLION, Channel, Colour, LiveLayout, Panel
 
+APPLICATION = "pamrig"
 Floats = npt.NDArray[np.float64]
 Line = tuple[tuple[float, float], tuple[float, float], str]
 

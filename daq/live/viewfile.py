@@ -6,8 +6,10 @@ shows all data with a correct CRC.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,10 +18,11 @@ import numpy as np
 
 from daq.errors import RecordError
 from daq.live.decimate import decimate
+from daq.live.door import Door
+from daq.live.history import ViewFile
 from daq.live.layout import Channel, EventFeed, Feed, LiveLayout, Panel, PointFeed
-from daq.live.live import APPLICATION
-from daq.live.scene import Line, Scene
-from daq.live.web import NativeViewer, WebViewer, has_screen
+from daq.live.page import PageFile, page_files
+from daq.live.scene import APPLICATION, Line, Scene
 from daq.record.disk import disk_error
 from daq.record.segments import Columns
 from daq.store.derive import Maker, engineering
@@ -28,10 +31,11 @@ from daq.store.run import Run
 Edges = Callable[[bytes], list[Line]]
 
 FILE = "view.rrd"
+PORT = 9090
 CHUNK_ROWS = 65_536
 MOST_ROWS = 1_000_000
 MOST_FRAMES = 1_000
-_QUIET = {"state", "point", "length", "command", "clockfit", "zero"}
+_QUIET = {"state", "point", "result", "length", "command", "clockfit", "zero"}
 _LEVELS = {"fault": "ERROR", "vent_unconfirmed": "ERROR", "gap": "WARN", "end": "WARN"}
 
 
@@ -125,6 +129,7 @@ def _fill(scene: Scene, run: Run, layout: LiveLayout, edges: Edges | None, most_
         _event_series(scene, run, events, frame_ns, start_ns, layout)
     for points in layout.points:
         _points(scene, run, tables, points)
+    _results(scene, run, layout)
     _frames(scene, run, layout.camera, frame_ns, start_ns, edges)
     for event in run.events:
         if event["kind"] not in _QUIET:
@@ -199,6 +204,18 @@ def _points(scene: Scene, run: Run, tables: dict[str, Columns], feed: PointFeed)
         scene.points(feed.path, event["t_ns"] / 1e9, label, np.array([x]), np.array([y]))
 
 
+def _results(scene: Scene, run: Run, layout: LiveLayout) -> None:
+    """What the test showed in its points panel as it ran; ``Scene`` ignores it without one."""
+    panel = next((p for p in layout.panels if p.kind == "points" and p.channels), None)
+    for event in run.events:
+        if panel is None or event["kind"] != "result":
+            continue
+        x, y, label = event.get("x"), event.get("y"), str(event.get("label", ""))
+        if isinstance(x, (int, float)) and isinstance(y, (int, float)):
+            at_s = event["t_ns"] / 1e9
+            scene.points(panel.channels[0].path, at_s, label, np.array([x]), np.array([y]))
+
+
 def _frame_lengths(run: Run) -> dict[int, float]:
     """Length in each measured picture, as measured during the test."""
     calibration = run.calibrations.get("length_mm")
@@ -260,15 +277,44 @@ def _summary(event: dict[str, Any]) -> str:
     return f"{event['kind']}: {rest}"[:200]
 
 
+class RunPage:
+    """The viewer's page with the view of a recorded run, on 127.0.0.1 until ``close``.
+
+    Args:
+        path: the view file.
+        files: of the page.
+        port: of the page; if it is in use, another free one.
+        temporary: a folder to delete at the end.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        files: dict[str, PageFile],
+        port: int,
+        temporary: tempfile.TemporaryDirectory[str] | None = None,
+    ) -> None:
+        self._temporary = temporary
+        self._door = Door(ViewFile(path), files, port)
+        self.url = self._door.url
+        self.message = f"open {self.url} in a browser; Ctrl-C ends"
+
+    def wait(self) -> None:
+        """Wait until the user presses Ctrl-C."""
+        with contextlib.suppress(KeyboardInterrupt):
+            threading.Event().wait()
+
+    def close(self) -> None:
+        """Stop serving. May be repeated."""
+        self._door.close()
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+
 def open_view(
-    run: Run,
-    layout: LiveLayout | None = None,
-    edges: Edges | None = None,
-    *,
-    web: bool | None = None,
-    port: int = 9090,
-) -> WebViewer | NativeViewer:
-    """Show a run: in a window if there is a screen, else as a web page on loopback.
+    run: Run, layout: LiveLayout | None = None, edges: Edges | None = None, port: int = PORT
+) -> RunPage:
+    """Serve a run as a page on this machine, behind a token.
 
     A run without a valid view file gets a temporary one. The caller prints ``.message``, calls
     ``.wait()`` and finally ``.close()``.
@@ -276,7 +322,6 @@ def open_view(
     Args:
         run: finished or interrupted.
         layout, edges: see :func:`build_view`.
-        web: True for the page, False for the window, None for automatic.
         port: of the page.
 
     Raises:
@@ -289,15 +334,9 @@ def open_view(
     except RecordError:  # interrupted or not derived yet; do not add to derived/
         made = tempfile.TemporaryDirectory(prefix="pamrig-view-")
         path = build_view(run, Path(made.name) / FILE, layout, edges)
-    viewer: WebViewer | NativeViewer
     try:
-        if web or (web is None and not has_screen()):
-            viewer = WebViewer([str(path)], port=port)
-        else:
-            viewer = NativeViewer([str(path)])
+        return RunPage(path, page_files(), port, made)
     except BaseException:
         if made is not None:
             made.cleanup()
         raise
-    viewer.temporary = made
-    return viewer

@@ -200,6 +200,8 @@ def _virtual(text: str) -> Iterator[SourceFrame]:
 
     try:
         lengths = [float(part) for part in text.split(",") if part.strip()] or [55.0]
+        if not all(abs(length_mm) < 1e4 for length_mm in lengths):
+            raise ValueError("expected mm below 10000")
     except ValueError as error:
         raise FramesError(
             f"virtual:{text}", f"not a length: {error}", "write virtual:55"

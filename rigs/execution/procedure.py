@@ -44,11 +44,14 @@ class Procedure:
         read: protocol file (path or shipped name) and rig to checked parameters; refuses,
             with file and key, what the rig cannot do.
         firmware: settings of the controller that this test needs, over those of the rig.
+        open_ended: its steps come as it runs, so that they cannot be walked through beforehand;
+            one of them arms the bench.
     """
 
     analysis: Analysis
     read: Callable[[str, RigConfig], Plan]
     firmware: Mapping[str, int] = field(default_factory=dict)
+    open_ended: bool = False
 
     @property
     def name(self) -> str:

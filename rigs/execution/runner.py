@@ -152,14 +152,35 @@ class Runner:
         self._armed = True
         self.record.event("armed", identity=valve.identity)
 
-    def run(self, steps: Steps, points: int) -> None:
-        """Carry out every step. Ends the run venting, whatever is raised."""
+    def disarm(self) -> float:
+        """Vent, disarm and confirm it; the pressure afterwards in kPa. :meth:`arm` may follow."""
+        self._armed = False
+        if self.load_kg:
+            lower_load(self)
+        pressure = self.rig.vent()
+        self.record.event("disarmed", pressure_kpa=pressure, confirmed=bool(pressure < SAFE_KPA))
+        return pressure
+
+    @property
+    def armed(self) -> bool:
+        """Whether this test has armed the bench."""
+        return self._armed
+
+    def run(self, steps: Steps, points: int, arm: bool = True) -> None:
+        """Carry out every step. Ends the run venting, whatever is raised.
+
+        Args:
+            steps: the method.
+            points: how many points it makes.
+            arm: arm before the first step; otherwise a step does.
+        """
         self.progress.points = points
         answer: Answer = None
         event_loop = self.rig.event_loop
         event_loop.add(self._alive)  # in every round, also while a driver waits for a reply
         try:
-            self.arm()
+            if arm:
+                self.arm()
             while True:
                 try:
                     step = steps.send(answer)
@@ -233,6 +254,11 @@ class Runner:
         self.progress.state = state
         self.record.event("state", state=state)
         self.watch.state(state)
+
+    def report_result(self, x: float, y: float, label: str) -> None:
+        """A result of the test as it goes: record and live view, so that the view file has it."""
+        self.record.event("result", x=float(x), y=float(y), label=label)
+        self.watch.result(x, y, label)
 
     @property
     def vented(self) -> bool:

@@ -18,7 +18,7 @@ from rigs.bench.locks import vent_request
 from rigs.bench.rig import Rig, firmware_parameters, open_rig
 from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
 from rigs.devices.lines import LineDevice
-from rigs.devices.operator import ConsoleOperator, at_a_terminal
+from rigs.devices.operator import ConsoleOperator, Operator, at_a_terminal
 from rigs.devices.stage import Stage
 from rigs.execution.control import RunControl, control_file, is_request
 from rigs.execution.manifest import manifest
@@ -70,6 +70,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     wire: bool = False,
     continues: dict[str, Any] | None = None,
     bench: VirtualBench | None = None,
+    person: Operator | None = None,
 ) -> Result:
     """Run a test and leave a finished record.
 
@@ -89,6 +90,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
         continues: the run that this one goes on with (``rigs.execution.resume.continuation``); its
             whole trials are not made again.
         bench: the virtual bench of earlier tests, where this one is to go on with it.
+        person: who sets manual axes, where it is not the person at the terminal.
 
     Raises:
         PamrigError: nothing was recorded yet: device, key and remedy are named. Once a
@@ -98,14 +100,14 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     def method() -> Steps:
         return remaining(plan.steps(), continues["trials"]) if continues else plan.steps()
 
-    points, seconds = outline(method(), config.stage.speed_mm_s)
+    points, seconds = (0, 0.0) if kind.open_ended else outline(method(), config.stage.speed_mm_s)
     check_disk(root, points)
     stop = stop or StopFlag()
     watch = watch or Watch()
     control = control or RunControl()
     if not config.is_virtual:
-        _load(config, plan)
-    with open_rig(config, bench=bench) as rig:
+        _load(config, pictures=bool(plan.frames) or kind.open_ended)
+    with open_rig(config, operator=person, bench=bench) as rig:
         virtual = rig.clock.virtual
         if kind.firmware:
             rig.valve.configure({**firmware_parameters(config), **kind.firmware})
@@ -142,7 +144,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
                 keyboard.on_line, keyboard.is_command = control.typed, is_request
                 keyboard.listen()
             runner.progress.seconds = seconds
-            runner.run(method(), points)
+            runner.run(method(), points, arm=not kind.open_ended)
         except (PamrigError, Stopped) as caught:
             error = caught
         except BaseException as caught:
@@ -160,11 +162,11 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     return Result(record.folder, outcome, error, runner.progress.done, points)
 
 
-def _load(config: RigConfig, plan: Plan) -> None:
+def _load(config: RigConfig, pictures: bool) -> None:
     """Load what would otherwise be loaded, for seconds, on the loop that records and beats."""
     import pyarrow  # noqa: F401 - the record's encoder, with the first batch
 
-    if plan.frames:
+    if pictures:
         from rigs.execution import camera_sync  # noqa: F401
         from rigs.steps.pictures import load_measuring
 

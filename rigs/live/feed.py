@@ -40,6 +40,8 @@ class LiveFeed:
         self._layout = layout
         self._feeds = layout.feeds
         self._start_ns = 0
+        self._warn: Callable[[str], None] = lambda text: None
+        self._ended = view.error is not None  # that it did not start was said
 
     def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:  # noqa: C901 - one small hook after another
         """Listen to everything; called once before the run."""
@@ -62,6 +64,7 @@ class LiveFeed:
         if rig.supply is not None and any(feed.stream == "supply" for feed in self._feeds):
             rig.supply.on_rows.append(self._listener("supply"))
         inner = replace(watch)
+        self._warn = inner.log
         length = rig.config.calibrations["length_mm"]
 
         def state(text: str) -> None:
@@ -123,12 +126,21 @@ class LiveFeed:
         return lambda batch: self._batch(stream, batch)
 
     def _batch(self, stream: str, batch: Batch) -> None:
+        if self.view.error is not None:
+            self._state_end(self.view.error)
+            return
         time_s = (self._host_ns(stream, batch) - self._start_ns) / NS_PER_S
         columns, _ = scaled(stream, batch, self._calibrations, {})
         for feed in self._feeds:
             if feed.stream == stream:
                 values = np.asarray(columns[feed.column]).astype(np.float64) * feed.scale
                 self.view.series(feed.path, time_s, values)
+
+    def _state_end(self, why: str) -> None:
+        """State once that there is no view any more."""
+        if not self._ended:
+            self._ended = True
+            self._warn(f"live view: {why}; the test continues without it")
 
     def _host_ns(self, stream: str, batch: Batch) -> npt.NDArray[np.float64]:
         """Host times of a batch; of telemetry by its spacing up to its arrival."""

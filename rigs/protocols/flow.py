@@ -87,11 +87,11 @@ class FlowPoint(ValvePoint):
         rig.event_loop.for_seconds(p.open_ms * 1e-3 / 2)
         kpa, speed = pressure_now(runner), meter.mean(1)
         rig.event_loop.for_seconds(p.open_ms * 1e-3 / 2 + 0.1)
-        runner.watch.result(kpa, speed, "measured")
+        runner.report_result(kpa, speed, "measured")
         line = Meter(p.bore_mm)
         share = float(flow_share(np.array([kpa]), 0.5, line.atmosphere_kpa)[0])
         expected = THESIS_CONDUCTANCE * line.velocity_per_conductance * share
-        runner.watch.result(kpa, expected, "thesis's valve")
+        runner.report_result(kpa, expected, "thesis's valve")
         self.put(
             runner, settled=came, valve_seq=[first, rig.valve.seq_end],
             flow_rows=[row, meter.rows],

@@ -107,7 +107,7 @@ class Move(CustomStep):
         took_s = (runner.rig.clock.now_ns() - begin_ns) / NS_PER_S
         event_loop.for_seconds(self.hold_s)
         if reached:
-            runner.watch.result(runner.rig.pressure_kpa, took_s, f"{self.way} to {self.switch}")
+            runner.report_result(runner.rig.pressure_kpa, took_s, f"{self.way} to {self.switch}")
         else:
             runner.watch.log(f"switch {self.switch} did not trigger within {self.reach_s:g} s")
         more = {"take": take} if take > 1 else {}

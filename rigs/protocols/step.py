@@ -142,7 +142,7 @@ class Response(CustomStep):
         counts = runner.rig.valve.recent_counts(round(self.step_s / 2 * 1000))
         kpa = runner.rig.config.calibrations["pressure_kpa"].apply(counts)
         error = float(np.sqrt(np.mean((kpa - self.set_pressure_kpa) ** 2)))
-        runner.watch.result(self.set_pressure_kpa, error, self.scheme)
+        runner.report_result(self.set_pressure_kpa, error, self.scheme)
 
 
 def read(name: str, config: RigConfig) -> Step:

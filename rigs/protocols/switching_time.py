@@ -122,8 +122,8 @@ def show_delays(
     )
     measured = (found.on_ms, found.off_ms)
     for edge, value, expected in zip(("on", "off"), measured, thesis, strict=True):
-        runner.watch.result(pressure_kpa, value, f"{valve} {edge}")
-        runner.watch.result(pressure_kpa, expected * 1e3, f"{valve} {edge}, thesis")
+        runner.report_result(pressure_kpa, value, f"{valve} {edge}")
+        runner.report_result(pressure_kpa, expected * 1e3, f"{valve} {edge}, thesis")
 
 
 def read(name: str, config: RigConfig) -> SwitchingTime:

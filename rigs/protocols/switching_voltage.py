@@ -82,8 +82,8 @@ class VoltagePoint(ValvePoint):
         try:
             on = self._halve(runner, supply, "on", 0.0, supply.voltage_v)
             off = self._halve(runner, supply, "off", 0.0, on)
-            runner.watch.result(self.set_pressure_kpa, on, f"{self.valve} on")
-            runner.watch.result(self.set_pressure_kpa, off, f"{self.valve} off")
+            runner.report_result(self.set_pressure_kpa, on, f"{self.valve} on")
+            runner.report_result(self.set_pressure_kpa, off, f"{self.valve} off")
         finally:
             supply.safe()
         self.put(runner, settled=came, supply_kpa=read_kpa)

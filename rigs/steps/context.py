@@ -39,6 +39,7 @@ class StepContext(Protocol):
         steering: take and skip of the present point.
         load_kg: mass that hangs on the muscle.
         vented: whether the muscle is being vented.
+        armed: whether the test has armed the bench.
     """
 
     rig: Rig
@@ -59,6 +60,19 @@ class StepContext(Protocol):
         """Whether the muscle is being vented."""
         ...
 
+    @property
+    def armed(self) -> bool:
+        """Whether the test has armed the bench."""
+        ...
+
+    def arm(self) -> None:
+        """Arm the bench."""
+        ...
+
+    def disarm(self) -> float:
+        """Vent, disarm and confirm it; the pressure afterwards in kPa."""
+        ...
+
     def do(self, step: Any) -> Any:
         """Carry out one step that makes no point; what it returns answers the protocol."""
         ...
@@ -69,6 +83,10 @@ class StepContext(Protocol):
 
     def report_state(self, state: str) -> None:
         """Enter a state: record, live view and terminal."""
+        ...
+
+    def report_result(self, x: float, y: float, label: str) -> None:
+        """Show a result of a valve test: record and live view."""
         ...
 
     def axis(self, name: str, unit: str) -> ManualAxis:

@@ -63,12 +63,12 @@ def shrink(path: Path) -> None:
 
 def look_at_live(out: Path, width: int = 1600, height: int = 1000) -> npt.NDArray[np.uint8]:
     """Feed a synthetic test to a live view and photograph it."""
-    view = LiveView("look-isometric", isometric_layout(), port=0, web=True)
+    view = LiveView("look-isometric", isometric_layout(), port=0)
     assert view.error is None, view.error
-    assert view.web_error is None, view.web_error
+    assert view.page_error == "", view.page_error
     try:
         with Browser(width, height) as browser:
-            browser.open(view.web_url)
+            browser.open(view.url)
             test = threading.Thread(target=SyntheticTest(view).run, kwargs={"last_down": 4})
             test.start()
             test.join()
@@ -111,10 +111,10 @@ def look_at_bench(
                 stop.set("the picture is taken")
 
     def make_live(run_id: str) -> LiveFeed:
-        view = HeldView(run_id, layout, port=0, web=True)
+        view = HeldView(run_id, layout, port=0)
         assert view.error is None, view.error
-        assert view.web_error is None, view.web_error
-        browser.open(view.web_url)
+        assert view.page_error == "", view.page_error
+        browser.open(view.url)
         assert view.wait_for_viewer(LOAD_S)
         return LiveFeed(view, layout)
 
@@ -128,7 +128,7 @@ def look_at_run(
 ) -> npt.NDArray[np.uint8]:
     """Photograph the view of a recorded run."""
     run = open_run(folder)
-    viewer = open_view(run, isometric_layout(), measured_edges(run), web=True, port=0)
+    viewer = open_view(run, isometric_layout(), measured_edges(run), port=0)
     try:
         with Browser(width, height) as browser:
             browser.open(viewer.url)

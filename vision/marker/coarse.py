@@ -204,6 +204,8 @@ def _choose(edges: list[EdgeGuess], width: int) -> Guess:
             continue
         a, reason_a = _strongest(runs[i])
         b, reason_b = _strongest(runs[i + 1])
+        if b.x_mid <= a.x_mid:  # two lines that cross in the middle row: no gap between them
+            continue
         before = max((e.x_mid for e in strong if e.x_mid < a.x_mid), default=0.0)
         after = min((e.x_mid for e in strong if e.x_mid > b.x_mid), default=float(width))
         beside_a = min(e.x_mid for e in strong if e.x_mid > a.x_mid)

@@ -14,7 +14,7 @@ from vision.marker.edgefit import refine
 from vision.marker.edgestart import start_line
 from vision.marker.edgesweep import CORE_MAX, GROUP, Line, Rows
 from vision.marker.gap import EdgeLine, GapMeasurement
-from vision.marker.jpegerror import find_quantiser, position_variance
+from vision.marker.jpegerror import JpegQuantiser, find_quantiser, position_variance
 
 F64 = npt.NDArray[np.float64]
 
@@ -28,6 +28,9 @@ LOPSIDED_GAIN = 4.0
 STEEPEST = math.tan(math.radians(7.0))
 LARGEST_U = 0.05  # px; a frame with a larger uncertainty is rejected
 LARGEST_U_DEFECTS = 0.05 / 3  # where part of the pixels was rejected
+LARGEST_U_MISFIT = 0.025  # where most of it comes from light that the model does not hold
+SCATTER_GAIN = 3.0  # a few rows decide on the scatter between parts of an edge
+AXIS_U = 0.1 / math.sqrt(12)  # of the common rows: the muscle's axis is in their middle tenth
 
 
 @dataclass(frozen=True)
@@ -62,29 +65,42 @@ def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
             reason = f"the {side} edge of the gap is not one straight edge"
             first, last = int(guess.left.x_mid) + 4, int(guess.right.x_mid) - 4
             lit = gray[box[1] : box[1] + box[3], box[0] + first : box[0] + max(first + 1, last)]
-            if np.median(lit) >= OVEREXPOSED:
+            if lit.size and np.median(lit) >= OVEREXPOSED:
                 reason = f"over-exposed at the {side} edge: reduce light or exposure time"
             return GapMeasurement(math.nan, math.nan, False, reason, region=box)
         fits.append(fit)
     extra = [0.0, 0.0]
+    limit = LARGEST_U
     alike = max(fit.out[12] for fit in fits) > ROWS_ALIKE
-    if alike or max(fit.out[13] for fit in fits) > COLUMNS_ALIKE:
-        fits, extra = _allow_for_rounding(gray, box, fits, (guess.left, guess.right))
-    return _combine(fits[0], fits[1], extra, box, guess.reason or _rejection_reason(fits))
+    scattered = max(fit.out[15] for fit in fits) > 1.0
+    if alike or scattered or max(fit.out[13] for fit in fits) > COLUMNS_ALIKE:
+        quantiser = _quantiser(gray, fits)
+        if quantiser is not None:
+            fits, extra = _allow_for_rounding(gray, box, fits, (guess.left, guess.right), quantiser)
+        elif all(fit.drawn for fit in fits):
+            extra = [_rounding_variance(fit) for fit in fits]
+        else:
+            extra = [_misfit_variance(fit) + _scatter_variance(fit) for fit in fits]
+            if sum(extra) > fits[0].cov[0, 0] + fits[1].cov[0, 0]:
+                limit = LARGEST_U_DEFECTS if scattered else LARGEST_U_MISFIT
+    doubt = guess.reason or _rejection_reason(fits)
+    return _combine(fits[0], fits[1], extra, box, doubt, limit)
+
+
+def _quantiser(gray: Image, fits: list[Fit]) -> JpegQuantiser | None:
+    points = [(fit.a + fit.b * (fit.rows[::32] - fit.y_mid), fit.rows[::32]) for fit in fits]
+    columns, rows = (np.concatenate([p[k] for p in points]) for k in (0, 1))
+    return find_quantiser(gray, columns, rows)
 
 
 def _allow_for_rounding(
-    gray: Image, box: Box, fits: list[Fit], guesses: tuple[EdgeGuess, EdgeGuess]
+    gray: Image,
+    box: Box,
+    fits: list[Fit],
+    guesses: tuple[EdgeGuess, EdgeGuess],
+    quantiser: JpegQuantiser,
 ) -> tuple[list[Fit], list[float]]:
     """Fits and added variances for a frame with correlated errors of neighbouring rows (JPEG)."""
-    points = [(fit.a + fit.b * (fit.rows[::32] - fit.y_mid), fit.rows[::32]) for fit in fits]
-    quantiser = find_quantiser(
-        gray, np.concatenate([p[0] for p in points]), np.concatenate([p[1] for p in points])
-    )
-    if quantiser is None and all(fit.drawn for fit in fits):
-        return fits, [_rounding_variance(fit) for fit in fits]
-    if quantiser is None:
-        return fits, [_misfit_variance(fit) for fit in fits]
     floor = 1.5 * quantiser.pixel_error
     again: list[Fit] = []
     extra: list[float] = []
@@ -136,6 +152,12 @@ def _misfit_variance(fit: Fit) -> float:
         explained = float(np.sum(mean**2) - np.sum(rest**2)) / max(1e-9, float(np.sum(mean**2)))
         return float(fit.cov[0, 0] * alike * (1.0 - explained))
     return float(fit.cov[0, 0] * (alike + LOPSIDED_GAIN * even))
+
+
+def _scatter_variance(fit: Fit) -> float:
+    """Variance to add where parts of the edge lie apart by more than their rows' noise."""
+    scatter = float(fit.out[15])
+    return float(fit.cov[0, 0] * (SCATTER_GAIN * scatter - 1.0)) if scatter > 1.0 else 0.0
 
 
 def _refit(gray: Image, box: Box, fit: Fit, guess: EdgeGuess, least_scale: float) -> Fit | None:
@@ -230,6 +252,10 @@ def _fit_edge(gray: Image, box: Box, guess: EdgeGuess, exclude: tuple[Box, ...])
     if not refine(view, Line(p, levels, on), least, True, resid, keep, out):
         return None
     cov = np.array([[out[0], out[1]], [out[1], out[2]]])
+    # a fit may leave the edge that it was started on for a place without one
+    contrast = out[7] if guess.rising else -out[7]
+    if not (contrast > LEAST_NOISE and np.isfinite(cov).all() and cov.diagonal().min() > 0.0):
+        return None
     return Fit(
         p[0], p[1], own_mid, cov, p, out, rows, group_of, keep, resid, levels, on, seen, drawn
     )
@@ -240,13 +266,16 @@ def _room(guess: EdgeGuess) -> F64:
     return np.array([max(3.0, 0.55 * guess.room_left), max(3.0, 0.55 * guess.room_right)])
 
 
-def _combine(left: Fit, right: Fit, extra: list[float], box: Box, doubt: str) -> GapMeasurement:
+def _combine(
+    left: Fit, right: Fit, extra: list[float], box: Box, doubt: str, limit: float
+) -> GapMeasurement:
     y = 0.5 * (left.y_mid + right.y_mid)
     weight_l, weight_r = 1 / left.cov[1, 1], 1 / right.cov[1, 1]
     slope = (left.b * weight_l + right.b * weight_r) / (weight_l + weight_r)
     apart = abs(left.b - right.b)
     u_apart = math.sqrt(left.cov[1, 1] + right.cov[1, 1])
     var = extra[0] + extra[1]
+    skew_u = 0.0
     if apart < 4 * u_apart + 1e-4:  # parallel within uncertainty: one slope for both
         bend_l = left.cov[0, 1] / left.cov[1, 1]
         bend_r = right.cov[0, 1] / right.cov[1, 1]
@@ -257,24 +286,40 @@ def _combine(left: Fit, right: Fit, extra: list[float], box: Box, doubt: str) ->
         arm = left.y_mid - right.y_mid + bend_r - bend_l
         var += arm**2 / (weight_l + weight_r)
     else:
-        y = box[1] + (box[3] - 1) / 2
+        y, rows = _common_rows(left, right)
         x_l = left.a + left.b * (y - left.y_mid)
         x_r = right.a + right.b * (y - right.y_mid)
         for fit in (left, right):
             d = y - fit.y_mid
             var += fit.cov[0, 0] + 2 * d * fit.cov[0, 1] + d * d * fit.cov[1, 1]
+        skew_u = AXIS_U * rows * apart
     cosine = 1 / math.sqrt(1 + slope * slope)
     gap = (x_r - x_l) * cosine
     u = math.sqrt(var) * cosine
     u = math.hypot(u, gap * slope * cosine**2 / math.sqrt(weight_l + weight_r))
+    u = math.hypot(u, skew_u)
     reason = doubt
     defects = any(
         f.out[4] > 0.02 or f.out[5] < 0.7 * f.seen or f.out[11] > 0 for f in (left, right)
     )
-    limit = LARGEST_U_DEFECTS if defects else LARGEST_U
+    if defects:
+        limit = LARGEST_U_DEFECTS
+    if not reason and skew_u > limit:
+        allowed = int(rows * limit / skew_u)
+        reason = (
+            f"the edges are rotated against each other by {math.degrees(apart):.2f} degrees: align "
+            f"the marks, or choose a region of {allowed} rows at the muscle's axis"
+        )
     if not reason and u > limit:
         reason = f"standard uncertainty {u:.3f} pixels is above {limit:.3f}"
     return GapMeasurement(float(gap), float(u), not reason, reason, _line(left), _line(right), box)
+
+
+def _common_rows(left: Fit, right: Fit) -> tuple[float, float]:
+    """Middle and number of the rows that show both edges, or of the rows between them."""
+    kept = [fit.rows[fit.keep > 0] for fit in (left, right)]
+    first, last = max(rows[0] for rows in kept), min(rows[-1] for rows in kept)
+    return 0.5 * float(first + last), 1.0 + abs(float(last - first))
 
 
 def _line(fit: Fit) -> EdgeLine:

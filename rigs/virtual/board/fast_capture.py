@@ -23,7 +23,8 @@ FLOW_TOP_KPA = 700.0
 FLOW_TOP_COUNTS = 3000.0
 FLOW_ZERO_COUNTS = 200.0
 FLOW_NOISE_COUNTS = 8.0
-BLUR_US = 5.0
+BLUR_US = 5
+"""The flow sensor shows the mean over this time; also the grid of commands."""
 DENSITY_KG_M3 = 1.185
 
 
@@ -60,12 +61,14 @@ class FastCapture:
         """Advance the plant by one tick of the firmware, sampling as it goes."""
         state: Array = self._board.plant.state
         params: Array = self._board.plant.params
-        for at_us in range(0, TICK_US, CAPTURE_US):
-            self._pressure_pa.append(float(state[self._board.pressure_slot]))
+        step_us = BLUR_US if self._source else CAPTURE_US
+        for at_us in range(0, TICK_US, step_us):
+            if at_us % CAPTURE_US == 0:
+                self._pressure_pa.append(float(state[self._board.pressure_slot]))
             self._mass_kg.append(float(state[MASS_IN] + state[MASS_OUT]))
-            on_us = min(max(inlet_us - at_us, 0), CAPTURE_US)
-            out_us = min(max(vent_us - at_us, 0), CAPTURE_US)
-            advance(state, params, CAPTURE_US * 1e-6, on_us * 1e-6, out_us * 1e-6)
+            on_us = min(max(inlet_us - at_us, 0), step_us)
+            out_us = min(max(vent_us - at_us, 0), step_us)
+            advance(state, params, step_us * 1e-6, on_us * 1e-6, out_us * 1e-6)
         if len(self._pressure_pa) >= CAPTURE_N:
             self._finish(params)
 
@@ -83,10 +86,10 @@ class FastCapture:
             values = (kpa - sensor.low_kpa) * sensor.counts_per_kpa
             noise = sensor.noise_kpa * sensor.counts_per_kpa
         else:
-            t = np.arange(len(self._mass_kg)) * float(CAPTURE_US)
-            there = t - LINE_DELAY_US
+            mass_us = np.arange(len(self._mass_kg)) * float(BLUR_US)
+            begin_us = np.arange(len(self._pressure_pa)) * CAPTURE_US - LINE_DELAY_US - BLUR_US / 2
             mass = np.array(self._mass_kg)
-            rate = np.interp(there, t, mass) - np.interp(there - BLUR_US, t, mass)
+            rate = np.interp(begin_us + BLUR_US, mass_us, mass) - np.interp(begin_us, mass_us, mass)
             top_pa = FLOW_TOP_KPA * 1e3 + params[ATMOSPHERE]
             top = self._conductance(params) * DENSITY_KG_M3 * top_pa * BLUR_US * 1e-6
             values = FLOW_ZERO_COUNTS + FLOW_TOP_COUNTS * rate / top
