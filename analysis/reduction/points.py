@@ -31,7 +31,7 @@ CODES = 4096
 """The 12-bit pressure counts range from 0 to 4095. At both ends the sensor may be saturated."""
 
 BALANCE_STEP_G = 0.001
-SLACK_REASON = "slack: the muscle hangs loose, so its force is no measurement"
+SLACK_REASON = "slack: the muscle hangs loose, so its force is not a measurement"
 
 MeasureGap = Callable[[npt.NDArray[np.uint8]], Any]
 
@@ -434,7 +434,9 @@ def _imported(run: Run, extra: Mapping[str, str]) -> Reduction:
         (slack if point.get("slack") else rows).append(row)
     table = points_frame(rows, extra)
     if slack:
-        notes.insert(0, f"{len(slack)} points are slack, left out: their force is no measurement")
+        notes.insert(
+            0, f"{len(slack)} points are slack, left out: their force is not a measurement"
+        )
     unknown = [name for name in QUANTITIES if table[f"u_{name}"].isna().any()]
     if unknown:
         notes.append(f"no uncertainty is known for all of {', '.join(unknown)}: left empty (NaN)")

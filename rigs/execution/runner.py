@@ -109,7 +109,7 @@ class Runner:
             if valve.telemetry.reboots > self._reboots:
                 raise RunFault(
                     valve.name,
-                    "restarted in mid-run (new boot id)",
+                    "restarted during the run (new boot id)",
                     "check its power supply; the run up to here is kept",
                 )
             if not self.rig.pressure_source.armed:
@@ -148,7 +148,7 @@ class Runner:
         source = self.rig.pressure_source
         source.arm()
         if not self.rig.event_loop.until(lambda: source.armed, 2.0):
-            raise DeviceError(valve.name, "took `arm` but its telemetry does not say so")
+            raise DeviceError(valve.name, "took `arm` but the telemetry does not show it")
         self._armed = True
         self.record.event("armed", identity=valve.identity)
 

@@ -16,7 +16,7 @@ def procedure(name: str) -> Procedure:
         ConfigError: there is none.
     """
     if name not in PROTOCOLS:
-        raise ConfigError(name, "is no protocol", f"one of: {', '.join(PROTOCOLS)}")
+        raise ConfigError(name, "is not a protocol", f"one of: {', '.join(PROTOCOLS)}")
     found = import_module(f"rigs.protocols.{name.replace('-', '_')}").PROCEDURE
     assert isinstance(found, Procedure)
     return found

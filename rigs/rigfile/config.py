@@ -239,7 +239,7 @@ def _check_whole(rig: RigConfig, root: Table) -> None:
         raise root.fail(
             "limits.trip_kpa",
             f"{rig.limits.trip_kpa:g} kPa is above the pressure sensor's range ({high:g} kPa)",
-            "a trip that the sensor cannot see protects nobody",
+            "use a trip pressure inside the range of the sensor",
         )
 
 
@@ -340,7 +340,9 @@ def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
     scheme = out.source.split(":")[0]
     if scheme not in (VIRTUAL, "uvc", "tcp"):
         raise t.fail(
-            "source", f"{out.source!r} is no camera", 'use "virtual", "uvc:0" or "tcp://host:port"'
+            "source",
+            f"{out.source!r} is not a camera source",
+            'use "virtual", "uvc:0" or "tcp://host:port"',
         )
     if out.settings and scheme != "uvc":
         raise t.fail("settings", "only a webcam (uvc) has settings", "remove the table")
