@@ -73,7 +73,7 @@ def refused(folder: Path, **files: str) -> str:
         (DYNAMIC + '[parameters."a b"]\nnominal = 1.0', "parameters.a b: expected a name of"),
         (DYNAMIC + '[covariance]\nnames = ["x"]\nmatrix = [[1.0]]', "'x' is not a parameter"),
         (DYNAMIC + '[covariance]\nnames = ["x"]\nmatrix = [[1, 2]]', "expected 1 rows of 1 n"),
-        (DYNAMIC + '[covariance]\nnames = ["x", "y"]\nmatrix = [[1, 2], [2, 1]]', "not a covariance"),
+        (DYNAMIC + '[covariance]\nnames = ["x", "y"]\nmatrix = [[1,2],[2,1]]', "not a covariance"),
         (DYNAMIC + '[covariance]\nnames = "x"\nmatrix = [[1]]', "covariance.names: expect"),
         (DYNAMIC + "[effects.frction]\nx = 1.0", "unknown effect 'frction'"),
         ('kind = "law"\nmodel = "none.toml"', "model: no such file none.toml"),
