@@ -4,6 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 RUNS   ?= out/demo
 READY  := $(VENV)/.ready
+RUNS_HERE := $(VENV)/.runs
 # The tests start many programs, each of which would translate all libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -12,15 +13,19 @@ unexport PYTHONDONTWRITEBYTECODE
 # Every file that is installed has a sum in a lock file; nothing is built from sources.
 HASHED := --quiet --no-compile --no-deps --require-hashes --only-binary :all:
 
-$(READY): requirements.lock locks/build.lock pyproject.toml
+# What a user needs; tests need more.
+$(RUNS_HERE): locks/run.lock locks/build.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pamrig needs Python 3.11 or newer")'
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install $(HASHED) -r locks/build.lock
-	$(BIN)/python -m pip install $(HASHED) -r requirements.lock
-	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python tests/install.py locks/build.lock locks/run.lock
+	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
-demo: $(READY)   ## an isometric test on the virtual bench, then the thesis's measured table
+$(READY): requirements.lock $(RUNS_HERE)
+	@$(BIN)/python tests/install.py requirements.lock
+	@touch $@
+
+demo: $(RUNS_HERE)   ## an isometric test on the virtual bench, then the thesis's measured table
 	@$(BIN)/python -m cli.demo $(RUNS)
 
 # Tests run side by side, each on a processor of its own.

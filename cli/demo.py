@@ -7,6 +7,7 @@ from pathlib import Path
 
 import typer
 
+from cli.first_compile import compile_first
 from daq.clock import RealClock
 from daq.errors import PamrigError
 
@@ -17,6 +18,7 @@ def demo(root: Path) -> int:
     from analysis.reporting.derived import derive_all
     from cli.protocols.protocol_command import TestOptions, protocol_command
 
+    compile_first()
     typer.echo(
         "1. an isometric test on the virtual bench: 5 lengths, 8 pressures, up and down, twice"
     )
@@ -35,7 +37,7 @@ made:
   {thesis / "derived" / "report.html"}
   (open both in a browser; table.csv and samples.parquet are in the same folders)
 
-next steps, after `source .venv/bin/activate`:
+next steps (in a clone after `source .venv/bin/activate`):
   pamrig runs list --runs {root}
   pamrig view {virtual}        the whole test in the viewer
   pamrig isometric --live         the same test in the live view

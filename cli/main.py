@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,6 +17,7 @@ from cli.data.runs import add_runs
 from cli.gap.commands import add_gap
 from cli.model.links import links
 from cli.model.models import add_models, fit
+from cli.options import OutOption
 from cli.protocols.protocols import add_protocols
 from cli.simulate.simulate import add_studies, simulate
 
@@ -75,6 +77,14 @@ add_bench(app)
 add_protocols(app, runs_app)
 for command in (report, view, length, links, fit, simulate):
     app.command()(command)
+
+
+@app.command("demo")
+def demo_command(runs: OutOption = Path("out/demo")) -> None:
+    """Run a test on the virtual bench, import a thesis table, report both."""
+    from cli.demo import demo
+
+    raise typer.Exit(demo(runs))
 
 
 def main() -> None:

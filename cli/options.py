@@ -21,7 +21,7 @@ FigureOption = Annotated[Path | None, Option("--figure", help="Figure to write, 
 JsonOption = Annotated[bool, Option("--json", help="Print one JSON value, nothing else.")]
 NoCacheOption = Annotated[
     bool,
-    Option("--no-cache", help="Compute the diagnosis anew, and do not keep it."),
+    Option("--no-cache", help="Compute the diagnosis again; neither read nor write the cache."),
 ]
 NoteOption = Annotated[str, Option(help="A note for the record.")]
 OperatorOption = Annotated[str, Option(help="Name of the operator.")]

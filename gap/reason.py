@@ -26,7 +26,7 @@ class Cause(StrEnum):
         "commands, or pressure with a hung load and its length, each with a length"
     )
     TOO_FEW_REPLICATES = (
-        "{freedom} replicates beyond the first: too few to tell a gap from noise, {needed} are "
+        "{freedom} replicates beyond the first: too few to separate a gap from noise, {needed} are "
         "needed"
     )
     LOOKS_LIKE = (

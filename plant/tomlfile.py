@@ -47,7 +47,7 @@ def read_bytes(path: Path | str, at_most: int) -> bytes:
         if stat.S_ISDIR(about.st_mode):
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         if not stat.S_ISREG(about.st_mode):
-            raise OSError(errno.EINVAL, "is no plain file", str(path))
+            raise OSError(errno.EINVAL, "is not a regular file", str(path))
         if about.st_size > at_most:
             what = f"holds {about.st_size} bytes, more than {at_most}"
             raise OSError(errno.EFBIG, what, str(path))

@@ -18,10 +18,14 @@ from analysis.formats.importer import import_points
 from analysis.reporting.derived import derive_all
 from bench_runs import quick, run_isometric
 from cli.main import app
+from cli.protocols.resume import continue_run
 from daq.clock import RealClock
+from daq.interrupt import StopFlag
 from daq.store.run import Run, open_run
 from daq.store.store import find_run, list_runs
 from daq.version import version
+from rigs.execution.runner import Watch
+from rigs.protocols.isometric import load_isometric
 from rigs.rigfile.config import load_rig
 
 HOUSE = Path(__file__).resolve().parent.parent
@@ -142,3 +146,16 @@ def test_force_and_pressure_stand_in_one_table(run: Run) -> None:
     newest = balance[balance["time_s"] <= row["time_s"]].iloc[-1]
     assert row["force_n"] == newest["force_n"]
     assert 0 <= row["time_s"] - newest["time_s"] < 0.2
+
+
+def test_a_continued_test_is_shown_live(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    config = load_rig("virtual")
+    stop = StopFlag()
+    begun = run_isometric(
+        config, load_isometric("isometric-short", config.limits), tmp_path, derive=False,
+        stop=stop, watch=Watch(point=lambda *_: stop.set("stop requested")),
+    )  # fmt: skip
+    assert begun.outcome == "stopped"
+    ended = continue_run(open_run(begun.folder), live=True, browser=False)
+    assert ended.outcome == "clean", ended.error
+    assert "live view: " in capfd.readouterr().err

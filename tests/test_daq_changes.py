@@ -185,7 +185,7 @@ KINDS: tuple[Change, ...] = (
 
 
 def state(folder: Path) -> dict[str, bytes | None]:
-    """Bytes by name; None for what is no plain file."""
+    """Bytes by name; None for what is not a regular file."""
     return {
         name: None if (folder / name).is_symlink() or not (folder / name).is_file()
         else (folder / name).read_bytes()

@@ -144,7 +144,7 @@ def test_a_picture_of_no_known_format_is_refused_before_anything_is_written(
     with pytest.raises(SystemExit) as exit_:
         main()
     assert exit_.value.code == 2
-    assert "a.doc: is no picture" in capsys.readouterr().err
+    assert "a.doc: is not a picture file" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
 
 

@@ -212,7 +212,7 @@ def test_the_doctor_names_the_one_that_does_not_answer(tmp_path: Path) -> None:
         ('word_order = "CDAB"', 'word_order = "CDBA"', "is not one of ABCD"),
         ("voltage_v = 12.0", "voltage_v = 30.0", "outside 0.1 to 24"),
         ("[instruments.hygrometer]", "[instruments.flow]", "name of a table of its own"),
-        ('check = "thermometer"', 'check = "thermostat"', "no sensor of this rig"),
+        ('check = "thermometer"', 'check = "thermostat"', "not a sensor of this rig"),
         ("baud = 19200", "baud = 19200\nparity = 1", "parity: unknown key"),
         ('force_source = "balance"', 'force_source = "cell"', "is not one of balance, load_cell"),
         ('[thermometer]\nport = "virtual"', '[thermometer]\nport = "/dev/x"', "mixes both"),

@@ -269,14 +269,14 @@ def test_tare_waits_for_readings_at_rest() -> None:
     [
         ("RH  45.2 %", "RH 45.2 %", r"example: does not read by this description"),
         ("(?P<value>", "(", r"pattern: has no group"),
-        ("[ 0-9]{3}", "( 0-9{3}", r"pattern: is no regular expression"),
+        ("[ 0-9]{3}", "( 0-9{3}", r"pattern: is not a regular expression"),
         ("humidity_percent", "humidity", r"quantity: 'humidity' has no unit"),
         ("rate_hz", "rate_Hz", r"rate_Hz: unknown key"),
-        ("{value:5.1f}", "{value.__class__}", r"template: .* is no line with \{value\}"),
-        ("{value:5.1f}", "{value:999999999}", r"template: .* is no line with \{value\}"),
-        ("{value:5.1f}", "{value:{unit}}", r"template: .* is no line with \{value\}"),
-        ("{value:5.1f}", "{0}", r"template: .* is no line with \{value\}"),
-        ("{value:5.1f}", "{value", r"template: .* is no line with \{value\}"),
+        ("{value:5.1f}", "{value.__class__}", r"template: .* is not a line with \{value\}"),
+        ("{value:5.1f}", "{value:999999999}", r"template: .* is not a line with \{value\}"),
+        ("{value:5.1f}", "{value:{unit}}", r"template: .* is not a line with \{value\}"),
+        ("{value:5.1f}", "{0}", r"template: .* is not a line with \{value\}"),
+        ("{value:5.1f}", "{value", r"template: .* is not a line with \{value\}"),
     ],
 )
 def test_a_description_that_cannot_work_is_refused(

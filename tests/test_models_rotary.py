@@ -182,9 +182,9 @@ def test_the_command_spreads_angles_over_the_range(monkeypatch, capsys) -> None:
         (["--fibre-mm", "40"], "is not longer than length_m"),
         (["--radius-mm", "0"], "--radius-mm: expected a number above 0"),
         (["--angles", "300"], "has no geometry"),
-        (["--angles", "nan"], "--angles: 'nan' is no list of numbers"),
+        (["--angles", "nan"], "--angles: 'nan' is not a list of numbers"),
         (["--pressures", "-1"], "--pressures: expected a number from 0"),
-        (["--pressures", "ten"], "--pressures: 'ten' is no list of numbers"),
+        (["--pressures", "ten"], "--pressures: 'ten' is not a list of numbers"),
     ],
 )
 def test_what_has_no_geometry_is_one_line(words, text, monkeypatch, capsys) -> None:

@@ -37,7 +37,7 @@ exceeds its calibration's uncertainty. Of 664 points of four undisturbed virtual
 pressure moved while it was measured. The largest of the others is 7.1 times the median.
 """
 FEWEST_COMPARED = 4
-SLACK_REASON = "slack: the muscle hangs loose, so its force is no measurement"
+SLACK_REASON = "slack: the muscle hangs loose, so its force is not a measurement"
 
 MeasureGap = Callable[[npt.NDArray[np.uint8]], Any]
 
@@ -490,7 +490,9 @@ def _imported(run: Run, extra: Mapping[str, str]) -> Reduction:
         (slack if point.get("slack") else rows).append(row)
     table = points_frame(rows, extra)
     if slack:
-        notes.insert(0, f"{len(slack)} points are slack, left out: their force is no measurement")
+        notes.insert(
+            0, f"{len(slack)} points are slack, left out: their force is not a measurement"
+        )
     unknown = [name for name in QUANTITIES if table[f"u_{name}"].isna().any()]
     if unknown:
         notes.append(f"no uncertainty is known for all of {', '.join(unknown)}: left empty (NaN)")

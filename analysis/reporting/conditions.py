@@ -92,7 +92,7 @@ def condition_sections(run: Run) -> list[Section]:
         sections.append(_weights(run, found["weights"]))
     if found["leak_checks"]:
         words = tuple(
-            f"At {row['pressure_kpa']:.0f} kPa with both valves shut for {row['hold_s']:g} s the"
+            f"At {row['pressure_kpa']:.0f} kPa with both valves closed for {row['hold_s']:g} s the"
             f" pressure {'fell' if row['loss_kpa_s'] >= 0 else 'rose'} by"
             f" {abs(row['loss_kpa_s']):.3f} kPa/s (limit {row['limit_kpa_s']:g} kPa/s)."
             for row in found["leak_checks"]

@@ -188,7 +188,9 @@ def _numbers(text: str, key: str) -> list[float]:
     try:
         return [float(word) for word in text.split(",") if word.strip()]
     except ValueError:
-        raise ConfigError(key, f"{text!r} is no list of numbers", "write it as 0,100,200") from None
+        raise ConfigError(
+            key, f"{text!r} is not a list of numbers", "write it as 0,100,200"
+        ) from None
 
 
 def _uncertainty(value: float, key: str, relative: bool = False) -> float:
@@ -196,7 +198,7 @@ def _uncertainty(value: float, key: str, relative: bool = False) -> float:
     if not 0.0 <= value < (1.0 if relative else math.inf):
         raise ConfigError(
             key,
-            f"{value:g} is no {'relative ' if relative else ''}standard uncertainty",
+            f"{value:g} is not a {'relative ' if relative else ''}standard uncertainty",
             "0.001 is 0.1 %" if relative else "give a number from 0 up",
         )
     return value

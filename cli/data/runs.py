@@ -360,7 +360,7 @@ def point_numbers(text: str) -> list[int]:
     for part in filter(None, (p.strip() for p in text.split(","))):
         match = re.fullmatch(r"(\d+)(?:-(\d+))?", part)
         if match is None or (match[2] and int(match[2]) < int(match[1])):
-            raise ConfigError("--points", f"{part!r} is no number or range", "as in 3,7-9")
+            raise ConfigError("--points", f"{part!r} is not a number or range", "as in 3,7-9")
         first = int(match[1])
         last = int(match[2] or first)
         if last - first > MAX_RANGE:

@@ -64,7 +64,8 @@ def run_or_stop(plan: Plan) -> list[dict[str, Any]]:
         return run_campaign(plan)
     except KeyboardInterrupt:
         typer.echo(
-            f"\nstopped; finished sets are in {plan.out}; the same command goes on", err=True
+            f"\nstopped; finished sets are in {plan.out}; run the same command again to continue",
+            err=True,
         )
         sys.exit(130)
 

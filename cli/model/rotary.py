@@ -91,5 +91,7 @@ def _numbers(text: str, option: str, example: str) -> list[float]:
     except ValueError:
         numbers = [math.nan]
     if not all(map(math.isfinite, numbers)) or len(numbers) > MOST_VALUES:
-        raise ConfigError(option, f"{text[:60]!r} is no list of numbers", f"write it as {example}")
+        raise ConfigError(
+            option, f"{text[:60]!r} is not a list of numbers", f"write it as {example}"
+        )
     return numbers

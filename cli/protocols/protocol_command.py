@@ -14,7 +14,10 @@ from cli.protocols.terminal import ProgressLine, exit_status, print_result
 from daq.errors import ConfigError
 
 if TYPE_CHECKING:
+    from rigs.execution.procedure import Plan, Procedure
     from rigs.execution.runner import Runner
+    from rigs.live.feed import LiveFeed
+    from rigs.rigfile.config import RigConfig
 
 MAX_WAIT_FOR_VIEWER_S = 30.0
 
@@ -37,6 +40,38 @@ class TestOptions:
     wire: bool = False
     as_json: bool = False
     predict: Path | None = None
+
+
+def live_maker(
+    kind: Procedure, plan: Plan, config: RigConfig, browser: bool, feeds: list[LiveFeed]
+) -> Callable[[str], LiveFeed]:
+    """What opens the live view of a test, states its address, and waits where time is virtual.
+
+    Args:
+        kind, plan, config: the test and its rig.
+        browser: open the page in a browser, if there is a screen.
+        feeds: gets what was opened.
+    """
+    from rigs.live.feed import open_live
+
+    def make_live(run_id: str) -> LiveFeed:
+        feed = open_live(run_id, kind.analysis.layout(plan.as_dict()), open_browser=browser)
+        feeds.append(feed)
+        view = feed.view
+        if view.error:
+            typer.echo(f"live view: none ({view.error}); the test continues", err=True)
+            return feed
+        where = view.url
+        if view.page_error:
+            where = f"no page ({view.page_error}); open it with: rerun {view.data_url}"
+        typer.echo(f"live view: {where}", err=True)
+        if browser and config.is_virtual:
+            # On the virtual clock the test would finish before the page is loaded.
+            typer.echo(f"waiting up to {MAX_WAIT_FOR_VIEWER_S:.0f} s for a viewer", err=True)
+            view.wait_for_viewer(MAX_WAIT_FOR_VIEWER_S)
+        return feed
+
+    return make_live
 
 
 def protocol_command(name: str, options: TestOptions) -> int:
@@ -63,32 +98,13 @@ def protocol_command(name: str, options: TestOptions) -> int:
     make_live = None
     begin: Callable[[Runner, Any], None] = line.start
     if options.live:
-        from rigs.live.feed import LiveFeed, open_live
-
         feeds: list[LiveFeed] = []
         if options.predict is not None:
             from rigs.live.prediction import predicting
 
             begin = predicting(options.predict, feeds, line.start)
 
-        def make_live(run_id: str) -> LiveFeed:
-            feed = open_live(
-                run_id, kind.analysis.layout(plan.as_dict()), open_browser=options.browser
-            )
-            feeds.append(feed)
-            view = feed.view
-            if view.error:
-                typer.echo(f"live view: none ({view.error}); the test continues", err=True)
-                return feed
-            where = view.url
-            if view.page_error:
-                where = f"no page ({view.page_error}); open it with: rerun {view.data_url}"
-            typer.echo(f"live view: {where}", err=True)
-            if options.browser and config.is_virtual:
-                # On the virtual clock the test would finish before the page is loaded.
-                typer.echo(f"waiting up to {MAX_WAIT_FOR_VIEWER_S:.0f} s for a viewer", err=True)
-                view.wait_for_viewer(MAX_WAIT_FOR_VIEWER_S)
-            return feed
+        make_live = live_maker(kind, plan, config, options.browser, feeds)
 
     with stop_on_signals() as stop:
         result = run_protocol(

@@ -26,6 +26,11 @@ ProtocolOption = Annotated[
     str, typer.Option("--protocol", help="Protocol file, or the name of a shipped one.")
 ]
 
+LiveOption = Annotated[bool, typer.Option("--live", help="Show the test in the live view.")]
+BrowserOption = Annotated[
+    bool, typer.Option("--browser/--no-browser", help="Open the live view in the browser.")
+]
+
 
 OWN = "Run a protocol of your own: a Python file, or one that an installed package brings."
 
@@ -42,12 +47,8 @@ def _command(name: str) -> Callable[..., None]:
         operator: OperatorOption = "",
         note: NoteOption = "",
         seed: SeedOption = None,
-        live: Annotated[
-            bool, typer.Option("--live", help="Show the test in the live view.")
-        ] = False,
-        browser: Annotated[
-            bool, typer.Option("--browser/--no-browser", help="Open the live view in the browser.")
-        ] = True,
+        live: LiveOption = False,
+        browser: BrowserOption = True,
         wire: Annotated[
             bool, typer.Option("--wire", help="Also record every received byte.")
         ] = False,
@@ -113,12 +114,16 @@ def continue_test(
     operator: OperatorOption = "",
     note: NoteOption = "",
     runs: RunsOption = RUNS,
+    live: LiveOption = False,
+    browser: BrowserOption = True,
     as_json: JsonOption = False,
 ) -> None:
     """Continue an interrupted test after its last complete trial, as a run linked to the first."""
     from cli.protocols.resume import continue_command
 
-    raise typer.Exit(continue_command(run, runs, rig, protocol, operator, note, as_json))
+    raise typer.Exit(
+        continue_command(run, runs, rig, protocol, operator, note, as_json, live, browser)
+    )
 
 
 def run_plan(

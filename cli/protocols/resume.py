@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from analysis.reporting.derived import try_derive
 from cli.output import print_json
+from cli.protocols.protocol_command import live_maker
 from cli.protocols.terminal import ProgressLine, exit_status, print_result
 from daq.errors import ConfigError
 from daq.interrupt import StopFlag
@@ -115,6 +116,8 @@ def continue_run(
     stop: StopFlag | None = None,
     watch: Watch | None = None,
     on_start: Callable[..., None] | None = None,
+    live: bool = False,
+    browser: bool = True,
 ) -> Result:
     """Make the trials that a test did not complete, in a new run beside the last one.
 
@@ -130,17 +133,26 @@ def continue_run(
     continues = continuation(run)
     kind, config, plan = same_test(run, rig, protocol)
     manifest = run.manifest
+    make_live = live_maker(kind, plan, config, browser, []) if live else None
     return run_protocol(
         kind, config, plan, root,
         specimen=str(manifest.get("specimen") or ""),
         operator=operator or str(manifest.get("operator") or ""),
         note=note, stop=stop, watch=watch, on_start=on_start,
-        continues=continues,
+        make_live=make_live, continues=continues,
     )  # fmt: skip
 
 
 def continue_command(
-    run: str, runs: Path, rig: str, protocol: str, operator: str, note: str, as_json: bool
+    run: str,
+    runs: Path,
+    rig: str,
+    protocol: str,
+    operator: str,
+    note: str,
+    as_json: bool,
+    live: bool = False,
+    browser: bool = True,
 ) -> int:
     """Continue a run and print the result; returns the exit status."""
     from daq.interrupt import stop_on_signals
@@ -151,6 +163,7 @@ def continue_command(
         result = continue_run(
             found, rig=rig, protocol=protocol, operator=operator, note=note,
             stop=stop, watch=line.watch(), on_start=line.start,
+            live=live, browser=browser,
         )  # fmt: skip
     line.close()
     return _print(result, as_json)

@@ -100,7 +100,7 @@ def more_replicates(problem: FitProblem, needed: int) -> Experiment:
     return Experiment(
         first.protocol, {"repeats": repeats}, float("nan"), float("nan"),
         (repeats - 1) * len(slots), (),
-        "replicates are missing: without them nothing tells a gap from noise; measure each "
+        "replicates are missing: without them a gap cannot be separated from noise; measure each "
         "setting again, best in another order and mounting",
     )  # fmt: skip
 

@@ -307,7 +307,7 @@ def _time(table: Section, within: bool = False) -> TimeBase:
     if settled and offset:
         raise table.error("offset_s", "settled points have no time")
     if abs(offset) > LONGEST_S:
-        raise table.error("offset_s", f"{offset:g} s is no time of a test")
+        raise table.error("offset_s", f"{offset:g} s is not a plausible time")
     table.close()
     return TimeBase(column, unit, rate, own, settled, offset)
 

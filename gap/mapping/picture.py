@@ -20,7 +20,7 @@ _AXIS = {
 def check_picture(path: Path) -> None:
     """Refuse a name that ends in no format of a picture. Raises `GapError`."""
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise GapError(str(path), "is no picture", "name it .png, .svg or .pdf")
+        raise GapError(str(path), "is not a picture file", "name it .png, .svg or .pdf")
 
 
 def draw_first_trial(data: DataSet, path: Path) -> None:

@@ -167,7 +167,9 @@ class Recording:
         elif base.rate_hz is not None:
             count = np.arange(len(column), dtype=np.float64)
             if len(column) / base.rate_hz > LONGEST_S:
-                raise GapError(f"{named}.rate_hz", f"{base.rate_hz:g} Hz is no rate of a test")
+                raise GapError(
+                    f"{named}.rate_hz", f"{base.rate_hz:g} Hz is not a plausible sampling rate"
+                )
             ns, dated = np.round(count * (1e9 / base.rate_hz)).astype(np.int64), False
         else:
             at = self._column(path, base.column)
@@ -214,7 +216,7 @@ def _nanoseconds(column: Column, unit: str) -> tuple[Whole, bool]:
         raise column.error(int(empty[0]), "has no time", "every row needs one")
     far = np.flatnonzero(np.abs(number) * (factor * 1e-9) > LONGEST_S)
     if len(far):
-        raise column.error(int(far[0]), f"{number[far[0]]:g} {unit} is no time of a test")
+        raise column.error(int(far[0]), f"{number[far[0]]:g} {unit} is not a plausible time")
     if values.dtype.kind == "i":
         return values.astype(np.int64) * factor, False
     return np.round(number * factor).astype(np.int64), False

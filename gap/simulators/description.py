@@ -101,7 +101,7 @@ class Description:
         for name, text in value.items():
             if name not in known:
                 raise self.error(
-                    f"{key}.{name}", "is no stage of this simulator", _near(name, known)
+                    f"{key}.{name}", "is not a stage of this simulator", _near(name, known)
                 )
             if not isinstance(text, str) or not text.strip():
                 raise self.error(f"{key}.{name}", f"expected a text, got {_shown(text)}")
@@ -194,7 +194,7 @@ class Description:
         for name in names:
             if name not in known:
                 raise self.error(
-                    "covariance.names", f"{name!r} is no parameter", _near(name, known)
+                    "covariance.names", f"{name!r} is not a parameter", _near(name, known)
                 )
         made = np.diag([parameter.tolerance**2 for parameter in parameters])
         at = [known.index(name) for name in names]
@@ -223,8 +223,8 @@ class Description:
         unit = matrix / np.outer(scale, scale)
         if not np.allclose(unit, unit.T, atol=1e-6) or np.linalg.eigvalsh(unit).min() < -1e-6:
             raise self.error(
-                "covariance.matrix", "is no covariance: expected a symmetric matrix without "
-                "negative eigenvalues",
+                "covariance.matrix", "is not a covariance matrix: expected a symmetric matrix "
+                "without negative eigenvalues",
             )  # fmt: skip
         return names, np.asarray((matrix + matrix.T) / 2.0)
 
@@ -281,7 +281,7 @@ def _stages(about: Description) -> tuple[Stage, ...]:
         raise about.error("stages", f'expected a list such as ["force"], got {_shown(names)}')
     for name in names:
         if name not in STAGES:
-            raise about.error("stages", f"{name!r} is no stage; known: {', '.join(STAGES)}")
+            raise about.error("stages", f"{name!r} is not a stage; known: {', '.join(STAGES)}")
     if len(set(names)) != len(names):
         raise about.error("stages", "names a stage twice")
     return tuple(stage for name, stage in STAGES.items() if name in names)

@@ -282,5 +282,5 @@ def _numbers(value: object, where: str) -> tuple[float, ...]:
     for one in value:
         number = isinstance(one, (int, float)) and not isinstance(one, bool)
         if not number or not np.isfinite(one):
-            raise PlantError(f"{where}: {one!r:.40} is no finite number")
+            raise PlantError(f"{where}: {one!r:.40} is not a finite number")
     return tuple(float(one) for one in value)

@@ -214,7 +214,7 @@ def open_axes(
         elif axis.check:
             raise ConfigError(
                 f"{config.source}: manual.{name}.check",
-                f"{axis.check!r} is no sensor of this rig",
+                f"{axis.check!r} is not a sensor of this rig",
                 f"one of: pressure, {', '.join(instruments)}; leave it out to believe the operator",
             )
         out[name] = ManualAxis(

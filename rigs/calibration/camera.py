@@ -195,7 +195,7 @@ def calibrate_from_board(  # noqa: PLR0913 - what a calibration states, each by 
         ConfigError: the board is not found, or its squares have no size.
     """
     if not 0.0 < square_mm < math.inf:
-        raise ConfigError("--square-mm", f"{square_mm:g} mm is no side of a square")
+        raise ConfigError("--square-mm", f"{square_mm:g} mm is not a valid side length")
     scale, u_scale, lens, rms, corners = _board(picture, squares, square_mm)
     per_mm = u_per_mm = 0.0
     if nearer is not None and nearer_mm:

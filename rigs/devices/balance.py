@@ -77,7 +77,7 @@ class Balance(LineDevice):
             self._bad(kind, f"reading that does not parse: {line!r}")
             return True
         if not _ANSWER.match(line):  # a reading without its head is no answer to a request
-            self._bad("damaged", f"line that is no answer: {line!r}")
+            self._bad("damaged", f"line that is not an answer: {line!r}")
             return True
         return False
 

@@ -147,7 +147,8 @@ class TriggeredUvc:
     def __init__(self, camera: UvcCamera, source: str, event_loop: EventLoop) -> None:
         self._camera = camera
         self._event_loop = event_loop
-        self.identity = {"source": source}
+        applied = {name: f"{value:g}" for name, value in camera.applied.items()}
+        self.identity = {"source": source, **applied}
 
     def trigger(self) -> Frame:
         """Wait for the next whole frame."""
@@ -253,7 +254,9 @@ def open_camera(config: CameraDevice, event_loop: EventLoop) -> Camera:
         from rigs.devices.uvc import UvcCamera
 
         index = config.source.removeprefix("uvc:")
-        uvc = UvcCamera(int(index) if index.isdigit() else index, event_loop.clock)
+        uvc = UvcCamera(
+            int(index) if index.isdigit() else index, event_loop.clock, settings=config.settings
+        )
         camera = TriggeredUvc(uvc, config.source, event_loop)
     got = camera.identity.get("serial", "")
     if config.serial and got and got != config.serial:

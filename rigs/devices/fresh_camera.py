@@ -86,7 +86,7 @@ class FreshCamera:
         return frame
 
     def _old(self, frame: Frame) -> str:
-        """Why this is the last picture once more, or nothing."""
+        """Why this is the same picture twice, or nothing."""
         last = self._last
         if last is None:
             return ""

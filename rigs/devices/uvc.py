@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,10 @@ import numpy.typing as npt
 from daq.clock import Clock
 from daq.errors import DeviceError
 
+PROPERTIES = {"width": 3, "height": 4, "fps": 5, "gain": 14, "exposure": 15, "focus": 28}
+"""OpenCV's numbers of the properties (cv2.CAP_PROP_...)."""
+AUTOMATIC = {"exposure": ((21, 1.0),), "focus": ((39, 0.0),)}
+"""What switches the automatic off: CAP_PROP_AUTO_EXPOSURE manual (1 for V4L2), AUTOFOCUS 0."""
 KEPT = 64  # frames between two calls of drain before the oldest go
 STALE_READS = 5  # failed reads in a row before the camera counts as lost
 
@@ -38,14 +43,25 @@ class UvcFrame:
 class UvcCamera:
     """A camera by index (0, 1, ...) or by URL or device path.
 
+    ``settings`` are set before the first frame: width, height, fps, exposure, gain, focus, each
+    in the driver's unit. With exposure or focus its automatic is switched off. ``applied`` has what
+    the driver reports afterwards.
+
     ``dropped`` counts frames that nobody drained in time, ``repeated`` frames identical to
     the one before (a driver that hands out its buffer twice).
 
     Raises:
-        DeviceError: there is no such camera, it is in use, or it gives no frame.
+        DeviceError: there is no such camera, it is in use, it gives no frame, or it does not
+            take a setting.
     """
 
-    def __init__(self, index_or_url: int | str, clock: Clock, capture: Any = None) -> None:
+    def __init__(
+        self,
+        index_or_url: int | str,
+        clock: Clock,
+        capture: Any = None,
+        settings: Mapping[str, float] | None = None,
+    ) -> None:
         self.name = f"camera {index_or_url}"
         self._clock = clock
         self.dropped = 0
@@ -71,6 +87,7 @@ class UvcCamera:
                 "check that it is plugged in, that no other program uses it, and the key "
                 "camera.source in the rig file",
             )
+        self.applied = self._set(settings or {})
         first = self._read()
         if first is None:
             capture.release()
@@ -82,6 +99,24 @@ class UvcCamera:
         self._keep(0, first)
         self._thread = threading.Thread(target=self._grab, name=self.name, daemon=True)
         self._thread.start()
+
+    def _set(self, settings: Mapping[str, float]) -> dict[str, float]:
+        """Set the camera and read back what it took."""
+        for name, value in settings.items():
+            for automatic, off in AUTOMATIC.get(name, ()):
+                self._capture.set(automatic, off)
+            self._capture.set(PROPERTIES[name], value)
+        taken = {name: float(self._capture.get(PROPERTIES[name])) for name in settings}
+        for name, value in settings.items():
+            if abs(taken[name] - value) > max(0.01 * abs(value), 0.5):
+                self._capture.release()
+                raise DeviceError(
+                    self.name,
+                    f"does not take camera.settings.{name} = {value:g}: it reports {taken[name]:g}",
+                    "use a value that the driver offers (Linux: v4l2-ctl --list-ctrls), or remove "
+                    "the key",
+                )
+        return taken
 
     def _read(self) -> npt.NDArray[np.uint8] | None:
         ok, image = self._capture.read()

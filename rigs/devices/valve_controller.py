@@ -146,7 +146,7 @@ class ValveController:
             self.unanswered += 1
         if reply.ok and "t" in reply.values:
             if not _COUNT.match(reply.values["t"]):
-                raise CodecError(f"a reply says t={reply.values['t'][:20]!r}, expected a number")
+                raise CodecError(f"a reply has t={reply.values['t'][:20]!r}, expected a number")
             device_us = self.telemetry.device_time.unwrap(int(reply.values["t"]), host_ns)
             self.clock_fit.add(sent_ns, host_ns, device_us)
 

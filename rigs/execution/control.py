@@ -92,7 +92,7 @@ class RunControl:
         word = SHORT.get(first.lower(), first.lower())
         if word not in WORDS:
             known = ", ".join(f"{k} {v}" for k, v in SHORT.items())
-            raise ConfigError(f"{first!r}", "is nothing that a test can be asked for", known)
+            raise ConfigError(f"{first!r}", "is not a request to a test", known)
         with self._lock:
             self._asked.append((word if first.lower() != "p" else "p", rest.strip()))
 

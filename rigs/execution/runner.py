@@ -118,7 +118,7 @@ class Runner:
             if valve.telemetry.reboots > self._reboots:
                 raise RunFault(
                     valve.name,
-                    "restarted in mid-run (new boot id)",
+                    "restarted during the run (new boot id)",
                     "check its power supply; the run up to here is kept",
                 )
             if valve.other_set_point is not None:
@@ -187,7 +187,7 @@ class Runner:
         if not self.rig.event_loop.until(lambda: source.armed, 2.0):
             if valve.faults:
                 raise self._fault()
-            raise DeviceError(valve.name, "took `arm` but its telemetry does not say so")
+            raise DeviceError(valve.name, "took `arm` but the telemetry does not show it")
         self._armed = True
         self.record.event("armed", identity=valve.identity)
 

@@ -44,7 +44,7 @@ class Stretch:
     """A recorded stretch of time.
 
     Attributes:
-        samples: 1 kHz table: time_s, pressure_kpa, setpoint_kpa, inlet_cmd, vent_cmd, ...
+        samples: 1 kHz table: time_s, pressure_kpa, setpoint_kpa, inlet_cmd, outlet_cmd, ...
         force: table of the balance or load cell: time_s, force_n.
         length: table of the pictures taken: time_s, length_mm (nan where no length was found).
     """

@@ -169,7 +169,7 @@ class Conversation:
         """
         make = self._requests.get(what)
         if make is None:
-            raise ConfigError(what, "is no request of an interactive session")
+            raise ConfigError(what, "is not a request of an interactive session")
         return make(request)
 
     def _vent(self, request: Mapping[str, Any]) -> list[Step]:

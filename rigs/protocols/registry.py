@@ -32,7 +32,7 @@ def _installed(name: str) -> Procedure:
 
     known = installed(GROUP)
     if name not in known:
-        raise ConfigError(name, "is no protocol", f"one of: {', '.join([*PROTOCOLS, *known])}")
+        raise ConfigError(name, "is not a protocol", f"one of: {', '.join([*PROTOCOLS, *known])}")
     test = load_installed(GROUP, name)
     if not (isinstance(test, type) and issubclass(test, OwnTest)):
         raise ConfigError(f"{GROUP}: {name}", "is not a class derived from OwnTest")

@@ -155,7 +155,7 @@ def read(name: str, config: RigConfig) -> SwitchingTime:
         source=t.source,
     )
     if plan.width_us % 5:
-        raise t.fail("width_us", f"{plan.width_us} is no multiple of 5", "the controller's step")
+        raise t.fail("width_us", f"{plan.width_us} is not a multiple of 5", "the controller's step")
     need_supply_axis(t, plan.valves, config)
     line.finish()
     t.finish()

@@ -119,7 +119,7 @@ class VoltagePoint(ValvePoint):
         if again > MOST_AGAIN:
             raise RunFault(
                 valve.name,
-                f"{volts:g} V was tried {again} times and no try was whole",
+                f"{volts:g} V was tested {again} times and no attempt was complete",
                 "check its cable and that the computer is not busy; the record says what was lost",
             )
         self._restore(runner, supply)

@@ -185,7 +185,9 @@ def _template(t: Table, key: str, wanted: str) -> str:
     except (ValueError, KeyError, IndexError, AttributeError):
         good = False
     if not good:
-        raise t.fail(key, f"{text!r} is no line with one {{{wanted}}}", "write {value:.3f} or so")
+        raise t.fail(
+            key, f"{text!r} is not a line with one {{{wanted}}}", "write {value:.3f} or so"
+        )
     return text
 
 
@@ -194,7 +196,7 @@ def _pattern(t: Table, key: str, group: str, needed: bool) -> re.Pattern[str]:
     try:
         pattern = re.compile(text)
     except re.error as error:
-        raise t.fail(key, f"is no regular expression: {error}", "correct it") from None
+        raise t.fail(key, f"is not a regular expression: {error}", "correct it") from None
     if needed and group and group not in pattern.groupindex:
         raise t.fail(key, f"has no group (?P<{group}>...)", "mark it in the pattern")
     return pattern

@@ -71,6 +71,17 @@ Box = tuple[int, int, int, int]
 """Left, top, width, height in pixels."""
 
 
+CAMERA_SETTINGS: dict[str, tuple[float, float]] = {
+    "width": (16, 20_000),
+    "height": (16, 20_000),
+    "fps": (0.1, 1000),
+    "exposure": (-20, 100_000),
+    "gain": (0, 100_000),
+    "focus": (0, 100_000),
+}
+"""Settings of a webcam and their ranges: pixels, frames per second, then units of its driver."""
+
+
 @dataclass(frozen=True)
 class CameraSync:
     """How the sync LED is seen: its patch of the picture, and the camera's timing.
@@ -92,7 +103,8 @@ class CameraDevice:
 
     ``repeat`` lets the pictures of a replay begin anew after the last one.
     ``region`` is where the marks are looked for (None: the whole picture); ``lens`` the
-    distortion that the camera's calibration file holds, as its plain values.
+    distortion that the camera's calibration file holds, as its plain values. ``settings`` are
+    those of a webcam (`CAMERA_SETTINGS`), in the units of its driver.
     """
 
     source: str
@@ -102,6 +114,7 @@ class CameraDevice:
     sync: CameraSync | None = None
     lens: dict[str, float] | None = None
     repeat: bool = False
+    settings: dict[str, float] | None = None
 
     @property
     def replayed(self) -> bool:
@@ -257,7 +270,7 @@ def _check_whole(rig: RigConfig, root: Table) -> None:
         raise root.fail(
             "limits.trip_kpa",
             f"{rig.limits.trip_kpa:g} kPa is above the pressure sensor's range ({high:g} kPa)",
-            "a trip that the sensor cannot see protects nobody",
+            "use a trip pressure inside the range of the sensor",
         )
 
 
@@ -370,15 +383,18 @@ def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
         region=_box(t, "region") if "region" in t else None,
         sync=_sync(t.table("sync")) if "sync" in t else None,
         lens=lens,
+        settings=_settings(t.table("settings")) if "settings" in t else None,
     )
     scheme = out.source.split(":")[0]
     if scheme not in (VIRTUAL, "uvc", "tcp", REPLAY[:-1]) or out.source == REPLAY:
         raise t.fail(
-            "source", f"{out.source!r} is no camera",
+            "source", f"{out.source!r} is not a camera source",
             'use "virtual", "uvc:0", "tcp://host:port" or "replay:FOLDER"',
         )  # fmt: skip
     if out.repeat and not out.replayed:
         raise t.fail("repeat", "is for recorded pictures", 'use it with source = "replay:FOLDER"')
+    if out.settings and scheme != "uvc":
+        raise t.fail("settings", "only a webcam (uvc) has settings", "remove the table")
     t.finish()
     return out, length
 
@@ -389,6 +405,16 @@ def _camera_source(t: Table) -> str:
     if not source.startswith(REPLAY) or source == REPLAY:
         return source
     return REPLAY + str(Path(t.source).parent / source.removeprefix(REPLAY))
+
+
+def _settings(t: Table) -> dict[str, float]:
+    """What a webcam is set to; a key that is left out stays as the driver has it."""
+    found = {key: t.number(key, low, high) for key, (low, high) in CAMERA_SETTINGS.items()
+             if key in t}  # fmt: skip
+    if ("width" in found) != ("height" in found):
+        raise t.fail("width", "width and height belong together", "give both, in pixels")
+    t.finish()
+    return found
 
 
 def _camera_calibration(t: Table) -> tuple[Calibration, dict[str, float] | None]:

@@ -198,7 +198,7 @@ def _check(t: Table, form: TextForm) -> None:
     if not _plain_template(form.template):
         raise t.fail(
             "template",
-            f"{form.template!r} is no line with {{value}}, {{unit}} and {{status}}",
+            f"{form.template!r} is not a line with {{value}}, {{unit}} and {{status}}",
             'write formats such as "{value:6.2f} {unit}"',
         )
     parsed = form.parse(form.example)
@@ -239,4 +239,4 @@ def _pattern(t: Table, key: str) -> re.Pattern[str] | None:
         return re.compile(text)
     except re.error as error:
         where = f"{t.source}: {t.path}.{key}" if t.path else f"{t.source}: {key}"
-        raise ConfigError(where, f"is no regular expression: {error}", "correct it") from None
+        raise ConfigError(where, f"is not a regular expression: {error}", "correct it") from None

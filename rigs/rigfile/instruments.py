@@ -121,7 +121,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
         if name in (*NAMED, "valve", "balance", "stage", "camera", "supply"):
             raise group.fail(name, "is the name of a table of its own", f"write it as [{name}]")
         if not name.isidentifier():
-            raise group.fail(name, "is no name for a stream", "use letters, digits and _")
+            raise group.fail(name, "is not a valid name for a stream", "use letters, digits and _")
         text[name] = _text(group.table(name), name)
     group.finish()
     modbus = {}

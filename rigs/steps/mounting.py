@@ -25,7 +25,7 @@ class Remount(CustomStep):
         runner.do(Vent())
         runner.do(State(f"mounting {self.mounting}"))
         text = (
-            f"take the muscle off and mount it anew (mounting {self.mounting}), then press Enter"
+            f"remove the muscle and mount it again (mounting {self.mounting}), then press Enter"
             " (or type a remark)"
         )
         request = Request("mounting", 0.0, "", text)

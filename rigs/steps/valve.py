@@ -1,7 +1,7 @@
 """What the valve tests do on a bench: a supply turned, a vessel filled, both valves shut.
 
 Every point of these tests makes its own setting, so that it can be repeated by itself. After
-:func:`fill` and :func:`release` the controller is in scheme ``open`` with both valves shut.
+:func:`fill` and :func:`release` the controller is in scheme ``open`` with both valves closed.
 """
 
 from __future__ import annotations

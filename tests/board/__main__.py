@@ -49,7 +49,7 @@ def main() -> int:
         print(f"board: {error}")
         return 2
     except KeyboardInterrupt:
-        print("stopped; the same command goes on")
+        print("stopped; run the same command again to continue")
         return 130
     missed = misses(results)
     about = {

@@ -24,7 +24,7 @@ class LoadCell:
         if indicator.unit not in GRAMS:
             raise ConfigError(
                 f"{indicator.key}: unit {indicator.unit!r}",
-                "is no unit of force or mass",
+                "is not a unit of force or mass",
                 f"known: {', '.join(GRAMS)}",
             )
         self.indicator = indicator

@@ -153,7 +153,7 @@ class _Codec:
         return 5 + message[2] if message[1] in (3, 4) else 0
 
     def open(self, message: bytes) -> Any:
-        """The PDU in a whole frame; None where the checksum does not hold."""
+        """The PDU in a whole frame; None where the wrong checksum."""
         from pymodbus.exceptions import ModbusException
 
         try:

@@ -178,7 +178,7 @@ def _unpacked(packed: bytes) -> bytes:
     unpacking = zlib.decompressobj()
     data = unpacking.decompress(packed, LARGEST)
     if not unpacking.eof:
-        raise ValueError("its note is cut short, or larger than one can be")
+        raise ValueError("its file is incomplete or too large")
     return data
 
 
@@ -196,5 +196,5 @@ def _envelope(folder: Path, port: int) -> dict[str, Any]:
             str(folder), f"its bench does not answer ({error})", "is it still running?"
         ) from None
     if not isinstance(envelope, dict):
-        raise PamrigError(str(folder), "its bench answers something else")
+        raise PamrigError(str(folder), "its bench gives another answer")
     return envelope
