@@ -132,9 +132,9 @@ def test_what_cannot_be_replayed_is_named(pictures: Path, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("source", "more", "said"),
     [
-        ("replay:", "", "'replay:' is no camera"),
+        ("replay:", "", "'replay:' is not a camera"),
         ("virtual", "repeat = true", "camera.repeat: is for recorded pictures"),
-        ("film:x", "", "'film:x' is no camera"),
+        ("film:x", "", "'film:x' is not a camera"),
     ],
 )
 def test_a_source_that_makes_no_sense_is_a_line(
