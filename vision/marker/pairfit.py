@@ -28,7 +28,6 @@ LOPSIDED_GAIN = 4.0
 STEEPEST = math.tan(math.radians(7.0))
 LARGEST_U = 0.05  # px; a frame with a larger uncertainty is rejected
 LARGEST_U_DEFECTS = 0.05 / 3  # where part of the pixels was rejected
-LARGEST_U_MISFIT = 0.025  # where most of it comes from light that the model does not hold
 SCATTER_GAIN = 3.0  # a few rows decide on the scatter between parts of an edge
 LEAST_OUTLIERS = 0.001  # of the pixels near an edge; noise alone gives 0.000003
 AXIS_U = 0.1 / math.sqrt(12)  # of the common rows: the muscle's axis is in their middle tenth
@@ -82,8 +81,8 @@ def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
             extra = [_rounding_variance(fit) for fit in fits]
         else:
             extra = [_misfit_variance(fit) + _scatter_variance(fit) for fit in fits]
-            if sum(extra) > fits[0].cov[0, 0] + fits[1].cov[0, 0]:
-                limit = LARGEST_U_DEFECTS if scattered else LARGEST_U_MISFIT
+            if scattered:
+                limit = LARGEST_U_DEFECTS
     doubt = guess.reason or _rejection_reason(fits)
     return _combine(fits[0], fits[1], extra, box, doubt, limit)
 
