@@ -21,8 +21,8 @@ from vision_truth import Scene, picture
 
 WRONG_PX = 0.07
 FULL = bool(os.environ.get("PAMRIG_CAMPAIGN"))
-FRAMES = 300 if FULL else 4
-STRANGE = 300_000 if FULL else 3_000
+FRAMES = 300 if FULL else 3
+STRANGE = 300_000 if FULL else 2_000
 
 
 def measured(kind: str, number: int) -> tuple[Field, GapMeasurement]:

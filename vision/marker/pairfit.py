@@ -28,8 +28,8 @@ LOPSIDED_GAIN = 4.0
 STEEPEST = math.tan(math.radians(7.0))
 LARGEST_U = 0.05  # px; a frame with a larger uncertainty is rejected
 LARGEST_U_DEFECTS = 0.05 / 3  # where part of the pixels was rejected
-LARGEST_U_MISFIT = 0.025  # where most of it comes from light that the model does not hold
 SCATTER_GAIN = 3.0  # a few rows decide on the scatter between parts of an edge
+LEAST_OUTLIERS = 0.001  # of the pixels near an edge; noise alone gives 0.000003
 AXIS_U = 0.1 / math.sqrt(12)  # of the common rows: the muscle's axis is in their middle tenth
 
 
@@ -72,7 +72,7 @@ def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
     extra = [0.0, 0.0]
     limit = LARGEST_U
     alike = max(fit.out[12] for fit in fits) > ROWS_ALIKE
-    scattered = max(fit.out[15] for fit in fits) > 1.0
+    scattered = any(_scatter(fit) > 1.0 for fit in fits)
     if alike or scattered or max(fit.out[13] for fit in fits) > COLUMNS_ALIKE:
         quantiser = _quantiser(gray, fits)
         if quantiser is not None:
@@ -81,8 +81,8 @@ def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
             extra = [_rounding_variance(fit) for fit in fits]
         else:
             extra = [_misfit_variance(fit) + _scatter_variance(fit) for fit in fits]
-            if sum(extra) > fits[0].cov[0, 0] + fits[1].cov[0, 0]:
-                limit = LARGEST_U_DEFECTS if scattered else LARGEST_U_MISFIT
+            if scattered:
+                limit = LARGEST_U_DEFECTS
     doubt = guess.reason or _rejection_reason(fits)
     return _combine(fits[0], fits[1], extra, box, doubt, limit)
 
@@ -154,9 +154,17 @@ def _misfit_variance(fit: Fit) -> float:
     return float(fit.cov[0, 0] * (alike + LOPSIDED_GAIN * even))
 
 
+def _scatter(fit: Fit) -> float:
+    """Scatter between parts of an edge (``row_scatter``), 1 where nothing else shows damage."""
+    damaged = (
+        fit.out[12] > ROWS_ALIKE or fit.out[4] > LEAST_OUTLIERS or fit.out[6] + fit.out[10] > 0
+    )
+    return float(fit.out[15]) if damaged else 1.0
+
+
 def _scatter_variance(fit: Fit) -> float:
     """Variance to add where parts of the edge lie apart by more than their rows' noise."""
-    scatter = float(fit.out[15])
+    scatter = _scatter(fit)
     return float(fit.cov[0, 0] * (SCATTER_GAIN * scatter - 1.0)) if scatter > 1.0 else 0.0
 
 
