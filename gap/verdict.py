@@ -240,7 +240,11 @@ class EmpiricalTerm:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a diagnosis found. `as_dict` gives the object of the dataset format."""
+    """What a diagnosis found. `as_dict` gives the object of the dataset format.
+
+    `sure` are the effects that are there whatever else acts: all that is named, and those on which
+    the entries of a set agree.
+    """
 
     status: Status
     reason: Reason
@@ -257,6 +261,7 @@ class Verdict:
     notes: tuple[str, ...] = ()
     evidence: Mapping[str, Any] = field(default_factory=dict)
     empirical: EmpiricalTerm | None = None
+    sure: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The verdict as plain values: null where something does not apply, never NaN."""
@@ -266,6 +271,7 @@ class Verdict:
             "reason": str(self.reason),
             "stage": self.stage,
             "effects": [_explanation(effect) for effect in self.effects],
+            "sure": list(self.sure),
             "probability_none": _number(self.probability_none),
             "probability_unknown": _number(self.probability_unknown),
             "gap": _gap(self.gap),

@@ -279,11 +279,11 @@ def _warmth(problem: FitProblem, name: str, here: Mask) -> _Comparison | None:
                 groups.setdefault(alike, []).append((warm, _mean_of(problem, rows)))
     values = []
     for pairs in groups.values():
-        warm = np.array([own for own, _ in pairs])
+        degrees = np.array([own for own, _ in pairs])
         means = np.array([mean for _, mean in pairs])
-        middle = 0.5 * (warm.min() + warm.max())
-        if np.ptp(warm) > _WARMER_K:
-            hot = warm > middle
+        middle = 0.5 * (degrees.min() + degrees.max())
+        if np.ptp(degrees) > _WARMER_K:
+            hot = degrees > middle
             values.append(means[hot].mean(axis=0) - means[~hot].mean(axis=0))
     return _compared(name, values)
 
