@@ -52,6 +52,15 @@ class Cause(StrEnum):
         "a gap of which the best entry ({names}) explains {percent:.0f} %, in a way that points to "
         "something the catalogue does not hold"
     )
+    PARTLY = (
+        "{names} is there ({percent:.0f} %), whatever else acts: it explains {share:.0f} % of the "
+        "gap, and what explains the rest is not known"
+    )
+    PARTLY_SEVERAL = (
+        "{names} are there ({percent:.0f} %), whatever else acts: they explain {share:.0f} % of "
+        "the gap, and what explains the rest is not known"
+    )
+    SURE_BESIDE = "{sure} in any case; {rest}"
     UNDETERMINED = (
         "a gap that {names} would fit, but with an amount that these data leave open over its "
         "whole range or that stands at the end of it"
@@ -72,6 +81,10 @@ class Cause(StrEnum):
     FORM_LEAVES = "{names} explains {percent:.0f} % of the gap; its form leaves a pattern"
     FORM_UNCERTAIN = "{names}; held out, the closed fraction is not certain to exceed one half"
     EXPLAINED = "{names} explains the gap"
+
+
+PARTS = (Cause.PARTLY, Cause.PARTLY_SEVERAL)
+"""Causes of a verdict that names some effects and leaves the rest of the gap unknown."""
 
 
 @dataclass(frozen=True)

@@ -245,6 +245,8 @@ class Verdict:
     Attributes:
         gap: of the channel that shows the effect best above its floor; decisions rest on it.
         channels: of every channel, the one with the largest gap for its range first.
+        sure: effects that are there whatever else acts: all that is named, and those on which the
+            entries of a set agree.
     """
 
     status: Status
@@ -263,6 +265,7 @@ class Verdict:
     evidence: Mapping[str, Any] = field(default_factory=dict)
     empirical: EmpiricalTerm | None = None
     channels: tuple[Gap, ...] = ()
+    sure: tuple[str, ...] = ()
 
     @property
     def headline_gap(self) -> Gap | None:
@@ -277,6 +280,7 @@ class Verdict:
             "reason": str(self.reason),
             "stage": self.stage,
             "effects": [_explanation(effect) for effect in self.effects],
+            "sure": list(self.sure),
             "probability_none": _number(self.probability_none),
             "probability_unknown": _number(self.probability_unknown),
             "gap": _gap(self.gap),

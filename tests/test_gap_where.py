@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.validation.chain import Chain
 from gap.validation.maps import residual_maps
 from gap.validation.shapley import _shapley, common_squares, waterfall
-from gap.validation.where import stage_shares
+from gap.validation.where import contrasts_of, stage_shares
 from gap.verdict import Share
 from gap_bench import write_set
 from gap_sets import settled_set
@@ -181,3 +181,22 @@ def test_the_command_says_what_a_share_means_and_draws(tmp_path: Path) -> None:
     assert [e["end"] for e in told["end_to_end"]] == ["force"]
     assert {m["over"] for m in told["maps"]} == {"pressure", "length"}
     assert picture.stat().st_size > 10_000
+
+
+# ---------------------------------------------------------------------------- contrasts
+
+
+@pytest.mark.parametrize(("size_n", "alarm"), [(1e-4, False), (3.0, True)])
+def test_a_contrast_on_which_slots_agree_raises_an_alarm_only_above_the_noise(
+    examined: dict[str, Fitted], size_n: float, alarm: bool
+) -> None:
+    problem = examined["neither"].problem
+    rows = problem.rows
+    residual = np.zeros(len(rows))
+    for number, trial in enumerate(problem.noise.trial_rows):
+        early = rows.time_s[trial] < np.median(rows.time_s[trial])
+        residual[trial] = np.where(early, size_n, -size_n) * (1.0 + 0.01 * (number % 3))
+    found = contrasts_of(problem, replace(problem.base, residual=residual))
+    thirds = next(c for c in found if c.name == "first-last third (force)")
+    assert abs(thirds.z) > 3.5  # slots agree, whatever the size
+    assert thirds.alarm is alarm

@@ -2,7 +2,7 @@
 
 Sets of the stream `several` of the blind bench hide three to five effects of as many families, each
 of 1 to 8 floors, on a muscle that differs from the nominal one. A name counts where the verdict
-stands by it. Prints one line a set and the totals; `--out` keeps them, and a stopped run goes on.
+is sure of it. Prints one line a set and the totals; `--out` keeps them, and a stopped run goes on.
 """
 
 from __future__ import annotations
@@ -27,9 +27,7 @@ from gap.decision.classify import classify
 from gap.estimation.fit_problem import FitProblem
 from gap.selection.config import SELECTION
 from gap.selection.search import search_effects
-from gap.verdict import Status
-
-GIVES_NAME = (Status.NAMED, Status.NAMED_FORM_INADEQUATE)
+from gap.verdict import plain
 
 
 def score(number: int, most: int, small: bool = False) -> dict[str, Any]:
@@ -42,12 +40,12 @@ def score(number: int, most: int, small: bool = False) -> dict[str, Any]:
     config = replace(SELECTION, most_effects=most)
     verdict, _ = classify(problem, search_effects(problem, config))
     offered = verdict.effects[0].ids if verdict.effects and verdict.status.explained else ()
-    named = offered if verdict.status in GIVES_NAME else ()
     gap = verdict.gap
     return {
         "number": number, "hidden": hidden, "status": str(verdict.status),
-        "named": sorted(named), "offered": sorted(offered),
+        "named": sorted(verdict.sure), "offered": sorted(offered),
         "closed": gap.closed if gap is not None else None,
+        "presence": plain(verdict.evidence.get("presence")),
     }  # fmt: skip
 
 

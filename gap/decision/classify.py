@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -10,6 +11,7 @@ import numpy as np
 from gap.decision.config import DECISION, DecisionConfig
 from gap.decision.confounders import Confounder, ConfounderSearch
 from gap.decision.posterior import credible_set, posterior
+from gap.decision.presence import evidence_of, only_effects, shipped_presence
 from gap.decision.reliability import shipped_reliability
 from gap.decision.traits import traits_of
 from gap.design.advise import advise, more_replicates
@@ -111,6 +113,7 @@ class _Finding:
     entries: list[tuple[Hypothesis, float]] = field(default_factory=list)
     confounders: list[Confounder] = field(default_factory=list)
     evidence: dict[str, object] = field(default_factory=dict)
+    sure: tuple[str, ...] = ()
 
 
 def classify(
@@ -124,7 +127,11 @@ def classify(
     elif outcome.uncertain_defect:
         finding = _unknown(case, case.search.best.fit, 1.0, Reason(Cause.UNCERTAIN_DEFECT))
     elif case.search.best.keys:
-        finding = _explained(case)
+        evidence = evidence_of(problem, case.search)
+        odds = {one.id: shipped_presence().of(one) for one in evidence}
+        case, finding = _by_presence(case, _explained(case), odds)
+        presence = [one.as_dict() for one in evidence]
+        finding = replace(finding, evidence={**finding.evidence, "presence": presence})
     else:
         finding = _unexplained(case)
     return _verdict(case, finding), case.search
@@ -225,6 +232,7 @@ def _explained(case: _Case) -> _Finding:
             if m and m.share >= config.confounder_share and not _ruled_out(case, m)
         ],
         evidence={
+            "found": list(fit.ids),
             "share_explained": case.share,
             "belief": reliability,
             "mimics": [{"ids": m.ids, "share": m.share} for m in (one, two) if m],
@@ -258,6 +266,71 @@ def _explained(case: _Case) -> _Finding:
         why = reason(Cause.UNRELIABLE, names=names, percent=100 * right)
     stage = CATALOGUE[fit.ids[0]].stage
     return replace(finding, status=status, reason=why, stage=stage, entries=entries)
+
+
+def _by_presence(
+    case: _Case, finding: _Finding, odds: Mapping[str, float]
+) -> tuple[_Case, _Finding]:
+    """The finding once each effect has been asked for by itself.
+
+    Where an explanation of several effects is refused as a whole, those that are there in any case
+    are named, and the rest of the gap stays unknown. Where it is accepted, it goes without effects that are
+    rather not there. Where several fit, those on which they agree are sure.
+
+    Args:
+        odds: probability of each effect of the best explanation.
+    """
+    config = case.config
+    sure = tuple(name for name in case.search.best.fit.ids if odds[name] >= config.present)
+    if finding.status is Status.UNKNOWN:
+        if len(case.search.best.fit.ids) == 1:  # its refusal was learnt on single effects
+            return case, finding
+        return _partly(case, finding, sure, odds)
+    if finding.status in NAMED:
+        ids = finding.entries[0][0].fit.ids
+        kept = tuple(name for name in ids if odds.get(name, 0.0) >= config.needless)
+        if kept and len(kept) < len(ids):
+            return _partly(case, finding, kept, odds)
+        return case, replace(finding, sure=ids)
+    if finding.status is Status.INDISTINGUISHABLE and len(case.search.best.fit.ids) > 1:
+        agreed = [n for n in sure if all(n in h.fit.ids for h, _ in finding.entries)]
+        if agreed:
+            names = " and ".join(agreed)
+            why = reason(Cause.SURE_BESIDE, sure=names, rest=str(finding.reason))
+            return case, replace(finding, sure=tuple(agreed), reason=why)
+    return case, finding
+
+
+def _partly(
+    case: _Case, finding: _Finding, named: tuple[str, ...], odds: Mapping[str, float]
+) -> tuple[_Case, _Finding]:
+    """Some effects named, all others taken out, and the rest of the gap left unknown.
+
+    The finding as it was where nothing is named, or where the data do not determine it.
+    """
+    if not named:
+        return case, finding
+    search = case.search
+    if len(named) < len(search.best.fit.ids):
+        search = only_effects(case.problem, search, named)
+    part = replace(case, search=search)
+    if not _determined(part, search.best.fit):
+        return case, finding
+    probability = float(np.prod([odds[name] for name in named]))
+    several = Cause.PARTLY_SEVERAL if len(named) > 1 else Cause.PARTLY
+    why = reason(
+        several, names=" and ".join(named), percent=100 * probability, share=100 * part.share
+    )
+    return part, replace(
+        finding,
+        status=Status.NAMED_FORM_INADEQUATE,
+        reason=why,
+        stage=CATALOGUE[named[0]].stage,
+        entries=[(search.best, probability * (1.0 - finding.none))],
+        unknown=(1.0 - probability) * (1.0 - finding.none),
+        confounders=[],
+        sure=named,
+    )
 
 
 def _determined(case: _Case, fit: FitResult) -> bool:
@@ -383,6 +456,7 @@ def _verdict(case: _Case, finding: _Finding) -> Verdict:
         why_not=why_not(problem, search, {i for e in effects for i in e.ids}),
         notes=(*problem.data.notes, *_shifted_constants(case)),
         evidence={"found": list(search.best.fit.ids), **finding.evidence},
+        sure=finding.sure,
     )
 
 

@@ -42,6 +42,13 @@ class DecisionConfig:
     drift_unknown: float = 0.5
     """Least probability of `unknown` where a drift over the trials is left."""
 
+    # Presence of each effect by itself
+    present: float = 0.9
+    """Least probability of an effect that is named although the explanation as a whole is not
+    reliable. A matter of definition: one in ten of those at the threshold is wrong."""
+    needless: float = 0.5
+    """Probability below which an effect of a reliable explanation is not named with it."""
+
     # Form of the named effect
     form_share: float = 0.9
     """Share of the gap below which the form of the named effect is inadequate."""

@@ -64,8 +64,12 @@ def traits_of(
 def at_an_end(candidate: Candidate, amount: float) -> bool:
     """Whether an amount, or a number of its shape, could not go further."""
     low, high = candidate.bounds
-    shapes = [(candidate.shape[key], ends) for key, ends in candidate.free.items()]
     return bool(
-        amount >= 0.98 * high or (low < 0.0 and amount <= 0.98 * low)
-        or any(not 1.02 * a < number < 0.98 * b for number, (a, b) in shapes)
-    )  # fmt: skip
+        amount >= 0.98 * high or (low < 0.0 and amount <= 0.98 * low) or shape_at_end(candidate)
+    )
+
+
+def shape_at_end(candidate: Candidate) -> bool:
+    """Whether a number of a shape could not go further."""
+    shapes = [(candidate.shape[key], ends) for key, ends in candidate.free.items()]
+    return any(not 1.02 * a < number < 0.98 * b for number, (a, b) in shapes)

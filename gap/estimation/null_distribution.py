@@ -79,6 +79,38 @@ def simulated_null(problem: FitProblem) -> Null:
     return Null(np.sort(gains.max(axis=1, initial=0.0)))
 
 
+RESIDUALS = 500
+
+
+def simulated_residuals(problem: FitProblem, draws: int = RESIDUALS) -> Array:
+    """Recalibrated residuals of data sets without a gap, shape (rows, draws); one seed.
+
+    As in `simulated_null`: noise of uncertain size, and constants with errors of their own, then
+    the constants fitted.
+    """
+    rng = np.random.default_rng(2)
+    noise, columns = problem.noise, problem.columns
+    known = ESTIMATION.prior_weight + noise.freedom
+    size = {kind: np.sqrt(known / rng.chisquare(known, draws)) for kind in sorted(noise.scales)}
+    made = np.sqrt(noise.white)[:, None] * rng.standard_normal((len(noise.white), draws))
+    n = columns.shape[1]
+    right = np.zeros((n, draws))
+    inner = np.eye(n)
+    own = rng.standard_normal((n, draws))
+    for trial, rows in enumerate(noise.trial_rows):
+        if not len(rows):
+            continue
+        sd = np.array([noise.scales[kind] * size[kind] for kind in noise.kinds[trial]])
+        made[rows] += noise.columns[trial] @ (sd * rng.standard_normal(sd.shape))
+        made[rows] += columns[rows] @ own
+        a, b = noise.whiten(trial, columns[rows]), noise.whiten(trial, made[rows])
+        inner += a.T @ a
+        right += a.T @ b
+    scale = np.sqrt(np.diag(inner))
+    lever = np.linalg.solve(inner / scale / scale[:, None], right / scale[:, None])
+    return np.asarray(made - columns @ (lever / scale[:, None]))
+
+
 def held_out_gain(problem: FitProblem, key: str) -> tuple[float, float]:
     """Gain of the best candidate of `key` on slots that it was not fitted to, and its t-value.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from gap.decision.sequential import SequentialVerdict
 from gap.design.config import DESIGN
+from gap.reason import PARTS
 from gap.verdict import Estimate, Experiment, Explanation, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
@@ -47,6 +48,12 @@ def headline(verdict: Verdict) -> str:
     match verdict.status:
         case "named":
             return sentence(f"It is {what}{_in_brackets(values)}{closed}")
+        case "named_form_inadequate" if verdict.reason.cause in PARTS:
+            share = f", {100 * best.probability:.0f} % sure{closed}"
+            return sentence(
+                f"{what}{_in_brackets(values)} act{'s' if len(best.ids) == 1 else ''}, whatever "
+                f"else does{share}; what explains the rest of the gap is not known"
+            )
         case "named_form_inadequate":
             return sentence(
                 f"It is {what}{_in_brackets(values)}{closed}; "
@@ -55,7 +62,8 @@ def headline(verdict: Verdict) -> str:
     others = ", ".join(" + ".join(effect.ids) for effect in verdict.effects[1:4])
     if not others:
         return sentence(str(verdict.reason))
-    return sentence(f"{what}, or {others}: these data fit all of them")
+    sure = f"{' and '.join(verdict.sure)} in any case; " if verdict.sure else ""
+    return sentence(f"{sure}{what}, or {others}: these data fit all of them")
 
 
 def _closed(verdict: Verdict) -> str:

@@ -22,6 +22,9 @@ class ValidationConfig:
     """Rivals of other families in any case: the nearest are fitted for it."""
     family_wise: float = 0.01
     """Rate of data sets without a gap in which any designed comparison may raise an alarm."""
+    by_noise: float = 0.05
+    """Rate of such data sets in which noise alone makes the largest comparison as large as one
+    that raises an alarm. A matter of definition."""
     drift_sd: float = 3.6
     """Sd from which a drift that an explanation leaves is no chance: the explanation was chosen
     among many, and not for its drift. Set on: not recorded."""

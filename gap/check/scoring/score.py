@@ -4,7 +4,8 @@ Works on plain JSON values alone, so that any diagnosis that speaks the exchange
 scored. Definitions:
 
 - an *alarm* is any verdict but `no_gap_above_floor` and `below_resolution`;
-- the *names given* are those of the best explanation under `named` or `named_form_inadequate`;
+- the *names given* are those of the best explanation under `named` or `named_form_inadequate`,
+  and those that the verdict holds for sure whatever else acts;
 - *wrong name*: a name was given and none of it is hidden in the data; *extras* are names given
   beyond the hidden ones;
 - *family right*: the best explanation, where the verdict offers any, is of a hidden family;
@@ -117,6 +118,7 @@ def score(answer: Mapping[str, Any], verdict: Mapping[str, Any]) -> Row:
     effects = verdict.get("effects") or []
     best = effects[0] if effects and status in OFFERS else None
     given = set(best["ids"]) if best is not None and status in GIVES_NAME else set()
+    given |= set(verdict.get("sure") or ())
     families = {e["family"] for e in answer["effects"]}
     stages = {e["stage"] for e in answer["effects"]}
     ranked = hypotheses(verdict)

@@ -1,0 +1,176 @@
+"""Presence: the probability of each effect of an explanation, whatever else acts beside it.
+
+An explanation of many effects may be right in most of them and leave a rest that nobody has a name
+for. So each effect is asked for by itself: how much worse is the best explanation without it, and
+the best with another effect in its place? Both are measured by what the explanation leaves: no form
+is exact, and what is left is the size of the model's own error. With such an error the likelihood
+falls as a power of what an explanation leaves, so the odds of an effect are a product of powers,
+and their logarithm is a sum. Its weights (`presence.toml`) were learnt (`python -m
+gap.check.presence`) from sets of one to five effects and from sets whose effect is not in the
+catalogue.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from importlib import resources
+
+import numpy as np
+from scipy.special import expit
+
+from gap.decision.traits import shape_at_end
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.estimation.shape_fit import fit_shapes
+from gap.selection.backward import refitted_without, without
+from gap.selection.candidate_fits import Hypothesis, fit_further, linear_gains
+from gap.selection.inclusion import excess_chi2, visibility
+from gap.selection.search import SearchResult
+from plant.arrays import Array
+
+STAND_INS = 2
+"""Effects that are fitted in the place of one, best linear gain first."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for one effect of an explanation.
+
+    Attributes:
+        id: the effect.
+        left: chi-square beyond the number of rows that the explanation leaves, and one sd of it.
+        gap: the same of the recalibrated plant.
+        lost: rise of chi-square without the effect, all others fitted anew.
+        margin: rise of chi-square with the best other effect in its place; `lost` where none.
+        slots: t-value over slots of the rise without it.
+        visibility: what it takes from some block, in units of its floor.
+        shape_at_end: whether a number of its shape stands at an end of its range.
+        single: whether the explanation has no other effect.
+    """
+
+    id: str
+    left: float
+    gap: float
+    lost: float
+    margin: float
+    slots: float
+    visibility: float
+    shape_at_end: float
+    single: float
+
+    def features(self) -> Array:
+        """Bounded numbers of order one, in the order of `FEATURES`."""
+        made = {
+            "margin": np.clip(np.log10(self.margin / self.left + 0.01), -2.0, 1.5),
+            "lost": np.clip(np.log10(self.lost / self.left + 0.1), -1.0, 2.0),
+            "slots": np.clip(self.slots, 0.0, 4.0),
+            "visibility": np.clip(np.log10(self.visibility + 0.05), -1.3, 1.0),
+            "shape_at_end": self.shape_at_end,
+            "single": self.single,
+        }
+        return np.array([float(made[name]) for name in FEATURES])
+
+    def as_dict(self) -> dict[str, float | str]:
+        """Plain values, with the probability."""
+        return {**asdict(self), "probability": shipped_presence().of(self)}
+
+
+FEATURES = ("margin", "lost", "slots", "visibility", "shape_at_end", "single")
+_TABLE = "presence.toml"
+
+
+@dataclass(frozen=True)
+class Presence:
+    """Weights of the features in the log odds that an effect is there."""
+
+    constant: float
+    weights: Mapping[str, float]
+
+    def of(self, evidence: Evidence) -> float:
+        """Probability that the effect is there."""
+        weights = np.array([self.weights[name] for name in FEATURES])
+        return float(expit(self.constant + weights @ evidence.features()))
+
+
+@cache
+def shipped_presence() -> Presence:
+    """The weights that ship with the program."""
+    text = resources.files("gap.decision").joinpath(_TABLE).read_text(encoding="utf-8")
+    table = tomllib.loads(text)
+    return Presence(table["constant"], table["weights"])
+
+
+def evidence_of(problem: FitProblem, search: SearchResult) -> tuple[Evidence, ...]:
+    """The evidence for each effect of the best explanation of a search."""
+    fit, keys = search.best.fit, search.best.keys
+    chance = float(np.sqrt(2.0 * len(problem.rows)))
+    made = []
+    for key in keys:
+        name = key.partition(":")[0]
+        less = refitted_without(problem, fit, key) if len(keys) > 1 else problem.base
+        lost = max(less.cost - fit.cost, 0.0)
+        others = [h.cost - fit.cost for h in search.rivals if name not in h.fit.ids]
+        if len(keys) > 1:
+            others += _stand_ins(problem, search.best, key)
+        made.append(
+            Evidence(
+                name, search.left + chance, search.gap + chance, lost,
+                max(min([lost, *others]), 0.0), _over_slots(problem, less, fit),
+                visibility(problem, less, fit),
+                float(any(shape_at_end(c) for c in fit.candidates if c.key == key)),
+                float(len(keys) == 1),
+            )
+        )  # fmt: skip
+    return tuple(made)
+
+
+def _stand_ins(problem: FitProblem, best: Hypothesis, key: str) -> list[float]:
+    """Rise of chi-square with other effects in the place of one."""
+    taken = without(problem, best.fit, key)
+    linear = linear_gains(problem, taken)
+    gains = linear.by_key()
+    defects = {c.key for c in problem.candidates if c.defect}
+    rest = Hypothesis(tuple(k for k in best.keys if k != key), taken)
+    name = key.partition(":")[0]
+    top = sorted(
+        (k for k in gains
+         if k not in best.keys and k not in defects and k.partition(":")[0] != name),
+        key=lambda k: -gains[k],
+    )  # fmt: skip
+    made = []
+    for other in top[:STAND_INS]:
+        fitted = problem.polish(fit_shapes(problem, fit_further(problem, rest, other, linear).fit))
+        made.append(fitted.cost - best.fit.cost)
+    return made
+
+
+def _over_slots(problem: FitProblem, less: FitResult, fit: FitResult) -> float:
+    """T-value over slots of the whitened squares that an effect takes."""
+    units = problem.units
+    rise = np.zeros(int(units.max()) + 1)
+    for trial, rows in enumerate(problem.noise.trial_rows):
+        if len(rows):
+            both = np.stack([less.residual[rows], fit.residual[rows]], axis=1)
+            white = problem.noise.whiten(trial, both)
+            rise[units[trial]] += float(np.sum(white[:, 0] ** 2) - np.sum(white[:, 1] ** 2))
+    if len(rise) < 2:
+        return 0.0
+    error = float(rise.std(ddof=1) / np.sqrt(len(rise)))
+    return float(rise.mean()) / max(error, 1e-9)
+
+
+def only_effects(problem: FitProblem, search: SearchResult, kept: tuple[str, ...]) -> SearchResult:
+    """The outcome of a search with some effects of its best explanation alone, fitted anew."""
+    keys = tuple(key for key in search.best.keys if key.partition(":")[0] in kept)
+    candidates, amounts = search.best.fit.kept(lambda candidate: candidate.key in keys)
+    fit = problem.polish(problem.fit(candidates, amounts, search.best.fit))
+    return replace(
+        search,
+        best=Hypothesis(keys, fit),
+        rivals=[],
+        left=excess_chi2(problem, fit),
+        steps=tuple(step for step in search.steps if step[0] in keys),
+        per_stroke=None,
+    )

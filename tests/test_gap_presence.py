@@ -1,0 +1,120 @@
+"""Each effect of an explanation by itself: what is named where the whole is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gap.check.presence import cases, fit
+from gap.data.from_runs import open_data
+from gap.decision.classify import _by_presence, _Case, _Finding
+from gap.decision.config import DECISION
+from gap.decision.presence import FEATURES, Evidence, evidence_of, shipped_presence
+from gap.errors import CheckError
+from gap.estimation.fit_problem import FitProblem
+from gap.reason import Cause, reason
+from gap.reporting.text import headline
+from gap.selection.search import search_effects
+from gap.verdict import Explanation, Status, Verdict
+from gap_bench import write_set
+
+TWO = {"bladder_elasticity": {"stiffness_n_mm": 0.8}, "leak": {"conductance_m3_s_pa": 2e-13}}
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> _Case:
+    """A bench with two effects, both found."""
+    folder: Path = tmp_path_factory.mktemp("two")
+    problem = FitProblem.of(open_data(write_set(folder, TWO, 3, replicates=2)))
+    search = search_effects(problem)
+    assert set(search.best.fit.ids) == set(TWO)
+    return _Case(problem, search, DECISION)
+
+
+def refused(case: _Case) -> _Finding:
+    """What the verdict is where the explanation as a whole is refused."""
+    why = reason(Cause.OUTSIDE, names=case.names, percent=80.0)
+    return _Finding(Status.UNKNOWN, why, 0.0, 0.6, named=True, entries=[(case.search.best, 0.4)])
+
+
+def test_effects_that_are_there_have_a_high_probability(two: _Case) -> None:
+    odds = {one.id: shipped_presence().of(one) for one in evidence_of(two.problem, two.search)}
+    assert min(odds.values()) > 0.9
+
+
+def test_where_the_whole_is_refused_the_sure_effect_is_named_alone(two: _Case) -> None:
+    odds = {"bladder_elasticity": 0.95, "leak": 0.6}
+    part, found = _by_presence(two, refused(two), odds)
+    assert found.status is Status.NAMED_FORM_INADEQUATE
+    assert found.sure == ("bladder_elasticity",)
+    assert part.search.best.fit.ids == ("bladder_elasticity",)  # fitted anew without the other
+    assert part.search.left > two.search.left
+    assert found.unknown == pytest.approx(0.05)
+    assert "what explains the rest is not known" in str(found.reason)
+
+
+def test_without_a_sure_effect_the_verdict_stays_unknown(two: _Case) -> None:
+    case, found = _by_presence(two, refused(two), dict.fromkeys(TWO, 0.85))
+    assert found.status is Status.UNKNOWN
+    assert case is two
+
+
+def test_an_effect_that_is_rather_not_there_is_not_named_with_the_rest(two: _Case) -> None:
+    whole = replace(refused(two), status=Status.NAMED)
+    kept = _by_presence(two, whole, {"bladder_elasticity": 0.8, "leak": 0.3})[1]
+    assert kept.sure == ("bladder_elasticity",)
+    assert _by_presence(two, whole, dict.fromkeys(TWO, 0.8))[1].sure == two.search.best.fit.ids
+
+
+def test_effects_on_which_all_entries_agree_are_sure(two: _Case) -> None:
+    best = two.search.best
+    other = replace(best, fit=replace(best.fit, candidates=best.fit.candidates[:1]))
+    entries = [(best, 0.5), (other, 0.4)]
+    open_ = replace(refused(two), status=Status.INDISTINGUISHABLE, entries=entries)
+    found = _by_presence(two, open_, dict.fromkeys(TWO, 0.95))[1]
+    assert found.status is Status.INDISTINGUISHABLE
+    assert found.sure == other.fit.ids
+
+
+def test_the_headline_says_that_a_part_is_not_known() -> None:
+    why = reason(Cause.PARTLY, names="leak", percent=95.0, share=60.0)
+    entry = Explanation(("leak",), "leak", 0.95)
+    verdict = Verdict(Status.NAMED_FORM_INADEQUATE, why, "chamber", (entry,), 0.0, 0.05)
+    said = headline(verdict)
+    assert "95 % sure" in said
+    assert "the rest of the gap is not known" in said
+
+
+def test_an_effect_is_the_likelier_the_less_another_can_stand_for_it() -> None:
+    plain = Evidence("leak", 100.0, 5000.0, 2000.0, 10.0, 2.0, 1.0, 0.0, 0.0)
+    odds = [shipped_presence().of(replace(plain, margin=margin)) for margin in (0.0, 50.0, 500.0)]
+    assert odds == sorted(odds)
+    assert shipped_presence().of(replace(plain, shape_at_end=1.0)) < odds[0]
+
+
+def line(kind: str, margin: float, there: bool) -> dict[str, object]:
+    """A line of a campaign with one effect of one explanation."""
+    one = Evidence("leak", 100.0, 5000.0, 2000.0, margin, 2.0, 1.0, 0.0, 1.0)
+    hidden = ["leak"] if there else ["wear"]
+    score = {
+        "stream": "practice", "kind": kind, "mimic": 0.1, "hidden": hidden, "truth": "effects",
+    }  # fmt: skip
+    return {"score": score, "verdict": {"evidence": {"presence": [one.as_dict()]}}}
+
+
+def test_weights_are_learnt_from_lines_of_a_campaign() -> None:
+    lines = [line("single", 1000.0, True)] * 20 + [line("single", 1.0, False)] * 20
+    of = cases(lines)
+    learnt = fit(of.x, of.y, of.weight)
+    assert set(learnt.weights) == set(FEATURES)
+    assert learnt.weights["margin"] > 0.5
+    assert learnt.of(Evidence("leak", 100.0, 5e3, 2e3, 1e3, 2.0, 1.0, 0.0, 1.0)) > 0.8
+
+
+def test_sets_with_held_out_forms_never_teach() -> None:
+    bad = line("single", 1.0, True)
+    bad["score"] = {**bad["score"], "stream": "held_out"}  # type: ignore[dict-item]
+    with pytest.raises(CheckError, match="never teach"):
+        cases([bad])
