@@ -187,6 +187,7 @@ class Runner:
         with contextlib.ExitStack() as stack:
             if not self.rig.clock.virtual:
                 self.computer.granted = stack.enter_context(raised_priority())
+                self.computer.begin()
             self._run(steps, points)
 
     def _run(self, steps: Steps, points: int) -> None:

@@ -33,8 +33,12 @@ class PtyPort:
     """A pseudo-terminal under a stable name."""
 
     def __init__(self, link: Path) -> None:
+        import fcntl
+        import termios
         import tty
 
+        # A read without bytes waits for a thread of the kernel, which a busy computer delays.
+        self._waiting = lambda: fcntl.ioctl(self._master, termios.FIONREAD, bytes(4)) != bytes(4)
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -46,7 +50,7 @@ class PtyPort:
     def read(self) -> bytes:
         """What came, without waiting."""
         try:
-            return os.read(self._master, 65536)
+            return os.read(self._master, 65536) if self._waiting() else b""
         except (BlockingIOError, OSError):
             return b""
 
