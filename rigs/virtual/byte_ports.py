@@ -33,12 +33,8 @@ class PtyPort:
     """A pseudo-terminal under a stable name."""
 
     def __init__(self, link: Path) -> None:
-        import fcntl
-        import termios
         import tty
 
-        # A read without bytes waits for a thread of the kernel, which a busy computer delays.
-        self._waiting = lambda: fcntl.ioctl(self._master, termios.FIONREAD, bytes(4)) != bytes(4)
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -46,6 +42,13 @@ class PtyPort:
         link.symlink_to(os.ttyname(self._slave))
         self._link = link
         self.address = str(link)
+
+    def _waiting(self) -> bool:
+        """Whether bytes are there: a read without any waits for a thread of the kernel."""
+        import fcntl
+        import termios
+
+        return fcntl.ioctl(self._master, termios.FIONREAD, bytes(4)) != bytes(4)
 
     def read(self) -> bytes:
         """What came, without waiting."""
