@@ -20,6 +20,10 @@ class Lateness:
     """
 
     def __init__(self) -> None:
+        self.begin()
+
+    def begin(self) -> None:
+        """Count from now on."""
         self.count = 0
         self.max_s = 0.0
         self._recent_s = self._before_s = 0.0

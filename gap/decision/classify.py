@@ -274,8 +274,8 @@ def _by_presence(
     """The finding once each effect has been asked for by itself.
 
     Where an explanation of several effects is refused as a whole, those that are there in any case
-    are named, and the rest of the gap stays unknown. Where it is accepted, it goes without effects that are
-    rather not there. Where several fit, those on which they agree are sure.
+    are named, and the rest of the gap stays unknown. Where it is accepted, it goes without effects
+    that are rather not there. Where several fit, those on which they agree are sure.
 
     Args:
         odds: probability of each effect of the best explanation.

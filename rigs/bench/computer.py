@@ -100,6 +100,14 @@ class Computer:
         self.granted = "normal"
         self._restart_ns = 0
 
+    def begin(self) -> None:
+        """Count from now on: what was loaded and compiled before arming vents nothing."""
+        for lateness in self._loops():
+            lateness.begin()
+
+    def _loops(self) -> list[Lateness]:
+        return list({id(x): x for x in (self.program, self.heartbeat, self.reading)}.values())
+
     @property
     def program(self) -> Lateness:
         """Of the loop that carries the test out."""
@@ -136,8 +144,7 @@ class Computer:
         now_ns = self._event_loop.clock.now_ns()
         if now_ns - self._restart_ns > RECENT_S * NS_PER_S:
             self._restart_ns = now_ns
-            loops = (self.program, self.heartbeat, self.reading)
-            for lateness in {id(x): x for x in loops}.values():
+            for lateness in self._loops():
                 lateness.restart()
 
     def busy(self) -> str:

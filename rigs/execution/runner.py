@@ -216,6 +216,7 @@ class Runner:
         with contextlib.ExitStack() as stack:
             if not self.rig.clock.virtual:
                 self.computer.granted = stack.enter_context(raised_priority())
+                self.computer.begin()
             self._run(steps, points, arm)
 
     def _run(self, steps: Steps, points: int, arm: bool) -> None:

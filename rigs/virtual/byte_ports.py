@@ -43,10 +43,17 @@ class PtyPort:
         self._link = link
         self.address = str(link)
 
+    def _waiting(self) -> bool:
+        """Whether bytes are there: a read without any waits for a thread of the kernel."""
+        import fcntl
+        import termios
+
+        return fcntl.ioctl(self._master, termios.FIONREAD, bytes(4)) != bytes(4)
+
     def read(self) -> bytes:
         """What came, without waiting."""
         try:
-            return os.read(self._master, 65536)
+            return os.read(self._master, 65536) if self._waiting() else b""
         except (BlockingIOError, OSError):
             return b""
 
