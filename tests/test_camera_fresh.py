@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -96,6 +96,8 @@ def test_a_driver_that_hands_its_buffer_out_twice_is_waited_for(sensor: Sensor) 
     """The stamp of a UVC frame is that of its arrival: an old buffer has a new one."""
 
     class Repeating:
+        applied: ClassVar[dict[str, float]] = {}
+
         def __init__(self, ends_after: int) -> None:
             self.asked, self.ends_after = 0, ends_after
             self.old = np.arange(64, dtype=np.uint8).reshape(SHAPE)
@@ -252,6 +254,8 @@ def test_a_usb_camera_that_hangs_drops_no_load(tmp_path: Path) -> None:
     """No picture for two seconds: without a heartbeat the controller vents after a third of one."""
 
     class Hung:
+        applied: ClassVar[dict[str, float]] = {}
+
         def latest(self) -> None:
             return None
 

@@ -122,7 +122,8 @@ def test_a_setting_by_description_that_did_not_take_is_an_error(tmp_path: Path) 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
-    [("{value:.2f}", "{value.real}", "no line with"), ("{value:.2f}", "{value:d}", "no line with"),
+    [("{value:.2f}", "{value.real}", "not a line with"),
+     ("{value:.2f}", "{value:d}", "not a line with"),
      ("(?P<value>", "(", "no group"),
      ('unit = "bar"', "", "unit"), ("remedy", "remedie", "unknown")],
 )  # fmt: skip

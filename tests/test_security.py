@@ -201,7 +201,7 @@ def test_a_file_without_end_is_not_read(run: Run, name: str, kind: str) -> None:
             said += [str(p) for p in (found["problems"] if isinstance(found, dict) else found)]
         except RecordError as error:
             said.append(str(error))
-    words = r"plain file|bytes, the limit|link|no stream|missing|does not match its CRC"
+    words = r"regular file|bytes, the limit|link|no stream|missing|does not match its CRC"
     assert re.search(words, "; ".join(said)), said
 
 
@@ -411,7 +411,7 @@ def test_a_pipe_is_no_toml_file(tmp_path: Path, reader: str) -> None:
     """It was waited for without end."""
     read, error = READERS[reader]
     os.mkfifo(tmp_path / "strange.toml")
-    with pytest.raises(error, match="plain file"):
+    with pytest.raises(error, match="regular file"):
         read(tmp_path / "strange.toml")
 
 
@@ -984,7 +984,7 @@ def test_a_file_of_an_interrupted_record_without_end_is_not_read(
         with open(path, "wb") as file:
             file.truncate(1 << 40)
     said = [str(p) for p in verify(open_run(record.folder)) if p.file == name]
-    assert re.search(r"plain file|bytes, the limit|link", "; ".join(said)), said
+    assert re.search(r"regular file|bytes, the limit|link", "; ".join(said)), said
     record.abandon()
 
 

@@ -308,7 +308,7 @@ def test_a_gauge_that_makes_no_sense_is_refused_by_its_row(tmp_path, row, said):
 
 @pytest.mark.parametrize("square_mm", [0.0, -5.0, math.nan])
 def test_a_board_without_a_size_is_refused(tmp_path, square_mm):
-    with pytest.raises(ConfigError, match="side of a square"):
+    with pytest.raises(ConfigError, match="not a valid side length"):
         calibrate_from_board(tmp_path / "none.png", (8, 6), square_mm)
 
 

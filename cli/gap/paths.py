@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from daq.store.store import find_run, list_runs
 from gap.errors import GapError
 
 
@@ -19,6 +18,8 @@ def data_folder(data: str, runs: Path, simulator: Path | None) -> Path:
         raise GapError(str(simulator), "no such file", "give the description of a simulator")
     if os.path.exists(data):
         return Path(data)
-    if data == "last" or data in [info.run_id for info in list_runs(runs)]:
+    if data == "last" or (runs / data).is_dir():
+        from daq.store.store import find_run
+
         return Path(find_run(runs, data).folder)
     raise GapError(data, f"no such folder, and no run of this id in {runs}", "check the path")

@@ -114,7 +114,8 @@ def contrasts_of(problem: FitProblem, fit: FitResult | None = None) -> tuple[Con
     state leaves. `alarm` controls the family-wise rate over the whole table. It needs two things:
     that slots agree (1 %, whatever the noise is), and that the contrast is larger than the noise
     makes the largest of the table (5 %, by simulated data sets without a gap). A few slots may
-    agree by chance on a difference far below the noise, and one gain acts on all slots.
+    agree by chance on a difference far below the noise, and one gain acts on all slots. A drift
+    over the trials needs the first alone: replicates far apart in time take it for noise.
     """
     residual = (problem.base if fit is None else fit).residual
     found = [(c, c.z(residual)) for c in _comparisons(problem)]
@@ -123,8 +124,9 @@ def contrasts_of(problem: FitProblem, fit: FitResult | None = None) -> tuple[Con
     agree = [abs(z) > least for _, z in found]
     large = _larger_than_noise(problem, residual, [c for c, _ in found]) if any(agree) else agree
     return tuple(
-        Contrast(c.name, z, both[0] and both[1], c.drift)
-        for (c, z), both in zip(found, zip(agree, large, strict=True), strict=True)
+        # Noise that was learnt from replicates holds a drift over the trials as well.
+        Contrast(c.name, z, agrees and (exceeds or c.drift), c.drift)
+        for (c, z), agrees, exceeds in zip(found, agree, large, strict=True)
     )
 
 
