@@ -79,6 +79,7 @@ def test_a_connection_that_ends_is_a_lost_link(kind: str) -> None:
                 link.write(b"x")
 
 
+@pytest.mark.realtime
 def test_a_server_that_takes_nothing_is_lost_not_waited_for() -> None:
     with served("rfc2217") as server:
         server.serial.write = lambda data: time.sleep(3.0)

@@ -63,7 +63,7 @@ def open_inside(root: Path, name: str, at_most: int = LARGEST_TEXT) -> Iterator[
         with os.fdopen(fd, "rb") as file:
             about = os.fstat(fd)
             if not stat.S_ISREG(about.st_mode):
-                raise RecordError(str(path), "is not a plain file, not read", _REMEDY)
+                raise RecordError(str(path), "is not a regular file, not read", _REMEDY)
             if about.st_size > at_most:
                 what = f"has {about.st_size} bytes, the limit is {at_most}, not read"
                 raise RecordError(str(path), what, _REMEDY)

@@ -31,14 +31,14 @@ _REMEDY = "no test records that much; split the file, or do not trust it"
 
 
 def check_csv(path: Path) -> None:
-    """Refuse a CSV that is not a plain file, is too large, or has too long a header.
+    """Refuse a CSV that is not a regular file, is too large, or has too long a header.
 
     Raises:
         PamrigError: names the reason.
     """
     about = path.stat()
     if not stat.S_ISREG(about.st_mode):
-        raise PamrigError(str(path), "is not a plain file", "give a file")
+        raise PamrigError(str(path), "is not a regular file", "give a file")
     if about.st_size > LARGEST_CSV:
         raise PamrigError(str(path), f"has {about.st_size} bytes, allowed {LARGEST_CSV}", _REMEDY)
     with open(path, "rb") as file:
@@ -60,7 +60,7 @@ def read_parquet(path: Path) -> pd.DataFrame:
     import pyarrow.parquet as pq
 
     if not stat.S_ISREG(os.stat(path).st_mode):
-        raise PamrigError(str(path), "is not a plain file", "give a file")
+        raise PamrigError(str(path), "is not a regular file", "give a file")
     try:
         with pq.ParquetFile(path, memory_map=True) as file:
             _check_declared_size(path, file.metadata)

@@ -31,7 +31,7 @@ def open_source(path: Path, kind: str, layout: TextLayout) -> Source:
         layout: of text files.
 
     Raises:
-        GapError: no plain file, too large, of no known format, or not what its name says.
+        GapError: no regular file, too large, of no known format, or not what its name says.
     """
     kind = kind or BY_SUFFIX.get(path.suffix.lower(), "")
     if not kind:
@@ -41,7 +41,7 @@ def open_source(path: Path, kind: str, layout: TextLayout) -> Source:
     except OSError as error:
         raise GapError(str(path), f"cannot be read: {error.strerror}") from None
     if not stat.S_ISREG(about.st_mode):
-        raise GapError(str(path), "is not a plain file")
+        raise GapError(str(path), "is not a regular file")
     if not 0 < about.st_size <= LARGEST:
         raise GapError(str(path), "is empty" if not about.st_size else f"is above {LARGEST} bytes")
     if kind == "csv":
