@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 import math
 from pathlib import Path
 
@@ -388,7 +389,8 @@ class TestStreams:
         by a search, then differs by up to 6e-5 between two machines at the same revision.
         """
         path = ROOT / "tests" / "blind_streams.json"
-        for line in json.loads(path.read_text(encoding="utf-8")):
+        every = 1 if os.environ.get("PAMRIG_CAMPAIGN") else 2
+        for line in json.loads(path.read_text(encoding="utf-8"))[::every]:
             one = blind_set(line["stream"], line["number"], small=True)
             assert [[h.id, h.form, h.variant] for h in one.hidden] == line["hidden"]
             strengths = [h.strength for h in one.hidden]
