@@ -25,7 +25,7 @@ from daq.errors import (
     PortError,
     RecordError,
 )
-from rigs.interactive.inbox import receive, receive_tables, send
+from rigs.interactive.inbox import CLOSED, receive, receive_tables, send
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 START_S = 120.0
 CLOSE_S = 60.0
-CLOSED = "closed"
 ERRORS = {
     error.__name__: error
     for error in (ConfigError, DeviceError, DeviceTimeout, LinkLost, PortError, RecordError)

@@ -19,6 +19,8 @@ import numpy.typing as npt
 
 Tables = dict[str, dict[str, npt.NDArray[Any]]]
 GONE = "the program that opened the rig has ended"
+CLOSED = "closed"
+"""The reason of a session that the user has closed; every other one is recorded as a stop."""
 
 
 def send(link: Connection, message: Mapping[str, Any]) -> None:
@@ -84,7 +86,7 @@ class Inbox:
             while True:
                 message = receive(self._link)
                 if message.get("do") == "close":
-                    reason = str(message.get("reason", "")) or "closed"
+                    reason = str(message.get("reason", "")) or CLOSED
                     break
                 if message.get("do") == "answer":
                     self.answers.put(str(message.get("text", "")))

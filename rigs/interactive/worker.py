@@ -29,15 +29,13 @@ from rigs.devices.operator import Request
 from rigs.execution.procedure import Procedure
 from rigs.execution.session import run_protocol
 from rigs.interactive import steps as own
-from rigs.interactive.inbox import GONE, Inbox, send, send_tables
+from rigs.interactive.inbox import CLOSED, GONE, Inbox, send, send_tables
 from rigs.rigfile.config import Limits, RigConfig, load_rig
 from rigs.steps.context import StepContext
 from rigs.steps.custom_step import CustomStep, Step, Steps
 from rigs.steps.steps import Dwell, SetLength, SetPressure, State, Tare, Vent
 from rigs.steps.watching import Watch
 
-CLOSED = "closed"
-"""The reason of a session that the user has closed; every other one is recorded as a stop."""
 NAME = "interactive"
 
 
