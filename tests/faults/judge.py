@@ -183,6 +183,8 @@ def told(fault: Fault, truth: Truth, record: Bytes) -> bool:
             return any(not e["trusted"] for e in record.kind("length"))
         return False
     faults = [*record.kind("fault"), *record.kind("vent_unconfirmed")]
+    if fault.layer == "other program" and record.kind("foreign_commands"):
+        return True
     return bool(faults) or any(not e["settled"] for e in record.kind("point") if "settled" in e)
 
 

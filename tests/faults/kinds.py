@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.errors import DeviceTimeout
+from daq.link.codec import encode_request
 from plant.physics.layout import DELAY
 from rigs.virtual.emulators.balance import VirtualBalance
 from rigs.virtual.emulators.supply import VirtualSupply
@@ -32,6 +33,8 @@ KINDS: dict[str, tuple[str, ...]] = {
     "supply": ("drop", "surge", "solenoids off", "solenoids low"),
     "valve": ("inlet stuck open", "outlet stuck open", "inlet stuck shut", "outlet stuck shut",
               "slow"),
+    "other program": ("sets a pressure", "sets many", "beats", "changes a limit", "arms", "vents",
+                      "stops"),
 }  # fmt: skip
 FROM_THE_START = {"clock"}
 KEYPAD = ("unit", "overload", "comma")
@@ -391,6 +394,34 @@ def _valve_undo(trial: Trial, fault: Fault) -> None:
         trial.shut.discard(fault.kind.split()[0])
 
 
+# ---- another program on the controller's line -----------------------------------------
+
+OTHERS = ("", " @1", " @40001")
+"""Its session: none, or one that is not the test's."""
+
+
+def _other_program(trial: Trial, fault: Fault) -> None:
+    """Requests of a program that found the port too; they pass no line that could spoil them."""
+    controller = trial.bench.board.controller
+    mark = trial.rng.choice(OTHERS)
+    high = 2000 + int(fault.size * 60_000)
+    arm = f"arm {controller.checksum.of(controller.values):04x} {controller.telemetry.boot_id}"
+    words = {
+        "sets a pressure": [f"sp {high}{mark}"],
+        "sets many": [f"sp {(high + 997 * k) % 65_000}{mark}" for k in range(30)],
+        "beats": [f"hb {k}{mark}" for k in range(1, 41)],
+        "changes a limit": ["set trip 4095", "set hb_ms 5000"],
+        "arms": [arm + mark],
+        "vents": ["vent"],
+        "stops": ["stop"],
+    }[fault.kind]
+    armed = bool(controller.safety.armed)
+    fault.hits = len(words)
+    fault.must_tell = int(armed and fault.kind in ("sets a pressure", "sets many", "beats"))
+    for number, request in enumerate(words):
+        trial.wires.direct("valve", encode_request(60_000 + number, request))
+
+
 def _nothing(trial: Trial, fault: Fault) -> None:
     """Clock faults are there from the start; see Trial."""
     fault.hits = 1
@@ -399,7 +430,7 @@ def _nothing(trial: Trial, fault: Fault) -> None:
 _BEGIN = {
     "wire": _wire, "instrument": _instrument, "sensor": _sensor, "controller": _controller,
     "camera": _camera, "disk": _disk, "process": _process, "supply": _supply, "valve": _valve,
-    "clock": _nothing,
+    "clock": _nothing, "other program": _other_program,
 }  # fmt: skip
 _COUNT = {"wire": _wire_count, "instrument": _instrument_count}
 _UNDO = {
