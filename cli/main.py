@@ -17,8 +17,9 @@ from cli.data.runs import add_runs
 from cli.gap.commands import add_gap
 from cli.model.links import links
 from cli.model.models import add_models, fit
-from cli.options import OutOption
+from cli.options import RUNS, OutOption
 from cli.protocols.protocols import add_protocols
+from cli.sections import SectionedGroup, start_text
 from cli.simulate.simulate import add_studies, simulate
 
 HELP = {"help_option_names": ["-h", "--help"]}
@@ -26,10 +27,10 @@ HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
     name="pamrig",
     help="Test bench for pneumatic artificial muscles: run tests, view, reduce, report.",
-    no_args_is_help=True,
+    cls=SectionedGroup,
+    invoke_without_command=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    add_completion=False,
     context_settings=HELP,
 )
 
@@ -44,6 +45,7 @@ def _print_version(asked: bool) -> None:
 
 @app.callback()
 def options(
+    context: typer.Context,
     version: Annotated[
         bool,
         typer.Option(
@@ -52,6 +54,8 @@ def options(
     ] = False,
 ) -> None:
     """Test bench for pneumatic artificial muscles: run tests, view, reduce, report."""
+    if context.invoked_subcommand is None:
+        typer.echo(start_text(RUNS))
 
 
 def _group(name: str, summary: str) -> typer.Typer:

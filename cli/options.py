@@ -8,14 +8,21 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from cli.completion import run_names, shipped
 from daq.errors import ConfigError
 
 RUNS = Path("runs")
 
 DataArgument = Annotated[
-    str, Argument(help="Folder in the dataset format, run folder, run id, or 'last'.")
+    str,
+    Argument(
+        help="Folder in the dataset format, run folder, run id, or 'last'.",
+        autocompletion=run_names,
+    ),
 ]
-RunArgument = Annotated[str, Argument(help="Run folder, run id, or 'last'.")]
+RunArgument = Annotated[
+    str, Argument(help="Run folder, run id, or 'last'.", autocompletion=run_names)
+]
 
 FigureOption = Annotated[Path | None, Option("--figure", help="Figure to write, .png or .svg.")]
 JsonOption = Annotated[bool, Option("--json", help="Print one JSON value, nothing else.")]
@@ -30,7 +37,10 @@ PlantOption = Annotated[
     Path | None, Option("--plant", help="Constants of the bench, in the format of bench.toml.")
 ]
 RegionOption = Annotated[str, Option(help="Only pressures LOW-HIGH in kPa.")]
-RigOption = Annotated[str, Option("--rig", help="Rig file, or the name of a shipped one.")]
+RigOption = Annotated[
+    str,
+    Option("--rig", help="Rig file, or the name of a shipped one.", autocompletion=shipped("rigs")),
+]
 RunsOption = Annotated[Path, Option("--runs", help="Folder of runs.")]
 OutOption = Annotated[Path, Option("--runs", "--out", help="Folder of runs.")]
 SeedOption = Annotated[int | None, Option(help="Seed of a virtual bench.")]

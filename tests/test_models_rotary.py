@@ -151,8 +151,8 @@ def said(words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
 
 
 def test_the_command_prints_the_model(monkeypatch, capsys) -> None:
-    words = ["--radius-mm", "15", "--length-mm", "40", "--fibre-mm", "50", "--angles", "20,-60"]
-    status, out, _ = said([*words, "--pressures", "200", "--json"], monkeypatch, capsys)
+    words = ["--radius-mm", "15", "--length-mm", "40", "--fibre-mm", "50", "--angles-deg", "20,-60"]
+    status, out, _ = said([*words, "--pressures-kpa", "200", "--json"], monkeypatch, capsys)
     assert status == 0
     found = json.loads(out)
     muscle = MUSCLES[0]
@@ -181,10 +181,10 @@ def test_the_command_spreads_angles_over_the_range(monkeypatch, capsys) -> None:
     [
         (["--fibre-mm", "40"], "is not longer than length_m"),
         (["--radius-mm", "0"], "--radius-mm: expected a number above 0"),
-        (["--angles", "300"], "has no geometry"),
-        (["--angles", "nan"], "--angles: 'nan' is not a list of numbers"),
-        (["--pressures", "-1"], "--pressures: expected a number from 0"),
-        (["--pressures", "ten"], "--pressures: 'ten' is not a list of numbers"),
+        (["--angles-deg", "300"], "has no geometry"),
+        (["--angles-deg", "nan"], "--angles-deg: 'nan' is not a list of numbers"),
+        (["--pressures-kpa", "-1"], "--pressures-kpa: expected a number from 0"),
+        (["--pressures-kpa", "ten"], "--pressures-kpa: 'ten' is not a list of numbers"),
     ],
 )
 def test_what_has_no_geometry_is_one_line(words, text, monkeypatch, capsys) -> None:

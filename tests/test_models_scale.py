@@ -433,8 +433,8 @@ def call(*words: str) -> str:
 
 def test_fit_of_a_large_muscle_from_import_to_model_file(desk: Path) -> None:
     text = call(
-        "fit", "last", "--model", "fluidic", "--least-force", "5",
-        "--rest-length", "250", "--diameter", "10", "--out", "big.toml",
+        "fit", "last", "--model", "fluidic", "--least-force-n", "5",
+        "--rest-length-mm", "250", "--diameter-mm", "10", "--out", "big.toml",
     )  # fmt: skip
     assert "3.73 times as long" in text
     assert "rest length 250 mm (stated)" in text
@@ -445,13 +445,13 @@ def test_fit_of_a_large_muscle_from_import_to_model_file(desk: Path) -> None:
     assert model.noise_n == pytest.approx(0.5, rel=0.3)
     assert model.pulls_only
     assert "its force is 0 where the law is negative" in text
-    again = call("fit", "last", "--model", "big.toml", "--least-force", "5")
+    again = call("fit", "last", "--model", "big.toml", "--least-force-n", "5")
     assert "times as long" not in again
 
 
 def test_compare_takes_start_values_and_holds_out_pressures(desk: Path) -> None:
-    call("fit", "last", "--model", "fluidic", "--least-force", "5", "--out", "big.toml")
-    words = ("models", "compare", "last", "--least-force", "5", "--holdout", "pressure")
+    call("fit", "last", "--model", "fluidic", "--least-force-n", "5", "--out", "big.toml")
+    words = ("models", "compare", "last", "--least-force-n", "5", "--holdout", "pressure")
     text = call(*words, "--models", "fluidic,sarosi-five", "--start", "big.toml")
     assert text.index("\nfluidic") < text.index("\nsarosi-five")
     assert "rmse mm" in text
@@ -472,9 +472,12 @@ def test_a_bad_model_file_ends_with_status_2_and_one_line(desk: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("fit", "c01", "--model", "fluidic", "--rest-length", "60"), "--diameter is missing"),
-        (("fit", "c01", "--model", "fluidic", "--diameter", "6"), "--rest-length is missing"),
-        (("fit", "c01", "--model", "fluidic", "--least-force", "900"), "largest force"),
+        (
+            ("fit", "c01", "--model", "fluidic", "--rest-length-mm", "60"),
+            "--diameter-mm is missing",
+        ),
+        (("fit", "c01", "--model", "fluidic", "--diameter-mm", "6"), "--rest-length-mm is missing"),
+        (("fit", "c01", "--model", "fluidic", "--least-force-n", "900"), "largest force"),
         (("fit", "c01", "--model", "caldwell", "--start", "efficiency=-9"), "outside its bounds"),
         (("models", "compare", "c01", "--models", "caldwell", "--start", "fluidic"), "law is not"),
         (("models", "compare", "c01", "--holdout", "pressure", "--nested"), "--nested"),

@@ -86,7 +86,7 @@ def start_lines(scalings: Iterable[Scaling]) -> list[str]:
     force = f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
     rest = ""
     if s.rest_length_mm is not None:
-        why = "stated" if s.stated else "longest length of the data; see --rest-length"
+        why = "stated" if s.stated else "longest length of the data; see --rest-length-mm"
         rest = f"; rest length {s.rest_length_mm:g} mm ({why})"
     return [
         f"start values and bounds of a muscle {s.length:.3g} times as long and {force} times as "

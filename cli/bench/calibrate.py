@@ -108,7 +108,9 @@ def camera(
 def pressure(
     out: CalibrationOption,
     rig: RigOption = "virtual",
-    pressures: Annotated[str, typer.Option(help="Pressures in kPa.")] = "0,100,200,300,400,500",
+    pressures: Annotated[
+        str, typer.Option("--pressures-kpa", "--pressures", help="Pressures in kPa.")
+    ] = "0,100,200,300,400,500",
     gauge: Annotated[
         str,
         typer.Option(help="A gauge read by the operator; default: the rig's pressure_transmitter."),
@@ -136,7 +138,7 @@ def pressure(
     _check(out, replace)
     with stop_on_signals() as stop:
         done = calibrate_pressure(
-            load_rig(rig), _numbers(pressures, "--pressures"), records,
+            load_rig(rig), _numbers(pressures, "--pressures-kpa"), records,
             reference=reference if gauge else None, who=operator, stop=stop, watch=_watch(as_json),
         )  # fmt: skip
     _write(done, out, replace, as_json)
@@ -145,7 +147,9 @@ def pressure(
 def force(
     out: CalibrationOption,
     rig: RigOption = "virtual",
-    masses: Annotated[str, typer.Option(help="Dead weights, in kg.")] = "0,1,2,5",
+    masses: Annotated[
+        str, typer.Option("--masses-kg", "--masses", help="Dead weights, in kg.")
+    ] = "0,1,2,5",
     weights: Annotated[str, typer.Option(help="Name of the set of weights.")] = "dead weights",
     u_each: Annotated[float, typer.Option(help="u of a single weight, in N.")] = 0.0,
     u_gain: Annotated[float, typer.Option(help="u of the set and of local g, relative.")] = 1e-4,
@@ -168,7 +172,7 @@ def force(
     _check(out, replace)
     with stop_on_signals() as stop:
         done = calibrate_force(
-            load_rig(rig), _numbers(masses, "--masses"), records, weights=reference,
+            load_rig(rig), _numbers(masses, "--masses-kg"), records, weights=reference,
             who=operator, stop=stop, watch=_watch(as_json),
         )  # fmt: skip
     _write(done, out, replace, as_json)

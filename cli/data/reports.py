@@ -11,6 +11,11 @@ from cli.data.import_data import import_data
 from cli.options import RUNS, JsonOption, OutOption, RunArgument, RunsOption, WarmOption
 from cli.output import print_json, state_findings, working, writing
 
+THESIS_TABLES = (
+    "Thesis table: c01 (isometric), c02 (c01 plus noise), c03 (isotonic), c04, c05 and c06, c07 "
+    "(hysteresis), d01, d02, d03 (switching times), d04 (switching voltages), d05 (air velocity)."
+)
+
 
 def report(
     run: RunArgument = "last",
@@ -80,7 +85,7 @@ def add_imports(app: typer.Typer) -> None:
 
 
 def import_thesis(
-    table: Annotated[str, typer.Argument(help="Thesis table: c01 (isometric).")],
+    table: Annotated[str, typer.Argument(help=THESIS_TABLES)],
     out: OutOption = RUNS,
     warm: WarmOption = False,
     as_json: JsonOption = False,

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from daq.errors import RecordError
 from gap.errors import GapError
 
 
 def data_folder(data: str, runs: Path, simulator: Path | None) -> Path:
-    """The folder that a diagnosis reads: a path, or a run of ``runs`` by id or as 'last'.
+    """The folder that a diagnosis reads: a path, or a run of ``runs`` by its name or as 'last'.
 
     Raises:
         GapError: there is no such folder or run, or the simulator's file is not there.
@@ -18,8 +19,10 @@ def data_folder(data: str, runs: Path, simulator: Path | None) -> Path:
         raise GapError(str(simulator), "no such file", "give the description of a simulator")
     if os.path.exists(data):
         return Path(data)
-    if data == "last" or (runs / data).is_dir():
-        from daq.store.store import find_run
+    from daq.store.store import find_run
 
+    try:
         return Path(find_run(runs, data).folder)
-    raise GapError(data, f"no such folder, and no run of this id in {runs}", "check the path")
+    except RecordError as error:
+        what = f"no such folder, and {error.what}" if data != "last" else error.what
+        raise GapError(data, what, "check the path") from None

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cli.completion import model_names, run_names
 from cli.model.rotary import rotary
 from cli.options import RUNS, FigureOption, JsonOption, RegionOption, RunsOption, WarmOption
 from cli.output import writing
@@ -23,16 +24,26 @@ PRESETS = ("table-4-3",)
 RestOption = Annotated[
     float | None,
     typer.Option(
-        "--rest-length", min=1.0, max=1e5, help="Length in mm, slack and without pressure."
+        "--rest-length-mm",
+        "--rest-length",
+        min=1.0,
+        max=1e5,
+        help="Length in mm, slack and without pressure.",
     ),
 ]
 DiameterOption = Annotated[
     float | None,
-    typer.Option("--diameter", min=0.1, max=1e4, help="Inner diameter in mm at that length."),
+    typer.Option(
+        "--diameter-mm", "--diameter", min=0.1, max=1e4, help="Inner diameter in mm at that length."
+    ),
 ]
 LeastOption = Annotated[
     float | None,
-    typer.Option("--least-force", help="Points with less force in N are slack and left out."),
+    typer.Option(
+        "--least-force-n",
+        "--least-force",
+        help="Points with less force in N are slack and left out.",
+    ),
 ]
 MAX_SUBSET_COLUMNS = 10
 
@@ -46,8 +57,16 @@ def add_models(app: typer.Typer) -> None:
 
 
 def fit(
-    run: Annotated[str, typer.Argument(help="Run folder, run id, 'last', or a thesis table: c01.")],
-    model: Annotated[str, typer.Option("--model", help="Model name, or a model file.")],
+    run: Annotated[
+        str,
+        typer.Argument(
+            help="Run folder, run id, 'last', or a thesis table: c01.", autocompletion=run_names
+        ),
+    ],
+    model: Annotated[
+        str,
+        typer.Option("--model", help="Model name, or a model file.", autocompletion=model_names),
+    ],
     free: Annotated[
         str, typer.Option(help="Parameters to fit, separated by commas; default: all not fixed.")
     ] = "",
@@ -288,7 +307,7 @@ def _geometry(rest_length: float | None, diameter: float | None) -> Geometry | N
     if rest_length is None and diameter is None:
         return None
     if rest_length is None or diameter is None:
-        given, other = ("--diameter", "--rest-length")[:: 1 if rest_length is None else -1]
+        given, other = ("--diameter-mm", "--rest-length-mm")[:: 1 if rest_length is None else -1]
         raise PamrigError(given, f"{other} is missing", "state both: they give the gas volume")
     return Geometry(rest_length, diameter)
 

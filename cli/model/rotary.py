@@ -21,9 +21,14 @@ def rotary(
     radius_mm: Annotated[float, typer.Option(help="Radius of the cylinder.")] = 15.0,
     length_mm: Annotated[float, typer.Option(help="Length between the ends of the sleeve.")] = 40.0,
     fibre_mm: Annotated[float, typer.Option(help="Length of a fibre; above --length-mm.")] = 50.0,
-    pressures: Annotated[str, typer.Option(help="Gauge pressures in kPa.")] = "100,300,500",
+    pressures: Annotated[
+        str, typer.Option("--pressures-kpa", "--pressures", help="Gauge pressures in kPa.")
+    ] = "100,300,500",
     angles: Annotated[
-        str, typer.Option(help="Angles in degrees; default: spread over the whole range.")
+        str,
+        typer.Option(
+            "--angles-deg", "--angles", help="Angles in degrees; default: over the whole range."
+        ),
     ] = "",
     as_json: JsonOption = False,
 ) -> None:
@@ -32,10 +37,10 @@ def rotary(
         ("--radius-mm", radius_mm), ("--length-mm", length_mm), ("--fibre-mm", fibre_mm),
     ):  # fmt: skip
         bounded(option, size_mm, 0.0, 1e5, "mm", above=True)
-    kpa = _numbers(pressures, "--pressures", "100,300,500")
+    kpa = _numbers(pressures, "--pressures-kpa", "100,300,500")
     for value in kpa:
-        bounded("--pressures", value, 0.0, 1e5, "kPa")
-    found = _table(radius_mm, length_mm, fibre_mm, kpa, _numbers(angles, "--angles", "0,20,40"))
+        bounded("--pressures-kpa", value, 0.0, 1e5, "kPa")
+    found = _table(radius_mm, length_mm, fibre_mm, kpa, _numbers(angles, "--angles-deg", "0,20,40"))
     if as_json:
         from cli.output import print_json
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cli.completion import run_names, shipped
 from cli.options import (
     RUNS,
     JsonOption,
@@ -23,7 +24,12 @@ from cli.options import (
 from rigs.protocols.names import PROTOCOLS, default_rig, default_specimen
 
 ProtocolOption = Annotated[
-    str, typer.Option("--protocol", help="Protocol file, or the name of a shipped one.")
+    str,
+    typer.Option(
+        "--protocol",
+        help="Protocol file, or the name of a shipped one.",
+        autocompletion=shipped("protocols"),
+    ),
 ]
 
 LiveOption = Annotated[bool, typer.Option("--live", help="Show the test in the live view.")]
@@ -96,7 +102,10 @@ def add_protocols(app: typer.Typer, runs_app: typer.Typer) -> None:
 def send_request(
     what: Annotated[str, typer.Argument(help="pause, resume, skip, repeat, mark or stop.")],
     words: Annotated[str, typer.Argument(help="Text of the marker.")] = "",
-    run: Annotated[str, typer.Option("--run", help="Run folder, run id, or 'last'.")] = "last",
+    run: Annotated[
+        str,
+        typer.Option("--run", help="Run folder, run id, or 'last'.", autocompletion=run_names),
+    ] = "last",
     runs: RunsOption = RUNS,
 ) -> None:
     """Send a request to a running test: pause, resume, skip, repeat, mark, stop."""

@@ -99,15 +99,15 @@ def martens_boblan(folder: Path) -> list[Outcome]:
         fitted = sorted(table.pressure_kpa.unique())[::2]
         table[table.pressure_kpa.isin(fitted)].to_csv(folder / "fitted.csv", index=False)
         table.to_csv(folder / "all.csv", index=False)
-        size = ("--rest-length", rest, "--diameter", diameter)
-        law = ("--model", "sarosi-five", "--least-force", 1)
+        size = ("--rest-length-mm", rest, "--diameter-mm", diameter)
+        law = ("--model", "sarosi-five", "--least-force-n", 1)
         runs = f"runs-{muscle}"
         pamrig(folder, "import", "points", "fitted.csv", "--out", runs)
         pamrig(folder, "fit", "last", "--runs", runs, *law, *size, "--out", f"law-{muscle}.toml")
         pamrig(folder, "import", "points", "all.csv", "--out", runs)
         compared = pamrig(
             folder, "models", "compare", "last", "--runs", runs, "--models", "sarosi-five",
-            "--least-force", 1, "--holdout", "pressure", "--start", f"law-{muscle}.toml",
+            "--least-force-n", 1, "--holdout", "pressure", "--start", f"law-{muscle}.toml",
         )  # fmt: skip
         rest_of_it = folder / f"held-{muscle}"
         rest_of_it.mkdir()
