@@ -66,7 +66,7 @@ REAL = [('\nport = "virtual"', '\nport = "/dev/nowhere"')] * 3 + [
         ([('unit = "kPa"', 'unit = "bar"')], ("calibrations.pressure_kpa.unit", "kPa")),
         ([('\nport = "virtual"', '\nport = "/dev/ttyUSB9"')], ("valve.port", "mixes")),
         (REAL, ("valve.port", "/dev/nowhere", "no such port")),
-        ([('firmware = "0.1" ', 'firmware = "7.3" ')], ("valve.firmware", "7.3", "install")),
+        ([('firmware = "0.2" ', 'firmware = "7.3" ')], ("valve.firmware", "7.3", "install")),
         ([("supply_kpa = 700", "supply_bar = 7")], ("supply_bar", "rig.toml")),
         ([("supply_kpa = 700", "supply_kpa = -3")], ("supply_kpa",)),
         (

@@ -150,7 +150,7 @@ def test_a_connection_cut_while_armed_vents_the_muscle(tmp_path: Path, kind: str
         stack.callback(link.close)
         valve = ValveController(link, clock, event_loop)
         event_loop.add(valve.poll)
-        valve.connect("VB-0001", "0.1")
+        valve.connect("VB-0001", "0.2")
         valve.progress(60.0)
         event_loop.for_seconds(0.2)
         valve.arm()

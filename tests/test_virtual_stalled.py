@@ -32,7 +32,7 @@ def armed_bench(folder: Path) -> Iterator[tuple[BenchServer, ValveController, Ev
         try:
             valve = ValveController(link, clock, event_loop)
             event_loop.add(valve.poll)
-            valve.connect("VB-0001", "0.1")
+            valve.connect("VB-0001", "0.2")
             valve.progress(60.0)
             event_loop.for_seconds(0.2)
             valve.arm()

@@ -337,6 +337,8 @@ def open_in(kpa: Array, event: Mapping[str, Any], part: Mapping[str, npt.NDArray
     sign = 1.0 if event["valve"] == "inlet" else -1.0
     limit = float(event["limit_kpa"])
     if event["edge"] == "on":
+        if len(kpa) <= last + 15:  # the record ends before an answer could be seen
+            return False
         return bool(sign * (kpa[last + 15 :].mean() - kpa[: first + 1].mean()) > limit)
     tail = kpa[max(first, last - int(event["tail"])) : last + 1]
     third = max(len(tail) // 3, 1)

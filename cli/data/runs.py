@@ -1,4 +1,4 @@
-"""`pamrig runs ...`: list, find, show, verify, rebuild, index, export, annotate, exclude."""
+"""`pamrig runs ...`: list, show, verify, rebuild, index, find, export, archive, annotations."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cli.completion import run_names
 from cli.options import RUNS, JsonOption, RunArgument, RunsOption
 from cli.output import print_json, state_findings, working
 from daq.errors import ConfigError
@@ -30,7 +31,7 @@ MAX_RANGE = 100_000
 def add_runs(app: typer.Typer) -> None:
     """Add the commands of `pamrig runs`."""
     app.command("list")(list_all)
-    for command in (show, verify, rebuild, index, find, export):
+    for command in (show, verify, rebuild, index, find, export, archive):
         app.command()(command)
     for name, (action, done, summary) in ANNOTATIONS.items():
         app.command(name, help=summary)(_annotation(action, done))
@@ -283,6 +284,47 @@ def export(
         return
     for path in files:
         typer.echo(path)
+    state_findings(problems)
+
+
+def archive(
+    run: Annotated[
+        list[str],
+        typer.Argument(help="Run folders, run ids, or 'last'.", autocompletion=run_names),
+    ],
+    title: Annotated[str, typer.Option("--title", help="Title of the data.")],
+    author: Annotated[
+        list[str], typer.Option("--author", help="Name, ORCID, affiliation; may be repeated.")
+    ],
+    licence: Annotated[
+        str, typer.Option("--licence", help="SPDX identifier, or the address of the licence.")
+    ] = "CC-BY-4.0",
+    description: Annotated[
+        str, typer.Option("--description", help="What the data are, in a few sentences.")
+    ] = "",
+    publisher: Annotated[
+        str, typer.Option("--publisher", help="Institution that publishes the data.")
+    ] = "",
+    record: Annotated[
+        bool, typer.Option("--record/--no-record", help="Also the raw records, byte for byte.")
+    ] = True,
+    out: Annotated[Path, typer.Option("--out", help="Archive to write (.zip).")] = Path("data.zip"),
+    runs: RunsOption = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Pack runs for publication: one RO-Crate archive with units, sums, licence and citation."""
+    from analysis.formats.archive import Publication, read_author, read_licence, write_archive
+    from daq.store.store import find_run
+
+    authors = tuple(read_author(text) for text in author)
+    about = Publication(title, read_licence(licence), authors, description, publisher)
+    found = [find_run(runs, name) for name in run]
+    with working("packing"):
+        problems = write_archive(found, about, out, record)
+    if as_json:
+        print_json({"archive": str(out), "runs": [r.run_id for r in found], "problems": problems})
+        return
+    typer.echo(str(out))
     state_findings(problems)
 
 

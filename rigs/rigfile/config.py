@@ -331,7 +331,7 @@ def _valve(t: Table) -> ValveDevice:
         port,
         baud,
         serial,
-        firmware=t.text("firmware", "0.1"),
+        firmware=t.text("firmware", "0.2"),
         outlet_normally=t.text("outlet_normally", choices=("open", "closed")),
         static_scheme=t.text("static_scheme", "pwm", choices=("pwm", "reg")),
         parameters={k: parameters.integer(k, 0, 2**31 - 1) for k in parameters.keys()},  # noqa: SIM118
