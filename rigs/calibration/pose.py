@@ -10,7 +10,8 @@ import numpy.typing as npt
 from daq.errors import ConfigError
 from rigs.calibration.frames import open_frames
 from vision.gray import FrameError, to_gray
-from vision.pose.camera import CalibrationError, PoseCamera, calibrate
+from vision.pose.calibrate import CalibrationError, calibrate
+from vision.pose.camera import PoseCamera
 from vision.pose.detect import Board
 
 

@@ -12,13 +12,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-if TYPE_CHECKING:
-    from vision.pose.camera import PoseCamera
+from vision.pose.camera import PoseCamera
 
 Array = npt.NDArray[np.float64]
 
