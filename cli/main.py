@@ -12,6 +12,7 @@ import typer
 from cli.bench.bench import add_bench, add_firmware
 from cli.bench.calibrate import add_calibration
 from cli.data.length import length
+from cli.data.pose import pose
 from cli.data.reports import add_imports, report, view
 from cli.data.runs import add_runs
 from cli.gap.commands import add_gap
@@ -79,7 +80,7 @@ add_studies(_group("study", "Simulation studies."))
 add_firmware(_group("firmware", "Install the firmware on a board, and check it."))
 add_bench(app)
 add_protocols(app, runs_app)
-for command in (report, view, length, links, fit, simulate):
+for command in (report, view, length, pose, links, fit, simulate):
     app.command()(command)
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from vision.macro import ROI, THRESHOLD, NoMarker, measure_macro
 from vision.marker.edge import measure_gap
 from vision.marker.gap import GapMeasurement
 from vision.marker.lens import Lens
+from vision.pose.measure import MarkSettings, PoseMeasurement, measure_pose
 
 if TYPE_CHECKING:
     from daq.store.run import Run
@@ -54,7 +57,30 @@ def camera_of(run: Run) -> dict[str, Any]:
         where = str(run.folder / "run.json")
         raise RecordError(where, f"camera: invalid camera settings ({error})") from error
     chosen = {k: camera[k] for k in ("method", "threshold", "flip") if run.pictures and k in camera}
+    if camera.get("marks"):
+        try:
+            MarkSettings.from_dict(camera["marks"])
+        except ValueError as error:
+            where = str(run.folder / "run.json")
+            raise RecordError(where, f"camera: invalid settings of the marks ({error})") from None
+        chosen["marks"] = camera["marks"]
     return {"region": region, "sync": sync, "lens": lens, **chosen}
+
+
+def pose_of(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> PoseMeasurement | None:
+    """Pose of the marks of a decoded picture, by ``marks`` in ``camera`` of run.json.
+
+    The live test, the reduction and `pamrig pose` use this function. None where the rig has none.
+    """
+    marks = camera.get("marks")
+    if not marks:
+        return None
+    return measure_pose(gray, _settings(json.dumps(marks, sort_keys=True)))
+
+
+@lru_cache(maxsize=4)
+def _settings(marks: str) -> MarkSettings:
+    return MarkSettings.from_dict(json.loads(marks))
 
 
 def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> GapMeasurement:

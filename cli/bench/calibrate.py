@@ -25,7 +25,7 @@ RECORDS = Path("calibrations")
 
 def add_calibration(app: typer.Typer) -> None:
     """Add the commands of `pamrig calibrate`."""
-    for command in (camera, pressure, force):
+    for command in (camera, pose, pressure, force):
         app.command()(command)
 
 
@@ -103,6 +103,47 @@ def camera(
     if found.off_plane_per_mm:
         typer.echo(f"off the plane: {found.off_plane_per_mm * 100:.4f} % per mm")
     typer.echo(f'written to {out}; in a rig file: [camera] calibration = "{out.name}"')
+
+
+def pose(
+    out: CalibrationOption,
+    pictures: Annotated[str, typer.Option(help="Pictures of the ChArUco board: folder or video.")],
+    board: Annotated[str, typer.Option(help="Squares of the board: COLUMNSxROWS.")] = "7x5",
+    square_mm: Annotated[float, typer.Option(help="Side of a square.")] = 14.0,
+    mark_mm: Annotated[float, typer.Option(help="Side of a mark in a square.")] = 10.0,
+    dictionary: Annotated[str, typer.Option(help="Set of the marks.")] = "4x4_50",
+    plane: Annotated[
+        str, typer.Option(help="Picture of the board lying in the plane of motion.")
+    ] = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate the camera for `pamrig pose`, by pictures of a ChArUco board at several tilts."""
+    from rigs.calibration.pose import calibrate_pose
+    from rigs.rigfile.marks import save_pose_camera
+    from vision.pose.detect import DICTIONARIES, Board
+
+    bounded("--square-mm", square_mm, 0.0, 1000.0, "mm", above=True)
+    bounded("--mark-mm", mark_mm, 0.0, 0.95 * square_mm, "mm", above=True)
+    if dictionary not in DICTIONARIES:
+        known = ", ".join(DICTIONARIES)
+        raise ConfigError("--dictionary", f"{dictionary!r} is not known", f"known: {known}")
+    across, down = _pair(board.lower(), "x", "--board", "7x5")
+    for squares in (across, down):
+        bounded("--board", squares, 3, 100, "squares")
+    shape = Board(int(across), int(down), square_mm, mark_mm, dictionary)
+    if shape.marks > (most := int(dictionary.split("_")[1])):
+        raise ConfigError("--board", f"needs {shape.marks} marks, {dictionary} has {most}")
+    camera = calibrate_pose(pictures, shape, plane)
+    with writing(out):
+        save_pose_camera(out, camera)
+    if as_json:
+        print_json(camera.to_dict())
+        return
+    typer.echo(
+        f"{out}: focal length {camera.fx:.1f} and {camera.fy:.1f} pixels, centre "
+        f"{camera.cx:.1f}, {camera.cy:.1f}, rms {camera.rms_px:.3f} pixels, {camera.views} pictures"
+        + ("" if camera.plane else "; without a plane: give marks a reference")
+    )
 
 
 def pressure(

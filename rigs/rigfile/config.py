@@ -15,6 +15,7 @@ from rigs.rigfile.camera_calibration import load_camera_calibration
 from rigs.rigfile.device import Device as Device
 from rigs.rigfile.form import GRAMS
 from rigs.rigfile.instruments import InstrumentSettings, read_instruments
+from rigs.rigfile.marks import load_marks
 from rigs.rigfile.pressure_source import PressureSourceSettings, read_pressure_source
 from rigs.rigfile.toml_reader import Table, find_config, load_toml
 
@@ -104,7 +105,8 @@ class CameraDevice:
     ``repeat`` lets the pictures of a replay begin anew after the last one.
     ``region`` is where the marks are looked for (None: the whole picture); ``lens`` the
     distortion that the camera's calibration file holds, as its plain values. ``settings`` are
-    those of a webcam (`CAMERA_SETTINGS`), in the units of its driver.
+    those of a webcam (`CAMERA_SETTINGS`), in the units of its driver. ``marks`` are the marks whose
+    pose is measured, as plain values of :class:`vision.pose.measure.MarkSettings`.
     """
 
     source: str
@@ -115,6 +117,7 @@ class CameraDevice:
     lens: dict[str, float] | None = None
     repeat: bool = False
     settings: dict[str, float] | None = None
+    marks: dict[str, Any] | None = None
 
     @property
     def replayed(self) -> bool:
@@ -384,6 +387,9 @@ def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
         sync=_sync(t.table("sync")) if "sync" in t else None,
         lens=lens,
         settings=_settings(t.table("settings")) if "settings" in t else None,
+        marks=load_marks(Path(t.source).parent / t.text("marks")).to_dict()
+        if "marks" in t
+        else None,
     )
     scheme = out.source.split(":")[0]
     if scheme not in (VIRTUAL, "uvc", "tcp", REPLAY[:-1]) or out.source == REPLAY:
@@ -496,4 +502,5 @@ def camera_values(config: RigConfig) -> dict[str, Any]:
         "region": list(camera.region) if camera.region else None,
         "sync": {**vars(camera.sync), "patch": list(camera.sync.patch)} if camera.sync else None,
         "lens": camera.lens,
+        **({"marks": camera.marks} if camera.marks else {}),
     }

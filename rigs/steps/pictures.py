@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from analysis.reduction.pictures import decode, measure_stored
+from analysis.reduction.pictures import decode, measure_stored, pose_of
 from daq.errors import DeviceError
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig
@@ -79,4 +79,7 @@ def take_picture(rig: Rig, record: RecordWriter, camera: Mapping[str, Any]) -> P
         trusted=gap.trusted,
         reason=gap.reason,
     )
+    pose = pose_of(gray, camera)
+    if pose is not None:
+        record.event("pose", frame=number, marks=pose.as_dict())
     return Picture(number, frame.host_ns, jpeg, gap)
