@@ -8,27 +8,27 @@ import pytest
 
 from daq.errors import DeviceError, LinkLost
 from instrument_desk import Desk
-from rigs.devices.stage import Stage
+from rigs.devices.motion.grbl import GrblStage
 from rigs.virtual.emulators.injected_fault import INJECTED_FAULTS
-from rigs.virtual.emulators.stage import VirtualStage
+from rigs.virtual.emulators.motion.grbl import VirtualGrbl
 
 
-def stage_of() -> tuple[Desk, Stage, dict[str, float]]:
+def stage_of() -> tuple[Desk, GrblStage, dict[str, float]]:
     at = {"mm": 60.0, "rate": 0.0}
 
     def motion(length_mm: float, rate_mm_s: float) -> None:
         at.update(mm=length_mm, rate=rate_mm_s)
 
-    def make(read: Any, send: Any) -> VirtualStage:
+    def make(read: Any, send: Any) -> VirtualGrbl:
         del read
-        return VirtualStage(motion, send, "ST-1", 60.0, 50.0, 75.0)
+        return VirtualGrbl(motion, send, "ST-1", 60.0, 50.0, 75.0)
 
     desk = Desk.__new__(Desk)
     # The stage greets at power-up, so its wire must be there before it is.
     desk._end = None
     desk.plugged = False
     Desk.__init__(desk, make)
-    stage = Stage(desk.host, desk.event_loop, 10.0)
+    stage = GrblStage(desk.host, desk.event_loop, 10.0)
     desk.event_loop.add(stage.poll)
     return desk, stage, at
 
@@ -128,7 +128,7 @@ def test_plugged_in_again_it_is_found_where_it_stands() -> None:
     with pytest.raises(LinkLost):
         stage.move(61.0)
     desk.replug()
-    again = Stage(desk.reopen(), desk.event_loop, 10.0)
+    again = GrblStage(desk.reopen(), desk.event_loop, 10.0)
     desk.event_loop.add(again.poll)
     assert again.connect("ST-1")["serial"] == "ST-1"
     assert again.status() == ("Idle", 62.0)

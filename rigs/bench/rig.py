@@ -29,12 +29,13 @@ from rigs.devices.instruments.load_cell import LoadCell
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
 from rigs.devices.interfaces import Instrument
+from rigs.devices.motion.stage import MotorStage
 from rigs.devices.operator import ManualAxis, ManualStage, Operator
 from rigs.devices.pressure.solenoids import SolenoidPressure
 from rigs.devices.pressure.source import PressureSource
-from rigs.devices.stage import Stage
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import RigConfig
+from rigs.rigfile.stage import stage_module
 
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench
@@ -53,7 +54,7 @@ class Rig:
     valve: ValveController
     pressure_source: PressureSource
     balance: Balance | LoadCell
-    stage: Stage | ManualStage
+    stage: MotorStage | ManualStage
     camera: FreshCamera
     bench: VirtualBench | None
     identities: dict[str, dict[str, str]]
@@ -179,12 +180,14 @@ def open_rig(
             identities["balance"] = balance.connect(config.balance.serial)
         for name, reader in instruments.items():
             identities[name] = reader.connect(config.instruments.readers()[name].serial)
-        stage: Stage | ManualStage
+        stage: MotorStage | ManualStage
         if config.stage.kind == "manual":
             stage = manual_stage(config, person, event_loop, camera)
             identities["stage"] = stage.identity
         else:
-            stage = Stage(ports.open("stage", config.stage), event_loop, config.stage.speed_mm_s)
+            module = stage_module(config.stage.kind, "rigs.devices.motion")
+            stage = module.open_stage(ports.open("stage", config.stage), event_loop, config.stage)
+            assert isinstance(stage, MotorStage)
             event_loop.add(stage.poll)
             identities["stage"] = stage.connect(config.stage.serial)
         identities["camera"] = camera.identity

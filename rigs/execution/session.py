@@ -18,8 +18,8 @@ from rigs.bench.locks import vent_request
 from rigs.bench.rig import Rig, firmware_parameters, open_rig
 from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
 from rigs.devices.lines import LineDevice
+from rigs.devices.motion.stage import MotorStage
 from rigs.devices.operator import ConsoleOperator, Operator, at_a_terminal
-from rigs.devices.stage import Stage
 from rigs.execution.control import RunControl, control_file, is_request
 from rigs.execution.manifest import manifest
 from rigs.execution.procedure import Plan, Procedure
@@ -274,7 +274,7 @@ def _finish(runner: Runner, record: RecordWriter, outcome: str, error: BaseExcep
             counters={
                 "valve": rig.valve.counters(),
                 "balance": rig.balance.counters(),
-                **({"stage": rig.stage.counters()} if isinstance(rig.stage, Stage) else {}),
+                **({"stage": rig.stage.counters()} if isinstance(rig.stage, MotorStage) else {}),
                 "camera": rig.camera.counters(),
                 **instrument_counters(rig),
             },

@@ -17,6 +17,8 @@ from rigs.rigfile.form import GRAMS
 from rigs.rigfile.instruments import InstrumentSettings, read_instruments
 from rigs.rigfile.marks import load_marks
 from rigs.rigfile.pressure_source import PressureSourceSettings, read_pressure_source
+from rigs.rigfile.stage import MANUAL, read_stage
+from rigs.rigfile.stage import StageDevice as StageDevice
 from rigs.rigfile.toml_reader import Table, find_config, load_toml
 
 SENSORS = {"pressure_kpa": "valve", "force_n": "balance"}
@@ -57,15 +59,6 @@ class ValveDevice(Device):
     outlet_normally: str
     static_scheme: str
     parameters: dict[str, int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class StageDevice(Device):
-    """What sets the muscle's length: a GRBL stage, or a person (kind "manual")."""
-
-    speed_mm_s: float
-    kind: str = "grbl"
-    tolerance_mm: float = 0.2
 
 
 Box = tuple[int, int, int, int]
@@ -230,7 +223,7 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
         conditions=_conditions(root.table("conditions")),
         valve=valve,
         balance=_device(root.table("balance")) if "balance" in root else Device("", 9600, ""),
-        stage=_stage(root.table("stage")),
+        stage=read_stage(root.table("stage")),
         camera=camera,
         calibrations=calibrations,
         virtual=_virtual(root, seed),
@@ -256,7 +249,7 @@ def _check_whole(rig: RigConfig, root: Table) -> None:
         ports["balance"] = rig.balance.port == VIRTUAL
     if rig.pressure_source.port:
         ports["pressure_source"] = rig.pressure_source.port == VIRTUAL
-    if rig.stage.kind == "grbl":
+    if rig.stage.kind != MANUAL:
         ports["stage"] = rig.stage.port == VIRTUAL
     if len(set(ports.values())) > 1:
         real = sorted(k for k, virtual in ports.items() if not virtual)
@@ -339,18 +332,6 @@ def _valve(t: Table) -> ValveDevice:
         static_scheme=t.text("static_scheme", "pwm", choices=("pwm", "reg")),
         parameters={k: parameters.integer(k, 0, 2**31 - 1) for k in parameters.keys()},  # noqa: SIM118
     )
-    t.finish()
-    return out
-
-
-def _stage(t: Table) -> StageDevice:
-    kind = t.text("kind", "grbl", choices=("grbl", "manual"))
-    if kind == "manual":
-        tolerance = t.number("tolerance_mm", 0.001, 100, 0.2, unit="mm")
-        t.finish()
-        return StageDevice("", 0, "", 0.0, kind, tolerance)
-    port, baud, serial = _port(t)
-    out = StageDevice(port, baud, serial, t.number("speed_mm_s", 0.1, 100, 10.0, unit="mm/s"))
     t.finish()
     return out
 

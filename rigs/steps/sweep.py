@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError
-from rigs.devices.stage import Stage
+from rigs.devices.motion.stage import MotorStage
 from rigs.rigfile.toml_reader import Table
 from rigs.steps.custom_step import CustomStep
 from rigs.steps.steps import SetLength
@@ -46,7 +46,7 @@ class Sweep(CustomStep):
         from rigs.steps.pictures import take_picture
 
         stage = runner.rig.stage
-        if not isinstance(stage, Stage):
+        if not isinstance(stage, MotorStage):
             raise DeviceError("stage", "is moved by hand; a sweep needs one with a motor")
         clock = runner.rig.clock
         rate_hz = min(max(self.speed_mm_s / PICTURES_MM, PICTURES_HZ[0]), PICTURES_HZ[1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from plant.effects.effects import Effects
 from plant.errors import PlantError
 from plant.simulator.bench import BenchSim
 from rigs.rigfile.config import RigConfig
+from rigs.rigfile.stage import MANUAL, stage_module
 from rigs.virtual.board.board import Advance, PressureSensor, SimBoard
 from rigs.virtual.board.ram_load import RamLoad
 from rigs.virtual.board.solenoids import Solenoids
@@ -24,7 +26,6 @@ from rigs.virtual.emulators.balance import VirtualBalance
 from rigs.virtual.emulators.camera import CameraModel, led_exposure, render
 from rigs.virtual.emulators.emulator import Emulator
 from rigs.virtual.emulators.sensor_error import SensorError
-from rigs.virtual.emulators.stage import VirtualStage
 from rigs.virtual.extras import Extras
 
 DRIFT = 25e-6
@@ -76,15 +77,7 @@ class VirtualBench:
         self._errors = self._draw_errors(streams[4])
         self.board = self._make_board(streams[0])
         self.balance = self._make_balance(streams[1])
-        limits = config.limits
-        self.stage = VirtualStage(
-            self._set_motion,
-            lambda data: self._send("stage", data),
-            config.stage.serial,
-            self.plant.length_mm - self.sensor_error.label_mm,
-            limits.length_min_mm,
-            limits.length_max_mm,
-        )
+        self.stage = self._make_stage()
         self.emulators: dict[str, Emulator] = {
             "valve": self.board, "stage": self.stage, "balance": self.balance,
             **self.extras.devices,
@@ -212,6 +205,18 @@ class VirtualBench:
             has_regulator=self._v.source == "regulator",
             sink=lambda bench_us, data: self._send("valve", data, bench_us * 1000),
             advance=self._make_step(),
+        )
+
+    def _make_stage(self) -> Any:
+        """The emulator of the rig's kind of stage; that of a stage that nobody drives is idle."""
+        device, limits = self.config.stage, self.config.limits
+        kind = "grbl" if device.kind == MANUAL else device.kind
+        return stage_module(kind, "rigs.virtual.emulators.motion").emulator(
+            device,
+            (limits.length_min_mm, limits.length_max_mm),
+            self.plant.length_mm - self.sensor_error.label_mm,
+            self._set_motion,
+            lambda data: self._send("stage", data),
         )
 
     def _ram_step(self, ram: RamLoad) -> Advance:

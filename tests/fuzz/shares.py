@@ -48,7 +48,7 @@ MARKED = (
     "rigs.steps.pictures",
     "analysis.reduction.points",
     "rigs.execution.resume",
-    "rigs.devices.stage",
+    "rigs.devices.motion",
     "rigs.rigfile.toml_reader",
     "rigs.devices.valve_controller",
     "valvefw.wire",

@@ -17,7 +17,7 @@ from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.modbus import ModbusInstrument
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
-from rigs.devices.stage import Stage
+from rigs.devices.motion.grbl import GrblStage
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.form import load_form
 from rigs.rigfile.modbus_form import ModbusForm
@@ -109,7 +109,7 @@ def _balance() -> Target:
 
 def _stage() -> Target:
     corpus = [b"<Idle|MPos:60.000,0,0>\r\n", b"ok\r\n", b"error:9\r\n", b"ALARM:1\r\n"]
-    run = _through(lambda link, event_loop: Stage(link, event_loop, 10.0))
+    run = _through(lambda link, event_loop: GrblStage(link, event_loop, 10.0))
     words = (b"<", b"|", b"MPos:", b"\r\n")
     return Target("stage", "a motion controller's lines", run, corpus, LINK, words)
 

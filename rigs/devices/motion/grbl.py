@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 
 from daq.errors import DeviceError, DeviceTimeout
 from daq.link.transport import Link
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.lines import LineDevice
+from rigs.devices.motion.stage import TRIES, Motion, MotorStage
+from rigs.rigfile.stage import StageDevice
 
 # The whole report, so that half of one or two in one are none.
 _STATUS = re.compile(
@@ -17,19 +18,18 @@ _STATUS = re.compile(
 )
 _INCHES = re.compile(_STATUS.pattern.replace(r"\.\d{3}", r"\.\d{4}"))
 """GRBL writes millimetres with three decimals, inches with four."""
-CLOSE_MM = 0.01
-TRIES = 3
 
 
-class Stage(LineDevice):
+class GrblStage(LineDevice, MotorStage):
     """A stage whose X position is the length at which the muscle is held."""
+
+    homing = "home it, unlock it ($X)"
 
     def __init__(self, link: Link, event_loop: EventLoop, speed_mm_s: float) -> None:
         super().__init__(link, event_loop, "stage", end=b"\n")
         self.speed_mm_s = speed_mm_s
         self.identity: dict[str, str] = {}
         self._ready = False
-        self._stopped = ""
 
     def on_line(self, line: str, host_ns: int) -> bool:
         """Claim what the stage says unasked: a restart or an alarm in mid-run."""
@@ -53,13 +53,6 @@ class Stage(LineDevice):
             return True
         return False
 
-    def _check(self) -> None:
-        """A stage that restarted or raised an alarm does not know where it is."""
-        if self._stopped:
-            raise DeviceError(
-                self.name, self._stopped, "home it, unlock it ($X), and start a new run"
-            )
-
     def connect(self, serial: str) -> dict[str, str]:
         """Ask who it is and set millimetres and absolute positions.
 
@@ -69,15 +62,10 @@ class Stage(LineDevice):
         answer = self.request("$I", lambda line: line.startswith("[VER:"), 3.0)
         got = answer.rstrip("]").split(":")[-1]
         self.identity = {"serial": got, "version": answer.strip("[]")}
-        if serial and got != serial:
-            raise DeviceError(
-                self.name,
-                f"key stage.serial: expected {serial}, got {got}",
-                "connect the right stage, or change stage.serial in the rig file",
-            )
+        self._check_serial(serial, got)
         self.command("G21 G90")
         state, _ = self.status()
-        if state == "Alarm":
+        if state is Motion.ALARM:
             raise DeviceError(self.name, "is in alarm", "home it ($H) or unlock it ($X)")
         self._ready = True
         return self.identity
@@ -94,8 +82,8 @@ class Stage(LineDevice):
         if answer != "ok":
             raise DeviceError(self.name, f"refused {text!r}: {answer}", "see the GRBL error list")
 
-    def status(self) -> tuple[str, float]:
-        """(state, position in mm).
+    def status(self) -> tuple[Motion, float]:
+        """(motion, position in mm).
 
         Raises:
             DeviceTimeout: no whole report in three tries.
@@ -113,51 +101,13 @@ class Stage(LineDevice):
                 continue
             match = _STATUS.fullmatch(line)
             assert match is not None
-            return match[1], float(match[2])
+            return Motion(match[1]), float(match[2])
         raise AssertionError("unreachable")
 
-    def set_value(self, value: float) -> float:
-        """Go to a length in mm at the usual speed, as an `Actuator`; returns the position."""
-        return self.move(value)
+    def _start(self, length_mm: float, speed_mm_s: float) -> None:
+        self.command(f"G1 X{length_mm:.3f} F{speed_mm_s * 60:.0f}")
 
-    def move(
-        self,
-        length_mm: float,
-        speed_mm_s: float | None = None,
-        meanwhile: Callable[[], object] = lambda: None,
-    ) -> float:
-        """Go to a length and wait until the stage is at rest there; returns the position.
 
-        `meanwhile` is called in every round of waiting; the speed is the usual one by default.
-
-        Raises:
-            DeviceError: it stopped elsewhere or raised an alarm.
-        """
-        speed = self.speed_mm_s if speed_mm_s is None else speed_mm_s
-        _, start = self.status()
-        self.command(f"G1 X{length_mm:.3f} F{speed * 60:.0f}")
-        seconds = abs(length_mm - start) / speed * 1.5 + 3.0
-        state = {"at": ("Run", start)}
-
-        def at_rest() -> bool:
-            meanwhile()
-            # Twice the same: a report that was late or came twice is not of now.
-            before, state["at"] = state["at"], self.status()
-            return state["at"][0] == "Alarm" or (
-                before == state["at"] and before[0] == "Idle" and now_there(before[1])
-            )
-
-        def now_there(position: float) -> bool:
-            return abs(position - length_mm) <= CLOSE_MM or self._event_loop.clock.now_ns() > end_ns
-
-        end_ns = self._event_loop.clock.now_ns() + round((seconds - 1.0) * 1e9)
-        self._event_loop.until(at_rest, seconds)
-        self._check()
-        name, position = state["at"]
-        if name != "Idle" or abs(position - length_mm) > CLOSE_MM:
-            raise DeviceError(
-                self.name,
-                f"was sent to {length_mm:.3f} mm, is at {position:.3f} mm ({name})",
-                "check for an obstacle, limit switch or lost power",
-            )
-        return position
+def open_stage(link: Link, event_loop: EventLoop, device: StageDevice) -> MotorStage:
+    """The driver for a rig's stage."""
+    return GrblStage(link, event_loop, device.speed_mm_s)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 
-from rigs.virtual.emulators.emulator import Send
+from rigs.rigfile.stage import StageDevice
+from rigs.virtual.emulators.emulator import Emulator, Send
 from rigs.virtual.emulators.injected_fault import Wire
+from rigs.virtual.emulators.motion.axis import Axis, SetMotion
 
 _WORD = re.compile(r"([A-Z])(-?\d+(?:\.\d*)?)")
 
 
-class VirtualStage:
+class VirtualGrbl:
     """Moves the muscle's end at constant speed; position is the muscle's length in mm.
 
     Args:
@@ -29,31 +30,27 @@ class VirtualStage:
 
     def __init__(
         self,
-        set_motion: Callable[[float, float], None],
+        set_motion: SetMotion,
         send: Send,
         serial: str,
         start_mm: float,
         low_mm: float,
         high_mm: float,
     ) -> None:
-        self._set_motion = set_motion
+        self._axis = Axis(set_motion, start_mm)
         self.comma = self.inches = False
         self.wire = Wire(send)
         self._serial = serial
         self._low, self._high = low_mm, high_mm
-        self._position = self._from = self._target = start_mm
-        self._rate = 0.0
-        self._started_ns = 0
         self._now_ns = 0
         self._feed_mm_min = 600.0
         self._buffer = bytearray()
-        self._end_ns: int | None = None
         self._send_line("Grbl 1.1h ['$' for help]")
 
     @property
     def next_ns(self) -> int | None:
         """When it next has something to do."""
-        times = [t for t in (self._end_ns, self.wire.next_ns) if t is not None]
+        times = [t for t in (self._axis.end_ns, self.wire.next_ns) if t is not None]
         return min(times) if times else None
 
     def restart(self) -> None:
@@ -82,24 +79,19 @@ class VirtualStage:
         self.wire.send(line.encode("ascii") + b"\r\n", self._now_ns)
 
     def _where(self) -> float:
-        if self._end_ns is None:
-            return self._position
-        return self._from + self._rate * (self._now_ns - self._started_ns) * 1e-9
+        return self._axis.where_mm()
 
     def _status(self) -> None:
-        state = "Idle" if self._end_ns is None else "Run"
+        state = "Run" if self._axis.moving else "Idle"
         where = f"{self._where():.3f},0.000,0.000"
         if self.inches:
             where = f"{self._where() / 25.4:.4f},0.0000,0.0000"
         if self.comma:
             where = where.replace(".", ",")
-        self._send_line(f"<{state}|MPos:{where}|FS:{abs(self._rate) * 60:.0f},0>")
+        self._send_line(f"<{state}|MPos:{where}|FS:{abs(self._axis.rate_mm_s) * 60:.0f},0>")
 
     def _halt(self) -> None:
-        self._position = self._where()
-        self._end_ns = None
-        self._rate = 0.0
-        self._set_motion(self._position, 0.0)
+        self._axis.halt()
 
     def _line(self, line: str) -> None:
         if line == "$I":
@@ -114,30 +106,25 @@ class VirtualStage:
             if not self._low <= target <= self._high:
                 self._send_line("error:15")
                 return
-            self._move(target)
+            self._axis.move(target, self._feed_mm_min / 60.0)
         elif "G" not in words:
             self._send_line("error:20")
             return
         self._send_line("ok")
 
-    def _move(self, target: float) -> None:
-        self._from = self._where()
-        self._target = target
-        distance = target - self._from
-        speed = self._feed_mm_min / 60.0
-        if abs(distance) < 1e-9 or speed <= 0:
-            return
-        self._rate = speed if distance > 0 else -speed
-        self._started_ns = self._now_ns
-        self._end_ns = self._now_ns + round(abs(distance) / speed * 1e9)
-        self._set_motion(self._from, self._rate)
-
     def advance(self, to_ns: int) -> None:
         """Let time pass to ``to_ns``; a move that is due ends there exactly."""
-        if self._end_ns is not None and to_ns >= self._end_ns:
-            self._position = self._target
-            self._rate = 0.0
-            self._end_ns = None
-            self._set_motion(self._position, 0.0)
+        self._axis.advance(to_ns)
         self._now_ns = to_ns
         self.wire.advance(to_ns)
+
+
+def emulator(
+    device: StageDevice,
+    limits_mm: tuple[float, float],
+    start_mm: float,
+    set_motion: SetMotion,
+    send: Send,
+) -> Emulator:
+    """The stage of a virtual bench."""
+    return VirtualGrbl(set_motion, send, device.serial, start_mm, *limits_mm)

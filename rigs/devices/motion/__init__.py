@@ -1,0 +1,1 @@
+"""Drivers of what sets the length: linear stages of several makers, one module a protocol."""

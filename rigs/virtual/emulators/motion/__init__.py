@@ -1,0 +1,1 @@
+"""Linear stages at byte level, one module a protocol."""
