@@ -19,6 +19,8 @@ ANALYSES: dict[str, str] = {
     },
     "switching-time": "switching",
     "switching-voltage": "switching",
+    "joint-static": "joint",
+    "joint-step": "joint",
     "simulate": "simulation",
     "interactive": "points",
 }  # fmt: skip

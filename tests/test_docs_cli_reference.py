@@ -62,7 +62,7 @@ QUICK = {
     "runs show": ["runs", "show"],
     "runs verify": ["runs", "verify"],
     "runs export": ["runs", "export", "last", "--to", "csv"],
-    "runs archive": [*"runs archive last --title x --author Me --out x.zip".split()],
+    "runs archive": ["runs", "archive", "last", "--title", "x", "--author", "Me", "--out", "x.zip"],
     "runs index": ["runs", "index"],
     "length": ["length", "last"],
     "models list": ["models", "list"],

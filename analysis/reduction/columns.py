@@ -32,7 +32,7 @@ COLUMNS: dict[str, str] = {
 A "label" column is int64 if all its values are integers, otherwise text."""
 
 LABEL_TYPES = {
-    **dict.fromkeys(("direction", "scheme", "switch", "valve", "slot", "mounting"), "str"),
+    **dict.fromkeys(("direction", "scheme", "switch", "valve", "slot", "mounting", "state"), "str"),
     **dict.fromkeys(("repeat", "trial", "order"), "int64"),
     "settled": "bool",
 }

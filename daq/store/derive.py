@@ -33,11 +33,15 @@ Maker = Callable[[Run, Path], object]
 CALIBRATED = {
     ("valve", "counts"): "pressure_kpa",
     ("valve", "setpoint_x16"): "pressure_kpa",
+    ("valve_b", "counts"): "pressure_b_kpa",
+    ("valve_b", "setpoint_x16"): "pressure_b_kpa",
     ("balance", "grams"): "force_n",
 }
 COMMANDS = {"inlet_u5": "inlet_cmd", "vent_u5": "outlet_cmd"}
 """Names of the valve commands, here as in the dataset format; 1 is open for the whole tick."""
 VALVE_STREAM = "valve"
+VALVE_STREAMS = (VALVE_STREAM, "valve_b")
+"""Streams of controllers: of the only or first one, and of the second on a rig with a joint."""
 _TICK_U5 = wire.TICK_US / wire.PULSE_UNIT_US
 
 
@@ -160,7 +164,7 @@ def scaled(
                 name, values = "setpoint_kpa", calibration.apply(values / 16.0)
             else:
                 name, values = calibration.quantity, calibration.apply(values)
-        elif stream == VALVE_STREAM and name in COMMANDS:
+        elif stream in VALVE_STREAMS and name in COMMANDS:
             name, values, unit = COMMANDS[name], values / _TICK_U5, "share of 1 ms"
         columns[name] = values
         if unit is not None:

@@ -30,7 +30,8 @@ REMEDY = "close other programs or take a faster computer; `pamrig doctor` measur
 def heartbeat_limit_s(config: RigConfig) -> float:
     """How long the controller waits for a heartbeat before it vents: its parameter ``hb_ms``."""
     default = next(row[1] for row in PARAMETERS if row[0] == "hb_ms")
-    return int(config.valve.parameters.get("hb_ms", default)) * 1e-3
+    valves = [config.valve] if config.valve_b is None else [config.valve, config.valve_b]
+    return min(int(valve.parameters.get("hb_ms", default)) for valve in valves) * 1e-3
 
 
 NICE = -10

@@ -12,10 +12,11 @@ import typer
 
 from daq.clock import Clock
 from daq.errors import PamrigError
+from rigs.bench.both import Side, sides_of
 from rigs.bench.computer import Computer
 from rigs.bench.rig import Rig, open_rig
 from rigs.devices.valve_controller import ALIVE_S
-from rigs.rigfile.config import RigConfig, load_rig
+from rigs.rigfile.config import NONE, RigConfig, load_rig
 from valvefw.board import DRIVE_SILENCE_US
 from valvefw.core import LOOP
 from valvefw.wire import TICK_US
@@ -72,9 +73,11 @@ def _disk(out: Path) -> Finding:
 
 
 def _config(config: RigConfig) -> Iterator[Finding]:
-    if config.valve.outlet_normally == "closed":
+    for name, side in sides_of(config).items():
+        if side.valve.outlet_normally != "closed":
+            continue
         yield Finding(
-            "outlet",
+            "outlet" if name == "valve" else f"outlet of {name}",
             "warn",
             "normally closed: when power fails the air stays in the muscle "
             "(a normally open outlet vents by itself)",
@@ -91,39 +94,85 @@ def _config(config: RigConfig) -> Iterator[Finding]:
 def _devices(rig: Rig) -> Iterator[Finding]:
     """Identities, then a short listen to every sensor."""
     config = rig.config
-    v = rig.identities["valve"]
-    yield Finding(
-        "valve controller",
-        "ok",
-        f"{v.get('board')} {v.get('serial')}, firmware {v.get('fw')}, config CRC {v.get('conf')}, "
-        f"boot {v.get('boot')} ({v.get('cause')})",
-    )
-    for name in [n for n in rig.identities if n != "valve"]:
-        words = ", ".join(f"{k} {x}" for k, x in rig.identities[name].items())
-        yield Finding(name, "ok", words)
-    rig.valve.progress(LISTEN_S + ALIVE_S)
-    rig.valve.request("timing")  # begins anew with each request
+    yield from _identities(rig)
+    for side in rig.sides:
+        side.valve.progress(LISTEN_S + ALIVE_S)
+        side.valve.request("timing")  # begins anew with each request
     rig.event_loop.for_seconds(LISTEN_S)
-    yield _timing(rig.valve.request("timing"))
+    for side in rig.sides:
+        yield _timing(side.valve.request("timing"), _which(side))
     if not rig.clock.virtual:
         yield computer_finding(Computer(rig.event_loop, config))
-    counts = rig.valve.recent_counts(1000)
-    if len(counts) < 500:
-        yield Finding("telemetry", "stop", f"only {len(counts)} samples in {LISTEN_S:g} s")
-        return
-    cal = config.calibrations["pressure_kpa"]
+    for side in rig.sides:
+        counts = len(side.valve.recent_counts(1000))
+        if counts < 500:
+            detail = f"only {counts} samples in {LISTEN_S:g} s"
+            yield Finding(f"telemetry{_which(side)}", "stop", detail)
+            return
+        yield _pressure(side, rig.clock.virtual)
+    yield from _readings(rig)
+    yield from _clocks(rig)
+    if config.camera.source != NONE:
+        yield _camera(rig)
+    for side in rig.sides:
+        if side.valve.fault_latched:
+            words = ", ".join(side.valve.faults) or "see pamrig vent"
+            yield Finding(f"fault{_which(side)}", "warn", f"latched: {words}")
+
+
+def _identities(rig: Rig) -> Iterator[Finding]:
+    """Who each device says it is."""
+    for side in rig.sides:
+        v = side.valve.identity
+        yield Finding(
+            f"valve controller{_which(side)}",
+            "ok",
+            f"{v.get('board')} {v.get('serial')}, firmware {v.get('fw')}, config CRC"
+            f" {v.get('conf')}, boot {v.get('boot')} ({v.get('cause')})",
+        )
+    for name in [n for n in rig.identities if n not in sides_of(rig.config)]:
+        words = ", ".join(f"{k} {x}" for k, x in rig.identities[name].items())
+        yield Finding(name, "ok", words)
+
+
+def _clocks(rig: Rig) -> Iterator[Finding]:
+    """How well each controller's clock is known."""
+    for side in rig.sides:
+        fit = side.valve.clock_fit
+        if fit.ready:
+            mark = "ok" if fit.error_ns < 2e6 else "warn"
+            detail = f"error {fit.error_ns / 1e6:.3f} ms, drift {fit.drift_ppm:+.0f} ppm"
+            yield Finding(f"clock fit{_which(side)}", mark, detail)
+
+
+def _which(side: Side) -> str:
+    """Which of two controllers; nothing for the only or first one."""
+    return "" if side.name == "valve" else f" of {side.name}"
+
+
+def _pressure(side: Side, virtual: bool) -> Finding:
+    """What a transducer reads of the vented muscle."""
+    cal = side.config.calibrations["pressure_kpa"]
+    counts = side.valve.recent_counts(1000)
     p = cal.apply(counts)
     noise, mean = float(np.std(p)), float(np.mean(p))
     distinct = len(np.unique(counts))
+    what = f"pressure{_which(side)}"
     detail = f"reads {mean:.2f} kPa vented, noise {noise:.2f} kPa, {distinct} distinct values"
     if abs(mean) > max(5.0, 5 * cal.u_offset):
-        yield Finding("pressure", "stop", detail + ": not near zero; vent, check sensor and wiring")
-    elif distinct == 1 and not rig.clock.virtual:
-        yield Finding("pressure", "warn", detail + ": a stuck sensor looks like this")
-    else:
-        yield Finding("pressure", "ok", detail)
+        return Finding(what, "stop", detail + ": not near zero; vent, check sensor and wiring")
+    if distinct == 1 and not virtual:
+        return Finding(what, "warn", detail + ": a stuck sensor looks like this")
+    return Finding(what, "ok", detail)
+
+
+def _readings(rig: Rig) -> Iterator[Finding]:
+    """The balance, where there is one, and the optional instruments."""
+    config = rig.config
     grams, stable = rig.balance.recent(10)
-    if not len(grams):
+    if config.force_source == NONE:
+        pass
+    elif not len(grams):
         yield Finding("balance readings", "stop", rig.balance.last_problem or "none came")
     else:
         newton = abs(config.calibrations["force_n"].scale)
@@ -131,17 +180,6 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         mark = "ok" if stable.all() else "warn"
         yield Finding("balance readings", mark, f"noise {spread:.3f} N, stable {stable.mean():.0%}")
     yield from _instruments(rig)
-    fit = rig.valve.clock_fit
-    if fit.ready:
-        mark = "ok" if fit.error_ns < 2e6 else "warn"
-        yield Finding(
-            "clock fit", mark, f"error {fit.error_ns / 1e6:.3f} ms, drift {fit.drift_ppm:+.0f} ppm"
-        )
-    yield _camera(rig)
-    if rig.valve.fault_latched:
-        yield Finding(
-            "fault", "warn", f"latched: {', '.join(rig.valve.faults) or 'see pamrig vent'}"
-        )
 
 
 def computer_finding(computer: Computer) -> Finding:
@@ -161,7 +199,7 @@ def computer_finding(computer: Computer) -> Finding:
     return Finding("computer", "ok", f"{detail}: enough")
 
 
-def _timing(answer: dict[str, str]) -> Finding:
+def _timing(answer: dict[str, str], which: str) -> Finding:
     """How evenly the controller has sampled, and how late its loop was, during the listen."""
     step, low, high, loop, missed = (
         int(answer[key]) for key in ("step_us", "dt_min_us", "dt_max_us", "loop_ms", "missed")
@@ -182,7 +220,7 @@ def _timing(answer: dict[str, str]) -> Finding:
         )
     else:
         mark = "ok"
-    return Finding("controller timing", mark, detail)
+    return Finding(f"controller timing{which}", mark, detail)
 
 
 def _instruments(rig: Rig) -> Iterator[Finding]:

@@ -41,6 +41,7 @@ def devices_of(config: RigConfig) -> dict[str, str]:
     """What a rig needs for itself: key in the rig file -> port, of what is there now."""
     ports = {
         "valve.port": config.valve.port,
+        "valve_b.port": config.valve_b.port if config.valve_b is not None else "",
         "balance.port": config.balance.port,
         "stage.port": config.stage.port,
         "pressure_source.port": config.pressure_source.port,

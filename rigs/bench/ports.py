@@ -59,6 +59,10 @@ class Ports:
         self._stack = stack
         self._bench = bench
 
+    def seen_as(self, config: RigConfig) -> Ports:
+        """The same ports for another view of the rig file."""
+        return Ports(config, self._clock, self._stack, self._bench, self._acquisition)
+
     def open(self, name: str, device: Device) -> Link:
         """Open a device's port.
 
@@ -128,6 +132,7 @@ def open_readers(ports: Ports, event_loop: EventLoop) -> dict[str, Instrument]:
     for name, device in config.instruments.readers().items():
         link = ports.open(name, device)
         needed = name in (config.force_source, config.pressure_source.sensor)
+        needed = needed or (config.joint is not None and name in config.joint.instruments)
         reopen = None if needed else ports.reopener(name, device)
         if isinstance(device, TextDevice):
             out[name] = TextInstrument(

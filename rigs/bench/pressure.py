@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from daq.clock import Deadline
 from daq.errors import PamrigError
@@ -63,6 +63,17 @@ def vent(source: PressureSource, event_loop: EventLoop, supply: Supply | None = 
         source.stop()
     finally:  # a controller that does not hear vents by itself, if it can
         feed()
+    return await_vented(source, event_loop, feed)
+
+
+def await_vented(
+    source: PressureSource, event_loop: EventLoop, each_look: Callable[[], None] = lambda: None
+) -> float:
+    """Wait until the reading of a source that vents confirms it, for as long as it falls.
+
+    Returns:
+        The pressure in kPa when it was confirmed, or when it did not fall any more.
+    """
     longest, standing = (
         Deadline(event_loop.clock, VENT_LONGEST_S),
         Deadline(event_loop.clock, VENT_S),
@@ -75,5 +86,5 @@ def vent(source: PressureSource, event_loop: EventLoop, supply: Supply | None = 
         if standing.expired or longest.expired:
             break
         before = now
-        feed()
+        each_look()
     return source.measured_kpa

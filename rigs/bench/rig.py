@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from daq.clock import Clock, RealClock, VirtualClock
-from daq.errors import ConfigError, PamrigError
+from daq.errors import ConfigError
 from daq.link.acquisition import Acquisition, available
 from daq.link.transport import Link
+from rigs.bench.both import Side, firmware_parameters, last_words, open_second, vent_both
 from rigs.bench.locks import rig_lock
 from rigs.bench.ports import (
     Ports,
@@ -21,8 +22,8 @@ from rigs.bench.ports import (
     open_supply,
 )
 from rigs.bench.pressure import open_pressure_source, vent
-from rigs.devices.balance import Balance
-from rigs.devices.camera import CallCamera, open_camera
+from rigs.devices.balance import Balance, NoBalance
+from rigs.devices.camera import CallCamera, NoCamera, open_camera
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.fresh_camera import FreshCamera
 from rigs.devices.instruments.load_cell import LoadCell
@@ -34,7 +35,7 @@ from rigs.devices.operator import ManualAxis, ManualStage, Operator
 from rigs.devices.pressure.solenoids import SolenoidPressure
 from rigs.devices.pressure.source import PressureSource
 from rigs.devices.valve_controller import ValveController
-from rigs.rigfile.config import RigConfig
+from rigs.rigfile.config import NONE, RigConfig
 from rigs.rigfile.stage import stage_module
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class Rig:
     event_loop: EventLoop
     valve: ValveController
     pressure_source: PressureSource
-    balance: Balance | LoadCell
+    balance: Balance | LoadCell | NoBalance
     stage: MotorStage | ManualStage
     camera: FreshCamera
     bench: VirtualBench | None
@@ -62,6 +63,13 @@ class Rig:
     instruments: dict[str, Instrument] = field(default_factory=dict)
     supply: Supply | None = None
     axes: dict[str, ManualAxis] = field(default_factory=dict)
+    second: Side | None = None
+
+    @property
+    def sides(self) -> tuple[Side, ...]:
+        """Every muscle with its controller; one, but for a rig with a joint."""
+        first = Side("valve", self.config, self.valve, self.pressure_source)
+        return (first,) if self.second is None else (first, self.second)
 
     @property
     def pressure_kpa(self) -> float:
@@ -71,29 +79,26 @@ class Rig:
     def vent(self) -> float:
         """Vent, disarm and confirm it; see :func:`rigs.bench.pressure.vent`.
 
-        The solenoids get their normal voltage back.
+        The solenoids get their normal voltage back. Of two muscles both are vented, whatever
+        becomes of either.
         """
+        if self.second is not None:
+            return vent_both(self.sides, self.event_loop)
         return vent(self.pressure_source, self.event_loop, self.supply)
-
-
-def firmware_parameters(config: RigConfig) -> dict[str, int]:
-    """What is set in the firmware before arming: the rig's own, and the limits in raw counts."""
-    pressure = config.calibrations["pressure_kpa"]
-    return {
-        "trip": int(pressure.raw(config.limits.trip_kpa)),
-        "sp_max": int(pressure.raw(config.limits.pressure_kpa)) + 1,
-        **config.valve.parameters,
-    }
 
 
 @contextmanager
 def open_valve(
-    config: RigConfig, clock: Clock | None = None, bench: VirtualBench | None = None
+    config: RigConfig,
+    clock: Clock | None = None,
+    bench: VirtualBench | None = None,
+    name: str = "valve",
 ) -> Iterator[tuple[ValveController, EventLoop, ExitStack, VirtualBench | None]]:
     """Open the valve controller alone, check who it is; vent and close on the way out.
 
     On a virtual rig the whole bench is made, because its parts share one plant; `bench` is one
-    that is there already, as it stands after other tests.
+    that is there already, as it stands after other tests. `name` is the controller's in the rig
+    file, where `config` is the rig as the second one sees it (:attr:`RigConfig.side_b`).
 
     Raises:
         PortError, DeviceError, ConfigError: names device, key and remedy.
@@ -103,7 +108,7 @@ def open_valve(
         acquisition: Acquisition | None = None
         if bench is not None:
             clock = bench.plug_in()
-            link = bench.links["valve"]
+            link = bench.links[name]
         elif config.is_virtual:
             from rigs.virtual.bench import VirtualBench
 
@@ -115,7 +120,7 @@ def open_valve(
                     "use `pamrig virtual` for real time",
                 )
             bench = VirtualBench(config, clock)
-            link = bench.links["valve"]
+            link = bench.links[name]
         else:
             clock = RealClock() if clock is None else clock
             stack.enter_context(rig_lock(config))
@@ -123,12 +128,12 @@ def open_valve(
                 acquisition = Acquisition()
                 stack.callback(acquisition.close)
             ports = Ports(config, clock, stack, acquisition=acquisition)
-            link = ports.open("valve", config.valve)
+            link = ports.open(name, config.valve)
         period_s = VIRTUAL_PERIOD_S if clock.virtual else REAL_PERIOD_S
         event_loop = EventLoop(clock, period_s, acquisition)
-        valve = ValveController(link, clock, event_loop)
+        valve = ValveController(link, clock, event_loop, key=name)
         event_loop.add(valve.poll)
-        stack.callback(_last_words, valve)
+        stack.callback(last_words, valve)
         valve.connect(config.valve.serial, config.valve.firmware)
         yield valve, event_loop, stack, bench
 
@@ -158,8 +163,13 @@ def open_rig(
         valve.configure(firmware_parameters(config))
         ports = Ports(config, clock, stack, bench, event_loop.acquisition)
         identities = {"valve": valve.identity}
+        second = open_second(ports, event_loop, stack)
+        if second is not None:
+            identities[second.name] = second.valve.identity
         supply = open_supply(ports, event_loop, identities)
-        if bench is not None and not config.camera.replayed:
+        if config.camera.source == NONE:
+            camera = FreshCamera(NoCamera(), clock, False)
+        elif bench is not None and not config.camera.replayed:
             eye = CallCamera(bench.expose, config.camera.serial)
             camera = FreshCamera(eye, clock, bench.camera_model.noise > 0.0)
         else:
@@ -169,8 +179,10 @@ def open_rig(
             stack.callback(camera.close)
         person = operator or default_operator(ports, bench)
         instruments = open_readers(ports, event_loop)
-        balance: Balance | LoadCell
-        if config.force_source == "load_cell":
+        balance: Balance | LoadCell | NoBalance
+        if config.force_source == NONE:
+            balance = NoBalance()
+        elif config.force_source == "load_cell":
             cell = instruments["load_cell"]
             assert isinstance(cell, TextInstrument)
             balance = LoadCell(cell)
@@ -183,14 +195,16 @@ def open_rig(
         stage: MotorStage | ManualStage
         if config.stage.kind == "manual":
             stage = manual_stage(config, person, event_loop, camera)
-            identities["stage"] = stage.identity
+            if config.joint is None:
+                identities["stage"] = stage.identity
         else:
             module = stage_module(config.stage.kind, "rigs.devices.motion")
             stage = module.open_stage(ports.open("stage", config.stage), event_loop, config.stage)
             assert isinstance(stage, MotorStage)
             event_loop.add(stage.poll)
             identities["stage"] = stage.connect(config.stage.serial)
-        identities["camera"] = camera.identity
+        if config.camera.source != NONE:
+            identities["camera"] = camera.identity
         transducer = SolenoidPressure(valve, config)
         axes = open_axes(config, person, event_loop, instruments, lambda: transducer.measured_kpa)
         source = open_pressure_source(ports, valve, event_loop, axes)
@@ -199,14 +213,5 @@ def open_rig(
             identities["pressure_source"] = source.identity
         yield Rig(
             config, clock, event_loop, valve, source, balance, stage, camera, bench, identities,
-            person, instruments, supply, axes,
+            person, instruments, supply, axes, second,
         )  # fmt: skip
-
-
-def _last_words(valve: ValveController) -> None:
-    """Tell the valve to vent on the way out: it would anyway when the heartbeat stays away."""
-    try:
-        valve.still()
-        valve.stop()
-    except PamrigError:
-        pass  # the link is gone or deaf; the heartbeat's deadline does the venting

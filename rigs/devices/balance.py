@@ -32,6 +32,39 @@ BALANCE_UNITS = {"host_ns": "ns", "grams": "g"}
 """Columns and units of the balance's stream in a record."""
 
 
+class NoBalance:
+    """What a bench without a balance has in its place: nothing comes from it.
+
+    A test that needs a force is refused there before it gets so far.
+    """
+
+    name = "balance (this rig has none)"
+    rows = 0
+    last_problem = ""
+
+    def __init__(self) -> None:
+        self.on_rows: list[Callable[[dict[str, npt.NDArray[np.generic]]], None]] = []
+        self.on_bytes: Callable[[int, bytes], None] | None = None
+
+    def recent(self, n: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        """No readings."""
+        del n
+        return np.zeros(0), np.zeros(0, dtype=bool)
+
+    def tare(self, seconds: float = 10.0) -> float:
+        """Refused.
+
+        Raises:
+            DeviceError: always.
+        """
+        del seconds
+        raise DeviceError(self.name, "cannot be tared", "use a rig with a balance")
+
+    def counters(self) -> dict[str, int]:
+        """Nothing to count."""
+        return {}
+
+
 class Balance(LineDevice):
     """A balance that sends its readings by itself (SIR) and is tared before use.
 

@@ -79,6 +79,23 @@ class CallCamera:
         """Nothing to release."""
 
 
+class NoCamera:
+    """What a bench without a camera has in its place."""
+
+    identity: dict[str, str] = {}  # noqa: RUF012 - nothing is ever added
+
+    def trigger(self) -> Frame:
+        """Refused.
+
+        Raises:
+            DeviceError: always.
+        """
+        raise DeviceError("camera", "this rig has none", "use a rig with a camera")
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
 class TcpCamera:
     """The camera of `pamrig virtual`, on a loopback socket.
 

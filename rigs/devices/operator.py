@@ -333,6 +333,8 @@ class ManualAxis:
         if self.name == "mass":
             what = f"hang {value:g} {self.unit} on the muscle and let it come to rest"
             return what if value else "take the load off the muscle"
+        if self.name == "angle":
+            return f"lock the joint at {value:g} {self.unit}"
         return f"{self._verb} {self.name} to {value:g} {self.unit}"
 
     def _confirmed(self, request: Request) -> tuple[float, float]:

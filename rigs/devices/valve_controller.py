@@ -7,6 +7,7 @@ process reads, that process sends it, until the time that the last report of pro
 
 from __future__ import annotations
 
+import contextlib
 import re
 import secrets
 from collections import deque
@@ -16,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.clock import NS_PER_S, Clock
-from daq.errors import DeviceError, DeviceTimeout
+from daq.errors import DeviceError, DeviceTimeout, LinkLost
 from daq.link.clockfit import ClockFit
 from daq.link.codec import CodecError, Reply, decode_event, decode_reply, encode_request
 from daq.link.framer import CobsFramer
@@ -50,14 +51,16 @@ class ValveController:
         link: bytes in and out.
         clock: stamps requests and replies.
         event_loop: of the bench.
+        key: its table in the rig file, for messages.
 
     Attributes:
         other_set_point: set-point in telemetry that was never sent, and the one that was, in
             counts; None if all agree.
     """
 
-    def __init__(self, link: Link, clock: Clock, event_loop: EventLoop) -> None:
+    def __init__(self, link: Link, clock: Clock, event_loop: EventLoop, key: str = "valve") -> None:
         self._link = link
+        self._key = key
         self._beating = link if isinstance(link, SerialLink) and link.beats else None
         self._clock = clock
         self._event_loop = event_loop
@@ -328,14 +331,14 @@ class ValveController:
         if not f"{got.get('fw', '')}.".startswith(f"{firmware}."):
             raise DeviceError(
                 self.name,
-                f"key valve.firmware: expected version {firmware}, got {got.get('fw')}",
-                "install that firmware, or change valve.firmware in the rig file",
+                f"key {self._key}.firmware: expected version {firmware}, got {got.get('fw')}",
+                f"install that firmware, or change {self._key}.firmware in the rig file",
             )
         if serial and got.get("serial") != serial:
             raise DeviceError(
                 self.name,
-                f"key valve.serial: expected {serial}, got {got.get('serial')}",
-                "connect the right controller, or change valve.serial in the rig file",
+                f"key {self._key}.serial: expected {serial}, got {got.get('serial')}",
+                f"connect the right controller, or change {self._key}.serial in the rig file",
             )
         return got
 
@@ -376,6 +379,11 @@ class ValveController:
     def stop(self) -> None:
         """Vent and disarm."""
         self.request("stop")
+
+    def tell_stop(self) -> None:
+        """Send that it is to vent and disarm; nobody waits for the answer."""
+        with contextlib.suppress(LinkLost):  # the firmware vents without a heartbeat
+            self._send("stop")
 
     @property
     def armed(self) -> bool:

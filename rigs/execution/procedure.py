@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from analysis.findings.findings import Analysis
+from daq.errors import ConfigError
 from rigs.steps.custom_step import Steps
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ class Procedure:
         read: protocol file (path or shipped name) and rig to checked parameters; refuses,
             with file and key, what the rig cannot do.
         firmware: settings of the controller that this test needs, over those of the rig.
+        on_joint: it tests a joint between two muscles, not a muscle.
         open_ended: its steps come as it runs, so that they cannot be walked through beforehand;
             one of them arms the bench.
     """
@@ -52,6 +54,26 @@ class Procedure:
     read: Callable[[str, RigConfig], Plan]
     firmware: Mapping[str, int] = field(default_factory=dict)
     open_ended: bool = False
+    on_joint: bool = False
+
+    def check(self, config: RigConfig) -> None:
+        """Refuse a rig of the other kind.
+
+        Raises:
+            ConfigError: the rig has a joint and the test is of a muscle, or the other way round.
+        """
+        if self.on_joint and config.joint is None:
+            raise ConfigError(
+                config.source,
+                f"has no [joint], which {self.name} tests",
+                "use the rig virtual-joint, or see docs/use/joint.md",
+            )
+        if config.joint is not None and not self.on_joint:
+            raise ConfigError(
+                config.source,
+                f"holds two muscles on a joint; {self.name} tests one muscle or valve",
+                "use joint-static or joint-step, or a rig without [joint]",
+            )
 
     @property
     def name(self) -> str:

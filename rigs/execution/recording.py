@@ -10,6 +10,7 @@ from daq.errors import RecordError
 from rigs.devices.instruments import supply
 from rigs.devices.instruments.readings import COLUMNS, Batch
 from rigs.devices.operator import ManualSetting
+from rigs.rigfile.config import NONE
 
 if TYPE_CHECKING:
     from daq.record.writer import RecordWriter
@@ -47,7 +48,7 @@ def instrument_manifest(rig: Rig) -> dict[str, Any]:
     }
     if frozen:
         out["instrument_calibrations"] = frozen
-    if rig.config.force_source != "balance":
+    if rig.config.force_source not in ("balance", NONE):
         out["force_source"] = rig.config.force_source
     source = rig.config.pressure_source
     if source.sensor:
@@ -57,6 +58,8 @@ def instrument_manifest(rig: Rig) -> dict[str, Any]:
             "lag_s": source.sensor_lag_s,
             "stale_s": source.sensor_stale_s,
         }
+    if rig.config.joint is not None:
+        out["joint"] = rig.config.joint.as_dict()
     if "thermometer" in rig.instruments:
         out["conditions"] = {**vars(rig.config.conditions), **temperature(rig)}
     return out
@@ -64,7 +67,8 @@ def instrument_manifest(rig: Rig) -> dict[str, Any]:
 
 def record_instruments(rig: Rig, record: RecordWriter) -> None:
     """A stream for each instrument as it reads, and an event for each fault and hand setting."""
-    rig.camera.faults.on_fault.append(_teller(record, "camera", rig.camera.faults.counts))
+    if rig.config.camera.source != NONE:
+        rig.camera.faults.on_fault.append(_teller(record, "camera", rig.camera.faults.counts))
     for name, instrument in rig.instruments.items():
         record.stream(name, COLUMNS, {"host_ns": "ns", "reading": instrument.unit})
         instrument.on_rows.append(recorder(record, name))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,13 +18,17 @@ from daq.clock import NS_PER_S
 from daq.errors import DeviceError, LinkLost, PamrigError, RecordError
 from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
+from rigs.bench.both import Side
 from rigs.bench.computer import REMEDY, Computer, raised_priority
 from rigs.bench.pressure import SAFE_KPA
 from rigs.bench.rig import Rig
+from rigs.devices.balance import Balance, NoBalance
+from rigs.devices.instruments.load_cell import LoadCell
 from rigs.devices.interfaces import Actuator
 from rigs.devices.operator import ManualAxis, ManualSetting
-from rigs.devices.valve_controller import ALIVE_S
+from rigs.devices.valve_controller import ALIVE_S, ValveController
 from rigs.execution.control import RunControl
+from rigs.execution.joint_watch import JointWatch
 from rigs.execution.pressure_sensor import PressureSensor
 from rigs.execution.recording import temperature
 from rigs.execution.settling import SAMPLE_S, has_settled, still_settled
@@ -56,6 +60,15 @@ BLIND_S = 3.0
 """So long a computer may keep a run from reading its ports; the firmware keeps the muscle safe."""
 
 
+@dataclass
+class _Controller:
+    """A controller as the run has seen it: restarts before arming; newest sample, and when."""
+
+    side: Side
+    reboots: int = 0
+    last_seq: tuple[int, int] = (0, 0)
+
+
 class Runner:
     """Runs one protocol on one rig into one record.
 
@@ -71,6 +84,7 @@ class Runner:
         load_kg: mass that hangs on the muscle now; it is lowered before the muscle vents.
         computer: how late the computer lets the program be.
         sensor: whose reading is the pressure.
+        joint: looks after angle and torque, on a rig with a joint.
     """
 
     def __init__(
@@ -92,55 +106,62 @@ class Runner:
         self.load_kg = 0.0
         self.computer = Computer(rig.event_loop, rig.config)
         self.sensor = PressureSensor(rig)
+        self.joint = JointWatch(rig)
         self._armed = False
-        self._reboots = 0
-        self._balance_speaks = True
+        self._controllers = [_Controller(side) for side in rig.sides]
+        self._balance_speaks = not isinstance(rig.balance, NoBalance)
         self._round_ns = self._last_round_ns = rig.clock.now_ns()
-        self._last_seq = (0, 0)
         self._last_row = (0, 0)
 
     # ---- one round ------------------------------------------------------------------
 
     def _alive(self) -> None:
         """Report progress, then look for every reason to end the run."""
-        self.rig.pressure_source.keep_alive(ALIVE_S)
+        for controller in self._controllers:
+            controller.side.source.keep_alive(ALIVE_S)
         if self.record.failed is not None:
             raise self.record.failed
         self.steering.look()
         self.stop.check()
         self.computer.look()
         self._last_round_ns, self._round_ns = self._round_ns, self.rig.clock.now_ns()
-        valve = self.rig.valve
         now_ns = self.rig.clock.now_ns()
-        if self._armed:
-            if valve.faults or valve.fault_latched:
-                raise self._fault()
-            if valve.telemetry.reboots > self._reboots:
-                raise RunFault(
-                    valve.name,
-                    "restarted during the run (new boot id)",
-                    "check its power supply; the run up to here is kept",
-                )
-            if valve.other_set_point is not None:
-                apply = self.rig.config.calibrations["pressure_kpa"].apply
-                got, sent = (float(apply(counts)) for counts in valve.other_set_point)
-                raise RunFault(
-                    valve.name,
-                    f"its set-point reads back as {got:.1f} kPa, {sent:.1f} kPa was sent",
-                    "another program or person commands the controller: end that first",
-                )
-            if not self.rig.pressure_source.armed:
-                raise RunFault(valve.name, "disarmed itself", "see its fault list")
-        self._last_seq = self._silent("telemetry", valve.seq_end, self._last_seq, now_ns)
+        for controller in self._controllers:
+            valve = controller.side.valve
+            if self._armed:
+                self._check_armed(controller)
+            controller.last_seq = self._silent(valve, valve.seq_end, controller.last_seq, now_ns)
         if self._armed:
             self.sensor.look(self.computer.blind_s > 0.0)
+            self.joint.look(self.computer.blind_s > 0.0)
         if self._balance_speaks:
-            rows = self.rig.balance.rows
-            self._last_row = self._silent("balance readings", rows, self._last_row, now_ns)
+            balance = self.rig.balance
+            self._last_row = self._silent(balance, balance.rows, self._last_row, now_ns)
 
-    def _fault(self) -> RunFault:
-        """The fault that the controller reported; with a busy computer where that explains it."""
-        valve = self.rig.valve
+    def _check_armed(self, controller: _Controller) -> None:
+        """Look for what an armed controller must not do."""
+        side, valve = controller.side, controller.side.valve
+        if valve.faults or valve.fault_latched:
+            raise self._fault(valve)
+        if valve.telemetry.reboots > controller.reboots:
+            raise RunFault(
+                valve.name,
+                "restarted during the run (new boot id)",
+                "check its power supply; the run up to here is kept",
+            )
+        if valve.other_set_point is not None:
+            apply = side.config.calibrations["pressure_kpa"].apply
+            got, sent = (float(apply(counts)) for counts in valve.other_set_point)
+            raise RunFault(
+                valve.name,
+                f"its set-point reads back as {got:.1f} kPa, {sent:.1f} kPa was sent",
+                "another program or person commands the controller: end that first",
+            )
+        if not side.source.armed:
+            raise RunFault(valve.name, "disarmed itself", "see its fault list")
+
+    def _fault(self, valve: ValveController) -> RunFault:
+        """The fault that a controller reported; with a busy computer where that explains it."""
         words = valve.faults[-1] if valve.faults else "fault latched (telemetry flag)"
         busy = self.computer.busy() if "host_silent" in words else ""
         if busy:
@@ -151,15 +172,22 @@ class Runner:
             "find the cause, then `pamrig doctor`; the fault is cleared by the next run",
         )
 
-    def _silent(self, what: str, count: int, last: tuple[int, int], now_ns: int) -> tuple[int, int]:
+    def _silent(
+        self,
+        device: ValveController | Balance | LoadCell | NoBalance,
+        count: int,
+        last: tuple[int, int],
+        now_ns: int,
+    ) -> tuple[int, int]:
         if count != last[0] or last[1] == 0:
             return count, now_ns
         if 0.0 < self.computer.blind_s < BLIND_S:  # not the device's silence
             return count, last[1] + now_ns - self._last_round_ns
-        limit = TELEMETRY_SILENCE_S if what == "telemetry" else BALANCE_SILENCE_S
+        telemetry = isinstance(device, ValveController)
+        limit = TELEMETRY_SILENCE_S if telemetry else BALANCE_SILENCE_S
         if now_ns - last[1] > limit * NS_PER_S:
-            device = self.rig.valve if what == "telemetry" else self.rig.balance
-            detail = "" if what == "telemetry" else self.rig.balance.last_problem
+            what = "telemetry" if telemetry else "balance readings"
+            detail = "" if isinstance(device, ValveController) else device.last_problem
             busy = self.computer.busy()
             raise RunFault(
                 device.name,
@@ -174,22 +202,34 @@ class Runner:
 
     def arm(self) -> None:
         """Start the heartbeat, wait for telemetry, clear an old fault and arm."""
-        valve = self.rig.valve
-        self.rig.event_loop.until(lambda: valve.seq_end > 0 and self.rig.balance.rows > 0, 3.0)
-        if not valve.seq_end:
-            raise DeviceError(valve.name, "sends no telemetry", "check firmware and baud rate")
-        if valve.fault_latched:
-            valve.request("clear")
-            valve.faults.clear()
-        self._reboots = valve.telemetry.reboots
-        source = self.rig.pressure_source
-        source.arm()
-        if not self.rig.event_loop.until(lambda: source.armed, 2.0):
-            if valve.faults:
-                raise self._fault()
-            raise DeviceError(valve.name, "took `arm` but the telemetry does not show it")
+        sides = self.rig.sides
+        balance = self.rig.balance
+        self.rig.event_loop.until(
+            lambda: (
+                all(side.valve.seq_end > 0 for side in sides)
+                and (balance.rows > 0 or isinstance(balance, NoBalance))
+            ),
+            3.0,
+        )
+        for controller in self._controllers:  # all are ready before the first is armed
+            valve = controller.side.valve
+            if not valve.seq_end:
+                raise DeviceError(valve.name, "sends no telemetry", "check firmware and baud rate")
+            if valve.fault_latched:
+                valve.request("clear")
+                valve.faults.clear()
+            controller.reboots = valve.telemetry.reboots
+        for side in sides:
+            side.source.arm()
+            if not self.rig.event_loop.until(lambda side=side: side.source.armed, 2.0):  # type: ignore[misc]
+                if side.valve.faults:
+                    raise self._fault(side.valve)
+                raise DeviceError(side.valve.name, "took `arm` but the telemetry does not show it")
+        self.joint.begin()
         self._armed = True
-        self.record.event("armed", identity=valve.identity)
+        for side in sides:
+            which = {} if side.name == "valve" else {"device": side.name}
+            self.record.event("armed", **which, identity=side.valve.identity)
 
     def disarm(self) -> float:
         """Vent, disarm and confirm it; the pressure afterwards in kPa. :meth:`arm` may follow."""
@@ -250,11 +290,13 @@ class Runner:
         try:
             if self.load_kg:
                 lower_load(self)
-            self.rig.pressure_source.release()
+            for side in self.rig.sides:
+                side.source.release()
             pressure = self.rig.vent()
-            refused = self.rig.valve.foreign_commands()
-            if refused:
-                self.record.event("foreign_commands", device="valve", refused=refused)
+            for side in self.rig.sides:
+                refused = side.valve.foreign_commands()
+                if refused:
+                    self.record.event("foreign_commands", device=side.name, refused=refused)
             self.record.event("vented", pressure_kpa=pressure, confirmed=bool(pressure < SAFE_KPA))
             if not pressure < SAFE_KPA:
                 self.watch.log(f"WARNING: pressure still reads {pressure:.0f} kPa after venting")
@@ -312,7 +354,7 @@ class Runner:
     @property
     def vented(self) -> bool:
         """Whether the last command to the pressure source was to vent."""
-        return self.rig.pressure_source.vented
+        return all(side.source.vented for side in self.rig.sides)
 
     def axis(self, name: str, unit: str) -> ManualAxis:
         """What a person sets: the rig's axis of that name, or one that nothing looks after."""
@@ -327,17 +369,25 @@ class Runner:
 
     def shut(self) -> None:
         """Shut the air in; the next set-point takes the air up again."""
-        self.rig.pressure_source.hold()
+        for side in self.rig.sides:
+            side.source.hold()
 
     def _vent(self) -> None:
-        self.rig.pressure_source.vent()
-        self.watch.set_point("pressure", 0.0)
-        if not self.rig.event_loop.until(lambda: self.rig.pressure_kpa < SAFE_KPA / 2, 10.0):
-            raise RunFault(
-                self.rig.pressure_source.name,
-                f"commanded to vent, pressure reads {self.rig.pressure_kpa:.0f} kPa after 10 s",
-                "shut the supply by hand; check the outlet and the pressure zero",
-            )
+        sides = self.rig.sides
+        for side in sides:
+            side.source.vent()
+            self.watch.set_point("pressure" if side is sides[0] else "pressure b", 0.0)
+        self.rig.event_loop.until(
+            lambda: all(side.source.measured_kpa < SAFE_KPA / 2 for side in sides), 10.0
+        )
+        for side in sides:
+            if not side.source.measured_kpa < SAFE_KPA / 2:
+                raise RunFault(
+                    side.source.name,
+                    f"commanded to vent, pressure reads {side.source.measured_kpa:.0f} kPa"
+                    " after 10 s",
+                    "shut the supply by hand; check the outlet and the pressure zero",
+                )
         self.rig.event_loop.for_seconds(0.3)
 
     def _set_length(self, length_mm: float) -> None:

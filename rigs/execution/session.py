@@ -14,9 +14,10 @@ from daq.interrupt import StopFlag, Stopped
 from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
 from daq.record.disk import check_disk
 from daq.record.writer import RecordWriter
+from rigs.bench.both import Side, firmware_parameters
 from rigs.bench.locks import vent_request
-from rigs.bench.rig import Rig, firmware_parameters, open_rig
-from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
+from rigs.bench.rig import Rig, open_rig
+from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS, NoBalance
 from rigs.devices.lines import LineDevice
 from rigs.devices.motion.stage import MotorStage
 from rigs.devices.operator import ConsoleOperator, Operator, at_a_terminal
@@ -30,7 +31,7 @@ from rigs.execution.recording import (
 )
 from rigs.execution.resume import remaining
 from rigs.execution.runner import Runner, Watch, outcome_of
-from rigs.rigfile.config import RigConfig, camera_values
+from rigs.rigfile.config import NONE, RigConfig, camera_values
 from rigs.steps.custom_step import Steps
 from rigs.steps.schedule import outline
 from rigs.steps.watching import LiveView
@@ -100,6 +101,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     def method() -> Steps:
         return remaining(plan.steps(), continues["trials"]) if continues else plan.steps()
 
+    kind.check(config)
     points, seconds = (0, 0.0) if kind.open_ended else outline(method(), config.stage.speed_mm_s)
     check_disk(root, points)
     stop = stop or StopFlag()
@@ -110,14 +112,14 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     with open_rig(config, operator=person, bench=bench) as rig:
         virtual = rig.clock.virtual
         if kind.firmware:
-            rig.valve.configure({**firmware_parameters(config), **kind.firmware})
+            for side in rig.sides:
+                side.valve.configure({**firmware_parameters(side.config), **kind.firmware})
         known = manifest(rig, kind.name, plan, specimen, operator, note)
         if continues:
             known["continues"] = continues
         record = RecordWriter(root, known, rig.clock, durable=not virtual, threaded=not virtual)
         record.on_wait = watch.log
-        record.stream("valve", VALVE_COLUMNS, VALVE_UNITS)
-        record.stream("balance", BALANCE_SCHEMA, BALANCE_UNITS)
+        _open_streams(rig, record)
         error: BaseException | None = None
         live: LiveView | None = None
         camera = camera_values(config)
@@ -162,6 +164,14 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     return Result(record.folder, outcome, error, runner.progress.done, points)
 
 
+def _open_streams(rig: Rig, record: RecordWriter) -> None:
+    """The streams that a rig has without further instruments."""
+    for side in rig.sides:
+        record.stream(side.name, VALVE_COLUMNS, VALVE_UNITS)
+    if not isinstance(rig.balance, NoBalance):
+        record.stream("balance", BALANCE_SCHEMA, BALANCE_UNITS)
+
+
 def _load(config: RigConfig, pictures: bool) -> None:
     """Load what would otherwise be loaded, for seconds, on the loop that records and beats."""
     import pyarrow  # noqa: F401 - the record's encoder, with the first batch
@@ -202,26 +212,34 @@ def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> Non
 
 def _connect(rig: Rig, record: RecordWriter, watch: Watch) -> None:
     """Everything that comes in goes to the record as it came."""
+    for side in rig.sides:
+        _connect_controller(rig, side, record, watch)
+    if not isinstance(rig.balance, NoBalance):
+        rig.balance.on_rows.append(recorder(record, "balance"))
+    record_instruments(rig, record)
+
+
+def _connect_controller(rig: Rig, side: Side, record: RecordWriter, watch: Watch) -> None:
+    """Telemetry, events and gaps of one controller."""
+    name, valve = side.name, side.valve
 
     def event(text: str) -> None:
         # A restart that nobody asked for is a fault, in the closing vent too.
         kind = "fault" if text.startswith(("fault", "reboot")) else "controller"
-        record.event(kind, device="valve", text=text)
+        record.event(kind, device=name, text=text)
         if text.startswith("reboot"):
             watch.log("WARNING: the valve controller restarted; check its power supply")
         if text.startswith("foreign"):
             watch.log("WARNING: another program sends commands to the valve controller (refused)")
 
     def gap(found: Gap) -> None:
-        record.event("gap", stream="valve", seq=found.seq, missing=found.missing)
+        record.event("gap", stream=name, seq=found.seq, missing=found.missing)
 
-    rig.valve.on_gap = gap
-    rig.valve.on_batch.append(recorder(record, "valve"))
+    valve.on_gap = gap
+    valve.on_batch.append(recorder(record, name))
     if not rig.clock.virtual:  # on the virtual clock a killed run is simply run again
-        rig.valve.telemetry.on_ahead = lambda frame: record.write_ahead("valve", frame)
-    rig.balance.on_rows.append(recorder(record, "balance"))
-    rig.valve.on_event = event
-    record_instruments(rig, record)
+        valve.telemetry.on_ahead = lambda frame: record.write_ahead(name, frame)
+    valve.on_event = event
 
 
 def _record_bytes(rig: Rig, record: RecordWriter) -> None:
@@ -234,7 +252,8 @@ def _record_bytes(rig: Rig, record: RecordWriter) -> None:
 
         return listen
 
-    rig.valve.on_bytes = listener("valve")
+    for side in rig.sides:
+        side.valve.on_bytes = listener(side.name)
     rig.balance.on_bytes = listener("balance")
     rig.stage.on_bytes = listener("stage")
     for name, instrument in rig.instruments.items():
@@ -247,7 +266,7 @@ def _record_bytes(rig: Rig, record: RecordWriter) -> None:
 
 def _hear_out(rig: Rig) -> None:
     """Let what is on its way come, so that all that came damaged is counted."""
-    devices: list[Any] = [rig.valve, *rig.instruments.values()]
+    devices: list[Any] = [*(side.valve for side in rig.sides), *rig.instruments.values()]
     lines = (rig.balance, rig.stage, rig.supply, rig.pressure_source.own_device)
     devices += [d for d in lines if isinstance(d, LineDevice)]
     with contextlib.suppress(PamrigError):
@@ -261,9 +280,9 @@ def _finish(runner: Runner, record: RecordWriter, outcome: str, error: BaseExcep
     rig = runner.rig
     _hear_out(rig)
     with contextlib.suppress(RecordError):  # a failed record is the outcome already
-        rig.valve.telemetry.flush()
-    fit = rig.valve.clock_fit.final().as_dict() if rig.valve.clock_fit.ready else {}
-    record.event("clockfit", **fit)
+        for side in rig.sides:
+            side.valve.telemetry.flush()
+    fit = _clock_fits(rig, record)
     if error is not None:
         record.event("end", outcome=outcome, reason=str(error) or type(error).__name__)
     try:
@@ -272,10 +291,14 @@ def _finish(runner: Runner, record: RecordWriter, outcome: str, error: BaseExcep
             reason=str(error) if error is not None else "",
             clock_fit=fit,
             counters={
-                "valve": rig.valve.counters(),
-                "balance": rig.balance.counters(),
+                **{side.name: side.valve.counters() for side in rig.sides},
+                **(
+                    {}
+                    if isinstance(rig.balance, NoBalance)
+                    else {"balance": rig.balance.counters()}
+                ),
                 **({"stage": rig.stage.counters()} if isinstance(rig.stage, MotorStage) else {}),
-                "camera": rig.camera.counters(),
+                **({} if rig.config.camera.source == NONE else {"camera": rig.camera.counters()}),
                 **instrument_counters(rig),
             },
             duration_s=(rig.clock.now_ns() - record.start_ns) / NS_PER_S,
@@ -286,3 +309,18 @@ def _finish(runner: Runner, record: RecordWriter, outcome: str, error: BaseExcep
             raise
         return outcome
     return str(final["outcome"])
+
+
+def _clock_fits(rig: Rig, record: RecordWriter) -> dict[str, Any]:
+    """The clock fit of the controller, or that of each of two by its name; also as events."""
+    fits = {
+        side.name: side.valve.clock_fit.final().as_dict() if side.valve.clock_fit.ready else {}
+        for side in rig.sides
+    }
+    if len(fits) == 1:
+        (fit,) = fits.values()
+        record.event("clockfit", **fit)
+        return fit
+    for name, fit in fits.items():
+        record.event("clockfit", device=name, **fit)
+    return fits

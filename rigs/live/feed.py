@@ -16,8 +16,9 @@ from daq.clock import NS_PER_S
 from daq.live.layout import LiveLayout
 from daq.live.live import LiveView
 from daq.record.writer import RecordWriter
-from daq.store.derive import scaled
+from daq.store.derive import VALVE_STREAMS, scaled
 from rigs.bench.rig import Rig
+from rigs.devices.valve_controller import ValveController
 from rigs.execution.runner import Watch
 from rigs.steps.steps import Measure
 
@@ -52,7 +53,8 @@ class LiveFeed:
         def now_s() -> float:
             return (clock.now_ns() - self._start_ns) / NS_PER_S
 
-        rig.valve.on_batch.append(lambda batch: self._batch("valve", batch))
+        for side in rig.sides:
+            side.valve.on_batch.append(self._listener(side.name))
         rig.balance.on_rows.append(lambda batch: self._batch("balance", batch))
         for name, instrument in rig.instruments.items():
             if any(feed.stream == name for feed in self._feeds):
@@ -65,7 +67,7 @@ class LiveFeed:
             rig.supply.on_rows.append(self._listener("supply"))
         inner = replace(watch)
         self._warn = inner.log
-        length = rig.config.calibrations["length_mm"]
+        length = rig.config.calibrations.get("length_mm")
 
         def state(text: str) -> None:
             inner.state(text)
@@ -89,7 +91,8 @@ class LiveFeed:
         def picture(host_ns: int, jpeg: bytes, gap: GapMeasurement) -> None:
             inner.picture(host_ns, jpeg, gap)
             time_s = (host_ns - self._start_ns) / NS_PER_S
-            length_mm = float(length.apply(gap.pixels)) if gap.trusted else None
+            seen = gap.trusted and length is not None
+            length_mm = float(length.apply(gap.pixels)) if seen else None  # type: ignore[union-attr]
             lines = edge_lines(gap, length_mm)
             gray = decode(jpeg)
             if gray is not None:
@@ -108,7 +111,15 @@ class LiveFeed:
             inner.result(x, y, label)
             self.view.points(paths.POINTS, x, y, label, time_s=now_s())
 
-        on_event = rig.valve.on_event
+        for side in rig.sides:
+            side.valve.on_event = self._event_listener(side.valve, now_s)
+        watch.state, watch.log, watch.point = state, log, point
+        watch.picture, watch.set_point, watch.result = picture, set_point, result
+
+    def _event_listener(
+        self, valve: ValveController, now_s: Callable[[], float]
+    ) -> Callable[[str], None]:
+        on_event = valve.on_event
 
         def event(text: str) -> None:
             if on_event is not None:
@@ -118,9 +129,7 @@ class LiveFeed:
                 self.view.state(paths.FAULT, now_s(), text)
             self.view.text(now_s(), text, "ERROR" if fault else "INFO")
 
-        rig.valve.on_event = event
-        watch.state, watch.log, watch.point = state, log, point
-        watch.picture, watch.set_point, watch.result = picture, set_point, result
+        return event
 
     def _listener(self, stream: str) -> Callable[[Batch], None]:
         return lambda batch: self._batch(stream, batch)
@@ -145,7 +154,7 @@ class LiveFeed:
     def _host_ns(self, stream: str, batch: Batch) -> npt.NDArray[np.float64]:
         """Host times of a batch; of telemetry by its spacing up to its arrival."""
         host_ns = batch["host_ns"].astype(np.float64)
-        if stream != "valve":
+        if stream not in VALVE_STREAMS:
             return host_ns
         device_us = batch["device_us"].astype(np.float64)
         return np.asarray(host_ns[-1] - (device_us[-1] - device_us) * 1000.0)

@@ -13,9 +13,14 @@ PROTOCOLS: dict[str, str] = {
     "flow": "Measure air velocity against pressure behind a valve.",
     "step": "Compare closed-loop schemes on the same steps of pressure.",
     "ram": "Move a ram from one proximity switch to the next and hold it there.",
+    "joint-static": "Measure angle, torque and stiffness of a joint between two muscles.",
+    "joint-step": "Step the pressures of two muscles and record how their joint answers.",
 }
 """Name of each protocol's command and what it does; its module is ``rigs.protocols.NAME`` with _
-for -, and holds PROCEDURE."""
+for -, unless `MODULES` names another, and holds PROCEDURE."""
+
+MODULES: dict[str, str] = {"joint-static": "joint.static", "joint-step": "joint.step"}
+"""Protocols whose module is in a room of its own."""
 
 DEFAULT_RIG: dict[str, str] = {
     "isothermal": "virtual-instruments",
@@ -24,6 +29,8 @@ DEFAULT_RIG: dict[str, str] = {
     "flow": "virtual-valve-stand",
     "step": "virtual-thesis-loop",
     "ram": "virtual-ram",
+    "joint-static": "virtual-joint",
+    "joint-step": "virtual-joint",
 }
 """The shipped rig that has all a protocol needs, where that is not "virtual"."""
 
@@ -32,6 +39,8 @@ SPECIMEN: dict[str, str] = {
     "switching-voltage": "valve",
     "flow": "valve",
     "ram": "ram",
+    "joint-static": "joint",
+    "joint-step": "joint",
 }
 """What a protocol tests, where that is no muscle."""
 

@@ -7,7 +7,7 @@ from importlib import import_module
 from daq.errors import ConfigError
 from daq.user_program import installed, load_installed
 from rigs.execution.procedure import Procedure
-from rigs.protocols.names import PROTOCOLS
+from rigs.protocols.names import MODULES, PROTOCOLS
 
 
 def procedure(name: str) -> Procedure:
@@ -22,7 +22,8 @@ def procedure(name: str) -> Procedure:
         return load_own(name)
     if name not in PROTOCOLS:
         return _installed(name)
-    found = import_module(f"rigs.protocols.{name.replace('-', '_')}").PROCEDURE
+    module = MODULES.get(name, name.replace("-", "_"))
+    found = import_module(f"rigs.protocols.{module}").PROCEDURE
     assert isinstance(found, Procedure)
     return found
 

@@ -15,13 +15,14 @@ from rigs.rigfile.camera_calibration import load_camera_calibration
 from rigs.rigfile.device import Device as Device
 from rigs.rigfile.form import GRAMS
 from rigs.rigfile.instruments import InstrumentSettings, read_instruments
+from rigs.rigfile.joint import JointSettings, read_joint
 from rigs.rigfile.marks import load_marks
 from rigs.rigfile.pressure_source import PressureSourceSettings, read_pressure_source
 from rigs.rigfile.stage import MANUAL, read_stage
 from rigs.rigfile.stage import StageDevice as StageDevice
 from rigs.rigfile.toml_reader import Table, find_config, load_toml
 
-SENSORS = {"pressure_kpa": "valve", "force_n": "balance"}
+SENSORS = {"pressure_kpa": "valve", "pressure_b_kpa": "valve_b", "force_n": "balance"}
 """Whose serial number a calibration file of this quantity must be of."""
 TOP_COUNT = 4095
 """The controller's converter has 12 bits; a calibration's domain may be narrower."""
@@ -29,6 +30,12 @@ VIRTUAL = "virtual"
 REPLAY = "replay:"
 """The port of a device that is simulated in this process."""
 MOST_SEED = 2**63 - 1
+PRESSURE_B = "pressure_b_kpa"
+"""Calibration of the transducer of a second controller."""
+BEHIND_VALVES = {"pwm": "solenoids", "reg": "regulator-output"}
+"""The pressure source that a controller is by itself, by its ``static_scheme``."""
+NONE = "none"
+"""Source of the force, or of pictures, of a rig without one."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +102,8 @@ class CameraSync:
 class CameraDevice:
     """The camera: "virtual", "uvc:INDEX", "tcp://host:port" of a virtual bench, "replay:PATH".
 
+    A rig with a joint has none (`NONE`).
+
     ``repeat`` lets the pictures of a replay begin anew after the last one.
     ``region`` is where the marks are looked for (None: the whole picture); ``lens`` the
     distortion that the camera's calibration file holds, as its plain values. ``settings`` are
@@ -117,6 +126,11 @@ class CameraDevice:
         """Whether its pictures were taken before, of another muscle or at another time."""
         return self.source.startswith(REPLAY)
 
+    @property
+    def unseen(self) -> bool:
+        """Whether it sees nothing of this bench: there is none, or its pictures are older."""
+        return self.replayed or self.source == NONE
+
 
 @dataclass(frozen=True)
 class VirtualBenchConfig:
@@ -133,6 +147,7 @@ class VirtualBenchConfig:
     frame_noise_levels: float
     camera_delay_ms: float
     load: str = "muscle"
+    joint: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -141,6 +156,8 @@ class RigConfig:
 
     ``crc32`` is over the text of the file, so that a run tells which version it used.
     ``force_source`` is "balance" or "load_cell"; ``balance`` is meaningless when there is none.
+    A rig with a ``joint`` has a second controller, ``valve_b``, and neither balance, stage nor
+    camera; its ``force_source`` is "none".
     """
 
     name: str
@@ -161,6 +178,24 @@ class RigConfig:
     pressure_source: PressureSourceSettings = field(
         default_factory=lambda: PressureSourceSettings("", 0, "")
     )
+    joint: JointSettings | None = None
+    valve_b: ValveDevice | None = None
+
+    @property
+    def side_b(self) -> RigConfig | None:
+        """The rig as its second controller sees it: that controller and its own transducer."""
+        if self.valve_b is None:
+            return None
+        pressure = replace(self.calibrations[PRESSURE_B], quantity="pressure_kpa")
+        kind = BEHIND_VALVES[self.valve_b.static_scheme]
+        return replace(
+            self,
+            valve=self.valve_b,
+            valve_b=None,
+            joint=None,
+            calibrations={**self.calibrations, "pressure_kpa": pressure},
+            pressure_source=PressureSourceSettings("", 0, "", kind, file=self.source),
+        )
 
     @property
     def pressure_calibration(self) -> Calibration:
@@ -202,9 +237,12 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
     """
     text, _ = find_config(name, "rigs")
     root = load_toml(name, "rigs")
+    instruments = read_instruments(root)
+    joint = read_joint(root, instruments)
+    if joint is not None:
+        return _finished(_joint_rig(root, text, instruments, joint, seed), root)
     limits = _limits(root.table("limits"))
     camera, length = _camera(root.table("camera"))
-    instruments = read_instruments(root)
     known = "load_cell" if "load_cell" in root and "balance" not in root else "balance"
     force_source = root.text("force_source", known, choices=("balance", "load_cell"))
     if force_source not in root:
@@ -233,6 +271,67 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
             root, valve.static_scheme, "pressure" in instruments.manual
         ),
     )
+    return _finished(rig, root)
+
+
+def _joint_rig(
+    root: Table,
+    text: str,
+    instruments: InstrumentSettings,
+    joint: JointSettings,
+    seed: int | None,
+) -> RigConfig:
+    """A rig with two muscles on a joint."""
+    valve, valve_b = _valve(root.table("valve")), _valve(root.table("valve_b"))
+    source = read_pressure_source(root, valve.static_scheme, "pressure" in instruments.manual)
+    if source.kind not in BEHIND_VALVES.values() or source.sensor:
+        raise root.fail(
+            "pressure_source",
+            "both muscles of a joint are behind the controllers' own valves and transducers",
+            f"one of: {', '.join(BEHIND_VALVES.values())}, without a sensor",
+        )
+    return RigConfig(
+        name=root.text("name"),
+        description=root.text("description", ""),
+        source=root.source,
+        text=text,
+        crc32=f"{zlib.crc32(text.encode()):08x}",
+        limits=_limits(root.table("limits"), of_joint=True),
+        conditions=_conditions(root.table("conditions")),
+        valve=valve,
+        balance=Device("", 9600, ""),
+        stage=StageDevice("", 0, "", 0.0, "manual"),
+        camera=CameraDevice(NONE, "", 95),
+        calibrations=_two_pressures(root),
+        virtual=_virtual(root, seed, "joint"),
+        instruments=instruments,
+        force_source=NONE,
+        pressure_source=source,
+        joint=joint,
+        valve_b=valve_b,
+    )
+
+
+def _two_pressures(root: Table) -> dict[str, Calibration]:
+    """The calibrations of both controllers' transducers."""
+    t = root.table("calibrations")
+    out = {}
+    for quantity in ("pressure_kpa", PRESSURE_B):
+        c = t.table(quantity)
+        if "calibration" in c:
+            name, serial = c.text("calibration"), root.table(SENSORS[quantity]).raw("serial", "")
+            # The file of the second transducer was made on a rig of its own, under the usual name.
+            found = load_calibration(name, t.source, "pressure_kpa", "count", serial).calibration
+            out[quantity] = replace(found, quantity=quantity)
+        else:
+            out[quantity] = read_fields(c, quantity, "kPa", "count")
+        c.finish()
+    t.finish()
+    return out
+
+
+def _finished(rig: RigConfig, root: Table) -> RigConfig:
+    """The rig, once nothing of its file is unknown and all of it fits together."""
     root.finish()
     _check_whole(rig, root)
     return rig
@@ -242,13 +341,15 @@ def _check_whole(rig: RigConfig, root: Table) -> None:
     """What no single key can tell: mixed rigs, and limits beyond a sensor's range."""
     ports = {
         "valve": rig.valve.port == VIRTUAL,
-        **({} if rig.camera.replayed else {"camera": rig.camera.source == VIRTUAL}),
+        **({} if rig.camera.unseen else {"camera": rig.camera.source == VIRTUAL}),
         **{k: d.port == VIRTUAL for k, d in rig.instruments.ports().items()},
     }
     if rig.balance.port:
         ports["balance"] = rig.balance.port == VIRTUAL
     if rig.pressure_source.port:
         ports["pressure_source"] = rig.pressure_source.port == VIRTUAL
+    if rig.valve_b is not None:
+        ports["valve_b"] = rig.valve_b.port == VIRTUAL
     if rig.stage.kind != MANUAL:
         ports["stage"] = rig.stage.port == VIRTUAL
     if len(set(ports.values())) > 1:
@@ -261,7 +362,8 @@ def _check_whole(rig: RigConfig, root: Table) -> None:
     _check_sensor(rig, root)
     if rig.is_virtual and rig.virtual is None:
         raise root.fail("virtual", "a virtual rig needs a [virtual] table", "see configs/rigs")
-    high = float(rig.calibrations["pressure_kpa"].apply(TOP_COUNT))
+    transducers = [c for name, c in rig.calibrations.items() if name.startswith("pressure_")]
+    high = min(float(calibration.apply(TOP_COUNT)) for calibration in transducers)
     if rig.limits.trip_kpa > high:
         raise root.fail(
             "limits.trip_kpa",
@@ -286,8 +388,12 @@ def _check_sensor(rig: RigConfig, root: Table) -> None:
         )
 
 
-def _limits(t: Table) -> Limits:
+def _limits(t: Table, of_joint: bool = False) -> Limits:
     pressure = t.number("pressure_kpa", 1, 2000, unit="kPa")
+    if of_joint:  # those of angle and torque stand in [joint]
+        joint = Limits(pressure, t.number("trip_kpa", pressure, 2000, unit="kPa"), 1, 5000, 1e5)
+        t.finish()
+        return joint
     low = t.number("length_min_mm", 1, 5000, unit="mm")
     out = Limits(
         pressure_kpa=pressure,
@@ -449,7 +555,9 @@ def _calibrations(
     return out
 
 
-def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
+def _virtual(
+    root: Table, seed: int | None, usual_load: str = "muscle"
+) -> VirtualBenchConfig | None:
     effects = root.raw("effects", {})
     if "virtual" not in root:
         return None
@@ -462,7 +570,10 @@ def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
         seed=stated if seed is None else seed,
         draw_calibration_errors=t.flag("draw_calibration_errors", True),
         source=t.text("source", "valve", choices=("valve", "regulator")),
-        load=t.text("load", "muscle", choices=("muscle", "ram")),
+        load=t.text(
+            "load", usual_load, choices=("joint",) if usual_load == "joint" else ("muscle", "ram")
+        ),
+        joint=dict(t.table("joint", optional=True).values()) if usual_load == "joint" else {},
         plant=dict(t.table("plant", optional=True).values()),
         effects=effects,
         pressure_noise_kpa=sensors.number("pressure_noise_kpa", 0, 50, 0.5, unit="kPa"),

@@ -23,6 +23,12 @@ QUANTITY = {
     "pressure_transmitter": "pressure_kpa",
 }
 
+SCALES: dict[str, dict[str, float]] = {
+    "force_n": {"kg": 9.80665, "g": 9.80665e-3},
+    "torque_n_m": {"Nm": 1.0, "N m": 1.0, "Ncm": 1e-2, "mNm": 1e-3},
+}
+"""Newtons and newton metres in a unit that indicators print; any other unit of force is one."""
+
 
 @dataclass(frozen=True)
 class TextDevice(Device):
@@ -118,7 +124,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
             text[name] = _text(root.table(name), name)
     group = root.table("instruments", optional=True)
     for name in group.keys():  # noqa: SIM118
-        if name in (*NAMED, "valve", "balance", "stage", "camera", "supply"):
+        if name in (*NAMED, "valve", "valve_b", "balance", "stage", "camera", "supply"):
             raise group.fail(name, "is the name of a table of its own", f"write it as [{name}]")
         if not name.isidentifier():
             raise group.fail(name, "is not a valid name for a stream", "use letters, digits and _")
@@ -223,12 +229,17 @@ def _calibration(
             t.text("calibration"), t.source, quantity, raw_unit, serial
         ).calibration
     unit = quantity.rpartition("_")[2]
+    known = SCALES.get(quantity, {})
+    if quantity == "torque_n_m":
+        unit = "torque"
+        if raw_unit not in known:
+            raise t.fail("form", f"unit {raw_unit!r} is not one of {', '.join(known)}")
     return Calibration(
         quantity=quantity,
-        unit={"c": "degC", "n": "N", "kpa": "kPa", "s": "m/s"}.get(unit, raw_unit),
+        unit={"c": "degC", "n": "N", "kpa": "kPa", "s": "m/s", "torque": "N m"}.get(unit, raw_unit),
         raw_unit=raw_unit,
         offset=0.0,
-        scale={"kg": 9.80665, "g": 9.80665e-3}.get(raw_unit, 1.0) if quantity == "force_n" else 1.0,
+        scale=known.get(raw_unit, 1.0),
         u_offset=t.number("u_offset", 0, 1e6, 0.0),
         u_gain=t.number("u_gain", 0, 1, 0.0),
         domain=domain,

@@ -17,9 +17,10 @@ from plant.constants import nominal
 from plant.effects.effects import Effects
 from plant.errors import PlantError
 from plant.simulator.bench import BenchSim
-from rigs.rigfile.config import RigConfig
+from rigs.rigfile.config import PRESSURE_B, RigConfig
 from rigs.rigfile.stage import MANUAL, stage_module
 from rigs.virtual.board.board import Advance, PressureSensor, SimBoard
+from rigs.virtual.board.joint_load import JointBoard, JointLoad, Pair, read_joint_constants
 from rigs.virtual.board.ram_load import RamLoad
 from rigs.virtual.board.solenoids import Solenoids
 from rigs.virtual.emulators.balance import VirtualBalance
@@ -66,24 +67,37 @@ class VirtualBench:
         self._device_ends: dict[str, Link] = {}
         self._unplugged: set[str] = set()
         self._frames = 0
-        streams = [np.random.default_rng([self._v.seed, k]) for k in range(5)]
+        streams = [np.random.default_rng([self._v.seed, k]) for k in range(6)]
         self.plant = self._make_plant()
         self.sensor_error = self._make_sensor_error()
         self.extras = Extras(self)
-        self.devices = ("valve", "balance", "stage", *self.extras.devices)
+        on_joint = isinstance(self.plant, JointLoad)
+        own = ("valve", "valve_b") if on_joint else ("valve", "balance", "stage")
+        self.devices = (*own, *self.extras.devices)
         """Names of everything that has a port."""
         if clock is not None:
             self._make_links(clock)
         self._errors = self._draw_errors(streams[4])
-        self.board = self._make_board(streams[0])
-        self.balance = self._make_balance(streams[1])
-        self.stage = self._make_stage()
-        self.emulators: dict[str, Emulator] = {
-            "valve": self.board, "stage": self.stage, "balance": self.balance,
-            **self.extras.devices,
-        }  # fmt: skip
+        self.boards = self._make_boards(streams[0], streams[5])
+        """Controllers by their names in the rig file."""
+        self.board = self.boards["valve"]
+        self.emulators: dict[str, Emulator] = dict(self.boards)
         """Every device with a port, in the order in which time reaches them."""
         self._camera_rng = streams[2]
+        if not on_joint:
+            self._make_muscle_devices(streams[1])
+        self.emulators |= self.extras.devices
+        if clock is not None:
+            clock.on_advance(self.advance_to)
+
+    # ---- building -------------------------------------------------------------------
+
+    def _make_muscle_devices(self, rng: np.random.Generator) -> None:
+        """Balance, stage and camera, which a bench with a joint does not have."""
+        config = self.config
+        self.balance = self._make_balance(rng)
+        self.stage = self._make_stage()
+        self.emulators |= {"stage": self.stage, "balance": self.balance}
         cal = config.calibrations["length_mm"]
         sync = config.camera.sync
         self.camera_model = CameraModel(
@@ -94,10 +108,6 @@ class VirtualBench:
             exposure_s=sync.exposure_ms * 1e-3 if sync else 0.004,
             readout_s=sync.readout_ms * 1e-3 if sync else 0.0,
         )
-        if clock is not None:
-            clock.on_advance(self.advance_to)
-
-    # ---- building -------------------------------------------------------------------
 
     def _make_plant(self) -> BenchSim:
         source = self.config.source
@@ -108,6 +118,13 @@ class VirtualBench:
             high = self.config.limits.length_max_mm
             if self._v.load == "ram":
                 return RamLoad(constants, effects)
+            if self._v.load == "joint":
+                return JointLoad(
+                    constants,
+                    effects,
+                    read_joint_constants(self._v.joint, source),
+                    "regulator" if self._v.source == "regulator" else "valve",
+                )
             return BenchSim(
                 constants,
                 effects,
@@ -186,24 +203,53 @@ class VirtualBench:
             out[quantity] = (on * zero * cal.u_offset, on * gain * cal.u_gain)
         return out
 
-    def _make_board(self, rng: np.random.Generator) -> SimBoard:
-        zero, gain = self._errors["pressure_kpa"]
-        cal = self.config.calibrations["pressure_kpa"]
-        sensor = PressureSensor(
+    def _make_boards(
+        self, rng: np.random.Generator, rng_b: np.random.Generator
+    ) -> dict[str, SimBoard]:
+        plant, second = self.plant, self.config.side_b
+        if not isinstance(plant, JointLoad) or second is None:
+            return {"valve": self._make_board(rng)}
+        boards = []
+        for unit, (name, config, own) in enumerate(
+            (("valve", self.config, rng), ("valve_b", second, rng_b))
+        ):
+            quantity = "pressure_kpa" if name == "valve" else PRESSURE_B
+            boards.append(
+                JointBoard(
+                    plant.scene, unit, own,
+                    sensor=self._transducer(quantity),
+                    serial=config.valve.serial,
+                    outlet_normally_open=config.valve.outlet_normally == "open",
+                    has_regulator=self._v.source == "regulator",
+                    sink=self._sink(name),
+                )
+            )  # fmt: skip
+        Pair(plant, (boards[0], boards[1]))
+        return {"valve": boards[0], "valve_b": boards[1]}
+
+    def _sink(self, name: str) -> Callable[[int, bytes], None]:
+        return lambda bench_us, data: self._send(name, data, bench_us * 1000)
+
+    def _transducer(self, quantity: str) -> PressureSensor:
+        zero, gain = self._errors[quantity]
+        cal = self.config.calibrations[quantity]
+        return PressureSensor(
             low_kpa=cal.offset,
             high_kpa=cal.offset + cal.scale * 4095,
             noise_kpa=self._v.pressure_noise_kpa,
             zero_kpa=zero + self.sensor_error.pressure_zero_kpa,
             gain=(1.0 + gain) * (1.0 + self.sensor_error.pressure_gain) - 1.0,
         )
+
+    def _make_board(self, rng: np.random.Generator) -> SimBoard:
         return SimBoard(
             self.plant,
             rng,
-            sensor=sensor,
+            sensor=self._transducer("pressure_kpa"),
             serial=self.config.valve.serial,
             outlet_normally_open=self.config.valve.outlet_normally == "open",
             has_regulator=self._v.source == "regulator",
-            sink=lambda bench_us, data: self._send("valve", data, bench_us * 1000),
+            sink=self._sink("valve"),
             advance=self._make_step(),
         )
 
@@ -338,6 +384,8 @@ class VirtualBench:
         It takes as long as exposure and read-out do, and its stamp is late by the camera's
         delay, as that of a real one is.
         """
+        if "length_mm" not in self.config.calibrations:
+            raise PortError("camera", "this bench has none")
         late_s = self.sensor_error.camera_delay_s
         sleep = self._clock.sleep if self._clock is not None else time.sleep
         begin_ns, true_mm = self._host_now_ns(), self.plant.length_mm

@@ -17,6 +17,7 @@ from plant.simulator.bench import BenchSim
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.instruments import TextDevice
 from rigs.rigfile.pressure_source import source_module
+from rigs.virtual.board.joint_load import JointLoad
 from rigs.virtual.emulators.emulator import Emulator
 from rigs.virtual.emulators.modbus import VirtualModbus
 from rigs.virtual.emulators.operator import VirtualOperator
@@ -30,9 +31,11 @@ CELL_SLOW_S = 2.0
 THERMOMETER_NOISE_C = 0.05
 TRANSMITTER_NOISE_KPA = 0.02
 VELOCITY_NOISE = 0.002
+ENCODER_NOISE_DEG = 0.003
+TORQUE_NOISE_N_M = 0.0003
 SUPPLY_NOISE_V = 0.002
-HAND = {"length": 0.03, "pressure": 1.0, "supply": 1.0}
-"""How exactly a person sets a length (mm) and turns a regulator (kPa)."""
+HAND = {"length": 0.03, "pressure": 1.0, "supply": 1.0, "angle": 0.1}
+"""How exactly a person sets a length (mm) or an angle (degrees) and turns a regulator (kPa)."""
 
 
 def hang(plant: BenchSim, mass_kg: float) -> None:
@@ -158,12 +161,19 @@ class Extras:
                 return slow["n"] + float(rng.normal(0.0, CELL_NOISE_N))
 
             return cell
-        share = {"temperature_c": THERMOMETER_NOISE_C, "pressure_kpa": TRANSMITTER_NOISE_KPA}
+        share = {
+            "temperature_c": THERMOMETER_NOISE_C, "pressure_kpa": TRANSMITTER_NOISE_KPA,
+            "angle_deg": ENCODER_NOISE_DEG, "torque_n_m": TORQUE_NOISE_N_M,
+        }  # fmt: skip
         if quantity == "velocity_m_s":
             return lambda value: float(rng.normal(0.0, VELOCITY_NOISE * max(abs(value), 0.1)))
         return lambda value: float(rng.normal(0.0, share.get(quantity, 0.0)))
 
     def _truth(self, name: str, text: TextDevice) -> Callable[[], float]:
+        plant = self._bench.plant
+        if isinstance(plant, JointLoad) and text.form.quantity in ("angle_deg", "torque_n_m"):
+            angle = text.form.quantity == "angle_deg"
+            return lambda: plant.angle_deg if angle else plant.lock_torque_n_m
         match text.form.quantity:
             case "temperature_c":
                 return lambda: self.temperature_c
@@ -190,6 +200,9 @@ class Extras:
 
     def _cell_n(self) -> float:
         """What the load cell shows of it; effects on the force reading concern one sensor."""
+        joint, plant = self._config.joint, self._bench.plant
+        if joint is not None and isinstance(plant, JointLoad):
+            return plant.lock_torque_n_m / (joint.lever_mm * 1e-3)
         pull = self.pull_n()
         if self._config.force_source != "load_cell":
             return pull
@@ -229,6 +242,15 @@ class Extras:
             del value
             self.hung_kg = None
 
+        def turn(value: float) -> None:
+            if isinstance(plant, JointLoad):
+                plant.lock(value)
+
+        def free(value: float) -> None:
+            del value
+            if isinstance(plant, JointLoad):
+                plant.release()
+
         def warm(value: float) -> None:
             self.temperature_c = value
 
@@ -243,6 +265,8 @@ class Extras:
                 "muscle off": lambda _: weigh(0.0),
                 "temperature": warm,
                 "mass": lambda kg: hang(plant, kg),
+                "angle": turn,
+                "lock off": free,
             },
             reads={
                 "reference pressure": lambda: float(plant.state[PRESSURE]) * 1e-3,

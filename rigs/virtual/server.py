@@ -24,7 +24,7 @@ import numpy as np
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, PamrigError
 from daq.interrupt import stop_on_signals
-from rigs.rigfile.config import RigConfig, load_rig
+from rigs.rigfile.config import NONE, RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.byte_ports import LOOPBACK, Port, PtyPort, TcpPort
 from rigs.virtual.operator_port import OperatorPort
@@ -154,14 +154,14 @@ class BenchServer:
         in time would count as silent, and the muscle would be vented under it.
         """
         now_ns = time.monotonic_ns()
-        frames: list[bytes] = []
+        frames: dict[str, list[bytes]] = {}
         for name, port in self.ports.items():
             data = port.read()
             if not data:
                 continue
-            if name == "valve":
-                frames = [frame + b"\0" for frame in data.split(b"\0")]
-                frames[-1] = frames[-1][:-1]  # what follows the last delimiter
+            if name in self.bench.boards:
+                frames[name] = [frame + b"\0" for frame in data.split(b"\0")]
+                frames[name][-1] = frames[name][-1][:-1]  # what follows the last delimiter
             else:
                 self.bench.feed(name, data)
         self.person.step()
@@ -169,8 +169,9 @@ class BenchServer:
         begin_ns = self.bench.host_ns(before * 1000)
         stretches = max(1, -(-(now_ns - begin_ns) // STRETCH_NS))
         for k in range(stretches):
-            at, end = (len(frames) * j // stretches for j in (k, k + 1))
-            self._hear(b"".join(frames[at:end]))
+            for name, heard in frames.items():
+                at, end = (len(heard) * j // stretches for j in (k, k + 1))
+                self._hear(name, b"".join(heard[at:end]))
             self.bench.advance_to(begin_ns + (now_ns - begin_ns) * (k + 1) // stretches)
             if self._truth is not None:
                 self._tell_truth(self.bench.host_ns(self.bench.board.bench_us * 1000))
@@ -178,13 +179,13 @@ class BenchServer:
                 self.rest()  # whoever reads the port has to keep up
         self._note_lateness(now_ns, before)
 
-    def _hear(self, data: bytes) -> None:
-        """Bytes for the valve controller."""
-        if b" hb " in data:
+    def _hear(self, name: str, data: bytes) -> None:
+        """Bytes for a valve controller."""
+        if name == "valve" and b" hb " in data:
             # The firmware reads it at its next tick: bench time, as its deadline is.
             self._heartbeat_ns = self.bench.host_ns(self.bench.board.bench_us * 1000)
         if data:
-            self.bench.feed("valve", data)
+            self.bench.feed(name, data)
 
     def _note_lateness(self, now_ns: int, before_us: int) -> None:
         """How late the ticks since ``before_us`` were carried out."""
@@ -212,6 +213,9 @@ class BenchServer:
             "armed": bool(board.controller.safety.armed),
             "faults": [str(f) for f in board.controller.safety.faults],
         }
+        if (second := self.bench.boards.get("valve_b")) is not None:
+            line["pressure_b_kpa"] = round(second.pressure_kpa, 3)
+            line["armed_b"] = bool(second.controller.safety.armed)
         assert self._truth is not None
         self._truth.write(json.dumps(line) + "\n")
 
@@ -288,9 +292,11 @@ def serve_bench(
     with open_server(config, folder, tcp, truth) as server, stop_on_signals() as stop:
         for name, port in server.ports.items():
             typer.echo(f"{name:8} {port.address}")
-        typer.echo(f"{'camera':8} {server.camera.address}")
+        if config.camera.source != NONE:
+            typer.echo(f"{'camera':8} {server.camera.address}")
         typer.echo(f"rig file {server.rig_file}")
-        typer.echo(f"try:     pamrig isometric --rig {server.rig_file} --protocol isometric-short")
+        test = "isometric" if config.joint is None else "joint-static"
+        typer.echo(f"try:     pamrig {test} --rig {server.rig_file} --protocol {test}-short")
         end = time.monotonic() + seconds if seconds > 0 else float("inf")
         while not stop.reason and time.monotonic() < end:
             server.step()
@@ -329,6 +335,7 @@ def warm_up(
         clock = VirtualClock()
         bench = VirtualBench(config, clock)
         clock.sleep(0.05)
-        bench.expose()
+        if config.camera.source != NONE:
+            bench.expose()
     finally:
         slow.cancel()

@@ -1,0 +1,94 @@
+"""Live layout of the tests of a joint: both pressures, angle and torque, results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from analysis.layouts.layouts import (
+    MESSAGES,
+    NOW,
+    POINTS,
+    PRESSURE,
+    SET_POINT,
+    STATE_FEEDS,
+    STATES,
+)
+from daq.live.layout import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    Axis,
+    Channel,
+    Feed,
+    LiveLayout,
+    Panel,
+)
+
+SET_POINT_B = "pressure/set_point_b_kpa"
+PRESSURE_B = "pressure/measured_b_kpa"
+ANGLE = "angle/measured_deg"
+TORQUE = "torque/measured"
+
+
+def joint_layout(title: str, parameters: Mapping[str, Any], result: str) -> LiveLayout:
+    """Pressures, angle and torque on the left, results against the differential pressure right.
+
+    Args:
+        title: of the test.
+        parameters: of run.json; ``instruments`` names those of angle and torque.
+        result: axis label of the results.
+    """
+    pressures = Panel(
+        "Pressures (kPa)",
+        "series",
+        "pressure",
+        (
+            Channel(SET_POINT, "set-point a", "kPa", ORANGE, step=True),
+            Channel(PRESSURE, "muscle a", "kPa", SKY),
+            Channel(SET_POINT_B, "set-point b", "kPa", VERMILLION, step=True),
+            Channel(PRESSURE_B, "muscle b", "kPa", BLUE),
+        ),
+        share=1.6,
+    )
+    angle = Panel(
+        "Angle (degrees)", "series", "angle", (Channel(ANGLE, "measured", "deg", GREEN, digits=2),),
+        share=1.5,
+    )  # fmt: skip
+    feeds = [
+        Feed(SET_POINT, "valve", "setpoint_kpa"),
+        Feed(PRESSURE, "valve", "pressure_kpa"),
+        Feed(SET_POINT_B, "valve_b", "setpoint_kpa"),
+        Feed(PRESSURE_B, "valve_b", "pressure_b_kpa"),
+    ]
+    left = [pressures, angle]
+    names: Mapping[str, str] = parameters.get("instruments") or {}
+    if names.get("angle"):
+        feeds.append(Feed(ANGLE, names["angle"], "angle_deg"))
+    if names.get("torque"):
+        force = names["torque"] == "load_cell"
+        what, unit = ("Force on the lever", "N") if force else ("Torque", "N m")
+        channel = Channel(TORQUE, "measured", unit, PURPLE, digits=4)
+        left.append(Panel(f"{what} ({unit})", "series", "torque", (channel,)))
+        feeds.append(Feed(TORQUE, names["torque"], "force_n" if force else "torque_n_m"))
+    widest = max((abs(float(d)) for d in parameters.get("difference_kpa") or [100.0]), default=100)
+    results = Panel(
+        f"{result} against differential pressure (kPa)",
+        "points",
+        "points",
+        (Channel(POINTS, result),),
+        share=1.5,
+        x_axis=Axis("differential pressure (kPa)", -widest, widest),
+        y_axis=Axis(result, -1.0, 1.0),
+    )
+    return LiveLayout(
+        title=title,
+        columns=((*left, STATES), (results, NOW, MESSAGES)),
+        shares=(1.0, 1.0),
+        window_s=30.0,
+        feeds=tuple(feeds),
+        event_feeds=STATE_FEEDS,
+    )

@@ -1,0 +1,1 @@
+"""Tests of a joint between two muscles."""
