@@ -137,6 +137,7 @@ class VirtualBenchConfig:
     frame_noise_levels: float
     camera_delay_ms: float
     load: str = "muscle"
+    regulator: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -234,7 +235,7 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
         instruments=instruments,
         force_source=force_source,
         pressure_source=read_pressure_source(
-            root, valve.static_scheme, "pressure" in instruments.manual
+            root, valve.static_scheme, "pressure" in instruments.manual, limits.pressure_kpa
         ),
     )
     root.finish()
@@ -478,6 +479,7 @@ def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
         load=t.text("load", "muscle", choices=("muscle", "ram")),
         plant=dict(t.table("plant", optional=True).values()),
         effects=effects,
+        regulator=_regulator(t.table("regulator", optional=True)),
         pressure_noise_kpa=sensors.number("pressure_noise_kpa", 0, 50, 0.5, unit="kPa"),
         force_noise_n=sensors.number("force_noise_n", 0, 10, 0.005, unit="N"),
         blur_px=sensors.number("blur_px", 0.3, 5, 0.8, unit="pixel"),
@@ -487,6 +489,16 @@ def _virtual(root: Table, seed: int | None) -> VirtualBenchConfig | None:
     sensors.finish()
     t.finish()
     return out
+
+
+def _regulator(t: Table) -> dict[str, float]:
+    """What is stated of the emulated proportional regulator; the rest is drawn."""
+    known = ("dead_time_s", "time_constant_s", "slew_kpa_s", "dead_band_kpa", "hysteresis_kpa",
+             "offset_kpa", "gain_error")  # fmt: skip
+    least = {"offset_kpa": -100.0, "gain_error": -0.5, "time_constant_s": 1e-3, "slew_kpa_s": 1.0}
+    found = {key: t.number(key, least.get(key, 0.0), 1e5) for key in known if key in t}
+    t.finish()
+    return found
 
 
 def camera_values(config: RigConfig) -> dict[str, Any]:

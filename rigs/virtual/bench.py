@@ -75,6 +75,7 @@ class VirtualBench:
             self._make_links(clock)
         self._errors = self._draw_errors(streams[4])
         self.board = self._make_board(streams[0])
+        self.board.regulator_input = self.extras.regulator_input()
         self.balance = self._make_balance(streams[1])
         limits = config.limits
         self.stage = VirtualStage(
@@ -87,9 +88,9 @@ class VirtualBench:
         )
         self.emulators: dict[str, Emulator] = {
             "valve": self.board, "stage": self.stage, "balance": self.balance,
-            **self.extras.devices,
+            **self.extras.devices, **self.extras.without_port,
         }  # fmt: skip
-        """Every device with a port, in the order in which time reaches them."""
+        """Every device, in the order in which time reaches them."""
         self._camera_rng = streams[2]
         cal = config.calibrations["length_mm"]
         sync = config.camera.sync
