@@ -64,6 +64,8 @@ PARAMETERS = (
     ("burst_dead_x16", 64, 1, 65535, "burst: dead zone each side"),
     ("burst_settle_us", 3000, 0, 100000, "from closing to reading"),
     ("burst_window", 16, 1, 64, "samples averaged for a reading"),
+    ("out_scale", 4096, 1, 16383, "reg: output counts per 4096 counts of set-point"),
+    ("out_zero_x16", 65536, 0, 131072, "reg: output at set-point 0, count/16, plus 65536"),
 )
 
 

@@ -323,7 +323,11 @@ class Controller:
         if setpoint_x16 != self.setpoint_x16:
             self.send_held()
             self.setpoint_x16 = setpoint_x16
-        regulator = setpoint_x16 if self.scheme is self.regulated else 0
+        regulator = 0
+        if self.scheme is self.regulated:
+            values = self.values
+            regulator = (setpoint_x16 * values["out_scale"] >> 12) + values["out_zero_x16"] - 65536
+            regulator = min(max(regulator, 0), 65535)
         if regulator != self._regulator:
             self._regulator = regulator
             self.board.regulator(regulator)

@@ -26,6 +26,7 @@ TITLES = {
     "slide": "sliding mode (5.7.4)",
     "burst": "bursts with valve model",
     "pwm": "proportional pulses",
+    "reg": "the regulator's own loop",
 }
 THESIS = ("two", "duty_in", "duty", "slide")
 

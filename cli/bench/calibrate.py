@@ -1,4 +1,4 @@
-"""`pamrig calibrate camera|pressure|force`."""
+"""`pamrig calibrate camera|pressure|force|regulator`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RECORDS = Path("calibrations")
 
 def add_calibration(app: typer.Typer) -> None:
     """Add the commands of `pamrig calibrate`."""
-    for command in (camera, pose, pressure, force):
+    for command in (camera, pose, pressure, force, regulator):
         app.command()(command)
 
 
@@ -217,6 +217,52 @@ def force(
             who=operator, stop=stop, watch=_watch(as_json),
         )  # fmt: skip
     _write(done, out, replace, as_json)
+
+
+def regulator(
+    out: CalibrationOption,
+    rig: RigOption = "virtual-alicat",
+    repeats: Annotated[int, typer.Option(help="How often every step is made.")] = 3,
+    increment_kpa: Annotated[
+        float, typer.Option("--increment", help="Small steps for the dead band, in kPa.")
+    ] = 0.25,
+    records: RecordsOption = RECORDS,
+    operator: OperatorOption = "",
+    replace: ReplaceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Dynamics of a proportional regulator: steps, small steps and a ramp on the bench."""
+    from daq.interrupt import stop_on_signals
+    from rigs.calibration.regulator import calibrate_regulator, summary
+    from rigs.rigfile.config import load_rig
+    from rigs.rigfile.regulator import write_dynamics
+
+    bounded("--repeats", repeats, 2, 100, "")
+    bounded("--increment", increment_kpa, 0.01, 50.0, "kPa")
+    _check(out, replace)
+    with stop_on_signals() as stop:
+        done = calibrate_regulator(
+            load_rig(rig), records, repeats=repeats, increment_kpa=increment_kpa,
+            who=operator, stop=stop, watch=_watch(as_json),
+        )  # fmt: skip
+    write_dynamics(out, done.found.regulator, done.found.u, done.about, replace)
+    rows = summary(done.found)
+    if as_json:
+        print_json(
+            {**done.about, "values": {name: value for name, _, value, _ in rows},
+             "u": done.found.u, "file": str(out), "folder": str(done.folder)}
+        )  # fmt: skip
+        return
+    for name, unit, value, u in rows:
+        typer.echo(f"{name:16} {value:10.4g} {unit:6} u {u:.2g}")
+    if done.found.slew_above_kpa_s:
+        typer.echo(f"slew limit not reached: above {done.found.slew_above_kpa_s:.0f} kPa/s")
+    typer.echo(
+        f"steps fit within {done.found.misfit_kpa:.2f} kPa rms; the ramp, which was not fitted,"
+        f" is predicted within {done.ramp_kpa:.2f} kPa rms"
+    )
+    typer.echo(f"written: {out}   record: {done.folder}")
+    typer.echo(f'in a rig file: [pressure_source] dynamics = "{out.name}"')
 
 
 def _pair(text: str, separator: str, key: str, example: str) -> tuple[float, float]:

@@ -12,7 +12,7 @@ TABLES = {
     "run.json": (
         "started", "parameters", "rig", "limits", "conditions", "camera", "calibrations", "devices",
         "software", "virtual", "load", "continues", "instrument_calibrations", "stated_uncertainty",
-        "pressure_sensor",
+        "pressure_sensor", "regulator",
     ),
     "final.json": ("rows", "files", "ended", "counters", "clock_fit", "write_failure", "lateness"),
     "derived/manifest.json": ("files",),

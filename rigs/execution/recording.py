@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq.errors import RecordError
 from rigs.devices.instruments import supply
+from rigs.devices.instruments.instrument import PortInstrument
 from rigs.devices.instruments.readings import COLUMNS, Batch
 from rigs.devices.operator import ManualSetting
 from rigs.rigfile.config import NONE
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from daq.record.writer import RecordWriter
     from rigs.bench.rig import Rig
 
+REGULATOR = "regulator"
+"""Stream of a proportional regulator's own reading."""
 TOLD = 20
 """So many faults of a kind become events of their own; then each hundredth. All are counted."""
 
@@ -46,11 +49,13 @@ def instrument_manifest(rig: Rig) -> dict[str, Any]:
         for name, instrument in rig.instruments.items()
         if instrument.calibration is not None
     }
+    source = rig.config.pressure_source
+    if source.dynamics is not None:
+        out["regulator"] = source.dynamics.to_dict()
     if frozen:
         out["instrument_calibrations"] = frozen
     if rig.config.force_source not in ("balance", NONE):
         out["force_source"] = rig.config.force_source
-    source = rig.config.pressure_source
     if source.sensor:
         out["pressure_sensor"] = {
             "instrument": source.sensor,
@@ -78,6 +83,9 @@ def record_instruments(rig: Rig, record: RecordWriter) -> None:
         rig.supply.on_rows.append(recorder(record, "supply"))
         rig.supply.faults.on_fault.append(_teller(record, "supply", rig.supply.faults.counts))
     own = rig.pressure_source.own_device
+    if isinstance(own, PortInstrument):  # its own reading, never the pressure of a test
+        record.stream(REGULATOR, COLUMNS, {"host_ns": "ns", "reading": own.unit})
+        own.on_rows.append(recorder(record, REGULATOR))
     if own is not None:
         own.faults.on_fault.append(_teller(record, "pressure_source", own.faults.counts))
     for axis in _axes(rig):

@@ -18,6 +18,7 @@ from rigs.bench.both import Side, firmware_parameters
 from rigs.bench.locks import vent_request
 from rigs.bench.rig import Rig, open_rig
 from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS, NoBalance
+from rigs.devices.instruments.instrument import PortInstrument
 from rigs.devices.lines import LineDevice
 from rigs.devices.motion.stage import MotorStage
 from rigs.devices.operator import ConsoleOperator, Operator, at_a_terminal
@@ -268,7 +269,7 @@ def _hear_out(rig: Rig) -> None:
     """Let what is on its way come, so that all that came damaged is counted."""
     devices: list[Any] = [*(side.valve for side in rig.sides), *rig.instruments.values()]
     lines = (rig.balance, rig.stage, rig.supply, rig.pressure_source.own_device)
-    devices += [d for d in lines if isinstance(d, LineDevice)]
+    devices += [d for d in lines if isinstance(d, LineDevice | PortInstrument)]
     with contextlib.suppress(PamrigError):
         rig.event_loop.until(lambda: not any(device.midway for device in devices), HEAR_OUT_S)
     for device in devices:

@@ -71,6 +71,7 @@ def _rests(rig: Rig, sensor: PressureSensor, step: Settle, seconds: float) -> bo
         # The source is not closed on this sensor, so the two may differ by what the
         # sensor's calibration allows.
         tolerance += 3 * float(cal["pressure_kpa"].u(step.pressure_kpa))
+        tolerance += rig.pressure_source.accuracy_kpa
     if sensor.instrument is not None:
         # Neither is this sensor: the set-point is that of the controller.
         tolerance += sensor.band_kpa(step.pressure_kpa)

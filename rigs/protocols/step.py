@@ -15,9 +15,10 @@ from analysis.findings.step import STEP
 from rigs.execution.procedure import Procedure
 from rigs.protocols.parts.method import Parameters
 from rigs.protocols.parts.trials import BREATH_KPA, BREATH_S
-from rigs.rigfile.toml_reader import load_toml
+from rigs.rigfile.pressure_source import PROPORTIONAL
+from rigs.rigfile.toml_reader import Table, load_toml
 from rigs.steps.custom_step import CustomStep, Steps
-from rigs.steps.steps import EndTrial, SetLength, State, Trial
+from rigs.steps.steps import EndTrial, SetLength, SetPressure, State, Trial, Vent
 from rigs.steps.valve import Release
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from rigs.steps.context import StepContext
 
 SCHEMES = ("two", "duty_in", "duty", "slide", "burst", "pwm")
+REGULATOR = "reg"
+"""On a bench with a proportional regulator its own loop is what the steps try."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ class Step(Parameters):
                     trial, scheme, replicate, trial, self.mounting, "step",
                     (("held_length_mm", self.length_mm),),
                 )  # fmt: skip
-                yield Release()
+                yield Vent() if scheme == REGULATOR else Release()
                 before = 0.0
                 for number, pressure in enumerate(self.pressures_kpa):
                     order += 1
@@ -66,7 +69,7 @@ class Step(Parameters):
                         self.step_s, first=number == 0,
                     )  # fmt: skip
                     before = pressure
-                yield Release()
+                yield Vent() if scheme == REGULATOR else Release()
                 yield EndTrial(trial)
         yield State("done")
 
@@ -80,12 +83,21 @@ class Breath(CustomStep):
 
     def perform(self, runner: StepContext) -> None:
         """Command a little; the trial that follows lets it out."""
-        runner.rig.valve.request(f"scheme {self.scheme}")
-        _command(runner, BREATH_KPA)
+        _choose(runner, self.scheme)
+        _command(runner, BREATH_KPA, self.scheme)
         runner.rig.event_loop.for_seconds(BREATH_S)
 
 
-def _command(runner: StepContext, pressure_kpa: float) -> None:
+def _choose(runner: StepContext, scheme: str) -> None:
+    """Have the controller change its scheme; a regulator's source does that by itself."""
+    if scheme != REGULATOR:
+        runner.rig.valve.request(f"scheme {scheme}")
+
+
+def _command(runner: StepContext, pressure_kpa: float, scheme: str) -> None:
+    if scheme == REGULATOR:
+        runner.do(SetPressure(pressure_kpa))
+        return
     counts = float(runner.rig.config.calibrations["pressure_kpa"].raw(pressure_kpa))
     runner.record.event("command", device="valve", pressure_kpa=pressure_kpa, counts=counts)
     runner.watch.set_point("pressure", pressure_kpa)
@@ -117,13 +129,13 @@ class Response(CustomStep):
         valve = runner.rig.valve
         take = runner.steering.take
         if self.first or take > 1:
-            valve.request(f"scheme {self.scheme}")
+            _choose(runner, self.scheme)
         if take > 1 and self.from_kpa > 0:
-            _command(runner, self.from_kpa)
+            _command(runner, self.from_kpa, self.scheme)
             runner.rig.event_loop.for_seconds(self.step_s)
         first = valve.seq_end
         asked_ns = runner.rig.clock.now_ns() - runner.record.start_ns
-        _command(runner, self.set_pressure_kpa)
+        _command(runner, self.set_pressure_kpa, self.scheme)
         runner.rig.event_loop.for_seconds(self.step_s)
         self._show(runner)
         more = {"take": take} if take > 1 else {}
@@ -153,7 +165,8 @@ def read(name: str, config: RigConfig) -> Step:
     """
     t = load_toml(name, "protocols")
     t.text("protocol", choices=("step",))
-    if config.virtual is not None and config.virtual.source == "regulator":
+    regulator = config.pressure_source.kind in PROPORTIONAL
+    if not regulator and config.virtual is not None and config.virtual.source == "regulator":
         raise t.fail(
             "protocol",
             f"tries the valve, and on {config.source} a regulator stands in its place"
@@ -165,7 +178,7 @@ def read(name: str, config: RigConfig) -> Step:
     step_s = t.number("step_s", 0.3, 60, 2.0, unit="s")
     plan = Step(
         name=t.text("name", "step"),
-        schemes=t.texts("schemes", SCHEMES),
+        schemes=_schemes(t, regulator),
         pressures_kpa=t.numbers("pressures_kpa", 10, top, unit="kPa"),
         step_s=step_s,
         last_s=t.number("last_s", 0.1, step_s, min(0.5, step_s), unit="s"),
@@ -178,6 +191,14 @@ def read(name: str, config: RigConfig) -> Step:
     )
     t.finish()
     return plan
+
+
+def _schemes(t: Table, regulator: bool) -> tuple[str, ...]:
+    """The schemes to try; a proportional regulator has its own loop in their place."""
+    named = t.texts("schemes", (*SCHEMES, REGULATOR))
+    if not regulator and REGULATOR in named:
+        raise t.fail("schemes", "'reg' needs a proportional regulator as pressure source")
+    return (REGULATOR,) if regulator else named
 
 
 PROCEDURE = Procedure(

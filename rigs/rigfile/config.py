@@ -148,6 +148,7 @@ class VirtualBenchConfig:
     camera_delay_ms: float
     load: str = "muscle"
     joint: dict[str, Any] = field(default_factory=dict)
+    regulator: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -268,7 +269,7 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
         instruments=instruments,
         force_source=force_source,
         pressure_source=read_pressure_source(
-            root, valve.static_scheme, "pressure" in instruments.manual
+            root, valve.static_scheme, "pressure" in instruments.manual, limits.pressure_kpa
         ),
     )
     return _finished(rig, root)
@@ -283,7 +284,9 @@ def _joint_rig(
 ) -> RigConfig:
     """A rig with two muscles on a joint."""
     valve, valve_b = _valve(root.table("valve")), _valve(root.table("valve_b"))
-    source = read_pressure_source(root, valve.static_scheme, "pressure" in instruments.manual)
+    limits = _limits(root.table("limits"), of_joint=True)
+    by_hand = "pressure" in instruments.manual
+    source = read_pressure_source(root, valve.static_scheme, by_hand, limits.pressure_kpa)
     if source.kind not in BEHIND_VALVES.values() or source.sensor:
         raise root.fail(
             "pressure_source",
@@ -296,7 +299,7 @@ def _joint_rig(
         source=root.source,
         text=text,
         crc32=f"{zlib.crc32(text.encode()):08x}",
-        limits=_limits(root.table("limits"), of_joint=True),
+        limits=limits,
         conditions=_conditions(root.table("conditions")),
         valve=valve,
         balance=Device("", 9600, ""),
@@ -576,6 +579,7 @@ def _virtual(
         joint=dict(t.table("joint", optional=True).values()) if usual_load == "joint" else {},
         plant=dict(t.table("plant", optional=True).values()),
         effects=effects,
+        regulator=_regulator(t.table("regulator", optional=True)),
         pressure_noise_kpa=sensors.number("pressure_noise_kpa", 0, 50, 0.5, unit="kPa"),
         force_noise_n=sensors.number("force_noise_n", 0, 10, 0.005, unit="N"),
         blur_px=sensors.number("blur_px", 0.3, 5, 0.8, unit="pixel"),
@@ -585,6 +589,16 @@ def _virtual(
     sensors.finish()
     t.finish()
     return out
+
+
+def _regulator(t: Table) -> dict[str, float]:
+    """What is stated of the emulated proportional regulator; the rest is drawn."""
+    known = ("dead_time_s", "time_constant_s", "slew_kpa_s", "dead_band_kpa", "hysteresis_kpa",
+             "offset_kpa", "gain_error")  # fmt: skip
+    least = {"offset_kpa": -100.0, "gain_error": -0.5, "time_constant_s": 1e-3, "slew_kpa_s": 1.0}
+    found = {key: t.number(key, least.get(key, 0.0), 1e5) for key in known if key in t}
+    t.finish()
+    return found
 
 
 def camera_values(config: RigConfig) -> dict[str, Any]:

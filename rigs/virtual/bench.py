@@ -81,12 +81,13 @@ class VirtualBench:
         self.boards = self._make_boards(streams[0], streams[5])
         """Controllers by their names in the rig file."""
         self.board = self.boards["valve"]
+        self.board.regulator_input = self.extras.regulator_input()
         self.emulators: dict[str, Emulator] = dict(self.boards)
-        """Every device with a port, in the order in which time reaches them."""
+        """Every device, in the order in which time reaches them."""
         self._camera_rng = streams[2]
         if not on_joint:
             self._make_muscle_devices(streams[1])
-        self.emulators |= self.extras.devices
+        self.emulators |= {**self.extras.devices, **self.extras.without_port}
         if clock is not None:
             clock.on_advance(self.advance_to)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from daq.calibration import Calibration
 from daq.clock import Clock
+from daq.errors import ConfigError
 from plant.constants import GAS_CONSTANT_J_KG_K
 from plant.physics.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MASS_OUT, PRESSURE
 from plant.simulator.bench import BenchSim
@@ -21,6 +22,7 @@ from rigs.virtual.board.joint_load import JointLoad
 from rigs.virtual.emulators.emulator import Emulator
 from rigs.virtual.emulators.modbus import VirtualModbus
 from rigs.virtual.emulators.operator import VirtualOperator
+from rigs.virtual.emulators.proportional.outlet import RegulatorOutlet, draw
 from rigs.virtual.emulators.sensor_error import SensorError
 from rigs.virtual.emulators.supply import VirtualSupply
 from rigs.virtual.emulators.text import VirtualText
@@ -83,7 +85,8 @@ class Extras:
     """Makes the emulators that a rig file names and joins them to the plant.
 
     Attributes:
-        devices: emulators by name.
+        devices: emulators by name; ``without_port`` those that no byte reaches.
+        regulator: the outlet of an emulated proportional regulator, where the rig has one.
         temperature_c: of the bench now; set it to warm the bench.
         hung_kg: dead weight on the force sensor in place of the muscle, None for the muscle.
     """
@@ -112,8 +115,15 @@ class Extras:
                 max_v=settings.supply.max_v,
                 noise_v=lambda: float(rng.normal(0.0, SUPPLY_NOISE_V)),
             )
-        if self._config.pressure_source.port:
-            self.devices["pressure_source"] = self._pressure_source()
+        self.regulator: RegulatorOutlet | None = None
+        self.without_port: dict[str, Emulator] = {}
+        source = self._config.pressure_source
+        if source.port:
+            made = self.devices["pressure_source"] = self._pressure_source()
+            self._has_outlet(getattr(made, "outlet", None))
+        elif source.kind == "analogue-regulator":
+            outlet = self.without_port["regulator"] = RegulatorOutlet(self._bench.plant)
+            self._has_outlet(outlet)
 
     def _pressure_source(self) -> Emulator:
         """That of the rig's pressure source, of the module with its driver's name."""
@@ -123,6 +133,38 @@ class Extras:
             self._config.pressure_source, self._bench.plant, self._sender("pressure_source")
         )
         return made
+
+    def _has_outlet(self, outlet: RegulatorOutlet | None) -> None:
+        """The pressure upstream of the inlet is that of an emulated regulator, which is drawn."""
+        virtual = self._config.virtual
+        if outlet is None or virtual is None:
+            return
+        if virtual.source != "regulator":
+            raise ConfigError(
+                f"{self._config.source}: virtual.source",
+                f"is {virtual.source!r}, and {self._config.pressure_source.kind!r} is a regulator",
+                'set it to "regulator"',
+            )
+        rng = self._rng("regulator")
+        outlet.dynamics = draw(rng, virtual.regulator)
+        outlet.seed(rng)
+        self.regulator = outlet
+
+    def regulator_input(self) -> Callable[[float, int], None] | None:
+        """Takes counts of the controller's analogue output and the bench time in ns.
+
+        None: they go to the plant's own regulator.
+        """
+        outlet, output = self.regulator, self._config.pressure_source.output
+        if outlet is None:
+            return None
+        if output is None:  # it has a port of its own: nothing hangs on the analogue output
+            return lambda counts, at_ns: None
+
+        def take(counts: float, at_ns: int) -> None:
+            outlet.set_point(max(float(output.apply(counts)), 0.0), at_ns)
+
+        return take
 
     def _rng(self, name: str) -> np.random.Generator:
         seed = self._config.virtual.seed if self._config.virtual is not None else 0

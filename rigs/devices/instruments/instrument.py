@@ -19,6 +19,7 @@ from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.readings import Readings
 from rigs.rigfile.form import Parsed, TextForm
 from rigs.rigfile.modbus_form import ModbusForm
+from rigs.rigfile.regulator import MonitorForm
 
 HOLD_S = 0.05
 """An answer is held this long (or half a period, if less) in case a second one comes."""
@@ -50,7 +51,7 @@ class PortInstrument(Readings):
         link: Link,
         event_loop: EventLoop,
         name: str,
-        form: ModbusForm | TextForm,
+        form: ModbusForm | TextForm | MonitorForm,
         *,
         polled: bool,
         rate_hz: float = 0.0,

@@ -21,6 +21,7 @@ from typing import Any
 from daq.errors import DeviceError
 from daq.link.transport import Link
 from rigs.devices.event_loop import EventLoop
+from rigs.devices.instruments.instrument import PortInstrument
 from rigs.devices.lines import LineDevice
 from rigs.devices.operator import ManualAxis
 from rigs.devices.valve_controller import ValveController
@@ -98,13 +99,16 @@ class PressureSource(ABC):
         closed_on_sensor: True where the source regulates the reading of the controller's
             transducer itself. False where it has a sensor of its own, so that set-point and
             reading may differ by what the transducer's calibration allows.
+        accuracy_kpa: how far the pressure may rest from the set-point where the source has a
+            sensor of its own.
         own_device: the device that the source talks to over a port of its own, or None. The
             record then counts its faults and holds its bytes.
     """
 
     limits: PressureLimits
     closed_on_sensor: bool = True
-    own_device: LineDevice | None = None
+    accuracy_kpa: float = 0.0
+    own_device: LineDevice | PortInstrument | None = None
 
     # ---- what it is -----------------------------------------------------------------
 

@@ -113,6 +113,9 @@ class SimBoard(BufferedBoard):
         """The inlet does not shut any more, whatever its solenoid does."""
         self.outlet_jammed = False
         """The outlet does not shut any more."""
+        self.regulator_input: Callable[[float, int], None] | None = None
+        """Takes the counts of the analogue output, and the time in ns, where an emulated regulator
+        is connected."""
         self.truth_us = array("q")
         self.truth_kpa = array("d")
         self._truth_every = truth_every
@@ -161,6 +164,9 @@ class SimBoard(BufferedBoard):
 
     def regulator(self, counts_x16: int) -> None:
         """Set-point of the regulator."""
+        if self.regulator_input is not None:
+            self.regulator_input(counts_x16 / 16, self.bench_us * 1000)
+            return
         sensor = self.sensor
         kpa = counts_x16 / 16 / sensor.counts_per_kpa + sensor.low_kpa if counts_x16 else 0.0
         kpa = kpa * (1.0 + self._regulator_gain) + (self._regulator_zero_kpa if kpa else 0.0)
@@ -365,7 +371,7 @@ class SimBoard(BufferedBoard):
         self._boot_at_us = self.bench_us + boot_us
         self._received = b""
         self.led(0)
-        self.plant.state[REGULATOR_SLOT] = 0.0
+        self.regulator(0)
         self._let_go()
 
     def freeze(self) -> None:

@@ -1,0 +1,1 @@
+"""Proportional pressure regulators: one file for each protocol that they speak."""

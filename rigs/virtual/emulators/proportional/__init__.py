@@ -1,0 +1,1 @@
+"""Proportional regulators at byte level, and the pressure at their outlet."""
