@@ -15,6 +15,7 @@ from cli.data.length import length
 from cli.data.pose import pose
 from cli.data.reports import add_imports, report, view
 from cli.data.runs import add_runs
+from cli.data.strain import strain
 from cli.gap.commands import add_gap
 from cli.model.links import links
 from cli.model.models import add_models, fit
@@ -80,7 +81,7 @@ add_studies(_group("study", "Simulation studies."))
 add_firmware(_group("firmware", "Install the firmware on a board, and check it."))
 add_bench(app)
 add_protocols(app, runs_app)
-for command in (report, view, length, pose, links, fit, simulate):
+for command in (report, view, length, strain, pose, links, fit, simulate):
     app.command()(command)
 
 

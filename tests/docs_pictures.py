@@ -29,6 +29,21 @@ def main(folder: Path) -> None:
         rows.append(f"{k}.png,{length_mm:g},0.001")
     (blocks / "blocks.csv").write_text("\n".join(rows) + "\n")
     marks(folder, rng)
+    bars(folder, rng)
+
+
+def bars(folder: Path, rng: np.random.Generator) -> None:
+    """A muscle with four markers, at rest and longer by 2 and 4 %."""
+    (folder / "bars").mkdir(exist_ok=True)
+    for k in range(3):
+        image = np.full((480, 640), 190.0)
+        x = 100.0
+        for gap in (0.0, 60.0, 70.0, 80.0):
+            x += gap * (1.0 + 0.02 * k)
+            image[180:300, round(x) : round(x) + 30] = 45.0
+            x += 30.0
+        image = cv2.GaussianBlur(image, (0, 0), 1.0) + rng.normal(0.0, 2.0, image.shape)
+        cv2.imwrite(str(folder / "bars" / f"{k}.png"), np.clip(np.rint(image), 0, 255))
 
 
 MARKS = """camera = "pose-camera.toml"

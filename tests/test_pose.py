@@ -137,7 +137,7 @@ def test_poses_by_the_hundred(camera: PoseCamera) -> None:
             rms = np.sqrt(np.mean(off**2, axis=0))
             covered = np.mean(np.abs(off) < 2.0 * u, axis=0)
             print(plane, blur, noise, "rms", rms, "mean u", u.mean(axis=0), "k = 2", covered)
-            assert (covered > 0.9).all()
+            assert (covered > 0.9).all(), (plane, blur, noise, covered)
 
 
 def test_the_plane_is_the_origin_without_a_reference(camera: PoseCamera) -> None:

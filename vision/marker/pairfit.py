@@ -58,16 +58,41 @@ def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
     guess = find_edges(gray, box, exclude)
     if guess.left is None or guess.right is None:
         return GapMeasurement(math.nan, math.nan, False, guess.reason, region=box)
+    found = fit_edges(gray, box, (guess.left, guess.right), exclude)
+    if isinstance(found, str):
+        return GapMeasurement(math.nan, math.nan, False, found, region=box)
+    doubt = guess.reason or _rejection_reason(found.fits)
+    return _combine(found.fits[0], found.fits[1], found.extra, box, doubt, found.limit)
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Both edges of a gap, the variances to add to their positions, the largest uncertainty."""
+
+    fits: list[Fit]
+    extra: list[float]
+    limit: float
+
+
+def fit_edges(
+    gray: Image, box: Box, guesses: tuple[EdgeGuess, EdgeGuess], exclude: tuple[Box, ...] = ()
+) -> Edges | str:
+    """Fit the left and the right edge of a gap; a text states why an edge is none.
+
+    Args:
+        gray: picture, float32. box: region inside it; positions of the guesses count from its left
+            side. exclude: boxes without edges.
+    """
     fits: list[Fit] = []
-    for side, edge in (("left", guess.left), ("right", guess.right)):
+    for side, edge in zip(("left", "right"), guesses, strict=True):
         fit = _fit_edge(gray, box, edge, exclude)
         if fit is None:
             reason = f"the {side} edge of the gap is not one straight edge"
-            first, last = int(guess.left.x_mid) + 4, int(guess.right.x_mid) - 4
+            first, last = int(guesses[0].x_mid) + 4, int(guesses[1].x_mid) - 4
             lit = gray[box[1] : box[1] + box[3], box[0] + first : box[0] + max(first + 1, last)]
             if lit.size and np.median(lit) >= OVEREXPOSED:
                 reason = f"over-exposed at the {side} edge: reduce light or exposure time"
-            return GapMeasurement(math.nan, math.nan, False, reason, region=box)
+            return reason
         fits.append(fit)
     extra = [0.0, 0.0]
     limit = LARGEST_U
@@ -76,15 +101,14 @@ def fit_pair(gray: Image, box: Box, exclude: tuple[Box, ...]) -> GapMeasurement:
     if alike or scattered or max(fit.out[13] for fit in fits) > COLUMNS_ALIKE:
         quantiser = _quantiser(gray, fits)
         if quantiser is not None:
-            fits, extra = _allow_for_rounding(gray, box, fits, (guess.left, guess.right), quantiser)
+            fits, extra = _allow_for_rounding(gray, box, fits, guesses, quantiser)
         elif all(fit.drawn for fit in fits):
             extra = [_rounding_variance(fit) for fit in fits]
         else:
             extra = [_misfit_variance(fit) + _scatter_variance(fit) for fit in fits]
             if scattered:
                 limit = LARGEST_U_DEFECTS
-    doubt = guess.reason or _rejection_reason(fits)
-    return _combine(fits[0], fits[1], extra, box, doubt, limit)
+    return Edges(fits, extra, limit)
 
 
 def _quantiser(gray: Image, fits: list[Fit]) -> JpegQuantiser | None:
@@ -185,6 +209,16 @@ def _refit(gray: Image, box: Box, fit: Fit, guess: EdgeGuess, least_scale: float
 
 def _rejection_reason(fits: list[Fit]) -> str:
     """Why a pair of fits must be rejected; "" if it is accepted."""
+    doubt = edge_doubt(fits)
+    if doubt:
+        return doubt
+    if abs(fits[0].b - fits[1].b) > 0.03:
+        return "the two edges are not parallel"
+    return _narrow(fits)
+
+
+def edge_doubt(fits: list[Fit]) -> str:
+    """Why one of the two edges must be rejected; "" if both are accepted."""
     for side, fit in zip(("left", "right"), fits, strict=True):
         rows, edge = fit.out[5], f"the {side} edge"
         if fit.out[8] > 0.5 * fit.seen:
@@ -202,8 +236,10 @@ def _rejection_reason(fits: list[Fit]) -> str:
     noises = sorted(fit.out[3] for fit in fits)
     if noises[1] > 2.0 * max(noises[0], 1.0):
         return "one edge has much more noise than the other: light or dirt beside it"
-    if abs(fits[0].b - fits[1].b) > 0.03:
-        return "the two edges are not parallel"
+    return ""
+
+
+def _narrow(fits: list[Fit]) -> str:
     if fits[1].a - fits[0].a < 3.0 * (fits[0].p[2] + fits[1].p[2]) + 3.0:
         return "the gap is too narrow for its blur"
     return ""

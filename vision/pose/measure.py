@@ -214,6 +214,7 @@ def _bodies(
     bodies: list[Body] = []
     reasons: dict[str, str] = {}
     for mark in settings.marks:
+        noise = 0.0
         if mark.board is not None:
             places, pixels = find_board(gray, mark.board)
             reason = "" if len(pixels) >= LEAST_CORNERS else f"{len(pixels)} corners of it found"
@@ -226,14 +227,16 @@ def _bodies(
             pixels = np.empty((0, 2))
             if not reason:
                 try:
-                    pixels = crossings(gray, mine[0].corners, settings.camera.undistorted, squares)
+                    pixels, noise = crossings(
+                        gray, mine[0].corners, settings.camera.undistorted, squares
+                    )
                 except BadSide as error:
                     reason = str(error)
         if reason:
             reasons[mark.name] = reason
             continue
         points = np.column_stack([places, np.full(len(places), mark.height_mm)])
-        bodies.append(Body(mark.name, points, pixels))
+        bodies.append(Body(mark.name, points, pixels, noise))
     return bodies, reasons
 
 

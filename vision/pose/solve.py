@@ -2,9 +2,9 @@
 
 Unknown are the pose of the plane before the camera (6 numbers) and of each body in the plane (x, y,
 angle). The plane of a calibration enters as a measurement with its covariance; without one, a
-reference body defines the plane and its origin. The covariance of the corners is that of their
-residuals, pooled with what corners have in general (`CORNER_PX`), since a picture with two marks
-leaves only seven degrees of freedom.
+reference body defines the plane and its origin. The variance of the corners is that of their
+residuals, pooled with what corners have in general (`CORNER_PX`) and by the noise of the picture,
+since a picture with two marks leaves only seven degrees of freedom.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from vision.pose.camera import PoseCamera
 Array = npt.NDArray[np.float64]
 
 CORNER_PX = 0.03
-"""Standard deviation of one co-ordinate of a corner in drawn pictures at noise 2, rounded up."""
+"""Standard deviation of one co-ordinate of a corner without noise: what the pixels leave."""
 CORNER_FREEDOM = 6.0
 """Weight of it, in degrees of freedom."""
 LARGEST_RESIDUAL_PX = 0.6
@@ -36,12 +36,14 @@ class NoSolution(ValueError):
 class Body:
     """One rigid body: points on it in mm (n, 3), x right, y up, z towards the camera, and pixels.
 
-    ``pixels`` (n, 2) are those that a lens without distortion would show.
+    ``pixels`` (n, 2) are those that a lens without distortion would show; ``noise_px`` is the
+    standard deviation of one co-ordinate of them by the noise of the picture, where it is known.
     """
 
     name: str
     points: Array
     pixels: Array
+    noise_px: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,9 @@ class _Problem:
         """Variance of one co-ordinate of a corner in pixels squared."""
         freedom = max(0, len(residuals) - self.size + (6 if self.weights is not None else 0))
         squares = float(residuals @ residuals)
-        return (squares + CORNER_FREEDOM * CORNER_PX**2) / (freedom + CORNER_FREEDOM)
+        noise2 = sum(body.noise_px**2 for body in self.bodies) / len(self.bodies)
+        known = CORNER_FREEDOM * (CORNER_PX**2 + noise2)
+        return (squares + known) / (freedom + CORNER_FREEDOM)
 
     def information(self, fit: _Fit, variance: float) -> Array:
         """Inverse of the covariance of all parameters."""
