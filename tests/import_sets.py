@@ -49,6 +49,7 @@ def prepare_page(folder: Path) -> None:
     _logger(folder)
     _tables(folder)
     _rates(folder)
+    machine(folder)
 
 
 def _logger(folder: Path) -> None:
@@ -94,3 +95,71 @@ def _rates(folder: Path) -> None:
         file["camera/length"] = length_mm * 1e-3
         file["daq/force"] = force + rng.normal(0.0, 0.02, len(force))
         file["daq/pressure"] = 2.0 + rng.normal(0.0, 0.001, len(force))
+
+
+KINDS = ("instron", "mts", "zwick")
+FORCE_N = 0.12
+"""Force of the made muscle per kPa, at the length at which it is held."""
+
+
+def staircase(clock_s: Any, at_s: tuple[float, ...], levels: tuple[float, ...]) -> Any:
+    """Pressure in kPa that goes from level to level, each in about 0.2 s."""
+    kpa = np.full(len(clock_s), levels[0])
+    for begin, before, after in zip(at_s, levels, levels[1:], strict=False):
+        kpa += (after - before) * np.clip((clock_s - begin) / 0.2, 0.0, 1.0)
+    return kpa
+
+
+def machine(
+    folder: Path,
+    kind: str = "instron",
+    offset_s: float = 7.31,
+    at_s: tuple[float, ...] = (3.0, 6.0, 13.0, 15.5, 22.0),
+    levels: tuple[float, ...] = (0.0, 150.0, 400.0, 250.0, 500.0, 0.0),
+    seed: int = 1,
+    ours_s: float = 26.0,
+    theirs_s: tuple[float, float] = (0.0, 40.0),
+) -> float:
+    """A pull test of a testing machine, and our record of the pressure; returns the offset.
+
+    A time on the machine's clock is that on ours and `offset_s`.
+    """
+    rng = np.random.default_rng(seed)
+    ours = np.arange(0.0, ours_s, 0.01)
+    kpa = staircase(ours, at_s, levels) + rng.normal(0.0, 0.5, len(ours))
+    rows = [f"{t:.6f},{p:.6f}" for t, p in zip(ours, kpa, strict=True)]
+    text = "time_s,pressure_kpa\n" + "\n".join(rows) + "\n"
+    (folder / "samples.csv").write_text(text, encoding="utf-8")
+    theirs = np.arange(*theirs_s, 0.05)
+    force = FORCE_N * staircase(theirs - offset_s, at_s, levels)
+    force += rng.normal(0.0, 0.05, len(theirs))
+    _EXPORT[kind](folder, theirs, np.full(len(theirs), 2.0), force)
+    return offset_s
+
+
+def _bluehill(folder: Path, time_s: Any, travel_mm: Any, force_n: Any) -> None:
+    lines = ['"Specimen label","Muscle A"', '"Results Table 1"', "",
+             '"Time","Extension","Load"', '"(s)","(mm)","(N)"']  # fmt: skip
+    lines += [f'"{t:.4f}","{x:.5f}","{f:.5f}"'
+              for t, x, f in zip(time_s, travel_mm, force_n, strict=True)]  # fmt: skip
+    text = "\r\n".join(lines) + "\r\n"
+    (folder / "Specimen_RawData_1.csv").write_bytes(text.encode("utf-8"))
+
+
+def _testsuite(folder: Path, time_s: Any, travel_mm: Any, force_n: Any) -> None:
+    lines = ["Test Run Name:\tMuscle A", "Date:\t11/23/2026 10:00:00 AM", "",
+             "Crosshead \tLoad \tTime ", "mm\tN\ts"]  # fmt: skip
+    lines += [f"{x:.5f}\t{f:.5f}\t{t:.5f}"
+              for t, x, f in zip(time_s, travel_mm, force_n, strict=True)]  # fmt: skip
+    (folder / "DAQ- Crosshead.txt").write_bytes(("\r\n".join(lines) + "\r\n").encode("utf-8"))
+
+
+def _testxpert(folder: Path, time_s: Any, travel_mm: Any, force_n: Any) -> None:
+    lines = ['"Pr\u00fcfvorschrift";"Zug"', '"Pr\u00fcfer";"M\u00fcller"',
+             '"Pr\u00fcfzeit";"Standardweg";"Standardkraft"', '"s";"mm";"N"']  # fmt: skip
+    lines += [f"{t:.4f};{x:.5f};{f:.5f}".replace(".", ",")
+              for t, x, f in zip(time_s, travel_mm, force_n, strict=True)]  # fmt: skip
+    (folder / "Probe 1.TRA").write_bytes(("\r\n".join(lines) + "\r\n").encode("cp1252"))
+
+
+_EXPORT = {"instron": _bluehill, "mts": _testsuite, "zwick": _testxpert}

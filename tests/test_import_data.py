@@ -54,7 +54,7 @@ def test_the_commands_of_the_page_make_what_it_says(
 ) -> None:
     monkeypatch.chdir(desk)
     commands = re.findall(r"^    (pamrig import .*)$", PAGE.read_text("utf-8"), re.MULTILINE)
-    assert len(commands) == 4
+    assert len(commands) == 6
     for command in commands:
         pamrig(command, monkeypatch, capsys)
     assert (desk / "first.png").read_bytes().startswith(b"\x89PNG")

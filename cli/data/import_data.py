@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -52,6 +53,28 @@ def import_data(
         _show(one, dry_run)
     if dry_run:
         typer.echo("dry run: nothing was written")
+
+
+def import_template(
+    name: Annotated[str, typer.Argument(help="instron, mts or zwick.")],
+    out: Annotated[Path, typer.Option("--out", help="Mapping file to make.")],
+) -> None:
+    """Write a mapping file to begin with, for the files of a testing machine."""
+    from gap.errors import GapError
+
+    shipped = importlib.resources.files("configs") / "mappings"
+    names = sorted(e.name.removesuffix(".toml") for e in shipped.iterdir() if ".toml" in e.name)
+    if name not in names:
+        raise GapError("template", f"{name!r} is not one of {', '.join(names)}")
+    text = (shipped / f"{name}.toml").read_text(encoding="utf-8")
+    try:
+        with out.open("x", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+    except FileExistsError:
+        raise GapError(str(out), "is there already", "choose another name") from None
+    except OSError as error:
+        raise GapError(str(out), f"cannot be written: {error.strerror}") from None
+    typer.echo(f"{out}: change names, units and offset to those of your files")
 
 
 def _show(one: Imported, dry_run: bool) -> None:

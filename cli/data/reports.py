@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cli.data.import_data import import_data
+from cli.data.import_data import import_data, import_template
 from cli.options import RUNS, JsonOption, OutOption, RunArgument, RunsOption, WarmOption
 from cli.output import print_json, state_findings, working, writing
 
@@ -82,6 +82,7 @@ def add_imports(app: typer.Typer) -> None:
     app.command("thesis")(import_thesis)
     app.command("points")(import_points)
     app.command("data")(import_data)
+    app.command("template")(import_template)
 
 
 def import_thesis(

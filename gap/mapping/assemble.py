@@ -75,6 +75,9 @@ def assemble(mapping: Mapping, folder: Path) -> list[MuscleSet]:
                 own.recordings.append(recording)
                 if outside:
                     own.notes.append(f"{file.path.name}: {outside} samples belong to no trial")
+                if recording.offset is not None and mapping.join is not None:
+                    name = f"{file.path.name}: {mapping.join.channel}"
+                    own.notes.append(recording.offset.words(name))
                 own.notes += [
                     f"{file.path.name}: {name}: {count} values stand for no measurement"
                     for name, count in absent.items()

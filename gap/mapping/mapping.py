@@ -19,6 +19,7 @@ from gap.data.trial import CHANNELS, COMMANDS
 from gap.errors import GapError
 from gap.mapping.formats.opened import FORMATS
 from gap.mapping.formats.text import DELIMITERS, TextLayout
+from gap.mapping.join import Join, read_join
 from gap.mapping.section import Section
 from gap.mapping.units import (
     DIMENSION,
@@ -190,6 +191,8 @@ class Mapping:
         labels, facts: columns of trials.csv.
         common: what holds for all muscles.
         muscles: what holds for one, by its name.
+        companion: format and layout of the files that only channels name; None for those above.
+        join: how the clock of a companion file is joined to that of the main file.
     """
 
     path: Path
@@ -207,6 +210,8 @@ class Mapping:
     facts: MappingOf[str, Fact]
     common: Muscle
     muscles: MappingOf[str, Muscle]
+    join: Join | None = None
+    companion: tuple[str, TextLayout] | None = None
 
     def rest_length_mm(self, channel: Measured, muscle: str) -> float | None:
         """Rest length that a contraction in this channel refers to."""
@@ -234,11 +239,9 @@ def read_mapping(path: Path) -> Mapping:
     if not files:
         raise source.error("files", "is missing", "the data files, for example '*.csv'")
     names = _names_of(source, files)
-    kind = source.text("type")
-    if kind and kind not in FORMATS:
-        raise source.error("type", f"{kind!r} is not one of {', '.join(FORMATS)}")
-    layout = _layout(source)
+    kind, layout = _kind(source), _layout(source)
     source.close()
+    companion = _companion(root.table("companion"))
     common = _muscle(root)
     muscles = _muscles(root)
     base = root.table("time")
@@ -246,13 +249,33 @@ def read_mapping(path: Path) -> Mapping:
     channels, commands, direction = _channels(_required(root, "channels"), time, names)
     labels, facts, order = _trials(root.table("trials"), names)
     cut = _cut(root.table("cut"), time, channels, names)
+    join = _join(root, time, channels)
     root.close()
     mapping = Mapping(
         path, text, files, kind, layout, time, channels, commands, direction, cut, order,
-        labels, facts, common, muscles,
+        labels, facts, common, muscles, join, companion,
     )  # fmt: skip
     _check_rest_lengths(mapping, root)
     return mapping
+
+
+def _join(root: Section, time: TimeBase, channels: tuple[Measured, ...]) -> Join | None:
+    """The join of two clocks; both channels must be there, one of them in another file."""
+    join = read_join(root.table("join"))
+    if join is None:
+        return None
+    files = {channel.name: channel.stream.file for channel in channels}
+    for key, name in (("channel", join.channel), ("to", join.to)):
+        if name not in files:
+            raise GapError(root.where(f"join.{key}"), f"{name!r} is not a channel of this mapping")
+    if time.settled:
+        raise GapError(root.where("join"), "settled points have no time")
+    if not files[join.channel] or files[join.to]:
+        raise GapError(
+            root.where("join.channel"), f"{join.channel} must be of another file, {join.to} not",
+            "state channels.NAME.file",
+        )  # fmt: skip
+    return join
 
 
 def _required(root: Section, key: str) -> Section:
@@ -276,18 +299,42 @@ def _names_of(source: Section, files: tuple[str, ...]) -> set[str]:
     return set.intersection(*each) | {_STEM}
 
 
+def _kind(source: Section) -> str:
+    kind = source.text("type")
+    if kind and kind not in FORMATS:
+        raise source.error("type", f"{kind!r} is not one of {', '.join(FORMATS)}")
+    return kind
+
+
+def _companion(table: Section | None) -> tuple[str, TextLayout] | None:
+    """Format and layout of companion files, where they are not those of the main files."""
+    if table is None:
+        return None
+    made = _kind(table), _layout(table)
+    table.close()
+    return made
+
+
 def _layout(source: Section) -> TextLayout:
     usual = TextLayout()
-    return TextLayout(
+    layout = TextLayout(
         delimiter=source.choice("delimiter", (*DELIMITERS, "auto"), "auto").replace("auto", ""),
         decimal=source.choice("decimal", ("point", "comma"), usual.decimal),
         header=source.flag("header", usual.header),
+        header_begins=source.text("header_begins"),
+        units=source.flag("units"),
         comment=source.text("comment"),
         skip_lines=source.count("skip_lines", 0) or 0,
         skip_after_header=source.count("skip_after_header", 0) or 0,
         encoding=source.choice("encoding", ("utf-8", "latin-1", "cp1252", "utf-16"), "utf-8"),
         missing=source.texts("missing", usual.missing),
     )
+    if not layout.header and (layout.units or layout.header_begins):
+        key = "units" if layout.units else "header_begins"
+        raise source.error(key, "there is no header", "remove header = false")
+    if layout.header_begins and layout.skip_lines:
+        raise source.error("header_begins", "skip_lines says where the table begins", "keep one")
+    return layout
 
 
 def _time(table: Section, within: bool = False) -> TimeBase:

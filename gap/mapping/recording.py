@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import pandas as pd
 from gap.errors import GapError
 from gap.mapping.formats.opened import open_source
 from gap.mapping.formats.source import Column, Source, Whole
+from gap.mapping.join import Offset, offset_of
 from gap.mapping.mapping import (
     LONGEST_S,
     Fact,
@@ -22,7 +23,7 @@ from gap.mapping.mapping import (
     Stream,
     TimeBase,
 )
-from gap.mapping.units import DIMENSION, ISO, conversion, time_factor_ns
+from gap.mapping.units import DIMENSION, ISO, conversion, spelled, time_factor_ns
 from plant.arrays import Array
 
 _PLACE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
@@ -104,6 +105,7 @@ class Recording:
         commands: 0 or 1.
         direction: +1 up, -1 down, 0 unknown; settled points only.
         dated: whether its times count from 1970, so that files share one clock.
+        offset: by how much the clock of a companion file was shifted.
     """
 
     found: Found
@@ -113,6 +115,7 @@ class Recording:
     commands: dict[str, Series] = field(default_factory=dict)
     direction: npt.NDArray[np.int64] | None = None
     dated: bool = False
+    offset: Offset | None = None
     _sources: dict[Path, Source] = field(default_factory=dict)
     _columns: dict[tuple[Path, str], Column] = field(default_factory=dict)
     _words: dict[tuple[Path, str], list[str]] = field(default_factory=dict)
@@ -133,7 +136,10 @@ class Recording:
 
     def _column(self, path: Path, name: str) -> Column:
         if path not in self._sources:
-            self._sources[path] = open_source(path, self.mapping.kind, self.mapping.layout)
+            how = (self.mapping.kind, self.mapping.layout)
+            if path != self.found.path and self.mapping.companion is not None:
+                how = self.mapping.companion
+            self._sources[path] = open_source(path, *how)
         if (path, name) not in self._columns:
             self._columns[path, name] = self._sources[path].column(name)
         return self._columns[path, name]
@@ -173,6 +179,8 @@ class Recording:
             ns, dated = np.round(count * (1e9 / base.rate_hz)).astype(np.int64), False
         else:
             at = self._column(path, base.column)
+            if base.unit != ISO:
+                _check_unit(at, base.unit, f"{named}.unit")
             ns, dated = _nanoseconds(at, base.unit)
         if len(ns) != len(column):
             raise GapError(
@@ -267,7 +275,38 @@ def read_recording(mapping: Mapping, found: Found, folder: Path) -> Recording:
         made.direction = up.astype(np.int64) - down.astype(np.int64)
     if mapping.time.settled:
         _check_lengths(made)
+    _joined(made)
     return made
+
+
+def _joined(recording: Recording) -> None:
+    """Shift everything of the companion file to the main file's clock. Raises `GapError`."""
+    join = recording.mapping.join
+    if join is None:
+        return
+    both = []
+    for name in (join.channel, join.to):
+        series = recording.channels[name]
+        assert series.ns is not None
+        both.append((np.asarray(series.ns * 1e-9), np.asarray(series.values, dtype=np.float64)))
+    where = f"{recording.found.path}: join"
+    recording.offset = offset = offset_of(join, where, both[0], both[1])
+    shift_ns = round(offset.offset_s * 1e9)
+    streams = {c.name: c.stream for c in recording.mapping.channels}
+    file = streams[join.channel].file
+    streams |= {name: state.stream for name, state in recording.mapping.commands.items()}
+    for named in (recording.channels, recording.commands):
+        for name, series in named.items():
+            if streams[name].file == file and series.ns is not None:
+                named[name] = replace(series, ns=series.ns + shift_ns)
+
+
+def _check_unit(column: Column, unit: str, where: str) -> None:
+    """The unit that the file states must be that of the mapping: kN for N is a factor of 1000."""
+    if column.unit and spelled(column.unit) != spelled(unit):
+        raise GapError(
+            where, f"is {unit!r}, and {column.where} states {column.unit!r}", "state the file's"
+        )
 
 
 def _check_lengths(recording: Recording) -> None:
@@ -294,6 +333,7 @@ def _measured(recording: Recording, channel: Measured, rest_length_mm: float | N
             f'where that means no sample: channels.{channel.name}.empty_cells = "no sample"',
         )  # fmt: skip
     where = f"{recording.mapping.path}: channels.{channel.name}.unit"
+    _check_unit(column, channel.signal or channel.unit, where)
     convert = conversion(channel.unit, DIMENSION[channel.name], where, rest_length_mm)
     value = convert(channel.factor * raw + channel.addend) - channel.ambient_kpa
     value[absent] = np.nan

@@ -171,6 +171,11 @@ def _about(mapping: Mapping, one: MuscleSet) -> dict[str, Any]:
             {"file": path.name, "bytes": path.stat().st_size, "sha256": _sha256(path)}
             for path in files
         ],
+        "joins": [
+            {"file": r.found.path.name, **asdict(r.offset)}
+            for r in one.recordings
+            if r.offset is not None
+        ],
         "notes": one.notes,
     }
 

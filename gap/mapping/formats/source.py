@@ -29,6 +29,7 @@ class Column:
         values: float64, int64, object (texts), or datetime64[ns] in UTC.
         rows: where each value stands, as a person counts (lines of a text file, else from 1).
         own_ns: times that the file itself has for these values, ns; None where it has none.
+        unit: of the values as the file states it; "" where it states none.
         dated: whether `own_ns` counts from 1970 (UTC), so that files share one clock.
     """
 
@@ -37,6 +38,7 @@ class Column:
     rows: Whole
     own_ns: Whole | None = None
     dated: bool = False
+    unit: str = ""
 
     def __len__(self) -> int:
         return len(self.values)

@@ -34,6 +34,8 @@ class TextLayout:
         skip_after_header: lines between the header and the numbers (often units).
         encoding: of the file.
         missing: texts that stand for no value, besides an empty cell.
+        header_begins: the header is the first line that begins with this text (quotes aside).
+        units: the line after the header holds the units of the columns.
     """
 
     delimiter: str = ""
@@ -44,6 +46,8 @@ class TextLayout:
     skip_after_header: int = 0
     encoding: str = "utf-8"
     missing: tuple[str, ...] = ("nan", "NaN")
+    header_begins: str = ""
+    units: bool = False
 
 
 class TextFile:
@@ -59,9 +63,12 @@ class TextFile:
         self._delimiter = layout.delimiter or ("tab" if path.suffix == ".tsv" else "comma")
         lines, numbers = self._lines()
         self._names: list[str] = []
+        self._units: list[str] = []
         if layout.header and lines:
             self._names = [cell.strip() for cell in self._cells(lines[0])]
-            after = 1 + layout.skip_after_header
+            after = 1 + int(layout.units) + layout.skip_after_header
+            if layout.units and len(lines) > 1:
+                self._units = [cell.strip().strip("()[]") for cell in self._cells(lines[1])]
             lines, numbers = lines[after:], numbers[after:]
         if not lines:
             raise GapError(str(path), "has no rows")
@@ -89,7 +96,8 @@ class TextFile:
             raise missing(str(self._path), name, self.names())
         cells = self._frame[at].str.strip()
         cells = cells.mask(cells.isin(self._layout.missing), "")
-        return Column(where, self._numbers(cells), self._rows)
+        unit = self._units[at] if at < len(self._units) else ""
+        return Column(where, self._numbers(cells), self._rows, unit=unit)
 
     def _numbers(self, cells: pd.Series[Any]) -> np.ndarray[Any, Any]:
         """As float64 if all cells are numbers or empty; as int64 if all are whole; else texts."""
@@ -131,7 +139,19 @@ class TextFile:
                 continue
             kept.append(line)
             numbers.append(number)
-        return kept, numbers
+        return self._from_header(kept, numbers)
+
+    def _from_header(self, lines: list[str], numbers: list[int]) -> tuple[list[str], list[int]]:
+        """What stands from the header on, where the layout says how that begins."""
+        begins = self._layout.header_begins
+        if not begins:
+            return lines, numbers
+        for k, line in enumerate(lines):
+            if line.lstrip().replace('"', "").startswith(begins):
+                return lines[k:], numbers[k:]
+        raise GapError(
+            str(self._path), f"no line begins with {begins!r}", "check source.header_begins"
+        )
 
     def _cells(self, line: str) -> list[str]:
         if self._delimiter == "space":
