@@ -22,6 +22,7 @@ from daq.store.run import Run, open_run
 from daq.store.verify import findings
 from gap.data.dataset import DataSet
 from gap.data.reader import read_bench, read_dataset
+from gap.data.regulator import regulator_notes
 from gap.data.run_tables import table_trials
 from gap.data.run_trials import RunTrial, run_trials, tares
 from gap.errors import GapError
@@ -34,7 +35,7 @@ COLUMNS = ("trial", "slot", "replicate", "protocol", "mounting", "order", "held_
 
 @dataclass(frozen=True)
 class Exported:
-    """What an export wrote, and what a check of the records found."""
+    """What an export wrote, what a check of the records found, and what a reader should know."""
 
     folder: Path
     trials: int
@@ -42,6 +43,7 @@ class Exported:
     rows: int
     runs: tuple[str, ...]
     problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def export_runs(
@@ -73,12 +75,14 @@ def export_runs(
     with contents_of(runs[0]):
         calibration = _calibration(runs)
     trials: list[RunTrial] = []
+    notes: list[str] = []
     known: dict[str, list[str]] = {}
     tared_mm: float | None = None
     # Whole runs follow each other: on a simulated bench the clock of a run does not go as ours.
     for run in sorted(runs, key=lambda run: int(run.manifest["started"].get("wall_ns", 0))):
         with contents_of(run):
             own = list(_trials(run, form, commands_of, tared_mm))
+            notes += regulator_notes(run)
             tared_mm = tares(run, tared_mm)[-1][1]  # a balance keeps its tare from run to run
             for trial in own:
                 trial.row["slot"] += _told_apart(run, known)
@@ -88,7 +92,7 @@ def export_runs(
             trials += sorted(own, key=lambda trial: float(trial.row["start_s"]))
     made = _write(folder, trials, bench, calibration, tuple(run.run_id for run in runs))
     named = (f"{name}: {text}" for name, found in problems.items() for text in found)
-    return dataclasses.replace(made, problems=tuple(named))
+    return dataclasses.replace(made, problems=tuple(named), notes=tuple(notes))
 
 
 def _trials(
@@ -265,5 +269,5 @@ def open_data(path: str | Path) -> DataSet:
         made = Path(scratch) / "data"
         exported = export_runs([open_run(folder)], made)
         found = read_dataset(made)
-    notes = (*found.notes, *exported.problems)
+    notes = (*found.notes, *exported.notes, *exported.problems)
     return dataclasses.replace(found, origin=str(folder), notes=notes)

@@ -1,10 +1,11 @@
 """What the plant predicts while a test runs, drawn beside what is measured.
 
 Pressure is predicted from the valve commands alone, free-running from one vented moment to the
-next; force from the measured pressure and the length. Both are curves of their own in the panels
-of the live view, which knows nothing of where they come from. Beside them run the shares of the
-gap in force by stage (`rigs.live.stage_share`). A prediction that fails says so once and is silent
-from then on: nothing on the acquisition path can notice.
+next, or from the set-points where a regulator makes it whose dynamics the rig file names; force
+from the measured pressure and the length. Both are curves of their own in the panels of the live
+view, which knows nothing of where they come from. Beside them run the shares of the gap in force by
+stage (`rigs.live.stage_share`). A prediction that fails says so once and is silent from then on:
+nothing on the acquisition path can notice.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from analysis.regression.regulator import Regulator, respond
 from daq.clock import NS_PER_S
 from daq.record.writer import RecordWriter
 from daq.store.derive import scaled
@@ -40,6 +42,7 @@ TICK_S = 1e-3
 PULSE_S = 5e-6
 VENTED_KPA = 10.0
 LONGEST_GAP = 2000
+Floats = npt.NDArray[np.float64]
 Batch = dict[str, npt.NDArray[np.generic]]
 
 
@@ -74,6 +77,8 @@ class LivePrediction:
         self._failed = False
         self._share = LiveShare()
         self._compares = False
+        self._regulator: Regulator | None = None
+        self._sets: list[tuple[float, float]] = []
 
     def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:
         """Listen to a rig's valve controller and to where the stage is sent, before the run."""
@@ -83,6 +88,8 @@ class LivePrediction:
             inner(channel, value)
             if channel == "length":
                 self._length_mm = value
+            elif channel == "pressure":
+                self._set_to(rig.clock.now_ns(), value)
 
         state, point = watch.state, watch.point
 
@@ -101,6 +108,8 @@ class LivePrediction:
         self._start_ns = record.start_ns
         self._pressure = rig.config.calibrations["pressure_kpa"]
         self._regulated = rig.config.valve.static_scheme == "reg"
+        dynamics = rig.config.pressure_source.dynamics
+        self._regulator = dynamics.regulator if dynamics is not None else None
         rig.valve.on_batch.append(self._batch)
 
     def _batch(self, batch: Batch) -> None:
@@ -140,6 +149,8 @@ class LivePrediction:
         if not self._regulated:
             predicted = self._replay(batch, seen)
             self.view.series(PRESSURE_PATH, time_s, predicted)
+        elif self._regulator is not None and self._sets:
+            self.view.series(PRESSURE_PATH, time_s, self._respond(self._regulator, time_s))
         self._muscle.set_pressure(max(float(seen.mean()), -50.0))
         self._muscle.advance(len(seen) * TICK_S)
         self.view.series(FORCE_PATH, [float(time_s.mean())], [self._muscle.force_n])
@@ -147,6 +158,18 @@ class LivePrediction:
             self._share.predicted(
                 float(time_s.mean()), self._muscle.force_n, float(self._gas.force_n)
             )
+
+    def _set_to(self, now_ns: int, pressure_kpa: float) -> None:
+        """A set-point of the regulator; one of 0 vents, and each filling stands alone."""
+        if pressure_kpa <= 0.0:
+            self._sets.clear()
+        else:
+            self._sets.append(((now_ns - self._start_ns) / NS_PER_S, pressure_kpa))
+
+    def _respond(self, regulator: Regulator, time_s: Floats) -> list[float]:
+        """Pressures in kPa at some times, from the set-points alone."""
+        at_s, kpa = np.array(self._sets).T
+        return [float(p) for p in respond(regulator, at_s, kpa, time_s)]
 
     def _move(self, length_mm: float) -> None:
         for bench in (self._gas, self._muscle):

@@ -131,7 +131,7 @@ class BenchServer:
             device = table.removeprefix("instruments.")
             if key == "port" and device in self.ports:
                 line = f"port = {json.dumps(self.ports[device].address)}"
-            elif key in ("calibration", "form"):
+            elif key in ("calibration", "form", "dynamics"):
                 line = self._from_here(key, word)
             elif key == "source" and table == "camera":
                 line = f"source = {json.dumps(self.camera.address)}"
