@@ -80,7 +80,7 @@ def stiffness_figure(cells: Sequence[LockedCell]) -> Figure:
             )  # fmt: skip
         axes.set_xlabel("common pressure (kPa)")
         axes.set_ylabel("stiffness (N m/rad)")
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0.0, 1.2 * max(cell.stiffness_n_m_rad for cell in cells))
         axes.legend(title="difference", fontsize=8, title_fontsize=8)
     return figure
 

@@ -57,7 +57,7 @@ def joint_static_findings(run: Run, reduction: Reduction) -> Findings:
         record.torque_zero_n_m, record.torque_gain, angles.u_offset, angles.u_gain
     )
     locked = locked_cells(table, errors)
-    free = free_cells(table, angles.u_offset, angles.u_gain)
+    free = free_cells(table, angles.u_offset, angles.u_gain, locked)
     sections = [*_free_sections(table, free), *_locked_sections(table, locked)]
     columns = (
         ("order", "point"), ("state", "joint"), ("direction", "direction"),
@@ -100,8 +100,9 @@ def _free_sections(table: pd.DataFrame, cells: list[FreeCell]) -> list[Section]:
         return []
     words = (
         "Mean of all settled points, for the set-points of both pressures. The uncertainty holds"
-        " the readings, the angle's zero and gain, both pressure calibrations, and half the"
-        " difference between rising and falling pressure, which is friction.",
+        " the readings, the angle's zero and gain, both pressure calibrations, and friction: half"
+        " the largest difference between rising and falling pressure, here or in the torque.",
+        *_one_way(table, "free"),
     )
     columns = (
         ("common_kpa", "common, kPa"), ("difference_kpa", "difference, kPa"),
@@ -135,6 +136,8 @@ def _locked_sections(table: pd.DataFrame, cells: list[LockedCell]) -> list[Secti
         " degree 2 in the angle (1 with two angles). Torque and stiffness are stated at the middle"
         " of the locked angles and for the set-points of both pressures; the stiffness is the"
         " torque's slope with the sign changed. Equilibrium: where the torque is 0.",
+        *_one_way(table, "locked"),
+        *_undecided(cells),
     )
     columns = (
         ("common_kpa", "common, kPa"), ("difference_kpa", "difference, kPa"),
@@ -159,6 +162,25 @@ def _locked_sections(table: pd.DataFrame, cells: list[LockedCell]) -> list[Secti
             caption=f"{EXPANDED}.",
         ),
     ]  # fmt: skip
+
+
+def _one_way(table: pd.DataFrame, state: str) -> tuple[str, ...]:
+    own = table[table["state"] == state]
+    if {"up", "down"} <= set(own["direction"]):
+        return ()
+    return (
+        "The pressures did not rise and fall to each pair, so that friction is not known and not"
+        ' part of the uncertainty: use order = "up-down".',
+    )
+
+
+def _undecided(cells: list[LockedCell]) -> tuple[str, ...]:
+    if all(math.isfinite(cell.u_torque_n_m) for cell in cells):
+        return ()
+    return (
+        "How the torque follows either pressure is not known of so few pairs, and without it no"
+        " uncertainty: measure at two differential pressures or more.",
+    )
 
 
 def joint_step_findings(run: Run, reduction: Reduction) -> Findings:

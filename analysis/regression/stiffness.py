@@ -9,7 +9,7 @@ added as such (GUM, JCGM 100:2008, 5.1 and 5.2).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 DEGREE = 2
 """Of the polynomial, where there are so many more angles. The ideal braid's is of this degree."""
+MOST_CONDITION = 50.0
+"""Of the scaled design of the pressure slopes. Beyond it they would be wrong by some tens of per
+cent: a pair of pressures is measured to 1 part in 500, a torque to 1 in 100."""
 _RAD = math.pi / 180.0
 
 
@@ -51,6 +54,9 @@ class LockedCell:
         equilibrium_deg: angle without torque, NaN outside the locked angles.
         points, angles: how many there were.
         scatter_n_m: root mean square about the polynomial.
+        friction_n_m: half the largest difference between rising and falling pressure at any angle
+            and pair; its rectangular distribution is part of all uncertainties. 0 with one
+            direction alone: friction is not known then.
     """
 
     common_kpa: float
@@ -65,6 +71,7 @@ class LockedCell:
     points: int
     angles: int
     scatter_n_m: float
+    friction_n_m: float
 
 
 @dataclass(frozen=True)
@@ -105,21 +112,37 @@ def locked_cells(table: pd.DataFrame, errors: SensorErrors) -> list[LockedCell]:
     if len(locked) < 2:
         return []
     slopes = _pressure_slopes(locked)
+    both = locked[locked["state"] == "locked"]
+    friction = _halved(both, "torque_n_m")
     cells = []
-    for pair, rows in _pairs(locked[locked["state"] == "locked"]):
+    for pair, rows in _pairs(both):
         angles = _distinct(rows["set_angle_deg"])
         if angles >= 2:
-            cells.append(_locked_cell(pair, rows, slopes, errors, angles))
+            cells.append(_locked_cell(pair, rows, slopes, errors, friction))
     return cells
 
 
-def free_cells(table: pd.DataFrame, angle_zero_deg: float, angle_gain: float) -> list[FreeCell]:
-    """The equilibrium angle of each pair of pressures, for its set-points."""
+def free_cells(
+    table: pd.DataFrame,
+    angle_zero_deg: float,
+    angle_gain: float,
+    locked: Sequence[LockedCell] = (),
+) -> list[FreeCell]:
+    """The equilibrium angle of each pair of pressures, for its set-points.
+
+    A joint that swings in comes to rest anywhere within its friction, so that rising and falling
+    pressure may differ by less than that. Where the locked joint has shown more, that counts.
+    """
     free = table[(table["state"] == "free") & table["settled"]]
     if not len(free):
         return []
     a, b = (free[f"pressure_{k}_kpa"].to_numpy(float) for k in "ab")
     per_ratio = _per_ratio((a - b) / (a + b), free["angle_deg"].to_numpy(float))
+    friction = max(
+        _halved(free, "angle_deg"),
+        *(cell.friction_n_m / cell.stiffness_n_m_rad / _RAD for cell in locked),
+        0.0,
+    )
     cells = []
     for (common, difference), rows in _pairs(free):
         slope_a, slope_b = _angle_slopes(common, difference, per_ratio)
@@ -137,7 +160,7 @@ def free_cells(table: pd.DataFrame, angle_zero_deg: float, angle_gain: float) ->
         parts = [
             math.sqrt(float(np.sum(noise**2) + np.sum(pressure_noise**2))) / len(rows),
             float(angle.std(ddof=1)) / math.sqrt(len(angle)) if len(angle) > 3 else 0.0,
-            abs(gap) / 2.0 / math.sqrt(3.0) if math.isfinite(gap) else 0.0,
+            friction / math.sqrt(3.0),
             angle_zero_deg,
             angle_gain * mean,
             slope_a * float(rows["u_pressure_a_kpa_cal"].mean()),
@@ -157,21 +180,38 @@ def _pairs(rows: pd.DataFrame) -> list[tuple[tuple[float, float], pd.DataFrame]]
     return out
 
 
+def _halved(rows: pd.DataFrame, column: str) -> float:
+    """Half the largest difference between rising and falling pressure; 0 without both.
+
+    At the ends of a path both points have come from the same side, so that theirs alone says
+    nothing.
+    """
+    found = [0.0]
+    for _, pair in _pairs(rows):
+        for _, own in pair.groupby("set_angle_deg", dropna=False):
+            up, down = (own.loc[own["direction"] == d, column] for d in ("up", "down"))
+            if len(up) and len(down):
+                found.append(abs(float(up.mean()) - float(down.mean())) / 2.0)
+    return max(found)
+
+
 def _locked_cell(
     key: tuple[float, float],
     rows: pd.DataFrame,
     slopes: _Slopes,
     errors: SensorErrors,
-    angles: int,
+    friction_n_m: float,
 ) -> LockedCell:
+    angles = _distinct(rows["set_angle_deg"])
     theta = rows["angle_deg"].to_numpy(float) * _RAD
     middle = float(theta.min() + theta.max()) / 2.0
     x = theta - middle
-    at_a, at_b = slopes.at(theta)  # type: ignore[arg-type]
+    at_a, at_b = (np.nan_to_num(at) for at in slopes.at(theta))  # type: ignore[arg-type]
     torque = rows["torque_n_m"].to_numpy(float)
     torque = torque + at_a * (rows["set_a_kpa"] - rows["pressure_a_kpa"]).to_numpy(float)
     torque = torque + at_b * (rows["set_b_kpa"] - rows["pressure_b_kpa"]).to_numpy(float)
     degree = min(DEGREE, angles - 1)
+    u_friction = friction_n_m / math.sqrt(3.0)
     first = np.polyfit(x, torque, degree)
     slope = np.polyval(np.polyder(first), x)
     u = np.sqrt(
@@ -179,6 +219,7 @@ def _locked_cell(
         + (slope * rows["u_angle_deg_noise"].to_numpy(float) * _RAD) ** 2
         + (at_a * rows["u_pressure_a_kpa_noise"].to_numpy(float)) ** 2
         + (at_b * rows["u_pressure_b_kpa_noise"].to_numpy(float)) ** 2
+        + u_friction**2 * len(rows) / angles  # the points of an angle may have it in common
     )
     value, covariance, scatter = _weighted(x, torque, u, degree)
     noughts = np.concatenate([value, np.zeros(3 - len(value))])  # constant, linear, quadratic
@@ -197,6 +238,7 @@ def _locked_cell(
     )
     u_torque = math.hypot(
         u_constant,
+        u_friction,
         errors.torque_zero_n_m,
         errors.torque_gain * float(noughts[0]),
         stiffness * math.hypot(u_zero, errors.angle_gain * middle),
@@ -217,6 +259,7 @@ def _locked_cell(
         points=len(rows),
         angles=angles,
         scatter_n_m=scatter,
+        friction_n_m=friction_n_m,
     )
 
 
@@ -255,13 +298,29 @@ def _pressure_slopes(locked: pd.DataFrame) -> _Slopes:
     """How the torque follows either pressure: no torque without pressure, linear in the angle.
 
     It only corrects the small difference of the pressures from their set-points, and carries the
-    uncertainty of their calibrations.
+    uncertainty of their calibrations. Where too few pairs were measured to tell the muscles apart,
+    they count as equal; where even that does not decide, the slopes are NaN, and with them the
+    uncertainties of the cell.
     """
     theta = locked["angle_deg"].to_numpy(float) * _RAD
+    torque = locked["torque_n_m"].to_numpy(float)
     a, b = (locked[f"pressure_{k}_kpa"].to_numpy(float) for k in "ab")
-    design = np.column_stack([a, a * theta, b, b * theta])
-    found, *_ = np.linalg.lstsq(design, locked["torque_n_m"].to_numpy(float), rcond=None)
-    return _Slopes((float(found[0]), float(found[1])), (float(found[2]), float(found[3])))
+    own = _decided(np.column_stack([a, a * theta, b, b * theta]), torque)
+    if own is not None:
+        return _Slopes((float(own[0]), float(own[1])), (float(own[2]), float(own[3])))
+    equal = _decided(np.column_stack([a - b, (a + b) * theta]), torque)
+    if equal is None:
+        return _Slopes((math.nan, math.nan), (math.nan, math.nan))
+    return _Slopes((float(equal[0]), float(equal[1])), (-float(equal[0]), float(equal[1])))
+
+
+def _decided(design: Array, torque: Array) -> Array | None:
+    """Least squares, None where the points do not decide."""
+    scaled = design / np.maximum(np.abs(design).max(axis=0), 1e-12)
+    if len(torque) < design.shape[1] or np.linalg.cond(scaled) > MOST_CONDITION:
+        return None
+    found, *_ = np.linalg.lstsq(design, torque, rcond=None)
+    return np.asarray(found)
 
 
 def _per_ratio(ratio: Array, angle_deg: Array) -> float:

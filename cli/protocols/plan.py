@@ -103,6 +103,7 @@ def load_plan(path: Path) -> TestPlan:
         name = one.text("rig", rig) or default_rig(protocol)
         try:
             config = load_rig(_beside(here, name), seed)
+            procedure(protocol).check(config)
             plan = procedure(protocol).read(_beside(here, file), config)
         except PamrigError as error:
             where = f"{t.source}: {one.path}: {error.where}"

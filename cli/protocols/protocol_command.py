@@ -93,6 +93,9 @@ def protocol_command(name: str, options: TestOptions) -> int:
     config = load_rig(options.rig or default_rig(name), options.seed)
     if options.seed is not None and config.virtual is None:
         raise ConfigError(config.source, "--seed is for virtual benches", "leave it out")
+    kind.check(config)
+    if kind.on_joint and options.predict is not None:
+        raise ConfigError("--predict", "is for tests of one muscle", "leave it out")
     plan = kind.read(options.protocol or name, config)
     line = ProgressLine(quiet=options.as_json)
     make_live = None

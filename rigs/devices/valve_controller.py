@@ -238,9 +238,22 @@ class ValveController:
             DeviceTimeout: no reply in time.
             DeviceError: the controller refused, with its own words.
         """
+        return self.answer(self.ask(text), seconds)
+
+    def ask(self, text: str) -> int:
+        """Send one command; :meth:`answer` waits for its reply. Returns its number."""
         request_id = self._next_id
         self._waiting[request_id] = text
-        self._send(text)
+        try:
+            self._send(text)
+        except LinkLost:
+            self._waiting.pop(request_id)
+            raise
+        return request_id
+
+    def answer(self, request_id: int, seconds: float = REPLY_S) -> dict[str, str]:
+        """Wait for the reply to a command of :meth:`ask`; errors as of :meth:`request`."""
+        text = self._waiting[request_id]
         try:
             if not self._event_loop.until(lambda: request_id in self._replies, seconds):
                 raise DeviceTimeout(
@@ -366,6 +379,10 @@ class ValveController:
     def set_point(self, counts: float) -> None:
         """Regulate to a pressure given in raw counts (sent as sixteenths)."""
         self.request(f"sp {round(counts * 16)}")
+
+    def ask_set_point(self, counts: float) -> int:
+        """As :meth:`set_point`, without waiting for the reply; see :meth:`ask`."""
+        return self.ask(f"sp {round(counts * 16)}")
 
     def foreign_commands(self) -> int:
         """Commands of other programs that the firmware has refused since arming.

@@ -59,7 +59,10 @@ class JointCriterion:
 
 @dataclass(frozen=True)
 class SetPressures(CustomStep):
-    """Regulate both pressures; a set-point below 5 kPa vents that muscle."""
+    """Regulate both pressures; a set-point below 5 kPa vents that muscle.
+
+    Where both are regulated already, both set-points leave before either reply is waited for.
+    """
 
     a_kpa: float
     b_kpa: float
@@ -67,6 +70,8 @@ class SetPressures(CustomStep):
 
     def perform(self, runner: StepContext) -> None:
         """Record what will be commanded, then command it, muscle a first."""
+        asked = []
+        at_once = not any(side.source.vented for side in runner.rig.sides)
         for side, pressure in zip(runner.rig.sides, (self.a_kpa, self.b_kpa), strict=True):
             channel = "pressure" if side.name == "valve" else "pressure b"
             if pressure < VENTED_KPA:
@@ -74,10 +79,15 @@ class SetPressures(CustomStep):
                 runner.watch.set_point(channel, 0.0)
                 side.source.vent()
                 continue
-            fields = side.source.command(pressure).fields()
-            runner.record.event("command", **{**fields, "device": side.name})
+            command = side.source.command(pressure)
+            runner.record.event("command", **{**command.fields(), "device": side.name})
             runner.watch.set_point(channel, pressure)
-            side.source.set_pressure(pressure)
+            if at_once:
+                asked.append((side.valve, side.valve.ask_set_point(command.own["counts"])))
+            else:
+                side.source.set_pressure(pressure)
+        for valve, number in asked:
+            valve.answer(number)
 
 
 @dataclass(frozen=True)
