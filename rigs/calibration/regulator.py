@@ -24,10 +24,9 @@ from daq.interrupt import StopFlag
 from daq.store.derive import VALVE_STREAM, engineering
 from daq.store.run import Run, open_run
 from plant.arrays import Array
-from rigs.execution.procedure import Procedure
+from rigs.execution.procedure import Parameters, Procedure
 from rigs.execution.runner import Watch
 from rigs.execution.session import run_protocol
-from rigs.protocols.parts.method import Parameters
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.pressure_source import PROPORTIONAL
 from rigs.steps.context import StepContext

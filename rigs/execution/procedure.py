@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from analysis.findings.findings import Analysis
@@ -12,6 +12,23 @@ from rigs.steps.custom_step import Steps
 
 if TYPE_CHECKING:
     from rigs.rigfile.config import RigConfig
+
+
+def plain(value: Any) -> Any:
+    """Parameters as they stand in run.json: lists for tuples, tables for what has fields."""
+    if isinstance(value, tuple):
+        return list(value)
+    if hasattr(value, "as_dict"):
+        return value.as_dict()
+    return dict(vars(value)) if is_dataclass(value) else value
+
+
+class Parameters:
+    """Base of the parameters of a protocol, which are frozen dataclasses."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for run.json."""
+        return {key: plain(value) for key, value in vars(self).items()}
 
 
 class Plan(Protocol):

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.findings.flow import FLOW, Meter, flow_share
-from rigs.execution.procedure import Procedure
-from rigs.protocols.parts.method import Parameters
+from rigs.execution.procedure import Parameters, Procedure
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
 from rigs.steps.schedule import arrange

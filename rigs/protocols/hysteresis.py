@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.findings.hysteresis import HYSTERESIS
-from rigs.execution.procedure import Procedure
+from rigs.execution.procedure import Parameters, Procedure
 from rigs.protocols.isotonic import read_masses
-from rigs.protocols.parts.method import Method, Parameters, read_method
+from rigs.protocols.parts.method import Method, read_method
 from rigs.protocols.parts.trials import Logbook, Path
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml

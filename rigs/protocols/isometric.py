@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from analysis.findings.isometric import ISOMETRIC
-from rigs.execution.procedure import Procedure
-from rigs.protocols.parts.method import Method, Parameters, read_method
+from rigs.execution.procedure import Parameters, Procedure
+from rigs.protocols.parts.method import Method, read_method
 from rigs.protocols.parts.trials import VENTED_KPA, Logbook
 from rigs.rigfile.config import Limits, RigConfig
 from rigs.rigfile.toml_reader import load_toml

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 from analysis.findings.ram import RAM
 from daq.clock import NS_PER_S
-from rigs.execution.procedure import Procedure
-from rigs.protocols.parts.method import Parameters
+from rigs.execution.procedure import Parameters, Procedure
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import CustomStep, Steps
 from rigs.steps.steps import EndTrial, State, Trial

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.findings.step import STEP
-from rigs.execution.procedure import Procedure
-from rigs.protocols.parts.method import Parameters
+from rigs.execution.procedure import Parameters, Procedure
 from rigs.protocols.parts.trials import BREATH_KPA, BREATH_S
 from rigs.rigfile.pressure_source import PROPORTIONAL
 from rigs.rigfile.toml_reader import Table, load_toml

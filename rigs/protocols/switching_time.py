@@ -24,8 +24,7 @@ from analysis.reduction.switching import (
 from daq.errors import DeviceError
 from plant.constants import nominal
 from plant.physics.valve import off_delay_s, on_delay_s
-from rigs.execution.procedure import Procedure
-from rigs.protocols.parts.method import Parameters
+from rigs.execution.procedure import Parameters, Procedure
 from rigs.protocols.parts.valves import VALVES, each_valve, need_supply_axis
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from analysis.findings.switching import SWITCHING_VOLTAGE
 from analysis.reduction.valve import open_in
-from rigs.execution.procedure import Procedure
-from rigs.protocols.parts.method import Parameters
+from rigs.execution.procedure import Parameters, Procedure
 from rigs.protocols.parts.valves import VALVES, each_valve, need_supply_axis
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.context import RunFault

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rigs.protocols.parts.method import Parameters
+from rigs.execution.procedure import Parameters
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.joint import JointSettings
 from rigs.rigfile.toml_reader import Table

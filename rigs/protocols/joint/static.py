@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from analysis.findings.joint import JOINT_STATIC
-from rigs.execution.procedure import Procedure
+from rigs.execution.procedure import Parameters, Procedure
 from rigs.protocols.joint.method import (
     FIRMWARE,
     JointMethod,
@@ -23,7 +23,6 @@ from rigs.protocols.joint.method import (
     read_method,
     read_settle,
 )
-from rigs.protocols.parts.method import Parameters
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps

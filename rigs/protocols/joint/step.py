@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from analysis.findings.joint import JOINT_STEP
-from rigs.execution.procedure import Procedure
+from rigs.execution.procedure import Parameters, Procedure
 from rigs.protocols.joint.method import (
     FIRMWARE,
     JointMethod,
@@ -15,7 +15,6 @@ from rigs.protocols.joint.method import (
     names_of,
     read_method,
 )
-from rigs.protocols.parts.method import Parameters
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps

@@ -3,31 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, is_dataclass
-from typing import Any
+from dataclasses import dataclass
 
+from rigs.execution.procedure import Parameters
 from rigs.rigfile.config import Limits
 from rigs.rigfile.toml_reader import Table
 from rigs.steps.leak_check import LeakCheck
 from rigs.steps.schedule import ORDERS, Place, T, arrange
 from rigs.steps.steps import SettleCriterion
-
-
-def plain(value: Any) -> Any:
-    """Parameters as they stand in run.json: lists for tuples, tables for what has fields."""
-    if isinstance(value, tuple):
-        return list(value)
-    if hasattr(value, "as_dict"):
-        return value.as_dict()
-    return dict(vars(value)) if is_dataclass(value) else value
-
-
-class Parameters:
-    """Base of the parameters of a protocol, which are frozen dataclasses."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for run.json."""
-        return {key: plain(value) for key, value in vars(self).items()}
 
 
 @dataclass(frozen=True)
