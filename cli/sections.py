@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 SECTIONS: dict[str, tuple[str, ...]] = {
     "Test": (*PROTOCOLS, "test", "run", "continue"),
     "Bench": ("virtual", "doctor", "read", "vent", "console", "calibrate", "firmware"),
-    "Data": ("runs", "report", "view", "length", "pose", "import"),
+    "Data": ("runs", "report", "view", "length", "strain", "pose", "import"),
     "Model": ("models", "fit", "links"),
     "Gap": ("gap",),
     "Simulate": ("simulate", "study", "demo"),
