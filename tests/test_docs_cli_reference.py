@@ -41,6 +41,7 @@ def test_every_command_stands_under_a_heading_and_says_what_it_does() -> None:
 QUANTITIES = ("mm", "kpa", "kg", "n", "deg", "min", "seconds")
 UNITLESS = {
     *("--seed", "--seeds", "--count", "--jobs", "--threshold", "--budget", "--markers"),
+    "--repeats",
     *("--u-each", "--u-gain", "--u-zero"),
 }
 """Counts, and options whose help states the unit because it depends on the command."""
