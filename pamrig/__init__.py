@@ -67,6 +67,30 @@ class RecordedRun:
         columns, _ = engineering(self.run, name)
         return pd.DataFrame(columns)
 
+    def xarray(self, name: str = "valve") -> Any:
+        """A stream as `xarray.Dataset` over ``time_s``, with the unit of each variable.
+
+        Needs the extra ``pamrig[xarray]``.
+
+        Args:
+            name: of the stream: ``valve``, ``balance``, ...
+
+        Raises:
+            ModuleNotFoundError: xarray is not installed.
+        """
+        import xarray as xr
+
+        from analysis.formats.columns import described
+
+        table = self.stream(name)
+        data = xr.Dataset.from_dataframe(table.set_index("time_s"))
+        for column in described([str(c) for c in table.columns]):
+            data[column.name].attrs["long_name"] = column.meaning
+            if column.unit:
+                data[column.name].attrs["units"] = column.unit
+        data.attrs |= {"run_id": self.run.run_id, "outcome": self.outcome}
+        return data
+
     @property
     def joined(self) -> pd.DataFrame:
         """Force, pressure and all other readings in one table, a row per 1 kHz sample.
@@ -139,13 +163,22 @@ def open_rig(rig: str | Path = "virtual", runs: str | Path = "runs", **more: Any
 
 
 def runs(folder: str | Path = "runs") -> pd.DataFrame:
-    """All runs of a folder, oldest first."""
+    """All runs of a folder as a table to filter, oldest first; the index is the run's name.
+
+    ``runs().query("protocol == 'isometric' and outcome == 'clean'").index`` are names for
+    `open_run`. ``started`` is a time with time zone, ``duration_s`` NaN for an interrupted run.
+    """
     import pandas as pd
 
+    from daq.store.info import RunInfo
     from daq.store.store import list_runs
 
     rows: list[dict[str, Any]] = [info.as_dict() for info in list_runs(folder)]
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows, columns=list(RunInfo.__dataclass_fields__))
+    table["duration_s"] = table["duration_s"].astype(float)
+    started = pd.to_datetime(table["started_utc"], utc=True, errors="coerce")
+    table.insert(1, "started", started)
+    return table.set_index("run_id", drop=False)
 
 
 def diagnose(
