@@ -100,7 +100,8 @@ def _table(run: RecordedRun | pd.DataFrame) -> pd.DataFrame:
 def _need(table: pd.DataFrame, *columns: str) -> None:
     for column in columns:
         if column not in table or table[column].isna().all():
-            raise ValueError(f"the table has no values of {column}: it has {', '.join(map(str, table))}")
+            there = ", ".join(map(str, table))
+            raise ValueError(f"the table has no values of {column}: it has {there}")
 
 
 def _curves(table: pd.DataFrame, columns: tuple[str, str], by: str, ax: Axes | None) -> Axes:

@@ -70,7 +70,8 @@ class Statics:
         self._radius_m = float(config.virtual.joint.get("radius_mm", 8.0)) * 1e-3
         self._rest_mm = float(config.virtual.joint.get("rest_mm", 62.0))
 
-    def _pull_n(self, pressure_kpa: float, length_mm: float) -> float:
+    def pull_n(self, pressure_kpa: float, length_mm: float) -> float:
+        """Pull of one muscle."""
         self._muscle.set_pressure(0.0)
         self._muscle.set_length(length_mm)
         self._muscle.set_pressure(pressure_kpa)
@@ -79,8 +80,8 @@ class Statics:
     def torque_n_m(self, a_kpa: float, b_kpa: float, angle_deg: float) -> float:
         """What the muscles exert at an angle, positive towards larger ones."""
         turned_mm = self._radius_m * 1e3 * math.radians(angle_deg)
-        pull = self._pull_n(a_kpa, self._rest_mm - turned_mm)
-        return self._radius_m * (pull - self._pull_n(b_kpa, self._rest_mm + turned_mm))
+        pull = self.pull_n(a_kpa, self._rest_mm - turned_mm)
+        return self._radius_m * (pull - self.pull_n(b_kpa, self._rest_mm + turned_mm))
 
     def angle_deg(self, a_kpa: float, b_kpa: float, load_n_m: float = 0.0) -> float:
         """Where the joint is at rest under a load."""

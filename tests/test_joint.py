@@ -16,10 +16,15 @@ from analysis.registry import analysis_of
 from analysis.reporting.derived import derive_all
 from analysis.run_table import reduce_run
 from cli.protocols.resume import continue_run
+from daq.errors import RecordError
 from daq.interrupt import StopFlag
 from daq.store.derive import engineering
 from daq.store.run import Run, open_run
 from daq.store.verify import verify
+from gap.data.from_runs import export_runs
+from gap.data.reader import read_dataset
+from gap.decision.diagnose import diagnose
+from gap.errors import GapError
 from joint_bench import Statics, joint_plan, joint_rig, run_joint
 from plant.scene import layout as sc
 from protocol_runs import events
@@ -167,6 +172,71 @@ def test_a_stopped_test_is_continued_without_a_doubled_trial(tmp_path: Path) -> 
     table = reduce_run(open_run(more.folder)).table
     assert sorted(table["order"]) == list(range(1, 9))
     assert table["trial"].nunique() == 4
+
+
+# ---- the diagnosis -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("muscle", ["a", "b"])
+def test_a_muscle_alone_is_a_data_set_of_isometric_trials(
+    static: Run, tmp_path: Path, muscle: str
+) -> None:
+    export_runs([static], tmp_path / "set", muscle=muscle)
+    data = read_dataset(tmp_path / "set")
+    assert len(data.trials) == 3
+    plant = Statics(joint_rig())
+    for trial in data.trials:
+        forces, lengths, pressures = (
+            trial[name].value for name in ("force_n", "length_mm", "pressure_kpa")
+        )
+        assert len(forces) == 2
+        for force, length, pressure in zip(forces, lengths, pressures, strict=True):
+            # 0.5 mN m of the gauge's zero, 0.3 kPa and 0.05 degrees of the others, each twice
+            assert force == pytest.approx(plant.pull_n(pressure, length), abs=0.2)
+    assert sorted(t.held_length_mm for t in data.trials) == pytest.approx(
+        [62.0 - 8.0 * math.radians(12.0), 62.0, 62.0 + 8.0 * math.radians(12.0)]
+    )
+
+
+def test_what_a_data_set_of_a_joint_needs_is_said_in_a_line(static: Run, tmp_path: Path) -> None:
+    with pytest.raises(GapError, match="--muscle: 'c' is not one of a, b"):
+        export_runs([static], tmp_path / "set", muscle="c")
+    known = dict(static.manifest)
+    run = open_run(static.folder)
+    run.manifest = {**known, "joint": {**known["joint"], "radius_mm": 0.0}}
+    with pytest.raises(RecordError, match=r"does not state joint\.radius_mm"):
+        export_runs([run], tmp_path / "set")
+    run = open_run(static.folder)
+    run.events = [e for e in static.events if e.get("state") != "a"]
+    with pytest.raises(RecordError, match=r"without points of muscle a alone.*alone_kpa"):
+        export_runs([run], tmp_path / "set")
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("stretch_percent", [0.0, 4.0])
+def test_the_diagnosis_of_a_muscle_in_a_joint(tmp_path: Path, stretch_percent: float) -> None:
+    """The same catalogue, on points of muscle a alone: a hidden effect is named, none is not."""
+    config = joint_rig(5)
+    assert config.virtual is not None
+    effects = {"fibre_stretch": {"stretch_percent": stretch_percent}} if stretch_percent else {}
+    config = dataclasses.replace(
+        config, virtual=dataclasses.replace(config.virtual, effects=effects)
+    )
+    method = joint_plan("joint-static", config).method
+    run = static_run(
+        tmp_path / "runs", config, free=False, difference_kpa=(0.0,), measure_s=1.0,
+        angles_deg=(-30.0, -15.0, 0.0, 15.0, 30.0), alone_kpa=(100.0, 200.0, 300.0, 400.0, 480.0),
+        method=dataclasses.replace(method, order="up-down", repeats=2),
+    )  # fmt: skip
+    export_runs([run], tmp_path / "set", muscle="a")
+    verdict = diagnose(read_dataset(tmp_path / "set"))
+    found = {name: e.parameters for e in verdict.effects for name in e.ids}
+    assert set(found) == set(effects)
+    if stretch_percent:
+        estimate = found["fibre_stretch"]["stretch_percent"]
+        assert estimate.low <= stretch_percent <= estimate.high
+    else:
+        assert verdict.status == "no_gap_above_floor"
 
 
 # ---- steps ------------------------------------------------------------------------------

@@ -163,6 +163,9 @@ def export(
     points: Annotated[
         bool, typer.Option("--points", help="Only settled points, without time series.")
     ] = False,
+    muscle: Annotated[
+        str, typer.Option("--muscle", help="Of tests of a joint: which muscle, a or b.")
+    ] = "a",
     as_json: JsonOption = False,
 ) -> None:
     """Write recorded runs as one data set in the dataset format."""
@@ -170,7 +173,7 @@ def export(
     from gap.data.from_runs import export_runs
 
     found = [find_run(folder, run) for run in runs]
-    made = export_runs(found, out, plant=plant, form="points" if points else "time")
+    made = export_runs(found, out, plant=plant, form="points" if points else "time", muscle=muscle)
     if as_json:
         print_json({**vars(made), "folder": str(made.folder), "runs": list(made.runs),
                     "problems": list(made.problems)})  # fmt: skip

@@ -21,6 +21,7 @@ from daq.errors import RecordError
 from daq.store.run import Run, open_run
 from daq.store.verify import findings
 from gap.data.dataset import DataSet
+from gap.data.joint_trials import MUSCLES, is_joint, joint_calibration, joint_trials
 from gap.data.reader import read_bench, read_dataset
 from gap.data.regulator import regulator_notes
 from gap.data.run_tables import table_trials
@@ -53,6 +54,7 @@ def export_runs(
     plant: Path | None = None,
     form: str = "time",
     commands_of: Collection[str] | None = None,
+    muscle: str = "a",
 ) -> Exported:
     """Write runs as one data set; trials keep the order in which they were measured.
 
@@ -63,6 +65,7 @@ def export_runs(
             default the file of that name beside the rig file, or what a virtual rig states.
         form: "time" for channels against time, "points" for the settled points alone. A run of
             settled points from elsewhere has no other form.
+        muscle: which one of a joint, "a" or "b"; runs of one muscle have no other.
 
     Raises:
         GapError: the folder is taken, the plant file cannot be read, or runs contradict each other.
@@ -70,10 +73,12 @@ def export_runs(
     """
     if not runs:
         raise GapError("export", "no run given")
+    if muscle not in MUSCLES:
+        raise GapError("--muscle", f"{muscle!r} is not one of {', '.join(MUSCLES)}")
     problems = {run.run_id: findings(run) for run in runs}
     bench = _bench(runs, plant)
     with contents_of(runs[0]):
-        calibration = _calibration(runs)
+        calibration = _calibration(runs, muscle)
     trials: list[RunTrial] = []
     notes: list[str] = []
     known: dict[str, list[str]] = {}
@@ -81,8 +86,12 @@ def export_runs(
     # Whole runs follow each other: on a simulated bench the clock of a run does not go as ours.
     for run in sorted(runs, key=lambda run: int(run.manifest["started"].get("wall_ns", 0))):
         with contents_of(run):
-            own = list(_trials(run, form, commands_of, tared_mm))
             notes += regulator_notes(run)
+            own = list(
+                joint_trials(run, muscle)
+                if is_joint(run)
+                else _trials(run, form, commands_of, tared_mm)
+            )
             tared_mm = tares(run, tared_mm)[-1][1]  # a balance keeps its tare from run to run
             for trial in own:
                 trial.row["slot"] += _told_apart(run, known)
@@ -197,13 +206,17 @@ def stated_plant(path: Path) -> dict[str, Any]:
     return tomlfile.loads(tomlfile.read_text(path))
 
 
-def _calibration(runs: Sequence[Run]) -> dict[str, float]:
+def _calibration(runs: Sequence[Run], muscle: str) -> dict[str, float]:
     """What each sensor's zero and gain may be off by in all trials alike, the largest of the runs.
 
     A force zero is left anew by each tare, so its trials tell; what they share is no calibration.
     """
     found: dict[str, float] = {}
     for run in runs:
+        if is_joint(run):
+            for key, value in joint_calibration(run, muscle).items():
+                found[key] = max(found.get(key, 0.0), value)
+            continue
         for quantity, known in run.calibrations.items():
             name, _, unit = quantity.rpartition("_")
             zero, gain = f"{name}_zero_{unit}", f"{name}_gain_percent"

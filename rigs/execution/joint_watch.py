@@ -74,10 +74,10 @@ class JointWatch:
         for name, instrument in self._instruments.items():
             if blind:
                 self._last_ns[name] = now_ns
-            elif now_ns - self._last_ns[name] > self._joint.stale_s * NS_PER_S:
+            elif now_ns - self._last_ns[name] > self._joint.silence_s(name) * NS_PER_S:
                 detail = f" (last: {instrument.last_problem})" if instrument.last_problem else ""
                 raise RunFault(
                     instrument.name,
-                    f"no reading for {self._joint.stale_s:g} s{detail}",
+                    f"no reading for {self._joint.silence_s(name):g} s{detail}",
                     "check its cable and power",
                 )

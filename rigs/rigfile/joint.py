@@ -16,6 +16,8 @@ MARKS = "marks"
 LOAD_CELL = "load_cell"
 ANGLE, TORQUE = "angle_deg", "torque_n_m"
 STALE_S = 0.5
+TORQUE_STALE_S = 2.0
+"""A gauge that is asked for its readings is left alone for a while after a late answer."""
 NOT_HERE = ("balance", "stage", "camera", "force_source")
 """Tables and keys of a bench with one muscle."""
 
@@ -30,7 +32,7 @@ class JointSettings:
             where no torque is read.
         low_deg, high_deg: a run ends, and both muscles are vented, outside this range.
         limit_n_m: likewise above this torque, in either direction.
-        stale_s: how long either instrument may be silent.
+        stale_s: how long the angle may be silent.
         lever_mm, u_lever_mm: of the load cell, with its standard uncertainty; 0 without one.
         radius_mm, u_radius_mm: lever arm of both muscles; 0 where the file does not state it.
         rest_mm: length of either muscle at angle 0; 0 where the file does not state it.
@@ -52,6 +54,10 @@ class JointSettings:
     def instruments(self) -> tuple[str, ...]:
         """Names of those that a test cannot do without."""
         return (self.angle, self.torque) if self.torque else (self.angle,)
+
+    def silence_s(self, instrument: str) -> float:
+        """How long an instrument of the joint may be silent."""
+        return self.stale_s if instrument == self.angle else max(self.stale_s, TORQUE_STALE_S)
 
     def as_dict(self) -> dict[str, float | str]:
         """Plain values for run.json."""
@@ -99,11 +105,11 @@ def read_joint(root: Table, instruments: InstrumentSettings) -> JointSettings | 
     )
     t.finish()
     for name in out.instruments:
-        if instruments.readers()[name].form.rate_hz * out.stale_s < 2.0:
+        rate_hz = instruments.readers()[name].form.rate_hz
+        if rate_hz * out.silence_s(name) < 2.0:
             raise t.fail(
                 "stale_s",
-                f"is {out.stale_s:g} s; {name} gives a reading every"
-                f" {1.0 / instruments.readers()[name].form.rate_hz:g} s",
+                f"is {out.stale_s:g} s; {name} gives a reading every {1.0 / rate_hz:g} s",
                 "allow two readings at least",
             )
     return out
