@@ -137,7 +137,8 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         yield Finding(
             "clock fit", mark, f"error {fit.error_ns / 1e6:.3f} ms, drift {fit.drift_ppm:+.0f} ppm"
         )
-    yield _camera(rig)
+    if config.camera.source:
+        yield _camera(rig)
     if rig.valve.fault_latched:
         yield Finding(
             "fault", "warn", f"latched: {', '.join(rig.valve.faults) or 'see pamrig vent'}"

@@ -22,7 +22,7 @@ from rigs.bench.ports import (
 )
 from rigs.bench.pressure import open_pressure_source, vent
 from rigs.devices.balance import Balance
-from rigs.devices.camera import CallCamera, open_camera
+from rigs.devices.camera import CallCamera, NoCamera, open_camera
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.fresh_camera import FreshCamera
 from rigs.devices.instruments.load_cell import LoadCell
@@ -61,6 +61,11 @@ class Rig:
     instruments: dict[str, Instrument] = field(default_factory=dict)
     supply: Supply | None = None
     axes: dict[str, ManualAxis] = field(default_factory=dict)
+
+    @property
+    def length_reader(self) -> Instrument | None:
+        """The instrument whose reading is the length; None where the camera measures it."""
+        return self.instruments.get(self.config.length_source)
 
     @property
     def pressure_kpa(self) -> float:
@@ -158,7 +163,9 @@ def open_rig(
         ports = Ports(config, clock, stack, bench, event_loop.acquisition)
         identities = {"valve": valve.identity}
         supply = open_supply(ports, event_loop, identities)
-        if bench is not None and not config.camera.replayed:
+        if not config.camera.source:
+            camera = FreshCamera(NoCamera(), clock, False)
+        elif bench is not None and not config.camera.replayed:
             eye = CallCamera(bench.expose, config.camera.serial)
             camera = FreshCamera(eye, clock, bench.camera_model.noise > 0.0)
         else:
@@ -181,13 +188,16 @@ def open_rig(
             identities[name] = reader.connect(config.instruments.readers()[name].serial)
         stage: Stage | ManualStage
         if config.stage.kind == "manual":
-            stage = manual_stage(config, person, event_loop, camera)
+            stage = manual_stage(
+                config, person, event_loop, camera, instruments.get(config.length_source)
+            )
             identities["stage"] = stage.identity
         else:
             stage = Stage(ports.open("stage", config.stage), event_loop, config.stage.speed_mm_s)
             event_loop.add(stage.poll)
             identities["stage"] = stage.connect(config.stage.serial)
-        identities["camera"] = camera.identity
+        if config.camera.source:
+            identities["camera"] = camera.identity
         transducer = SolenoidPressure(valve, config)
         axes = open_axes(config, person, event_loop, instruments, lambda: transducer.measured_kpa)
         source = open_pressure_source(ports, valve, event_loop, axes)

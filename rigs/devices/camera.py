@@ -79,6 +79,22 @@ class CallCamera:
         """Nothing to release."""
 
 
+class NoCamera:
+    """In place of the camera in a rig that has none."""
+
+    def __init__(self) -> None:
+        self.identity: dict[str, str] = {}
+
+    def trigger(self) -> Frame:
+        """There is no picture."""
+        raise DeviceError(
+            "camera", "the rig has none", "add a table [camera], or a test without pictures"
+        )
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
 class TcpCamera:
     """The camera of `pamrig virtual`, on a loopback socket.
 

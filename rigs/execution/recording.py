@@ -49,6 +49,8 @@ def instrument_manifest(rig: Rig) -> dict[str, Any]:
         out["instrument_calibrations"] = frozen
     if rig.config.force_source != "balance":
         out["force_source"] = rig.config.force_source
+    if rig.length_reader is not None:
+        out["length_source"] = rig.config.length_source
     source = rig.config.pressure_source
     if source.sensor:
         out["pressure_sensor"] = {

@@ -106,7 +106,8 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     watch = watch or Watch()
     control = control or RunControl()
     if not config.is_virtual:
-        _load(config, pictures=bool(plan.frames) or kind.open_ended)
+        used = bool(plan.frames) or kind.open_ended
+        _load(config, pictures=used and bool(config.camera.source))
     with open_rig(config, operator=person, bench=bench) as rig:
         virtual = rig.clock.virtual
         if kind.firmware:
@@ -128,7 +129,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
             _connect(rig, record, watch)
             if wire:
                 _record_bytes(rig, record)
-            if plan.frames:
+            if plan.frames and config.camera.source:
                 _check_camera(rig, record, camera)
             if live is not None:
                 live.attach(rig, record, watch)

@@ -25,6 +25,8 @@ TOP_COUNT = 4095
 """The controller's converter has 12 bits; a calibration's domain may be narrower."""
 VIRTUAL = "virtual"
 REPLAY = "replay:"
+CAMERA = "camera"
+"""``length_source`` of a rig whose camera measures the length."""
 """The port of a device that is simulated in this process."""
 MOST_SEED = 2**63 - 1
 
@@ -148,6 +150,8 @@ class RigConfig:
 
     ``crc32`` is over the text of the file, so that a run tells which version it used.
     ``force_source`` is "balance" or "load_cell"; ``balance`` is meaningless when there is none.
+    ``length_source`` is "camera", or the instrument whose reading is the length of a test; a rig
+    with such an instrument needs no camera, whose ``source`` is then "".
     """
 
     name: str
@@ -165,6 +169,7 @@ class RigConfig:
     virtual: VirtualBenchConfig | None
     instruments: InstrumentSettings = field(default_factory=InstrumentSettings)
     force_source: str = "balance"
+    length_source: str = CAMERA
     pressure_source: PressureSourceSettings = field(
         default_factory=lambda: PressureSourceSettings("", 0, "")
     )
@@ -210,8 +215,12 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
     text, _ = find_config(name, "rigs")
     root = load_toml(name, "rigs")
     limits = _limits(root.table("limits"))
-    camera, length = _camera(root.table("camera"))
     instruments = read_instruments(root)
+    length_source = root.text("length_source", CAMERA)
+    if length_source == CAMERA:
+        camera, length = _camera(root.table("camera"))
+    else:
+        camera, length = CameraDevice("", "", 95), _length_reader(root, instruments, length_source)
     known = "load_cell" if "load_cell" in root and "balance" not in root else "balance"
     force_source = root.text("force_source", known, choices=("balance", "load_cell"))
     if force_source not in root:
@@ -236,6 +245,7 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
         virtual=_virtual(root, seed),
         instruments=instruments,
         force_source=force_source,
+        length_source=length_source,
         pressure_source=read_pressure_source(
             root, valve.static_scheme, "pressure" in instruments.manual
         ),
@@ -245,11 +255,29 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
     return rig
 
 
+def _length_reader(root: Table, instruments: InstrumentSettings, name: str) -> Calibration:
+    """Calibration of the instrument whose reading is the length of a test."""
+    if "camera" in root:
+        what = "measures the length as well, and length_source names an instrument for it"
+        raise root.fail("camera", what, "remove one of them")
+    readers = instruments.readers()
+    fit = [n for n, device in readers.items() if device.form.quantity == "length_mm"]
+    if name not in fit:
+        what = "reads no length" if name in readers else "is no instrument of this rig"
+        known = ", ".join((CAMERA, *fit))
+        raise root.fail("length_source", f"{name!r} {what}", f"one of: {known}")
+    return readers[name].calibration
+
+
 def _check_whole(rig: RigConfig, root: Table) -> None:
     """What no single key can tell: mixed rigs, and limits beyond a sensor's range."""
     ports = {
         "valve": rig.valve.port == VIRTUAL,
-        **({} if rig.camera.replayed else {"camera": rig.camera.source == VIRTUAL}),
+        **(
+            {}
+            if rig.camera.replayed or not rig.camera.source
+            else {"camera": rig.camera.source == VIRTUAL}
+        ),
         **{k: d.port == VIRTUAL for k, d in rig.instruments.ports().items()},
     }
     if rig.balance.port:
@@ -453,6 +481,8 @@ def _calibrations(
             if quantity in t:
                 table = "camera" if quantity == "length_mm" else "load_cell"
                 what = f"{table}.calibration names a file for it as well"
+                if named.raw_unit != "pixel" and quantity == "length_mm":
+                    what = "the instrument of length_source has a calibration of its own"
                 raise t.fail(quantity, what, "keep one")
             out[quantity] = named
             continue
