@@ -102,8 +102,9 @@ class CameraSync:
 
 @dataclass(frozen=True)
 class CameraDevice:
-    """The camera: "virtual", "uvc:INDEX", "tcp://host:port" of a virtual bench, "replay:PATH".
+    """The camera: "virtual", "uvc:INDEX", "genicam:SERIAL", "tcp://host:port", "replay:PATH".
 
+    ``gentl`` is the file of the GenTL producer of a GenICam camera.
     ``repeat`` lets the pictures of a replay begin anew after the last one.
     ``region`` is where the marks are looked for (None: the whole picture); ``lens`` the
     distortion that the camera's calibration file holds, as its plain values. ``settings`` are
@@ -120,6 +121,7 @@ class CameraDevice:
     repeat: bool = False
     settings: dict[str, float] | None = None
     marks: dict[str, Any] | None = None
+    gentl: str = ""
 
     @property
     def replayed(self) -> bool:
@@ -415,20 +417,30 @@ def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
         sync=_sync(t.table("sync")) if "sync" in t else None,
         lens=lens,
         settings=_settings(t.table("settings")) if "settings" in t else None,
+        gentl=t.text("gentl", ""),
         marks=load_marks(Path(t.source).parent / t.text("marks")).to_dict()
         if "marks" in t
         else None,
     )
     scheme = out.source.split(":")[0]
-    if scheme not in (VIRTUAL, "uvc", "tcp", REPLAY[:-1]) or out.source == REPLAY:
+    known = (VIRTUAL, "uvc", "genicam", "tcp", REPLAY[:-1])
+    if scheme not in known or out.source in (REPLAY, "genicam:"):
         raise t.fail(
             "source", f"{out.source!r} is not a camera source",
-            'use "virtual", "uvc:0", "tcp://host:port" or "replay:FOLDER"',
+            'use "virtual", "uvc:0", "genicam:SERIAL", "tcp://host:port" or "replay:FOLDER"',
         )  # fmt: skip
     if out.repeat and not out.replayed:
         raise t.fail("repeat", "is for recorded pictures", 'use it with source = "replay:FOLDER"')
-    if out.settings and scheme != "uvc":
-        raise t.fail("settings", "only a webcam (uvc) has settings", "remove the table")
+    if out.settings and scheme not in ("uvc", "genicam"):
+        raise t.fail(
+            "settings", "only a webcam (uvc) and genicam have settings", "remove the table"
+        )
+    missing = sorted(set(out.settings or {}) & {"fps", "focus"})
+    if scheme == "genicam" and missing:
+        raise t.fail(f"settings.{missing[0]}", "is a setting of a webcam only", "remove it")
+    if bool(out.gentl) != (scheme == "genicam"):
+        what = 'names the GenTL producer of a camera with source = "genicam:SERIAL", and only there'
+        raise t.fail("gentl", what)
     t.finish()
     return out, length
 
