@@ -177,10 +177,11 @@ def _load(config: RigConfig, pictures: bool) -> None:
 def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> None:
     """Take and measure one picture before anything is armed.
 
-    It tells a covered or displaced camera before the test.
+    It tells a covered or displaced camera before the test. With marks, each must have a pose; the
+    gap of a single marker is not needed then.
 
     Raises:
-        DeviceError: no length can be had of the picture.
+        DeviceError: no length, or no pose of a mark, can be had of the picture.
     """
     from rigs.execution.camera_sync import measure_camera_delay
     from rigs.steps.pictures import take_picture
@@ -188,8 +189,17 @@ def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> Non
     replayed = rig.config.camera.replayed
     if replayed:  # stated among the faults of the report: lengths are not those of this bench
         record.event("replayed_pictures", **rig.camera.identity)
-    gap = take_picture(rig, record, camera).gap
-    if not gap.trusted:
+    picture = take_picture(rig, record, camera)
+    gap = picture.gap
+    if picture.pose is not None:
+        for pose in picture.pose.poses.values():
+            if not pose.trusted:
+                raise DeviceError(
+                    "camera",
+                    f"no pose of mark {pose.name} in its picture: {pose.reason}",
+                    "check marks, light and lens; `pamrig pose` shows what it sees",
+                )
+    elif not gap.trusted:
         raise DeviceError(
             f"camera ({rig.config.source}: camera.source = {rig.config.camera.source!r})",
             f"no length can be measured in its picture: {gap.reason}",
