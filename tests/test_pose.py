@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from analysis.reduction.pictures import pose_of
+from analysis.reduction.poses import point_poses, still_mean
 from cli.main import app
 from daq.errors import ConfigError
 from rigs.rigfile.config import camera_values, load_rig
@@ -282,3 +283,38 @@ def test_a_rig_file_names_its_marks(desk: Path) -> None:
     assert found is not None
     assert abs(found.poses["link"].angle_deg - 20.0) < 0.1
     assert pose_of(image, camera_values(load_rig("virtual"))) is None
+
+
+def test_a_run_is_measured_again_with_its_own_marks(desk: Path, tmp_path: Path) -> None:
+    from daq.clock import VirtualClock
+    from daq.record.writer import RecordWriter
+    from daq.store.run import open_run
+    from daq_records import MANIFEST
+
+    settings = load_marks(desk / "marks.toml").to_dict()
+    known = {**MANIFEST, "camera": {"region": None, "sync": None, "lens": None, "marks": settings}}
+    record = RecordWriter(tmp_path, known, VirtualClock(), durable=False, threaded=False)
+    numbers = []
+    for k in range(4):
+        image = np.asarray(cv2.imread(str(desk / "still" / f"{k}.png"), 0), np.uint8)
+        data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+        numbers.append(record.frame(data, 1000 * k))
+    numbers.append(record.frame(b"no picture", 5000))
+    record.finalize("clean")
+    found, left_out = point_poses(open_run(record.folder), numbers)
+    assert abs(found["link_angle_deg"] - 20.0) < 3.0 * found["u_link_angle_deg"] < 0.3
+    assert abs(found["link_x_mm"] - 70.0) < 3.0 * found["u_link_x_mm"]
+    assert [text for text in left_out if "link" in text] == [
+        "frame 4, link: the stored picture cannot be decoded"
+    ]
+    code, text = invoke("pose", str(record.folder))
+    assert code == 0
+    assert text.count("frames/") == 5
+    assert "no pose" in text
+
+
+def test_the_mean_of_angles_about_180_degrees() -> None:
+    mean, u = still_mean([179.9, -179.9, 179.8], [0.03, 0.03, 0.03], turns=True)
+    assert mean == pytest.approx(179.9333, abs=1e-3)
+    assert 0.03 < u < 0.1
+    assert all(math.isnan(value) for value in still_mean([], []))

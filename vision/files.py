@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp", ".tif", ".tiff"}
+VIDEOS = {".avi", ".mp4", ".mkv", ".mov", ".mjpg", ".mjpeg", ".m4v", ".webm", ".mpg"}
 LARGEST_PICTURE = 80 << 20
 """Bytes of a picture's file; what its decoding may lay out is bounded in ``vision.decode``."""
 

@@ -160,6 +160,12 @@ def pressure_sensor(run: Run) -> str:
     return str(stated.get("instrument") or "")
 
 
+def length_source(run: Run) -> str:
+    """Stream of the instrument whose reading is the length of a run; "" for the camera."""
+    stated = run.manifest.get("length_source")
+    return stated if isinstance(stated, str) else ""
+
+
 class PointReducer:
     """Reduction of the settled points of one recorded run, with notes on defects.
 
@@ -195,6 +201,10 @@ class PointReducer:
         if self.sensor:
             self.transducer = self._samples(self.sensor, ("row", "reading"))
             self.calibrations["pressure_kpa"] = run.instrument_calibrations[self.sensor]
+
+        self.length_source = length_source(run)
+        if self.length_source:
+            self.lengths = self._samples(self.length_source, ("row", "reading"))
 
     def reduce(self, points: list[dict[str, Any]]) -> Reduction:
         """The table of these point events."""
@@ -272,7 +282,11 @@ class PointReducer:
             self._put(row, "force_n", self._force(point["balance_rows"], name))
         else:
             self._put_weight(row, float(point["mass_kg"]))
-        self._put(row, "length_mm", self._length(point["frames"], name))
+        if self.length_source:
+            length = self._read_length(point.get("length_rows") or [0, 0], name)
+        else:
+            length = self._length(point["frames"], name)
+        self._put(row, "length_mm", length)
         self._put_temperature(row, point)
         return row
 
@@ -339,6 +353,11 @@ class PointReducer:
         if missing:
             self._add_defect(defect, f"{name} ({missing})")
         return inside
+
+    def _read_length(self, window: list[int], name: str) -> WindowMean:
+        """Mean of the readings of the instrument that is the source of the length."""
+        readings = self._window(self.lengths, window, name, "length readings are missing")
+        return window_mean(_applied(self.calibrations["length_mm"], readings))
 
     def _length(self, frames: list[int], name: str) -> WindowMean:
         """Mean over the frames of a point, each measured again in its stored picture."""

@@ -126,27 +126,23 @@ def _measured(source: str | Path, settings: MarkSettings) -> Iterator[tuple[str,
 
 
 def summarise(rows: list[MarkPose]) -> dict[str, dict[str, float]]:
-    """Of each mark: frames, means, scatter of one frame, and the uncertainty of the mean.
+    """Of each mark: frames, means, scatter of one frame, and the uncertainty of the mean."""
+    from analysis.reduction.poses import still_mean
 
-    The uncertainty of the mean is not below that of one frame: in frames of a mark at rest its
-    corners err in the same way. It also contains the scatter of the mean.
-    """
     out: dict[str, dict[str, float]] = {}
     for name in dict.fromkeys(row.name for row in rows):
         good = [row for row in rows if row.name == name and row.trusted]
         found: dict[str, float] = {"frames": len(good), "refused": 0}
         found["refused"] = sum(row.name == name for row in rows) - len(good)
         for quantity in QUANTITIES if good else ():
-            first = getattr(good[0], quantity)
-            off = [getattr(row, quantity) - first for row in good]
-            if quantity == "angle_deg":
+            values = [getattr(row, quantity) for row in good]
+            us = [getattr(row, f"u_{quantity}") for row in good]
+            turns = quantity == "angle_deg"
+            found[quantity], found[f"u_{quantity}"] = still_mean(values, us, turns)
+            off = [value - found[quantity] for value in values]
+            if turns:
                 off = [math.remainder(value, 360.0) for value in off]
-            mean = sum(off) / len(off)
-            sd = math.sqrt(sum((v - mean) ** 2 for v in off) / max(1, len(off) - 1))
-            own = sum(getattr(row, f"u_{quantity}") for row in good) / len(good)
-            found[quantity] = first + mean
-            found[f"sd_{quantity}"] = sd
-            found[f"u_{quantity}"] = math.hypot(own, sd / math.sqrt(len(good)))
+            found[f"sd_{quantity}"] = math.sqrt(sum(v * v for v in off) / max(1, len(off) - 1))
         out[name] = found
     return out
 

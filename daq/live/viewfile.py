@@ -193,8 +193,8 @@ def _points(scene: Scene, run: Run, tables: dict[str, Columns], feed: PointFeed)
     for event in run.events:
         if event["kind"] != feed.kind or (feed.needs and event.get(feed.needs) is None):
             continue
-        x = _mean(tables, feed.x, event, lengths)
-        y = _mean(tables, feed.y, event, lengths)
+        x = _mean(tables, _length_of(run, feed.x), event, lengths)
+        y = _mean(tables, _length_of(run, feed.y), event, lengths)
         if x is None or y is None:
             continue
         try:
@@ -228,6 +228,12 @@ def _frame_lengths(run: Run) -> dict[int, float]:
     }
 
 
+def _length_of(run: Run, where: tuple[str, str]) -> tuple[str, str]:
+    """Stream and column; those of the instrument where one reads the length, not the camera."""
+    source = run.manifest.get("length_source")
+    return (str(source), where[1]) if source and where[0] == "camera" else where
+
+
 def _mean(
     tables: dict[str, Columns],
     where: tuple[str, str],
@@ -245,6 +251,8 @@ def _mean(
     else:
         key = "seq" if "seq" in tables.get(stream, {}) else "row"
         span = event.get(f"{stream}_seq") or event.get(f"{stream}_rows")
+        if column == "length_mm":  # an instrument reads it
+            span = event.get("length_rows")
     table = tables.get(stream, {})
     if column not in table or key not in table or span is None:
         return None

@@ -18,7 +18,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis.reduction.points import PointReducer, point_events, pressure_sensor
+from analysis.reduction.points import (
+    PointReducer,
+    length_source,
+    point_events,
+    pressure_sensor,
+)
 from daq.errors import RecordError
 from daq.record.segments import Columns
 from daq.store.derive import COMMANDS, VALVE_STREAM, engineering
@@ -305,6 +310,12 @@ def _placed(run: Run) -> tuple[Array, Array] | None:
 
 def _lengths(run: Run) -> tuple[Array, Array] | None:
     """Times and lengths of the trusted live measurements of the pictures, in order of time."""
+    source = length_source(run)
+    if source:
+        columns, _ = engineering(run, source)
+        if "length_mm" not in columns or not len(columns["length_mm"]):
+            return None
+        return np.asarray(columns["time_s"]), np.asarray(columns["length_mm"])
     calibration = run.calibrations.get("length_mm")
     pixels = {
         e["frame"]: e["pixels"] for e in run.events if e["kind"] == "length" and e.get("trusted")

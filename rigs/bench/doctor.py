@@ -112,7 +112,7 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         yield _pressure(side, rig.clock.virtual)
     yield from _readings(rig)
     yield from _clocks(rig)
-    if config.camera.source != NONE:
+    if config.camera.source:
         yield _camera(rig)
     for side in rig.sides:
         if side.valve.fault_latched:

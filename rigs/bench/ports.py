@@ -123,15 +123,16 @@ def open_supply(
 def open_readers(ports: Ports, event_loop: EventLoop) -> dict[str, Instrument]:
     """Every instrument that gives readings, opened but not yet checked.
 
-    The sources of force and pressure may not come back by themselves when their link was lost: a
-    test cannot do without them, and what a load cell reads after it was without power is another
-    zero.
+    The sources of force, length and pressure may not come back by themselves when their link was
+    lost: a test cannot do without them, and what a load cell reads after it was without power is
+    another zero.
     """
     config = ports.config
     out: dict[str, Instrument] = {}
     for name, device in config.instruments.readers().items():
         link = ports.open(name, device)
-        needed = name in (config.force_source, config.pressure_source.sensor)
+        sources = (config.force_source, config.length_source, config.pressure_source.sensor)
+        needed = name in sources
         needed = needed or (config.joint is not None and name in config.joint.instruments)
         reopen = None if needed else ports.reopener(name, device)
         if isinstance(device, TextDevice):
@@ -181,12 +182,17 @@ def camera_length(config: RigConfig, camera: Camera) -> float:
 
 
 def manual_stage(
-    config: RigConfig, person: Operator, event_loop: EventLoop, camera: Camera
+    config: RigConfig,
+    person: Operator,
+    event_loop: EventLoop,
+    camera: Camera,
+    reader: Instrument | None = None,
 ) -> ManualStage:
-    """A length set by hand and looked after by the camera."""
+    """A length set by hand and looked after by the camera, or by the instrument that reads it."""
+    check = (lambda: camera_length(config, camera)) if reader is None else _mean_of(reader)
     axis = ManualAxis(
         "length", "mm", person, event_loop,
-        check=lambda: camera_length(config, camera), checked_by="camera",
+        check=check, checked_by=config.length_source,
         tolerance=config.stage.tolerance_mm,
     )  # fmt: skip
     return ManualStage(axis)

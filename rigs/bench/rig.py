@@ -72,6 +72,11 @@ class Rig:
         return (first,) if self.second is None else (first, self.second)
 
     @property
+    def length_reader(self) -> Instrument | None:
+        """The instrument whose reading is the length; None where the camera measures it."""
+        return self.instruments.get(self.config.length_source)
+
+    @property
     def pressure_kpa(self) -> float:
         """Mean of the last 50 ms of pressure readings; nan before the first."""
         return self.pressure_source.measured_kpa
@@ -167,7 +172,7 @@ def open_rig(
         if second is not None:
             identities[second.name] = second.valve.identity
         supply = open_supply(ports, event_loop, identities)
-        if config.camera.source == NONE:
+        if not config.camera.source:
             camera = FreshCamera(NoCamera(), clock, False)
         elif bench is not None and not config.camera.replayed:
             eye = CallCamera(bench.expose, config.camera.serial)
@@ -194,7 +199,9 @@ def open_rig(
             identities[name] = reader.connect(config.instruments.readers()[name].serial)
         stage: MotorStage | ManualStage
         if config.stage.kind == "manual":
-            stage = manual_stage(config, person, event_loop, camera)
+            stage = manual_stage(
+                config, person, event_loop, camera, instruments.get(config.length_source)
+            )
             if config.joint is None:
                 identities["stage"] = stage.identity
         else:
@@ -203,7 +210,7 @@ def open_rig(
             assert isinstance(stage, MotorStage)
             event_loop.add(stage.poll)
             identities["stage"] = stage.connect(config.stage.serial)
-        if config.camera.source != NONE:
+        if config.camera.source:
             identities["camera"] = camera.identity
         transducer = SolenoidPressure(valve, config)
         axes = open_axes(config, person, event_loop, instruments, lambda: transducer.measured_kpa)

@@ -13,11 +13,10 @@ import numpy.typing as npt
 
 from daq.errors import PamrigError
 from plant import tomlfile
-from vision.files import LARGEST_PICTURE, PICTURES, natural
+from vision.files import LARGEST_PICTURE, PICTURES, VIDEOS, natural
 
 STACKS = {".tif", ".tiff"}
 MOST_LOST = 10_000
-VIDEOS = {".avi", ".mp4", ".mkv", ".mov", ".mjpg", ".mjpeg", ".m4v", ".webm", ".mpg"}
 
 
 class FramesError(PamrigError):

@@ -16,10 +16,12 @@ from daq.clock import Deadline
 from daq.errors import DeviceError, DeviceTimeout, LinkLost, PamrigError
 from daq.store.run import Run, open_run
 from plant import tomlfile
+from rigs.devices.cameras.genicam import GenicamCamera
+from rigs.devices.cameras.video import Video, VideoError
 from rigs.devices.event_loop import EventLoop
 from rigs.rigfile.config import REPLAY, CameraDevice
 from vision.decode import PictureError, decode_gray
-from vision.files import LARGEST_PICTURE, picture_files
+from vision.files import LARGEST_PICTURE, VIDEOS, picture_files
 
 if TYPE_CHECKING:
     from rigs.devices.uvc import UvcCamera
@@ -80,17 +82,16 @@ class CallCamera:
 
 
 class NoCamera:
-    """What a bench without a camera has in its place."""
+    """In place of the camera in a rig that has none."""
 
-    identity: dict[str, str] = {}  # noqa: RUF012 - nothing is ever added
+    def __init__(self) -> None:
+        self.identity: dict[str, str] = {}
 
     def trigger(self) -> Frame:
-        """Refused.
-
-        Raises:
-            DeviceError: always.
-        """
-        raise DeviceError("camera", "this rig has none", "use a rig with a camera")
+        """There is no picture."""
+        raise DeviceError(
+            "camera", "the rig has none", "add a table [camera], or a test without pictures"
+        )
 
     def close(self) -> None:
         """Nothing to release."""
@@ -256,6 +257,88 @@ class ReplayCamera:
         """Nothing to release."""
 
 
+class ReplayVideo:
+    """A recorded video in place of a camera: each trigger gives the next frame.
+
+    Args:
+        source: ``replay:`` and the path of a video file.
+        event_loop: of the bench, which goes on meanwhile.
+        again: begin anew after the last frame; without it a further trigger is an error.
+    """
+
+    def __init__(self, source: str, event_loop: EventLoop, again: bool = False) -> None:
+        self._event_loop = event_loop
+        self._again = again
+        self._given = 0
+        self._name = f"camera ({source})"
+        self.identity = {"source": source}
+        path = Path(source.removeprefix(REPLAY))
+        if not path.is_file():
+            raise DeviceError(self._name, "no such file", "check camera.source in the rig file")
+        try:
+            self._video = Video(path)
+        except VideoError as error:
+            raise DeviceError(
+                self._name, str(error), "check camera.source in the rig file"
+            ) from None
+
+    def trigger(self) -> Frame:
+        """The next frame. Raises DeviceError if there is none."""
+        self._event_loop.for_seconds(REPLAY_S)
+        gray = self._video.next()
+        if gray is None and self._again:
+            try:
+                self._video.rewind()
+            except VideoError as error:
+                raise DeviceError(self._name, str(error)) from None
+            gray = self._video.next()
+        if gray is None:
+            raise DeviceError(
+                self._name, f"its {self._given} frames are used up",
+                "record more, or set camera.repeat = true",
+            )  # fmt: skip
+        self._given += 1
+        return Frame(self._given, self._event_loop.clock.now_ns(), gray)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._video.close()
+
+
+class TriggeredGenicam:
+    """A GenICam camera: each trigger is its software trigger. The bench goes on meanwhile."""
+
+    def __init__(self, camera: GenicamCamera, serial: str, event_loop: EventLoop) -> None:
+        self._camera = camera
+        self._event_loop = event_loop
+        self._given = 0
+        applied = {name: f"{value:g}" for name, value in camera.applied.items()}
+        self.identity = {"source": f"genicam:{serial}", "serial": serial, **applied}
+
+    def trigger(self) -> Frame:
+        """Request a picture and wait for it. Its time is that of the request."""
+        clock = self._event_loop.clock
+        self._camera.request()
+        asked_ns = clock.now_ns()
+        deadline = Deadline(clock, TRIGGER_S)
+        while True:
+            gray = self._camera.fetch(0.0)
+            if gray is not None:
+                self._given += 1
+                return Frame(self._given, asked_ns, gray)
+            if deadline.expired:
+                raise DeviceTimeout(
+                    f"camera {self.identity['source']}",
+                    f"no picture within {TRIGGER_S:g} s",
+                    "check its cable and that no other program uses it",
+                )
+            self._event_loop.step()
+
+    def close(self) -> None:
+        """Stop and release the camera."""
+        self._camera.close()
+
+
 def open_camera(config: CameraDevice, event_loop: EventLoop) -> Camera:
     """Open a camera that is not part of an in-process bench; ``event_loop`` runs the bench.
 
@@ -263,10 +346,16 @@ def open_camera(config: CameraDevice, event_loop: EventLoop) -> Camera:
         DeviceError: it cannot be opened, or is another one than the rig file names.
     """
     camera: Camera
+    if config.source.startswith(REPLAY) and Path(config.source).suffix.lower() in VIDEOS:
+        return ReplayVideo(config.source, event_loop, config.repeat)
     if config.source.startswith(REPLAY):
         return ReplayCamera(config.source, event_loop, config.repeat)
     if config.source.startswith("tcp:"):
         camera = TcpCamera(config.source)
+    elif config.source.startswith("genicam:"):
+        serial = config.source.removeprefix("genicam:")
+        made = GenicamCamera(serial, config.gentl, config.settings)
+        camera = TriggeredGenicam(made, serial, event_loop)
     else:
         from rigs.devices.uvc import UvcCamera
 

@@ -56,6 +56,8 @@ def instrument_manifest(rig: Rig) -> dict[str, Any]:
         out["instrument_calibrations"] = frozen
     if rig.config.force_source not in ("balance", NONE):
         out["force_source"] = rig.config.force_source
+    if rig.length_reader is not None:
+        out["length_source"] = rig.config.length_source
     if source.sensor:
         out["pressure_sensor"] = {
             "instrument": source.sensor,
@@ -72,7 +74,7 @@ def instrument_manifest(rig: Rig) -> dict[str, Any]:
 
 def record_instruments(rig: Rig, record: RecordWriter) -> None:
     """A stream for each instrument as it reads, and an event for each fault and hand setting."""
-    if rig.config.camera.source != NONE:
+    if rig.config.camera.source:
         rig.camera.faults.on_fault.append(_teller(record, "camera", rig.camera.faults.counts))
     for name, instrument in rig.instruments.items():
         record.stream(name, COLUMNS, {"host_ns": "ns", "reading": instrument.unit})

@@ -29,6 +29,7 @@ from rigs.devices.operator import ManualAxis, ManualSetting
 from rigs.devices.valve_controller import ALIVE_S, ValveController
 from rigs.execution.control import RunControl
 from rigs.execution.joint_watch import JointWatch
+from rigs.execution.length_sensor import LengthSensor
 from rigs.execution.pressure_sensor import PressureSensor
 from rigs.execution.recording import temperature
 from rigs.execution.settling import SAMPLE_S, has_settled, still_settled
@@ -85,6 +86,7 @@ class Runner:
         computer: how late the computer lets the program be.
         sensor: whose reading is the pressure.
         joint: looks after angle and torque, on a rig with a joint.
+        length: whose reading is the length.
     """
 
     def __init__(
@@ -107,6 +109,7 @@ class Runner:
         self.computer = Computer(rig.event_loop, rig.config)
         self.sensor = PressureSensor(rig)
         self.joint = JointWatch(rig)
+        self.length = LengthSensor(rig)
         self._armed = False
         self._controllers = [_Controller(side) for side in rig.sides]
         self._balance_speaks = not isinstance(rig.balance, NoBalance)
@@ -134,6 +137,7 @@ class Runner:
         if self._armed:
             self.sensor.look(self.computer.blind_s > 0.0)
             self.joint.look(self.computer.blind_s > 0.0)
+            self.length.look(self.computer.blind_s > 0.0)
         if self._balance_speaks:
             balance = self.rig.balance
             self._last_row = self._silent(balance, balance.rows, self._last_row, now_ns)
@@ -414,7 +418,7 @@ class Runner:
 
     def _settle(self, step: Settle) -> Answer:
         start_ns = self.rig.clock.now_ns()
-        settled = has_settled(self.rig, self.sensor, self.camera, step)
+        settled = has_settled(self.rig, self.sensor, self.length, self.camera, step)
         done = self.rig.event_loop.until(
             lambda: self.steering.skip or settled(), step.criterion.timeout_s
         )
@@ -483,20 +487,25 @@ class Runner:
             if picture.gap.trusted:
                 lengths.append(picture.gap.pixels)
 
+        pictures = step.frames if self.rig.config.camera.source else 0
+        first_length = self.length.rows
         if step.mass_kg is None:  # a held length is looked at first, then left in peace
-            for _ in range(step.frames):
+            for _ in range(pictures):
                 look()
+            first_length = self.length.rows
             first = self.sensor.rows
             seq, rows = self.window(step.seconds)
         else:
             first = self.sensor.rows
-            seq, rows = self.window(step.seconds, step.frames, look)
+            seq, rows = self.window(step.seconds, pictures, look)
         pressure_rows = self._pressure_rows(first, step.seconds, seq, step.settled)
+        length_rows = self.length.window(first_length, step.seconds)
         if self.steering.skip:
             return
         step = self._judged_again(step)
         take = self.steering.take
-        more: dict[str, Any] = pressure_rows if take == 1 else {"take": take, **pressure_rows}
+        more: dict[str, Any] = pressure_rows | length_rows
+        more = more if take == 1 else {"take": take, **more}
         if "thermometer" in self.rig.instruments:
             at = temperature(self.rig)
             more |= {k: at[k] for k in ("temperature_c", "u_temperature_c")}
@@ -511,8 +520,16 @@ class Runner:
             step,
             float(pressures.mean()),
             float(cal["force_n"].apply(grams.mean())),
-            float(cal["length_mm"].apply(np.mean(lengths))) if lengths else float("nan"),
+            self._length_mm(lengths, length_rows),
         )
+
+    def _length_mm(self, pixels: list[float], rows: Rows) -> float:
+        """Length of a point for the live view: by the instrument, or by its pictures."""
+        if rows:
+            first, end = rows["length_rows"]
+            return float(self.length.recent_mm(end - first).mean())
+        calibration = self.rig.config.calibrations["length_mm"]
+        return float(calibration.apply(np.mean(pixels))) if pixels else float("nan")
 
     def _judged_again(self, step: Measure) -> Measure:
         """The point as not settled if it moved while it was measured."""

@@ -32,7 +32,7 @@ from rigs.execution.recording import (
 )
 from rigs.execution.resume import remaining
 from rigs.execution.runner import Runner, Watch, outcome_of
-from rigs.rigfile.config import NONE, RigConfig, camera_values
+from rigs.rigfile.config import RigConfig, camera_values
 from rigs.steps.custom_step import Steps
 from rigs.steps.schedule import outline
 from rigs.steps.watching import LiveView
@@ -109,7 +109,8 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     watch = watch or Watch()
     control = control or RunControl()
     if not config.is_virtual:
-        _load(config, pictures=bool(plan.frames) or kind.open_ended)
+        used = bool(plan.frames) or kind.open_ended
+        _load(config, pictures=used and bool(config.camera.source))
     with open_rig(config, operator=person, bench=bench) as rig:
         virtual = rig.clock.virtual
         if kind.firmware:
@@ -131,7 +132,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
             _connect(rig, record, watch)
             if wire:
                 _record_bytes(rig, record)
-            if plan.frames:
+            if plan.frames and config.camera.source:
                 _check_camera(rig, record, camera)
             if live is not None:
                 live.attach(rig, record, watch)
@@ -187,10 +188,11 @@ def _load(config: RigConfig, pictures: bool) -> None:
 def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> None:
     """Take and measure one picture before anything is armed.
 
-    It tells a covered or displaced camera before the test.
+    It tells a covered or displaced camera before the test. With marks, each must have a pose; the
+    gap of a single marker is not needed then.
 
     Raises:
-        DeviceError: no length can be had of the picture.
+        DeviceError: no length, or no pose of a mark, can be had of the picture.
     """
     from rigs.execution.camera_sync import measure_camera_delay
     from rigs.steps.pictures import take_picture
@@ -198,8 +200,17 @@ def _check_camera(rig: Rig, record: RecordWriter, camera: dict[str, Any]) -> Non
     replayed = rig.config.camera.replayed
     if replayed:  # stated among the faults of the report: lengths are not those of this bench
         record.event("replayed_pictures", **rig.camera.identity)
-    gap = take_picture(rig, record, camera).gap
-    if not gap.trusted:
+    picture = take_picture(rig, record, camera)
+    gap = picture.gap
+    if picture.pose is not None:
+        for pose in picture.pose.poses.values():
+            if not pose.trusted:
+                raise DeviceError(
+                    "camera",
+                    f"no pose of mark {pose.name} in its picture: {pose.reason}",
+                    "check marks, light and lens; `pamrig pose` shows what it sees",
+                )
+    elif not gap.trusted:
         raise DeviceError(
             f"camera ({rig.config.source}: camera.source = {rig.config.camera.source!r})",
             f"no length can be measured in its picture: {gap.reason}",
@@ -299,7 +310,7 @@ def _finish(runner: Runner, record: RecordWriter, outcome: str, error: BaseExcep
                     else {"balance": rig.balance.counters()}
                 ),
                 **({"stage": rig.stage.counters()} if isinstance(rig.stage, MotorStage) else {}),
-                **({} if rig.config.camera.source == NONE else {"camera": rig.camera.counters()}),
+                **({"camera": rig.camera.counters()} if rig.config.camera.source else {}),
                 **instrument_counters(rig),
             },
             duration_s=(rig.clock.now_ns() - record.start_ns) / NS_PER_S,

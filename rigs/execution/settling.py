@@ -9,6 +9,7 @@ import numpy as np
 
 from daq.clock import NS_PER_S
 from rigs.bench.rig import Rig
+from rigs.execution.length_sensor import LengthSensor
 from rigs.execution.pressure_sensor import PressureSensor
 from rigs.steps.steps import Settle
 
@@ -16,13 +17,18 @@ SAMPLE_S = 1e-3
 
 
 def has_settled(
-    rig: Rig, sensor: PressureSensor, camera: Mapping[str, Any], step: Settle
+    rig: Rig,
+    sensor: PressureSensor,
+    lengths: LengthSensor,
+    camera: Mapping[str, Any],
+    step: Settle,
 ) -> Callable[[], bool]:
     """Asked from now on, in every round: does the last window fulfil the criterion?
 
     Args:
         rig: open instruments.
         sensor: whose reading is the pressure.
+        lengths: whose reading is the length.
         camera: how pictures are measured, as run.json says it.
         step: criterion and set-point.
     """
@@ -32,7 +38,11 @@ def has_settled(
     first_row = rig.balance.rows
     first_reading = sensor.rows
     pressures = sensor.needed(c.window_s)
-    length = _Length(rig, camera, c.window_s, c.drift_mm) if c.drift_mm is not None else None
+    length: _Length | _ReadLength | None = None
+    if c.drift_mm is not None and lengths.instrument is not None:
+        length = _ReadLength(lengths, c.window_s, c.drift_mm)
+    elif c.drift_mm is not None:
+        length = _Length(rig, camera, c.window_s, c.drift_mm)
 
     def settled() -> bool:
         if rig.valve.seq_end < first_seq + samples:
@@ -86,6 +96,24 @@ def _rests(rig: Rig, sensor: PressureSensor, step: Settle, seconds: float) -> bo
     half = len(grams) // 2
     drift = abs(float(np.mean(grams[:half]) - np.mean(grams[half:])))
     return bool(stable.all()) and drift * abs(cal["force_n"].scale) <= c.drift_n
+
+
+class _ReadLength:
+    """The length by the readings of an instrument in the last window."""
+
+    def __init__(self, lengths: LengthSensor, window_s: float, drift_mm: float) -> None:
+        self._lengths = lengths
+        self._readings = lengths.needed(window_s)
+        self._first = lengths.rows
+        self._drift_mm = drift_mm
+
+    def rests(self) -> bool:
+        """Whether both halves of the window give the same length."""
+        if self._lengths.rows < self._first + self._readings:
+            return False
+        mm = self._lengths.recent_mm(self._readings)
+        half = len(mm) // 2
+        return abs(float(mm[:half].mean() - mm[half:].mean())) <= self._drift_mm
 
 
 class _Length:

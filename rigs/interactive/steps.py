@@ -42,7 +42,7 @@ class Read(CustomStep):
             "force_n": _mean(rig.balance.recent(NEWEST_ROWS)[0]),
         }
         reason = ""
-        if self.length:
+        if self.length and rig.length_reader is None:
             gap = take_picture(rig, runner.record, runner.camera).gap
             raw["length_mm"] = gap.pixels if gap.trusted else float("nan")
             reason = gap.reason

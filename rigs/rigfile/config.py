@@ -27,15 +27,17 @@ SENSORS = {"pressure_kpa": "valve", "pressure_b_kpa": "valve_b", "force_n": "bal
 TOP_COUNT = 4095
 """The controller's converter has 12 bits; a calibration's domain may be narrower."""
 VIRTUAL = "virtual"
-REPLAY = "replay:"
 """The port of a device that is simulated in this process."""
+REPLAY = "replay:"
+CAMERA = "camera"
+"""``length_source`` of a rig whose camera measures the length."""
 MOST_SEED = 2**63 - 1
 PRESSURE_B = "pressure_b_kpa"
 """Calibration of the transducer of a second controller."""
 BEHIND_VALVES = {"pwm": "solenoids", "reg": "regulator-output"}
 """The pressure source that a controller is by itself, by its ``static_scheme``."""
 NONE = "none"
-"""Source of the force, or of pictures, of a rig without one."""
+"""Source of the force of a rig without one."""
 
 
 @dataclass(frozen=True)
@@ -100,10 +102,10 @@ class CameraSync:
 
 @dataclass(frozen=True)
 class CameraDevice:
-    """The camera: "virtual", "uvc:INDEX", "tcp://host:port" of a virtual bench, "replay:PATH".
+    """The camera: "virtual", "uvc:INDEX", "genicam:SERIAL", "tcp://host:port", "replay:PATH".
 
-    A rig with a joint has none (`NONE`).
-
+    A rig with a joint, or with an instrument for the length, has none: its ``source`` is "".
+    ``gentl`` is the file of the GenTL producer of a GenICam camera.
     ``repeat`` lets the pictures of a replay begin anew after the last one.
     ``region`` is where the marks are looked for (None: the whole picture); ``lens`` the
     distortion that the camera's calibration file holds, as its plain values. ``settings`` are
@@ -120,6 +122,7 @@ class CameraDevice:
     repeat: bool = False
     settings: dict[str, float] | None = None
     marks: dict[str, Any] | None = None
+    gentl: str = ""
 
     @property
     def replayed(self) -> bool:
@@ -129,7 +132,7 @@ class CameraDevice:
     @property
     def unseen(self) -> bool:
         """Whether it sees nothing of this bench: there is none, or its pictures are older."""
-        return self.replayed or self.source == NONE
+        return self.replayed or not self.source
 
 
 @dataclass(frozen=True)
@@ -157,6 +160,8 @@ class RigConfig:
 
     ``crc32`` is over the text of the file, so that a run tells which version it used.
     ``force_source`` is "balance" or "load_cell"; ``balance`` is meaningless when there is none.
+    ``length_source`` is "camera", or the instrument whose reading is the length of a test; a rig
+    with such an instrument needs no camera, whose ``source`` is then "".
     A rig with a ``joint`` has a second controller, ``valve_b``, and neither balance, stage nor
     camera; its ``force_source`` is "none".
     """
@@ -176,6 +181,7 @@ class RigConfig:
     virtual: VirtualBenchConfig | None
     instruments: InstrumentSettings = field(default_factory=InstrumentSettings)
     force_source: str = "balance"
+    length_source: str = CAMERA
     pressure_source: PressureSourceSettings = field(
         default_factory=lambda: PressureSourceSettings("", 0, "")
     )
@@ -243,7 +249,11 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
     if joint is not None:
         return _finished(_joint_rig(root, text, instruments, joint, seed), root)
     limits = _limits(root.table("limits"))
-    camera, length = _camera(root.table("camera"))
+    length_source = root.text("length_source", CAMERA)
+    if length_source == CAMERA:
+        camera, length = _camera(root.table("camera"))
+    else:
+        camera, length = CameraDevice("", "", 95), _length_reader(root, instruments, length_source)
     known = "load_cell" if "load_cell" in root and "balance" not in root else "balance"
     force_source = root.text("force_source", known, choices=("balance", "load_cell"))
     if force_source not in root:
@@ -268,6 +278,7 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
         virtual=_virtual(root, seed),
         instruments=instruments,
         force_source=force_source,
+        length_source=length_source,
         pressure_source=read_pressure_source(
             root, valve.static_scheme, "pressure" in instruments.manual, limits.pressure_kpa
         ),
@@ -304,7 +315,7 @@ def _joint_rig(
         valve=valve,
         balance=Device("", 9600, ""),
         stage=StageDevice("", 0, "", 0.0, "manual"),
-        camera=CameraDevice(NONE, "", 95),
+        camera=CameraDevice("", "", 95),
         calibrations=_two_pressures(root),
         virtual=_virtual(root, seed, "joint"),
         instruments=instruments,
@@ -338,6 +349,20 @@ def _finished(rig: RigConfig, root: Table) -> RigConfig:
     root.finish()
     _check_whole(rig, root)
     return rig
+
+
+def _length_reader(root: Table, instruments: InstrumentSettings, name: str) -> Calibration:
+    """Calibration of the instrument whose reading is the length of a test."""
+    if "camera" in root:
+        what = "measures the length as well, and length_source names an instrument for it"
+        raise root.fail("camera", what, "remove one of them")
+    readers = instruments.readers()
+    fit = [n for n, device in readers.items() if device.form.quantity == "length_mm"]
+    if name not in fit:
+        what = "reads no length" if name in readers else "is no instrument of this rig"
+        known = ", ".join((CAMERA, *fit))
+        raise root.fail("length_source", f"{name!r} {what}", f"one of: {known}")
+    return readers[name].calibration
 
 
 def _check_whole(rig: RigConfig, root: Table) -> None:
@@ -477,20 +502,30 @@ def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
         sync=_sync(t.table("sync")) if "sync" in t else None,
         lens=lens,
         settings=_settings(t.table("settings")) if "settings" in t else None,
+        gentl=t.text("gentl", ""),
         marks=load_marks(Path(t.source).parent / t.text("marks")).to_dict()
         if "marks" in t
         else None,
     )
     scheme = out.source.split(":")[0]
-    if scheme not in (VIRTUAL, "uvc", "tcp", REPLAY[:-1]) or out.source == REPLAY:
+    known = (VIRTUAL, "uvc", "genicam", "tcp", REPLAY[:-1])
+    if scheme not in known or out.source in (REPLAY, "genicam:"):
         raise t.fail(
             "source", f"{out.source!r} is not a camera source",
-            'use "virtual", "uvc:0", "tcp://host:port" or "replay:FOLDER"',
+            'use "virtual", "uvc:0", "genicam:SERIAL", "tcp://host:port" or "replay:FOLDER"',
         )  # fmt: skip
     if out.repeat and not out.replayed:
         raise t.fail("repeat", "is for recorded pictures", 'use it with source = "replay:FOLDER"')
-    if out.settings and scheme != "uvc":
-        raise t.fail("settings", "only a webcam (uvc) has settings", "remove the table")
+    if out.settings and scheme not in ("uvc", "genicam"):
+        raise t.fail(
+            "settings", "only a webcam (uvc) and genicam have settings", "remove the table"
+        )
+    missing = sorted(set(out.settings or {}) & {"fps", "focus"})
+    if scheme == "genicam" and missing:
+        raise t.fail(f"settings.{missing[0]}", "is a setting of a webcam only", "remove it")
+    if bool(out.gentl) != (scheme == "genicam"):
+        what = 'names the GenTL producer of a camera with source = "genicam:SERIAL", and only there'
+        raise t.fail("gentl", what)
     t.finish()
     return out, length
 
@@ -543,6 +578,8 @@ def _calibrations(
             if quantity in t:
                 table = "camera" if quantity == "length_mm" else "load_cell"
                 what = f"{table}.calibration names a file for it as well"
+                if named.raw_unit != "pixel" and quantity == "length_mm":
+                    what = "the instrument of length_source has a calibration of its own"
                 raise t.fail(quantity, what, "keep one")
             out[quantity] = named
             continue

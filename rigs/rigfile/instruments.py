@@ -30,6 +30,10 @@ SCALES: dict[str, dict[str, float]] = {
 """Newtons and newton metres in a unit that indicators print; any other unit of force is one."""
 
 
+LENGTHS = {"mm": 1.0, "um": 1e-3, "in": 25.4}
+"""Millimetres in a unit that displacement sensors print."""
+
+
 @dataclass(frozen=True)
 class TextDevice(Device):
     """A line-based instrument: its description and its calibration.
@@ -119,6 +123,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
         ConfigError: names file, key, what is wrong and what to do.
     """
     text: dict[str, TextDevice] = {}
+    modbus: dict[str, ModbusDevice] = {}
     for name in NAMED:
         if name in root:
             text[name] = _text(root.table(name), name)
@@ -128,9 +133,12 @@ def read_instruments(root: Table) -> InstrumentSettings:
             raise group.fail(name, "is the name of a table of its own", f"write it as [{name}]")
         if not name.isidentifier():
             raise group.fail(name, "is not a valid name for a stream", "use letters, digits and _")
-        text[name] = _text(group.table(name), name)
+        table = group.table(name)
+        if table.text("protocol", "text", choices=("text", "modbus")) == "modbus":
+            modbus[name] = _modbus(table, name)
+        else:
+            text[name] = _text(table, name)
     group.finish()
-    modbus = {}
     if "pressure_transmitter" in root:
         t = root.table("pressure_transmitter")
         modbus["pressure_transmitter"] = _modbus(t, "pressure_transmitter")
@@ -184,9 +192,13 @@ def _text(t: Table, name: str) -> TextDevice:
 
 def _modbus(t: Table, name: str) -> ModbusDevice:
     port, baud, serial = _port(t)
+    quantity = QUANTITY[name] if name in QUANTITY else t.text("quantity")
+    pressure = quantity == "pressure_kpa"
+    unit = t.text("unit", "kPa", choices=("kPa",)) if pressure else t.text("unit")
+    lowest, highest = (-101.0, 2000.0) if pressure else (-1e9, 1e9)
     form = ModbusForm(
-        quantity=QUANTITY[name],
-        unit=t.text("unit", "kPa", choices=("kPa",)),
+        quantity=quantity,
+        unit=unit,
         device_id=t.integer("device_id", 1, 247, 1),
         register=t.integer("register", 0, 65535),
         function=t.text("function", "holding", choices=("holding", "input")),
@@ -198,8 +210,8 @@ def _modbus(t: Table, name: str) -> ModbusDevice:
         underload=t.number("underload", -4e38, 4e38, math.nan) if "underload" in t else math.nan,
         unit_register=t.integer("unit_register", 0, 65535) if "unit_register" in t else -1,
         unit_code=t.integer("unit_code", 0, 65535, 0),
-        low=t.number("low", -1e9, 1e9, -101.0, unit="kPa"),
-        high=t.number("high", -1e9, 1e9, 2000.0, unit="kPa"),
+        low=t.number("low", -1e9, 1e9, lowest, unit=unit),
+        high=t.number("high", -1e9, 1e9, highest, unit=unit),
         rate_hz=t.number("rate_hz", 0.001, 100, 5.0, unit="1/s"),
         timeout_s=t.number("timeout_s", 0.01, 10, 0.3, unit="s"),
         loopback=t.flag("loopback", True),
@@ -213,7 +225,7 @@ def _modbus(t: Table, name: str) -> ModbusDevice:
             "leave it out",
         )
     out = ModbusDevice(
-        port, baud, serial, form, _calibration(t, form.quantity, "kPa", (form.low, form.high),
+        port, baud, serial, form, _calibration(t, form.quantity, unit, (form.low, form.high),
                                                serial)
     )  # fmt: skip
     t.finish()
@@ -228,6 +240,8 @@ def _calibration(
         return load_calibration(
             t.text("calibration"), t.source, quantity, raw_unit, serial
         ).calibration
+    if quantity == "length_mm":
+        return _length_calibration(t, raw_unit, domain)
     unit = quantity.rpartition("_")[2]
     known = SCALES.get(quantity, {})
     if quantity == "torque_n_m":
@@ -243,6 +257,33 @@ def _calibration(
         u_offset=t.number("u_offset", 0, 1e6, 0.0),
         u_gain=t.number("u_gain", 0, 1, 0.0),
         domain=domain,
+        id=t.text("id", "as the maker states"),
+        date=t.text("date", ""),
+    )
+
+
+def _length_calibration(t: Table, raw_unit: str, domain: tuple[float, float]) -> Calibration:
+    """Length of the muscle by a displacement: ``zero_mm`` at reading 0, growing by ``direction``.
+
+    A laser that looks at the muscle's end from beyond it reads less when the muscle grows.
+    """
+    if raw_unit not in LENGTHS:
+        known = ", ".join(LENGTHS)
+        raise t.fail("unit", f"{raw_unit!r} is not a unit of length", f"known: {known}")
+    direction = t.integer("direction", -1, 1, 1)
+    if direction == 0:
+        raise t.fail("direction", "is 1 or -1")
+    zero_mm, scale = t.number("zero_mm", -1e4, 1e4, 0.0, unit="mm"), direction * LENGTHS[raw_unit]
+    ends = sorted(zero_mm + scale * value for value in domain)
+    return Calibration(
+        quantity="length_mm",
+        unit="mm",
+        raw_unit=raw_unit,
+        offset=zero_mm,
+        scale=scale,
+        u_offset=t.number("u_offset", 0, 1e6, 0.0, unit="mm"),
+        u_gain=t.number("u_gain", 0, 1, 0.0),
+        domain=(ends[0], ends[1]),
         id=t.text("id", "as the maker states"),
         date=t.text("date", ""),
     )

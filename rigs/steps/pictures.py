@@ -16,6 +16,7 @@ from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig
 from rigs.devices.camera import Frame
 from vision.marker.gap import GapMeasurement
+from vision.pose.measure import PoseMeasurement
 
 if TYPE_CHECKING:
     pass
@@ -23,12 +24,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Picture:
-    """A stored picture: its number in the record, when it was taken, its bytes, its gap."""
+    """A stored picture: its number in the record, when it was taken, its bytes, its gap.
+
+    ``pose`` has the marks, where the rig has any.
+    """
 
     number: int
     host_ns: int
     jpeg: bytes
     gap: GapMeasurement
+    pose: PoseMeasurement | None = None
 
 
 def load_measuring(quality: int) -> None:
@@ -82,4 +87,4 @@ def take_picture(rig: Rig, record: RecordWriter, camera: Mapping[str, Any]) -> P
     pose = pose_of(gray, camera)
     if pose is not None:
         record.event("pose", frame=number, marks=pose.as_dict())
-    return Picture(number, frame.host_ns, jpeg, gap)
+    return Picture(number, frame.host_ns, jpeg, gap, pose)

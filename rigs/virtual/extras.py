@@ -35,6 +35,7 @@ TRANSMITTER_NOISE_KPA = 0.02
 VELOCITY_NOISE = 0.002
 ENCODER_NOISE_DEG = 0.003
 TORQUE_NOISE_N_M = 0.0003
+DISPLACEMENT_NOISE_MM = 0.003
 SUPPLY_NOISE_V = 0.002
 HAND = {"length": 0.03, "pressure": 1.0, "supply": 1.0, "angle": 0.1}
 """How exactly a person sets a length (mm) or an angle (degrees) and turns a regulator (kPa)."""
@@ -100,12 +101,13 @@ class Extras:
         self.devices: dict[str, Emulator] = {}
         self.supply: VirtualSupply | None = None
         for name, text in settings.text.items():
-            read = self._sensor(name, self._truth(name, text), text.calibration)
+            read = self._sensor(name, self._truth(name, text.form.quantity, text), text.calibration)
             self.devices[name] = VirtualText(
                 text.form, read, self._sender(name), text.serial or name, text.rate_hz
             )
         for name, modbus in settings.modbus.items():
-            read = self._sensor(name, lambda: bench.plant.pressure_kpa, modbus.calibration)
+            truth = self._truth(name, modbus.form.quantity)
+            read = self._sensor(name, truth, modbus.calibration)
             self.devices[name] = VirtualModbus(modbus.form, read, self._sender(name))
         if settings.supply is not None:
             rng = self._rng("supply")
@@ -206,17 +208,20 @@ class Extras:
         share = {
             "temperature_c": THERMOMETER_NOISE_C, "pressure_kpa": TRANSMITTER_NOISE_KPA,
             "angle_deg": ENCODER_NOISE_DEG, "torque_n_m": TORQUE_NOISE_N_M,
+            "length_mm": DISPLACEMENT_NOISE_MM,
         }  # fmt: skip
         if quantity == "velocity_m_s":
             return lambda value: float(rng.normal(0.0, VELOCITY_NOISE * max(abs(value), 0.1)))
         return lambda value: float(rng.normal(0.0, share.get(quantity, 0.0)))
 
-    def _truth(self, name: str, text: TextDevice) -> Callable[[], float]:
+    def _truth(
+        self, name: str, quantity: str, text: TextDevice | None = None
+    ) -> Callable[[], float]:
         plant = self._bench.plant
-        if isinstance(plant, JointLoad) and text.form.quantity in ("angle_deg", "torque_n_m"):
-            angle = text.form.quantity == "angle_deg"
+        if isinstance(plant, JointLoad) and quantity in ("angle_deg", "torque_n_m"):
+            angle = quantity == "angle_deg"
             return lambda: plant.angle_deg if angle else plant.lock_torque_n_m
-        match text.form.quantity:
+        match quantity:
             case "temperature_c":
                 return lambda: self.temperature_c
             case "force_n":
@@ -224,10 +229,16 @@ class Extras:
             case "pressure_kpa":
                 return lambda: self._bench.plant.pressure_kpa
             case "length_mm":
-                return lambda: self._bench.plant.length_mm
-            case "velocity_m_s":
+                return self._length(name)
+            case "velocity_m_s" if text is not None:
                 return self._velocity(text.bore_mm)
-        return lambda: text.virtual_value
+        return lambda: text.virtual_value if text is not None else 0.0
+
+    def _length(self, name: str) -> Callable[[], float]:
+        """Length of the muscle; effects on the length reading concern the source of the length."""
+        if name != self._config.length_source:
+            return lambda: self._bench.plant.length_mm
+        return lambda: self._bench.sensor_error.length_mm(self._bench.plant.length_mm)
 
     def pull_n(self) -> float:
         """Pull on the load cell: the muscle's, or a dead weight's in its place.

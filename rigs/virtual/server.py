@@ -24,7 +24,7 @@ import numpy as np
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, PamrigError
 from daq.interrupt import stop_on_signals
-from rigs.rigfile.config import NONE, RigConfig, load_rig
+from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.byte_ports import LOOPBACK, Port, PtyPort, TcpPort
 from rigs.virtual.operator_port import OperatorPort
@@ -292,7 +292,7 @@ def serve_bench(
     with open_server(config, folder, tcp, truth) as server, stop_on_signals() as stop:
         for name, port in server.ports.items():
             typer.echo(f"{name:8} {port.address}")
-        if config.camera.source != NONE:
+        if config.camera.source:
             typer.echo(f"{'camera':8} {server.camera.address}")
         typer.echo(f"rig file {server.rig_file}")
         test = "isometric" if config.joint is None else "joint-static"
@@ -335,7 +335,7 @@ def warm_up(
         clock = VirtualClock()
         bench = VirtualBench(config, clock)
         clock.sleep(0.05)
-        if config.camera.source != NONE:
+        if config.camera.source:
             bench.expose()
     finally:
         slow.cancel()

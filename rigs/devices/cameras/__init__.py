@@ -1,0 +1,1 @@
+"""Cameras behind packages of their own, and recorded videos."""
