@@ -50,7 +50,14 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Explanation:
-    """One entry of the ambiguity set: effects that together explain the gap."""
+    """One entry of the ambiguity set: effects that together explain the gap.
+
+    Attributes:
+        ids: names of the effects.
+        family: of the catalogue.
+        probability: of this entry.
+        parameters: by name, with 95 % intervals, in the units of the names.
+    """
 
     ids: tuple[str, ...]
     family: str
@@ -63,6 +70,15 @@ class Gap:
     """How large the gap is, in `unit`, and how much of it is closed.
 
     `closed` = (recalibrated² - after²) / (recalibrated² - floor²), on held-out data.
+
+    Attributes:
+        unit: of the channel.
+        before, recalibrated, after: rms difference of simulation and measurement with nominal
+            constants, with fitted constants, and with the effects found.
+        floor: rms difference that noise alone makes.
+        floor_source: "replicates", "stated" or "smoothness"; None where there is no floor.
+        closed, closed_low, closed_high: share that is closed, with its 95 % interval.
+        held_out: what was left out for it, such as "slot"; None for nothing.
     """
 
     unit: str
@@ -243,7 +259,21 @@ class Verdict:
     """What a diagnosis found. `as_dict` gives the object of the dataset format.
 
     Attributes:
+        status: whether the data fit, an effect was found, or nothing can be said.
+        reason: why the status is what it is.
+        stage: of the chain at which simulation and measurement disagree; None for none.
+        effects: the effects found, each with probability and parameters.
+        probability_none: that no effect of the catalogue acts.
+        probability_unknown: that something acts which is not in the catalogue.
         gap: of the channel that shows the effect best above its floor; decisions rest on it.
+        stages: share of each stage in the gap.
+        contrasts: tests between groups of trials, with their z values.
+        limits: by effect, the smallest headline parameter that would have been detected.
+        next_experiment: what would separate the remaining effects best.
+        why_not: by effect, why it was not taken.
+        notes: what a reader should know of data and result.
+        evidence: figures behind the decision, as plain values.
+        empirical: a correction without a physical cause, where one was fitted.
         channels: of every channel, the one with the largest gap for its range first.
         sure: effects that are there whatever else acts: all that is named, and those on which the
             entries of a set agree.

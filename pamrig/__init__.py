@@ -59,7 +59,14 @@ class RecordedRun:
         return self.stream("valve")
 
     def stream(self, name: str) -> pd.DataFrame:
-        """Any stream in engineering units (``valve``, ``balance``, ``points``)."""
+        """Any stream in engineering units.
+
+        Args:
+            name: of the stream: ``valve``, ``balance``, ``points``, or that of an instrument.
+
+        Raises:
+            daq.errors.RecordError: the run has no such stream.
+        """
         import pandas as pd
 
         from daq.store.derive import engineering
@@ -137,6 +144,10 @@ def open_run(run: str | Path = "last", runs: str | Path = "runs") -> RecordedRun
 
     The record is checked; what is wrong with it is warned of, and stands in ``problems``.
 
+    Args:
+        run: folder, id or part of the id of the run, or "last".
+        runs: folder in which an id is looked for.
+
     Raises:
         daq.errors.RecordError: no run matches, or several do.
     """
@@ -154,6 +165,11 @@ def open_rig(rig: str | Path = "virtual", runs: str | Path = "runs", **more: Any
     ``with pamrig.open_rig("bench.toml") as rig: ...``; see
     `rigs.interactive.client.InteractiveRig` for its methods and for ``more``.
 
+    Args:
+        rig: rig file, or the name of a shipped one.
+        runs: folder of runs.
+        more: specimen, operator, note, seed, idle_s and log of `InteractiveRig`.
+
     Raises:
         daq.errors.PamrigError: the rig cannot be opened; names device or file, key and remedy.
     """
@@ -167,6 +183,9 @@ def runs(folder: str | Path = "runs") -> pd.DataFrame:
 
     ``runs().query("protocol == 'isometric' and outcome == 'clean'").index`` are names for
     `open_run`. ``started`` is a time with time zone, ``duration_s`` NaN for an interrupted run.
+
+    Args:
+        folder: of the runs.
     """
     import pandas as pd
 
@@ -209,6 +228,10 @@ def diagnose(
 
 def simulate(scenario: str | Path, runs: str | Path = "runs") -> RecordedRun:
     """Simulate a scenario (file or shipped name) with the firmware in the loop; returns the run.
+
+    Args:
+        scenario: scenario file, or the name of a shipped one.
+        runs: folder of runs.
 
     Raises:
         daq.errors.PamrigError: names the invalid file and key, or why the simulation ended early.

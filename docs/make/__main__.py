@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from docs.make import files
+from docs.make import files, python_page
 
-GENERATORS: tuple[Callable[[], None], ...] = (files.main,)
+GENERATORS: tuple[Callable[[], None], ...] = (files.main, python_page.main)
 """Each writes one page."""
 
 if __name__ == "__main__":

@@ -132,5 +132,11 @@ class StaticForce(Protocol):
     def force_n(
         self, pressure_kpa: Array, length_mm: Array, parameters: Mapping[str, float]
     ) -> Array:
-        """Pull in N at gauge pressures and lengths of equal shape."""
+        """Pull in N, same shape as the arguments.
+
+        Args:
+            pressure_kpa: gauge pressures.
+            length_mm: lengths, same shape.
+            parameters: by name, in the units of the names.
+        """
         ...

@@ -35,6 +35,7 @@ from plant.effects.standards import Standard
 class Parameter:
     """One parameter of an effect: a number within bounds, or a word out of `choices`.
 
+    `name`, `unit` and `meaning` are shown to users; `low` and `high` are the bounds of a number.
     `default` None means that it must be given.
     """
 
@@ -239,6 +240,13 @@ class Effect:
     """One effect: where it acts, its parameters (the headline first), how to recognise it.
 
     Attributes:
+        id: its name in files.
+        family: group of the catalogue.
+        stage: of the chain at which it acts.
+        summary: one line.
+        parameters: the headline first.
+        search: what the diagnosis needs to look for it.
+        plant, sensors, diagnosis: the functions by which it acts.
         equation: what it adds to the nominal plant, in the symbols of its parameters.
         source: where that form comes from.
         untouched: what stays as it is.
@@ -317,7 +325,12 @@ class Effect:
         return self.neutral
 
     def amount(self, values: Values, constants: PlantConstants) -> float:
-        """How much of the effect these parameters are, as the diagnosis counts it."""
+        """How much of the effect these parameters are, as the diagnosis counts it.
+
+        Args:
+            values: parameters of the effect, complete.
+            constants: of the plant, for an effect that replaces one of them.
+        """
         if self.headline is None:
             return 1.0
         return float(values[self.headline]) - self.neutral_in(constants)

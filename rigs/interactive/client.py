@@ -54,7 +54,11 @@ class Stretch:
         self.length = length
 
     def plot(self, axes: tuple[Axes, Axes] | None = None) -> tuple[Axes, Axes]:
-        """Draw pressure with set-point, and force, against time; returns both axes."""
+        """Draw pressure with set-point, and force, against time; returns both axes.
+
+        Args:
+            axes: for pressure and force; a new figure without them.
+        """
         import matplotlib.pyplot as plt
 
         if axes is None:
@@ -165,7 +169,11 @@ class InteractiveRig:
         return bool(answer["settled"]) if isinstance(answer, dict) else True
 
     def set_length(self, length_mm: float) -> None:
-        """Move the stage, and wait until it is there."""
+        """Move the stage, and wait until it is there.
+
+        Args:
+            length_mm: within the limits of the rig.
+        """
         self._ask("set_length", length_mm=length_mm)
 
     def vent(self) -> None:
@@ -177,15 +185,28 @@ class InteractiveRig:
         self._ask("tare")
 
     def wait(self, seconds: float) -> None:
-        """Let time pass on the bench."""
+        """Let time pass on the bench.
+
+        Args:
+            seconds: of the bench's clock.
+        """
         self._ask("wait", seconds=seconds)
 
     def mark(self, text: str) -> None:
-        """Put a text into the record."""
+        """Put a text into the record.
+
+        Args:
+            text: of the event.
+        """
         self._ask("mark", text=text)
 
     def record(self, seconds: float, pictures: int = 0) -> Stretch:
-        """All samples of the next seconds, in engineering units."""
+        """All samples of the next seconds, in engineering units.
+
+        Args:
+            seconds: how long.
+            pictures: number of pictures that are taken for the length, evenly in time.
+        """
         import pandas as pd
 
         tables = self._ask("record", seconds=seconds, pictures=pictures)

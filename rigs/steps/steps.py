@@ -74,7 +74,10 @@ class SettleCriterion:
 
 @dataclass(frozen=True)
 class Settle:
-    """Wait for the criterion; the yield's value is (settled, seconds waited)."""
+    """Wait for the criterion at the set-point ``pressure_kpa``.
+
+    The yield's value is (settled, seconds waited).
+    """
 
     criterion: SettleCriterion
     pressure_kpa: float
@@ -82,7 +85,13 @@ class Settle:
 
 @dataclass(frozen=True)
 class Zero:
-    """Record a reading of the vented muscle."""
+    """Record a reading of the vented muscle.
+
+    Attributes:
+        trial: number of the trial.
+        when: "before" or "after" the trial.
+        seconds: duration of the reading.
+    """
 
     trial: int
     when: str
@@ -91,7 +100,19 @@ class Zero:
 
 @dataclass(frozen=True)
 class Measure:
-    """Record one settled point over a window of ``seconds`` with ``frames`` pictures."""
+    """Record one settled point over a window of ``seconds`` with ``frames`` pictures.
+
+    Attributes:
+        trial, slot, replicate, order, mounting: those of the trial; ``order`` counts the points.
+        direction: "up" or "down".
+        set_pressure_kpa: set-point of the pressure.
+        set_length_mm: length to which the stage was sent; None for a hung load.
+        settled: whether the settling criterion was met.
+        waited_s: how long it took.
+        mass_kg: hung mass; None without one.
+        cycle_max_kpa: pressure at which the cycle turns; None without a cycle.
+        set_temperature_c: temperature that was set; None without one.
+    """
 
     trial: int
     slot: str
@@ -124,7 +145,8 @@ class Trial:
 
     ``slot`` names the setting: trials with one slot are replicates of each other. What is
     held in the trial stands in ``held`` (``held_length_mm``, ``load_kg``, ``temperature_c``,
-    ``held_pressure_kpa``).
+    ``held_pressure_kpa``). ``mounting`` names the mounting of the muscle, ``protocol`` the
+    method of the trial.
     """
 
     trial: int

@@ -30,7 +30,7 @@ from rigs.rigfile.config import RigConfig
 
 @dataclass(frozen=True)
 class PressureLimits:
-    """The highest set-point, and the rig file that states it."""
+    """The highest set-point ``pressure_kpa``, and the rig file that states it (``source``)."""
 
     pressure_kpa: float
     source: str
