@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench_process import bench_process, call_pamrig
 from bench_runs import quick, run_isometric
 from daq.calibration import Calibration
 from daq.errors import ConfigError, DeviceError, DeviceTimeout, LinkLost
@@ -387,3 +389,22 @@ def test_a_wrong_key_is_one_line(
     with pytest.raises(ConfigError, match=words) as caught, open_rig(load_rig(str(path))):
         pass
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.campaign
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", RIGS)
+def test_a_test_over_ports_in_real_time(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with bench_process(tmp_path / "bench", name) as bench:
+        words = ("isometric", "--rig", bench.rig, "--protocol", "isometric-short", "--json")
+        done = call_pamrig(*words)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["outcome"] == "clean"
+    (folder,) = (tmp_path / "runs").iterdir()
+    run = open_run(folder)
+    assert verify(run) == []
+    assert ("regulator" in run.streams) == (name != "virtual-vppm")

@@ -22,6 +22,8 @@ TIME_FLOOR_S = 0.0015
 """Standard uncertainty of a time on the controller's clock: its tick and the clock fit."""
 REST_SHARE = 0.03
 """A regulator rests within a few hundredths of its dead band: u of a resting pressure."""
+REST_KPA = 0.03
+"""What is left of the approach when a pressure counts as resting."""
 GROUPS = 10
 REACHED = 0.15
 """The slew limit counts as reached where a step spends this share of its way at it."""
@@ -103,7 +105,7 @@ def identify(
         raise ValueError(f"needs {LEAST_STEPS} steps up and down, and small steps")
     statics, u_statics, linearity = _statics(responses)
     band, u_band = _dead_band(thresholds)
-    rest = REST_SHARE * band
+    rest = float(np.hypot(REST_SHARE * band, REST_KPA))
     course = [_moving_part(r) for r in responses]
     moving, misfit = _course(course)
     kept = [_without(course, group, moving) for group in range(GROUPS)]

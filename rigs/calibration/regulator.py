@@ -50,7 +50,7 @@ BEFORE_S = 0.05
 
 
 @dataclass(frozen=True)
-class RegulatorPlan(Parameters):
+class RegulatorPlan:
     """What is done: levels in kPa, rising; how often; the small steps in kPa."""
 
     levels_kpa: tuple[float, ...]
@@ -58,6 +58,10 @@ class RegulatorPlan(Parameters):
     increment_kpa: float
     name: str = NAME
     frames: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for run.json."""
+        return {**vars(self), "levels_kpa": list(self.levels_kpa)}
 
     def steps(self) -> Steps:
         """The method."""
@@ -113,7 +117,8 @@ def _rest(runner: StepContext) -> float:
         spent += LOOK_S
         last.append(_mean_kpa(runner, LOOK_S))
         if len(last) > 3 and max(last[-3:]) - min(last[-3:]) < DRIFT_KPA:
-            return float(np.mean(last[-2:]))
+            loop.for_seconds(2 * LOOK_S)  # what is left of the approach falls away
+            return _mean_kpa(runner, 2 * LOOK_S)
     raise DeviceError(
         runner.rig.pressure_source.name,
         f"its pressure does not come to rest in {REST_S:g} s",
