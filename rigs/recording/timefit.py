@@ -2,9 +2,8 @@
 
 With its own time: delays only make lines later, so that the clock runs along the lower edge of
 arrival against own time. The line below all points with the smallest sum of distances is the edge
-of their lower convex hull above the mean time (S. Moon, P. Skelly, D. Towsley, "Estimation and
-removal of clock skew from network delay measurements", INFOCOM 1999). The smallest delay itself
-cannot be seen: there is no ping.
+of their lower convex hull above the mean time. The smallest delay itself cannot be seen: there is
+no ping.
 
 Without: a line was printed after the bytes before it had come and before it came itself.
 """
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.link.loweredge import lower_edge
 from plant.arrays import Array
 
 BITS = 10
@@ -80,7 +80,7 @@ def times(
             "arrival", host_s - wire_s - bound / 2.0, bound, u_host * math.sqrt(2.0), u_host,
             math.nan, math.nan,
         )  # fmt: skip
-    begin, slope = _lower_edge(own_s - own_s[0], host_s)
+    begin, slope = lower_edge(own_s - own_s[0], host_s)
     fitted = begin + slope * (own_s - own_s[0])
     delay = float(np.quantile(host_s - fitted, TYPICAL))
     span = float(own_s[-1] - own_s[0])
@@ -92,20 +92,3 @@ def times(
         "own time", fitted - wire_s - latency_s / 2.0, np.full(len(host_s), latency_s),
         u_between, u_host, (1.0 / slope - 1.0) * 1e6 if span > 0.0 else math.nan, delay,
     )  # fmt: skip
-
-
-def _lower_edge(x: Array, y: Array) -> tuple[float, float]:
-    """(value at x = 0, slope) of the edge of the lower convex hull at the mean of ``x``."""
-    hull: list[int] = []
-    for k in range(len(x)):
-        while len(hull) >= 2:
-            a, b = hull[-2], hull[-1]
-            if (y[b] - y[a]) * (x[k] - x[a]) < (y[k] - y[a]) * (x[b] - x[a]):
-                break
-            hull.pop()
-        hull.append(k)
-    middle = float(x.mean())
-    right = next(i for i in range(1, len(hull)) if x[hull[i]] >= middle)
-    a, b = hull[right - 1], hull[right]
-    slope = float((y[b] - y[a]) / (x[b] - x[a]))
-    return float(y[a] - slope * x[a]), slope

@@ -15,6 +15,7 @@ MODULES: dict[str, str] = {
     "solenoids": "solenoids",
     "regulator-output": "regulator_output",
     "hand-regulator": "hand_regulator",
+    "card-output": "card_output",
 }
 """Kind in a rig file to module.
 
@@ -27,13 +28,13 @@ GROUP = "pamrig.pressure_sources"
 """Entry points of installed packages: kind to a module with ``open_source`` and, for the virtual
 bench, ``emulator``. Such a kind has a port."""
 
-WITHOUT_PORT = ("solenoids", "regulator-output", "hand-regulator")
+WITHOUT_PORT = ("solenoids", "regulator-output", "hand-regulator", "card-output")
 SENSOR_LAG_S = 0.5
 SENSOR_STALE_S = 1.5
 SENSOR_KEYS = ("sensor", "sensor_band_kpa", "sensor_lag_s", "sensor_stale_s")
 CONTROLLER = "controller"
 """The sensor of a rig file that names no other."""
-SCHEME = {"solenoids": "pwm", "regulator-output": "reg"}
+SCHEME = {"solenoids": "pwm", "regulator-output": "reg", "card-output": "reg"}
 """The controller's scheme that a kind needs; a driver with a port checks it by itself."""
 
 

@@ -76,6 +76,7 @@ class VirtualBench:
             self._make_links(clock)
         self._errors = self._draw_errors(streams[4])
         self.board = self._make_board(streams[0])
+        self.board.output_joined = config.pressure_source.kind != "card-output"
         self.balance = self._make_balance(streams[1])
         self.stage = self._make_stage()
         self.emulators: dict[str, Emulator] = {

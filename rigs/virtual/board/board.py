@@ -95,6 +95,8 @@ class SimBoard(BufferedBoard):
         self.serial = serial
         self.outlet_normally_open = outlet_normally_open
         self.has_regulator = has_regulator
+        self.output_joined = True
+        """False where the regulator is not on this controller's output."""
         self.reset_cause = "power"
         self.sink = sink
         self.timing = timing
@@ -161,6 +163,8 @@ class SimBoard(BufferedBoard):
 
     def regulator(self, counts_x16: int) -> None:
         """Set-point of the regulator."""
+        if not self.output_joined:
+            return
         sensor = self.sensor
         kpa = counts_x16 / 16 / sensor.counts_per_kpa + sensor.low_kpa if counts_x16 else 0.0
         kpa = kpa * (1.0 + self._regulator_gain) + (self._regulator_zero_kpa if kpa else 0.0)
