@@ -1,4 +1,4 @@
-"""`pamrig virtual|vent|doctor|read|console` and `pamrig firmware ...`."""
+"""`pamrig virtual|vent|doctor|read|record|console` and `pamrig firmware ...`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PortOption = Annotated[str, typer.Option("--port", help="The board's own USB por
 
 def add_bench(app: typer.Typer) -> None:
     """Add the commands that use a bench."""
-    for command in (virtual, vent, doctor, read, console):
+    for command in (virtual, vent, doctor, read, record, console):
         app.command()(command)
 
 
@@ -126,6 +126,51 @@ def read(
         faults = {k: v for k, v in row.items() if k not in ("instrument", "quantity", "value")}
         counts = ", ".join(f"{v} {k}" for k, v in faults.items())
         typer.echo(f"{row['instrument']:22} {row['quantity']:18} {row['value']:>10.5g}   {counts}")
+
+
+def record(
+    controller: Annotated[
+        str, typer.Argument(help="Description of the controller: file, or shipped name.")
+    ] = "own-controller",
+    seconds: Annotated[
+        float, typer.Option(help="How long to record; with --levels, for each of them.")
+    ] = 10.0,
+    levels: Annotated[
+        str, typer.Option(help="Set-points in kPa, one after the other: 100,200,0.")
+    ] = "",
+    out: OutOption = RUNS,
+    as_json: JsonOption = False,
+) -> None:
+    """Record a controller of your own that prints columns. It keeps no safety contract."""
+    from daq.errors import ConfigError
+    from rigs.recording.session import NO_CONTRACT
+    from rigs.recording.session import record as run
+    from rigs.rigfile.columns import load_columns
+
+    if not 0.1 <= seconds <= MAX_READ_S:
+        raise ConfigError("--seconds", f"{seconds:g} s is outside 0.1 to {MAX_READ_S:g} s")
+    try:
+        wanted = tuple(float(word) for word in levels.split(",")) if levels else ()
+    except ValueError:
+        raise ConfigError("--levels", f"{levels!r} is not a list of pressures in kPa") from None
+    form = load_columns(controller)
+    typer.echo(NO_CONTRACT, err=True)
+    made = run(form, out, seconds, wanted)
+    if as_json:
+        told = {**made.times.as_dict(), "folder": str(made.folder), "outcome": made.outcome,
+                "reason": made.reason, "rows": made.rows, "faults": made.faults}  # fmt: skip
+        print_json({**told, "vented": made.vented, "safety": NO_CONTRACT})
+    else:
+        typer.echo(f"{made.folder}: {made.outcome}, {made.rows} rows, not rows: {made.faults}")
+        typer.echo(
+            f"time: {made.times.method}, u between rows {made.times.u_between_s:.2g} s, "
+            f"u on this computer's clock {made.times.u_host_s:.2g} s"
+        )
+        if made.reason:
+            typer.echo(made.reason, err=True)
+    if made.vented is False:
+        typer.echo("the set-point 0 was not taken: vent by hand", err=True)
+    raise typer.Exit(0 if made.outcome == "clean" else 1)
 
 
 def console(

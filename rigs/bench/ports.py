@@ -14,6 +14,8 @@ from daq.errors import ConfigError, DeviceError, PamrigError
 from daq.link.acquisition import Acquisition
 from daq.link.transport import Link, SerialLink
 from rigs.devices.camera import Camera
+from rigs.devices.cards.card import Card
+from rigs.devices.cards.opened import backend
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.hung_mass import HungMass
 from rigs.devices.instruments.modbus import ModbusInstrument
@@ -23,7 +25,7 @@ from rigs.devices.interfaces import Instrument
 from rigs.devices.operator import ConsoleOperator, ManualAxis, ManualStage, Operator
 from rigs.devices.operator_port import RemoteOperator
 from rigs.rigfile.config import Device, RigConfig, camera_values
-from rigs.rigfile.instruments import TextDevice
+from rigs.rigfile.instruments import CardChannel, TextDevice
 
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench
@@ -58,6 +60,21 @@ class Ports:
         self._clock = clock
         self._stack = stack
         self._bench = bench
+        self.card: Card | None = None
+
+    def open_card(self, event_loop: EventLoop) -> Card | None:
+        """The data acquisition card, scanning; None where the rig file names none.
+
+        Raises:
+            ConfigError, DeviceError: no package, no card, or another one.
+        """
+        device = self.config.instruments.card
+        if device is None:
+            return None
+        library = self._bench.extras.card_library if self._bench is not None else None
+        self.card = Card(backend(device, self._clock, library), device, event_loop)
+        self._stack.callback(self.card.close)
+        return self.card
 
     def seen_as(self, config: RigConfig) -> Ports:
         """The same ports for another view of the rig file."""
@@ -128,8 +145,13 @@ def open_readers(ports: Ports, event_loop: EventLoop) -> dict[str, Instrument]:
     another zero.
     """
     config = ports.config
+    card = ports.open_card(event_loop)
     out: dict[str, Instrument] = {}
+    for name, channel in card.readers.items() if card is not None else ():
+        out[name] = channel
     for name, device in config.instruments.readers().items():
+        if isinstance(device, CardChannel):
+            continue
         link = ports.open(name, device)
         sources = (config.force_source, config.length_source, config.pressure_source.sensor)
         needed = name in sources

@@ -37,7 +37,8 @@ def open_pressure_source(
     settings = config.pressure_source
     module = source_module(settings.kind, "rigs.devices.pressure")
     parts = SourceParts(
-        config, valve, event_loop, axes, lambda: ports.open("pressure_source", settings)
+        config, valve, event_loop, axes, lambda: ports.open("pressure_source", settings),
+        ports.card,
     )  # fmt: skip
     source = module.open_source(parts)
     assert isinstance(source, PressureSource)

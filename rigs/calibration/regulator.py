@@ -24,7 +24,7 @@ from daq.interrupt import StopFlag
 from daq.store.derive import VALVE_STREAM, engineering
 from daq.store.run import Run, open_run
 from plant.arrays import Array
-from rigs.execution.procedure import Parameters, Procedure
+from rigs.execution.procedure import Procedure
 from rigs.execution.runner import Watch
 from rigs.execution.session import run_protocol
 from rigs.rigfile.config import RigConfig

@@ -16,6 +16,7 @@ from rigs.rigfile.toml_reader import Table
 NAMED = ("thermometer", "load_cell", "flow")
 """Tables of text instruments that the bench knows what to do with; others go below
 [instruments]."""
+UNITS = {"pressure_kpa": "kPa", "force_n": "N", "length_mm": "mm", "temperature_c": "degC"}
 QUANTITY = {
     "thermometer": "temperature_c",
     "load_cell": "force_n",
@@ -55,6 +56,48 @@ class ModbusDevice(Device):
 
     form: ModbusForm
     calibration: Calibration
+
+
+@dataclass(frozen=True)
+class CardForm:
+    """What a channel of a card measures: its quantity, in V as it comes, at the card's rate."""
+
+    quantity: str
+    unit: str
+    rate_hz: float
+
+
+@dataclass(frozen=True)
+class CardChannel(Device):
+    """One analogue input: its terminal and range in V, and the calibration from V."""
+
+    form: CardForm
+    calibration: Calibration
+    terminal: str
+    range_v: float
+
+
+@dataclass(frozen=True)
+class CardOutput:
+    """An analogue output that sets a pressure regulator."""
+
+    terminal: str
+    zero_v: float
+    volts_per_kpa: float
+
+    def volts(self, pressure_kpa: float) -> float:
+        """The voltage for a pressure."""
+        return self.zero_v + self.volts_per_kpa * pressure_kpa
+
+
+@dataclass(frozen=True)
+class CardDevice(Device):
+    """A data acquisition card: kind, scans a second, inputs by name, and an output."""
+
+    kind: str
+    rate_hz: float
+    channels: dict[str, CardChannel]
+    output: CardOutput | None
 
 
 @dataclass(frozen=True)
@@ -100,6 +143,7 @@ class InstrumentSettings:
     text: dict[str, TextDevice] = field(default_factory=dict)
     modbus: dict[str, ModbusDevice] = field(default_factory=dict)
     supply: SupplyDevice | None = None
+    card: CardDevice | None = None
     manual: dict[str, ManualAxisSettings] = field(default_factory=dict)
     load: LoadSettings = field(default_factory=LoadSettings)
     operator: str = ""
@@ -109,11 +153,14 @@ class InstrumentSettings:
         out: dict[str, Device] = {**self.text, **self.modbus}
         if self.supply is not None:
             out["supply"] = self.supply
+        if self.card is not None:
+            out["card"] = self.card
         return out
 
-    def readers(self) -> dict[str, TextDevice | ModbusDevice]:
+    def readers(self) -> dict[str, TextDevice | ModbusDevice | CardChannel]:
         """Every device that gives readings by itself, by name."""
-        return {**self.text, **self.modbus}
+        channels = self.card.channels if self.card is not None else {}
+        return {**self.text, **self.modbus, **channels}
 
 
 def read_instruments(root: Table) -> InstrumentSettings:
@@ -143,6 +190,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
         t = root.table("pressure_transmitter")
         modbus["pressure_transmitter"] = _modbus(t, "pressure_transmitter")
     supply = _supply(root.table("supply")) if "supply" in root else None
+    card = _card(root.table("card"), (*text, *modbus)) if "card" in root else None
     manual = {}
     axes = root.table("manual", optional=True)
     for name in axes.keys():  # noqa: SIM118
@@ -151,7 +199,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
     load = root.table("load", optional=True)
     person = root.table("operator", optional=True)
     out = InstrumentSettings(
-        text, modbus, supply, manual,
+        text, modbus, supply, card, manual,
         LoadSettings(
             u_mass=load.number("u_mass", 0, 1, 1e-4),
             lower_kpa_s=load.number("lower_kpa_s", 1, 2000, 150.0, unit="kPa/s"),
@@ -307,6 +355,56 @@ def _supply(t: Table) -> SupplyDevice:
     )
     t.finish()
     return out
+
+
+def _card(t: Table, taken: tuple[str, ...]) -> CardDevice:
+    port, serial = t.text("port"), t.ascii("serial", "")
+    kind = t.text("kind", choices=("labjack", "nidaqmx"))
+    rate_hz = t.number("rate_hz", 1, 10_000, unit="1/s")
+    group = t.table("channels")
+    channels = {}
+    for name in group.keys():  # noqa: SIM118
+        if not name.isidentifier() or name in (*taken, "valve", "balance", "stage", "camera"):
+            raise group.fail(name, "is not a valid name for a stream, or is another's")
+        c = group.table(name)
+        quantity = c.text("quantity", choices=("pressure_kpa", "force_n", "length_mm",
+                                               "temperature_c"))  # fmt: skip
+        range_v = c.number("range_v", 0.01, 10, 10.0, unit="V")
+        scale, offset = c.number("scale", -1e6, 1e6), c.number("offset", -1e6, 1e6, 0.0)
+        if scale == 0:
+            raise c.fail("scale", "a scale of 0 makes every reading the same")
+        ends = sorted((offset - abs(scale) * range_v, offset + abs(scale) * range_v))
+        calibration = Calibration(
+            quantity=quantity,
+            unit=UNITS[quantity],
+            raw_unit="V",
+            offset=offset,
+            scale=scale,
+            u_offset=c.number("u_offset", 0, 1e6, 0.0),
+            u_gain=c.number("u_gain", 0, 1, 0.0),
+            domain=(c.number("low", -1e9, 1e9, ends[0]), c.number("high", -1e9, 1e9, ends[1])),
+            id=c.text("id", "as stated in the rig file"),
+            date=c.text("date", ""),
+        )
+        form = CardForm(quantity, "V", rate_hz)
+        channels[name] = CardChannel(port, 9600, "", form, calibration, c.text("terminal"), range_v)
+        c.finish()
+    group.finish()
+    if not channels:
+        raise t.fail("channels", "has no channel", "add [card.channels.NAME]")
+    output = _card_output(t.table("output")) if "output" in t else None
+    t.finish()
+    return CardDevice(port, 9600, serial, kind, rate_hz, channels, output)
+
+
+def _card_output(t: Table) -> CardOutput:
+    made = CardOutput(
+        t.text("terminal"),
+        t.number("zero_v", -10, 10, 0.0, unit="V"),
+        t.number("volts_per_kpa", 1e-4, 1, unit="V/kPa"),
+    )
+    t.finish()
+    return made
 
 
 def _manual(t: Table) -> ManualAxisSettings:

@@ -20,6 +20,7 @@ MODULES: dict[str, str] = {
     "analogue-regulator": "analogue_regulator",
     "alicat-pcd": "proportional.alicat_pcd",
     "smc-itv": "proportional.smc_itv",
+    "card-output": "card_output",
 }
 """Kind in a rig file to module.
 
@@ -32,7 +33,9 @@ GROUP = "pamrig.pressure_sources"
 """Entry points of installed packages: kind to a module with ``open_source`` and, for the virtual
 bench, ``emulator``. Such a kind has a port."""
 
-WITHOUT_PORT = ("solenoids", "regulator-output", "hand-regulator", "analogue-regulator")
+WITHOUT_PORT = (
+    "solenoids", "regulator-output", "hand-regulator", "analogue-regulator", "card-output"
+)  # fmt: skip
 PROPORTIONAL = ("analogue-regulator", "alicat-pcd", "smc-itv")
 """Kinds whose own loop makes the pressure; `pamrig calibrate regulator` identifies them."""
 SENSOR_LAG_S = 0.5
@@ -41,7 +44,7 @@ SENSOR_KEYS = ("sensor", "sensor_band_kpa", "sensor_lag_s", "sensor_stale_s")
 CONTROLLER = "controller"
 """The sensor of a rig file that names no other."""
 SCHEME = {"solenoids": "pwm", "regulator-output": "reg", "analogue-regulator": "reg",
-          "alicat-pcd": "reg", "smc-itv": "reg"}  # fmt: skip
+          "alicat-pcd": "reg", "smc-itv": "reg", "card-output": "reg"}  # fmt: skip
 """The controller's scheme that a kind needs; a driver with a port checks it by itself."""
 
 

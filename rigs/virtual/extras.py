@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import time
 import zlib
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -16,9 +17,10 @@ from plant.constants import GAS_CONSTANT_J_KG_K
 from plant.physics.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MASS_OUT, PRESSURE
 from plant.simulator.bench import BenchSim
 from rigs.rigfile.config import RigConfig
-from rigs.rigfile.instruments import TextDevice
+from rigs.rigfile.instruments import CardDevice, TextDevice
 from rigs.rigfile.pressure_source import source_module
 from rigs.virtual.board.joint_load import JointLoad
+from rigs.virtual.emulators.cards import VirtualCard, library_of
 from rigs.virtual.emulators.emulator import Emulator
 from rigs.virtual.emulators.modbus import VirtualModbus
 from rigs.virtual.emulators.operator import VirtualOperator
@@ -117,6 +119,9 @@ class Extras:
                 max_v=settings.supply.max_v,
                 noise_v=lambda: float(rng.normal(0.0, SUPPLY_NOISE_V)),
             )
+        self.card: VirtualCard | None = None
+        if settings.card is not None:
+            self.devices["card"] = self.card = self._card(settings.card)
         self.regulator: RegulatorOutlet | None = None
         self.without_port: dict[str, Emulator] = {}
         source = self._config.pressure_source
@@ -126,6 +131,32 @@ class Extras:
         elif source.kind == "analogue-regulator":
             outlet = self.without_port["regulator"] = RegulatorOutlet(self._bench.plant)
             self._has_outlet(outlet)
+
+    @property
+    def card_library(self) -> Any:
+        """The stand-in of the maker's package."""
+        return None if self.card is None else library_of(self.card)
+
+    def _card(self, device: CardDevice) -> VirtualCard:
+        truths: dict[str, Callable[[], float]] = {
+            "temperature_c": lambda: self.temperature_c,
+            "force_n": self._cell_n,
+            "pressure_kpa": lambda: self._bench.plant.pressure_kpa,
+            "length_mm": lambda: self._bench.plant.length_mm,
+        }
+        read = {
+            channel.terminal: self._sensor(name, truths[channel.form.quantity], channel.calibration)
+            for name, channel in device.channels.items()
+        }
+
+        def set_volts(terminal: str, volts: float) -> None:
+            output = device.output
+            if output is not None and terminal == output.terminal:
+                kpa = (volts - output.zero_v) / output.volts_per_kpa
+                self._bench.plant.set_regulator(min(max(kpa, 0.0), 700.0))
+
+        clock = self._bench.clock
+        return VirtualCard(device, read, set_volts, time.sleep if clock is None else clock.sleep)
 
     def _pressure_source(self) -> Emulator:
         """That of the rig's pressure source, of the module with its driver's name."""

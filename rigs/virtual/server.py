@@ -92,6 +92,12 @@ class BenchServer:
         truth: Path | None = None,
         make: Callable[[RigConfig, int], VirtualBench] | None = None,
     ) -> None:
+        if config.instruments.card is not None:
+            raise ConfigError(
+                config.source,
+                "a data acquisition card has no port that another program could open",
+                "run the test on this rig itself",
+            )
         folder.mkdir(parents=True, exist_ok=True)
         self.config = config
         self.lateness_ns = array("q")  # a list takes five times as much

@@ -79,6 +79,7 @@ class SourceParts:
         event_loop: of the bench.
         axes: the rig's manual axes, by name.
         open_link: opens the port of ``[pressure_source]``; only a source with a port calls it.
+        card: the rig's data acquisition card (`rigs.devices.cards.card.Card`), or None.
     """
 
     config: RigConfig
@@ -86,6 +87,7 @@ class SourceParts:
     event_loop: EventLoop
     axes: Mapping[str, ManualAxis]
     open_link: Callable[[], Link]
+    card: object = None
 
 
 class PressureSource(ABC):

@@ -95,6 +95,8 @@ class SimBoard(BufferedBoard):
         self.serial = serial
         self.outlet_normally_open = outlet_normally_open
         self.has_regulator = has_regulator
+        self.output_joined = True
+        """False where the regulator is not on this controller's output."""
         self.reset_cause = "power"
         self.sink = sink
         self.timing = timing
@@ -166,6 +168,8 @@ class SimBoard(BufferedBoard):
         """Set-point of the regulator."""
         if self.regulator_input is not None:
             self.regulator_input(counts_x16 / 16, self.bench_us * 1000)
+            return
+        if not self.output_joined:
             return
         sensor = self.sensor
         kpa = counts_x16 / 16 / sensor.counts_per_kpa + sensor.low_kpa if counts_x16 else 0.0

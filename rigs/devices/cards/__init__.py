@@ -1,0 +1,1 @@
+"""Data acquisition cards by their makers' Python packages."""

@@ -1,0 +1,1 @@
+"""Recordings of a controller of one's own that prints columns and keeps no safety contract."""
