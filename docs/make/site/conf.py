@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ sys.path.insert(0, str(HOUSE))
 from daq.version import version as current  # noqa: E402
 from docs.make.site.pages import listings, navigation  # noqa: E402
 
+logging.getLogger("traitlets").setLevel(logging.WARNING)  # one line for each notebook
 project = "pamrig"
 author = "The pamrig developers"
 version = release = current()
@@ -28,6 +30,7 @@ html_static_path = [str(HERE / "static")]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False
+html_show_search_summary = False  # a browser reads no other file of a site on disk
 html_theme_options: dict[str, Any] = {"sidebar_hide_name": False}
 
 myst_heading_anchors = 3

@@ -20,7 +20,10 @@ _LISTING = """<!doctype html>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width">
 <title>{title}</title>
-<body style="font: 16px/1.5 sans-serif; max-width: 40em; margin: 2em auto; padding: 0 1em">
+<style>
+body {{ font: 16px/1.5 sans-serif; max-width: 40em; margin: 2em auto; padding: 0 1em }}
+body {{ overflow-wrap: anywhere }}
+</style>
 <h1>{title}</h1>
 <ul>
 {rows}
