@@ -8,7 +8,7 @@ RUNS_HERE := $(VENV)/.runs
 # The tests start many programs, each of which would translate all libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test golden lint types bench campaign faults fuzz soak load real audit look board wheel lock clean
+.PHONY: demo test golden lint types bench campaign faults fuzz soak load real audit look docs board wheel lock clean
 
 # Every file that is installed has a sum in a lock file; nothing is built from sources.
 HASHED := --quiet --no-compile --no-deps --require-hashes --only-binary :all:
@@ -75,6 +75,16 @@ $(VENV)/.peers: $(READY) locks/peers.lock   # pamrig's own packages stay as they
 bench: $(VENV)/.peers   ## side by side with what one would use instead: docs/evidence/benchmarks.md
 	$(BIN)/python -m benchmarks --page docs/evidence/benchmarks.md
 
+$(VENV)/.docs: $(READY) locks/docs.lock   # pamrig's own packages stay as they are pinned
+	$(BIN)/python -m pip install $(HASHED) -r locks/docs.lock
+	@touch $@
+
+docs: export PATH := $(abspath $(BIN)):$(PATH)
+docs: $(VENV)/.docs   ## the reference pages anew, and the documentation as a site: out/docs
+	$(BIN)/python -m docs.make
+	$(BIN)/python -m sphinx -W --keep-going -q -b html -c docs/make/site docs out/docs
+	@echo "out/docs/index.html"
+
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -96,6 +106,7 @@ lock:   ## pin anew after changing dependencies (needs uv); UPGRADE= keeps the v
 	$(COMPILE) pyproject.toml --constraint requirements.lock --output-file locks/run.lock
 	$(COMPILE) --group build --output-file locks/build.lock
 	$(COMPILE) pyproject.toml --extra bench --extra peers --constraint requirements.lock --output-file locks/peers.lock
+	$(COMPILE) pyproject.toml --extra docs --constraint requirements.lock --output-file locks/docs.lock
 	$(COMPILE) --group audit --output-file locks/audit.lock
 
 clean:

@@ -21,8 +21,9 @@ UNREACHED = {f"{PORT} port", f"{PORT} baud", f"{PORT} serial"}
 def test_every_key_has_a_line_and_every_line_a_key() -> None:
     lines = files.Lines()
     files.page(lines)
-    assert lines.missing == [], "add these lines to docs/make/keys.toml"
-    assert lines.unused() == [], "no reader asks for these keys of docs/make/keys.toml"
+    missing, unused = "\n".join(lines.missing), "\n".join(lines.unused())
+    assert not missing, f"add these lines to docs/make/keys.toml:\n{missing}"
+    assert not unused, f"no reader asks for these lines of docs/make/keys.toml:\n{unused}"
 
 
 def test_the_page_is_what_the_generator_makes() -> None:
