@@ -109,7 +109,7 @@ def test_jacobian_is_the_tip_s_derivative() -> None:
 
 
 def test_all_shipped_arms_load() -> None:
-    assert shipped_names("links") == ["finger", "planar2", "planar3"]
+    assert shipped_names("links") == ["finger", "forearm", "planar2", "planar3"]
     for name in shipped_names("links"):
         assert load_arm(name).name == name
 

@@ -2,7 +2,9 @@
 
 Two muscles that pull at once share one torque, and no sensor of the joint tells their forces apart.
 Alone at a locked angle, a muscle is an isometric trial: its force is the torque over the lever arm,
-its length that at angle 0 less what the angle has taken up.
+its length that at angle 0 less what the angle has taken up. The lock gives way a little under the
+torque. The trial is held at its mean length, and each force is that at this length, by the slope of
+the torque over the angle that the run itself shows.
 """
 
 from __future__ import annotations
@@ -50,22 +52,23 @@ def joint_trials(run: Run, muscle: str) -> Iterator[RunTrial]:
             " pull at once only the sum is known",
             "run joint-static with alone_kpa and angles_deg in its file",
         )
+    own = own.assign(per_rad=_torque_per_rad(own, muscle))
     way = 1.0 if muscle == "a" else -1.0
     conditions = run.manifest.get("conditions") or {}
     wall_s = int(run.manifest["started"].get("wall_ns", 0)) * 1e-9
     for trial, rows in own.groupby("trial", sort=True):
         first = rows.iloc[0]
-        angle = rows["angle_deg"].to_numpy(float)
+        angle = np.radians(rows["angle_deg"].to_numpy(float))
+        torque = rows["torque_n_m"].to_numpy(float)
+        torque = torque - rows["per_rad"].to_numpy(float) * (angle - angle.mean())
         samples = pd.DataFrame(
             {
                 "pressure_kpa": rows[f"pressure_{muscle}_kpa"].to_numpy(float),
-                "force_n": way * rows["torque_n_m"].to_numpy(float) / (radius * 1e-3),
-                "length_mm": rest - way * radius * np.radians(angle),
+                "force_n": way * torque / (radius * 1e-3),
             }
         )
         words = rows["direction"].astype(str).reset_index(drop=True)
         samples["direction"] = words.where(words.isin(["up", "down"]), None)
-        held = rest - way * radius * math.radians(float(first["set_angle_deg"]))
         yield RunTrial(
             {
                 "trial": f"{run.run_id}:{trial}{muscle}",
@@ -73,7 +76,8 @@ def joint_trials(run: Run, muscle: str) -> Iterator[RunTrial]:
                 "replicate": first["repeat"],
                 "protocol": "isometric",
                 "mounting": first["mounting"],
-                "held_length_mm": held,
+                # By the encoder, which knows it far better than a person sets the lock.
+                "held_length_mm": rest - way * radius * float(angle.mean()),
                 "load_kg": None,
                 "temperature_c": conditions.get("temperature_c"),
                 "start_s": wall_s + float(first["order"]),
@@ -101,6 +105,16 @@ def joint_calibration(run: Run, muscle: str) -> dict[str, float]:
         "length_zero_mm": radius * math.radians(record.angles.u_offset),
     }
     return {key: float(value) for key, value in found.items() if value > 0.0}
+
+
+def _torque_per_rad(own: pd.DataFrame, muscle: str) -> Any:
+    """dT/dq of each point of a muscle alone, N m/rad; 0 where the angles do not show it."""
+    if own["set_angle_deg"].nunique() < 2:
+        return 0.0
+    kpa = own[f"pressure_{muscle}_kpa"].to_numpy(float)
+    design = np.column_stack([kpa, kpa * np.radians(own["angle_deg"].to_numpy(float))])
+    found, *_ = np.linalg.lstsq(design, own["torque_n_m"].to_numpy(float), rcond=None)
+    return kpa * float(found[1])
 
 
 def _geometry(run: Run) -> tuple[float, float]:
