@@ -17,6 +17,7 @@ from rigs.devices.cards import opened
 from rigs.devices.cards.card import Card, ScanClock
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
+from rigs.virtual.server import BenchServer
 
 RIGS = ("virtual-labjack", "virtual-ni")
 
@@ -174,3 +175,9 @@ def test_a_rig_file_that_cannot_work_names_the_key(
 ) -> None:
     with pytest.raises(ConfigError, match=words):
         changed("virtual-labjack", tmp_path, (old, new))
+
+
+def test_a_card_cannot_be_offered_to_another_program(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no port that another program could open"):
+        BenchServer(load_rig("virtual-ni"), tmp_path / "bench")
+    assert not (tmp_path / "bench").exists()

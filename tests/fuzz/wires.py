@@ -19,8 +19,10 @@ from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
 from rigs.devices.motion.grbl import GrblStage
 from rigs.devices.valve_controller import ValveController
+from rigs.rigfile.config import load_rig
 from rigs.rigfile.form import load_form
 from rigs.rigfile.modbus_form import ModbusForm
+from rigs.rigfile.stage import stage_module
 from rigs.virtual.emulators.modbus import crc16
 from rigs.virtual.emulators.supply import VirtualSupply
 from valvefw import wire
@@ -114,6 +116,33 @@ def _stage() -> Target:
     return Target("stage", "a motion controller's lines", run, corpus, LINK, words)
 
 
+def _other_stage(kind: str, corpus: list[bytes], words: tuple[bytes, ...]) -> Target:
+    device = load_rig(f"virtual-{kind}").stage
+
+    def make(link: Any, event_loop: EventLoop) -> Any:
+        stage = stage_module(kind, "rigs.devices.motion").open_stage(link, event_loop, device)
+        stage._ready = True
+        return stage
+
+    return Target(kind, "a stage's messages", _through(make), corpus, LINK, words)
+
+
+def _marlin() -> Target:
+    corpus = [b"X:60.00 Y:0.00 Z:0.00 E:0.00 Count X:4800 Y:0 Z:0\n", b"ok\n", b"Resend: 4\n",
+              b"echo:endstops hit:  X:12.00\n"]  # fmt: skip
+    return _other_stage("marlin", corpus, (b"X:", b"Count ", b"\n", b"ok"))
+
+
+def _zaber() -> Target:
+    corpus = [b"@01 0 OK IDLE -- 0:8D\r\n", b"@01 1 07 OK BUSY WR 419948\r\n", b"!01 1 IDLE --\r\n"]
+    return _other_stage("zaber", corpus, (b"@01 1 ", b" OK IDLE -- ", b":", b"\r\n"))
+
+
+def _tmcl() -> Target:
+    corpus = [bytes.fromhex("02 01 64 06 00 00 02 c7 36"), bytes.fromhex("02 01 01 09") + bytes(5)]
+    return _other_stage("tmcl", corpus, (b"\x02\x01\x64",))
+
+
 def _modbus() -> Target:
     def make(link: Any, event_loop: EventLoop) -> ModbusInstrument:
         form = ModbusForm("pressure_kpa", "kPa", 1, 0)
@@ -171,6 +200,9 @@ TARGETS: dict[str, Callable[[], Target]] = {
     "valve driver": _valve,
     "MT-SICS": _balance,
     "stage": _stage,
+    "Marlin": _marlin,
+    "Zaber": _zaber,
+    "TMCL": _tmcl,
     "Modbus": _modbus,
     "load cell": lambda: _text("load cell", "load-cell-stream", [b"+00012.34 N\r\n"]),
     "thermometer": lambda: _text("thermometer", "thermometer", [b"21.05 C\r\n", b"21.05\r\n"]),
