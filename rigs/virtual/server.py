@@ -288,7 +288,8 @@ def serve_bench(
     with open_server(config, folder, tcp, truth) as server, stop_on_signals() as stop:
         for name, port in server.ports.items():
             typer.echo(f"{name:8} {port.address}")
-        typer.echo(f"{'camera':8} {server.camera.address}")
+        if config.camera.source:
+            typer.echo(f"{'camera':8} {server.camera.address}")
         typer.echo(f"rig file {server.rig_file}")
         typer.echo(f"try:     pamrig isometric --rig {server.rig_file} --protocol isometric-short")
         end = time.monotonic() + seconds if seconds > 0 else float("inf")
