@@ -10,17 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.layouts.layouts import LENGTH
 from analysis.reporting.report import report_json
 from analysis.run_table import reduce_run
 from bench_runs import quick, run_isometric
 from daq.errors import ConfigError
+from daq.live.viewfile import _fill
 from daq.store.run import Run, open_run
 from daq.store.verify import verify
 from gap.data.run_trials import run_trials
 from protocol_runs import run_short
 from rigs.bench.doctor import examine
 from rigs.execution.runner import Runner
-from rigs.execution.session import Result
+from rigs.execution.session import Result, run_protocol
+from rigs.live.feed import LiveFeed
+from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 
@@ -192,3 +196,45 @@ def test_the_doctor_needs_no_camera(tmp_path: Path) -> None:
     assert not [f for f in findings if f.status == "stop"]
     assert not [f for f in findings if "camera" in f.what]
     assert [f for f in findings if f.what == "laser"]
+
+
+class Sink:
+    """Takes what a view is given, by path."""
+
+    error = None
+
+    def __init__(self) -> None:
+        self.got: dict[str, list[float]] = {}
+        self.places: dict[str, list[tuple[float, float]]] = {}
+
+    def series(self, path: str, times: Any, values: Any) -> None:
+        self.got.setdefault(path, []).extend(float(v) for v in values)
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        def points(path: str, *words: Any, **more: Any) -> None:
+            del more
+            x, y = [np.ravel(w)[0] for w in words if not isinstance(w, str)][-2:]
+            self.places.setdefault(path, []).append((float(x), float(y)))
+
+        return points if name == "points" else lambda *words, **more: None
+
+
+def test_live_view_and_its_file_show_the_length_of_the_instrument(tmp_path: Path) -> None:
+    config = load_rig(RIG)
+    plan = quick(config, lengths_mm=(60.0,), pressures_kpa=(200.0, 500.0), order="up-down")
+    kind = procedure("isobaric")
+    layout = kind.analysis.layout(plan.as_dict())
+    live = Sink()
+    result = run_protocol(
+        procedure("isometric"), config, plan, tmp_path,
+        make_live=lambda run_id: LiveFeed(live, layout),  # type: ignore[arg-type]
+    )  # fmt: skip
+    assert result.outcome == "clean", result.error
+    stored, run = Sink(), open_run(result.folder)
+    _fill(stored, run, layout, None, 1000)  # type: ignore[arg-type]
+    for sink in (live, stored):
+        assert len(sink.got[LENGTH]) > 50
+        assert np.median(sink.got[LENGTH]) == pytest.approx(60.0, abs=0.1)
+        (points,) = [p for path, p in sink.places.items() if "points" in path]
+        assert len(points) >= 2
+        assert all(abs(x - 60.0) < 0.1 for x, _ in points)

@@ -125,7 +125,12 @@ def _fill(scene: Scene, run: Run, layout: LiveLayout, edges: Edges | None, most_
     frame_ns = {int(f["frame"]): int(f["host_ns"]) for f in run.frames}
     for feed in layout.feeds:
         _series(scene, tables.get(feed.stream, {}), feed, layout, most_rows)
+    source = str(run.manifest.get("length_source") or "")
     for events in layout.event_feeds:
+        if source in tables and events.quantity == "length_mm":
+            by_reader = Feed(events.path, source, "length_mm")
+            _series(scene, tables[source], by_reader, layout, most_rows)
+            continue
         _event_series(scene, run, events, frame_ns, start_ns, layout)
     for points in layout.points:
         _points(scene, run, tables, points)

@@ -13,7 +13,7 @@ from analysis.layouts import layouts as paths
 from analysis.layouts.layouts import edge_lines, profile_lines
 from analysis.reduction.pictures import decode
 from daq.clock import NS_PER_S
-from daq.live.layout import LiveLayout
+from daq.live.layout import Feed, LiveLayout
 from daq.live.live import LiveView
 from daq.record.writer import RecordWriter
 from daq.store.derive import VALVE_STREAMS, scaled
@@ -56,6 +56,7 @@ class LiveFeed:
         for side in rig.sides:
             side.valve.on_batch.append(self._listener(side.name))
         rig.balance.on_rows.append(lambda batch: self._batch("balance", batch))
+        self._feeds = (*self._feeds, *self._length_feeds(rig))
         for name, instrument in rig.instruments.items():
             if any(feed.stream == name for feed in self._feeds):
                 instrument.on_rows.append(self._listener(name))
@@ -130,6 +131,12 @@ class LiveFeed:
             self.view.text(now_s(), text, "ERROR" if fault else "INFO")
 
         return event
+
+    def _length_feeds(self, rig: Rig) -> list[Feed]:
+        """The length by an instrument, where the layout shows a length."""
+        if rig.length_reader is None or self._layout.panel_of(paths.LENGTH) is None:
+            return []
+        return [Feed(paths.LENGTH, rig.config.length_source, "length_mm")]
 
     def _listener(self, stream: str) -> Callable[[Batch], None]:
         return lambda batch: self._batch(stream, batch)

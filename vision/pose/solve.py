@@ -233,7 +233,7 @@ class _Problem:
         return np.concatenate(parts)
 
     def _fit(self, start: Array) -> _Fit:
-        """Gauss and Newton with a guard (Levenberg and Marquardt), as scipy has it."""
+        """Levenberg and Marquardt, as MINPACK has it."""
         from scipy.optimize import least_squares
 
         corners = CORNER_PX if self.weights is not None else 1.0
@@ -248,7 +248,7 @@ class _Problem:
         scale = np.ones(self.size)
         scale[3:6] = max(1.0, float(np.abs(start[3:6]).max()))
         scale[:3] = 0.1
-        found = least_squares(rest, start, x_scale=scale, method="trf", jac="2-point")
+        found = least_squares(rest, start, x_scale=scale, method="lm", jac="2-point")
         residuals = self._residuals(found.x)
         jacobian = np.asarray(found.jac)[: len(residuals)] * corners
         return _Fit(np.asarray(found.x), residuals, jacobian)
