@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterator, MutableSequence
+from contextlib import suppress
 from importlib import resources
+from importlib.metadata import entry_points
 from importlib.resources.abc import Traversable
+from importlib.util import find_spec
+from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
@@ -81,7 +85,18 @@ def fingerprint(*more: str) -> int:
     for name in (*_ALWAYS, *more):
         for file in _sources(resources.files("plant").joinpath(*name.split("/"))):
             crc = zlib.crc32(file.read_bytes(), crc)
+    for text in _installed():
+        crc = zlib.crc32(text, crc)
     return crc
+
+
+def _installed() -> Iterator[bytes]:
+    """Source of the modules in which installed packages bring effects."""
+    for point in sorted(entry_points(group="pamrig.effects"), key=lambda point: point.name):
+        with suppress(ImportError, OSError):  # the catalogue says what is wrong with it
+            found = find_spec(point.module)
+            if found is not None and found.origin is not None:
+                yield Path(found.origin).read_bytes()
 
 
 def _sources(place: Traversable) -> Iterator[Traversable]:

@@ -1,7 +1,7 @@
 """The catalogue of effects: what a real bench may do that the nominal plant does not.
 
 Verdicts, rig files (`[effects.<id>]`), docs and blind checks all use these ids. A new effect is
-one file in a room and its name in the tuple of that room.
+one file in a room and its name in the tuple of that room; an installed package can bring one, too.
 """
 
 from __future__ import annotations
@@ -9,12 +9,13 @@ from __future__ import annotations
 from plant.effects.drift import DRIFT
 from plant.effects.effect import Effect
 from plant.effects.gas import GAS
+from plant.effects.installed import installed_effects, together
 from plant.effects.load import LOAD
 from plant.effects.muscle import MUSCLE
 from plant.effects.sensors import SENSORS
 from plant.effects.valve import VALVE
 
-_EFFECTS = (*MUSCLE, *GAS, *VALVE, *LOAD, *SENSORS, *DRIFT)
+_EFFECTS = together((*MUSCLE, *GAS, *VALVE, *LOAD, *SENSORS, *DRIFT), installed_effects())
 
 CATALOGUE: dict[str, Effect] = {effect.id: effect for effect in _EFFECTS}
 """All effects by id, in the order of the specification."""
