@@ -43,7 +43,9 @@ def bars(folder: Path, rng: np.random.Generator) -> None:
             image[180:300, round(x) : round(x) + 30] = 45.0
             x += 30.0
         image = cv2.GaussianBlur(image, (0, 0), 1.0) + rng.normal(0.0, 2.0, image.shape)
-        cv2.imwrite(str(folder / "bars" / f"{k}.png"), np.clip(np.rint(image), 0, 255))
+        cv2.imwrite(
+            str(folder / "bars" / f"{k}.png"), np.clip(np.rint(image), 0, 255).astype(np.uint8)
+        )
 
 
 MARKS = """camera = "pose-camera.toml"

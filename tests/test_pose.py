@@ -146,7 +146,15 @@ def test_the_plane_is_the_origin_without_a_reference(camera: PoseCamera) -> None
     image = draw_marks(
         [Drawn(3, 20.0, 12.0, -7.0, angle_deg=100.0)], np.random.default_rng(2), LENS
     )
-    pose = measure_pose(image, settings).poses["link"]
+    measured = measure_pose(image, settings)
+    side = np.radians(100.0)  # corners are given as they are seen, for the drawing
+    upper_left = seen_at(
+        LENS,
+        12.0 - 10 * np.cos(side) - 10 * np.sin(side),
+        -7.0 - 10 * np.sin(side) + 10 * np.cos(side),
+    )
+    assert np.abs(measured.corners["link"][0] - upper_left).max() < 0.1
+    pose = measured.poses["link"]
     for value, u, truth in (
         (pose.x_mm, pose.u_x_mm, 12.0),
         (pose.y_mm, pose.u_y_mm, -7.0),

@@ -59,6 +59,15 @@ class PoseCamera:
             cv2.undistortPoints(points, k, np.array(self.distortion), None, k), dtype=np.float64
         ).reshape(-1, 2)
 
+    def distorted(self, pixels: Array) -> Array:
+        """The inverse of :meth:`undistorted`: where the lens shows these pixels, (n, 2)."""
+        import cv2
+
+        k, zero = self.matrix, np.zeros(3)
+        rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(k).T
+        seen, _ = cv2.projectPoints(rays, zero, zero, k, np.array(self.distortion))
+        return np.asarray(seen, dtype=np.float64).reshape(-1, 2)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values for a file and for run.json."""
         out: dict[str, Any] = {k: v for k, v in vars(self).items() if k != "plane"}

@@ -180,7 +180,7 @@ def measure_pose(gray: npt.NDArray[np.uint8], settings: MarkSettings) -> PoseMea
         )
         return _none(settings, dict.fromkeys((m.name for m in settings.marks), why))
     bodies, reasons = _bodies(gray, settings)
-    corners = {body.name: body.pixels for body in bodies}
+    corners = {body.name: settings.camera.distorted(body.pixels) for body in bodies}
     lost = reasons.get(settings.reference)
     if lost:
         why = f"reference {settings.reference}: {lost}"
