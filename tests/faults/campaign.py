@@ -18,10 +18,11 @@ from rigs.protocols.names import PROTOCOLS
 
 from .judge import Verdict, judge
 from .kinds import Fault, draw
+from .places import OF_JOINT
 from .trial import run_trial
 from .values import check_continuing, check_values
 
-ORDER = tuple(PROTOCOLS)
+ORDER = tuple(name for name in PROTOCOLS if name not in OF_JOINT)
 FINDINGS = ("untold", "late", "unreadable", "wrong", "stuck")
 SHOWN = ("layer", "kind", "device", "hits", "must_tell")
 
