@@ -81,7 +81,7 @@ def rows() -> list[Row]:
 
 def _is_key(kind: str, table: str, key: str, tables: set[tuple[str, str]]) -> bool:
     """False for a table that has a section of its own, and for what a user names."""
-    if table == "valve.parameters":
+    if re.fullmatch(r"valve\w*\.parameters", table):
         return False  # the firmware's, listed by themselves
     path = f"{table}.{key}" if table else key
     named = path
