@@ -3,9 +3,9 @@
 9600 baud, 8 data bits, no parity; lines end with CR LF. Pressures are counts, 0 to 1023 over the
 regulator's range: ``SET 512`` sets and answers the count, ``REQ`` answers the set count, ``MON``
 the count of its own sensor; ``INC`` and ``DEC`` move the set-point by one and are not used here.
-A command that it does not know, and a count above 1023, are answered by words. Source: the commands
-and the range as SMC's catalogue of the ITV series gives them; whether a count comes with leading
-zeros is not certain, so 1 to 4 digits are taken.
+A command that it does not know, and a count above 1023, are answered by words. Source: published
+programs that drive one; no manual of SMC was at hand. Whether a count comes with leading zeros is
+not certain, so 1 to 4 digits are taken.
 
 It has no identity, and a count does not say which question it answers. So a count that was set is
 asked for again, and after anything odd the line must be silent for four time-outs.
