@@ -150,3 +150,8 @@ def _fields() -> str:
 
 def _exists(words: str) -> bool:
     return any(name == words for name, _ in every_command())
+
+
+def main() -> None:
+    """Write the page."""
+    Path(PATH).write_text(page(), encoding="utf-8")
