@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from daq.store.info import RunInfo
 
 SECTIONS: dict[str, tuple[str, ...]] = {
-    "Test": (*PROTOCOLS, "test", "run", "continue"),
+    "Test": (*PROTOCOLS, "test", "run", "continue", "record"),
     "Bench": ("virtual", "doctor", "read", "vent", "console", "calibrate", "firmware"),
     "Data": ("runs", "report", "view", "length", "strain", "pose", "import"),
     "Model": ("models", "fit", "links"),

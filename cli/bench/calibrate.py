@@ -224,7 +224,7 @@ def regulator(
     rig: RigOption = "virtual-alicat",
     repeats: Annotated[int, typer.Option(help="How often every step is made.")] = 3,
     increment_kpa: Annotated[
-        float, typer.Option("--increment", help="Small steps for the dead band, in kPa.")
+        float, typer.Option("--increment-kpa", help="Small steps for the dead band, in kPa.")
     ] = 0.25,
     records: RecordsOption = RECORDS,
     operator: OperatorOption = "",
