@@ -238,7 +238,7 @@ def regulator(
     from rigs.rigfile.regulator import write_dynamics
 
     bounded("--repeats", repeats, 2, 100, "")
-    bounded("--increment", increment_kpa, 0.01, 50.0, "kPa")
+    bounded("--increment-kpa", increment_kpa, 0.01, 50.0, "kPa")
     _check(out, replace)
     with stop_on_signals() as stop:
         done = calibrate_regulator(
