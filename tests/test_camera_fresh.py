@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from rigs.devices.camera import CallCamera, TriggeredUvc
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.fresh_camera import AGAIN_S, FreshCamera
 from rigs.devices.uvc import UvcCamera, UvcFrame
+from rigs.execution.settling import _Length
 from rigs.virtual.emulators.camera import render
 
 SHAPE = (8, 8)
@@ -278,3 +280,13 @@ def test_a_usb_camera_that_hangs_drops_no_load(tmp_path: Path) -> None:
     assert "no new frame within 2 s" in str(result.error)
     assert run.final["counters"]["camera"]["no_answer"] == 1
     assert [e["done"] for e in run.events if e["kind"] == "lowered"] == [True]
+
+
+def test_a_picture_looked_at_without_a_length_in_it_is_counted(sensor: Sensor) -> None:
+    """Black pictures while a hung load comes to rest: nothing is stored, so the counter says it."""
+    camera = FreshCamera(CallCamera(sensor.expose), sensor.clock)
+    scale = SimpleNamespace(calibrations={"length_mm": SimpleNamespace(scale=0.1)})
+    rig: Any = SimpleNamespace(camera=camera, clock=sensor.clock, config=scale)
+    length = _Length(rig, {}, 0.1, 0.05)
+    assert not length.rests()
+    assert camera.counters()["unmeasured"] == 1

@@ -32,6 +32,8 @@ class FreshCamera:
     Attributes:
         faults: pictures that were refused (``repeated``, ``size``) or did not come
             (``no_answer``, ``unplugged``).
+        unmeasured: pictures that a test looked at without storing them, and in which no length was
+            found; the caller counts them.
     """
 
     def __init__(self, camera: Camera, clock: Clock, noisy: bool = True) -> None:
@@ -42,6 +44,7 @@ class FreshCamera:
         self.identity = camera.identity
         self.faults = Faults()
         self.frames = 0
+        self.unmeasured = 0
 
     def trigger(self) -> Frame:
         """A frame exposed after this call.
@@ -101,7 +104,8 @@ class FreshCamera:
 
     def counters(self) -> dict[str, int]:
         """Pictures handed out, and how many were refused."""
-        return {"frames": self.frames, **self.faults.counts}
+        unmeasured = {"unmeasured": self.unmeasured} if self.unmeasured else {}
+        return {"frames": self.frames, **unmeasured, **self.faults.counts}
 
     def close(self) -> None:
         """Let go of the device; may be called twice."""

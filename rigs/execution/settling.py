@@ -136,6 +136,7 @@ class _Length:
         if self._rig.clock.now_ns() < self._next_ns:
             return False
         gap = measure_stored(self._rig.camera.trigger().gray, self._camera)
+        self._rig.camera.unmeasured += not gap.trusted
         self._next_ns = self._rig.clock.now_ns() + self._window_ns
         last, self._last = self._last, gap.pixels if gap.trusted else None
         return last is not None and gap.trusted and abs(gap.pixels - last) <= self._pixels

@@ -365,8 +365,11 @@ class Trial:
 
     def _stall(self, seconds: float) -> None:
         """The program stands still; the bench does not."""
-        if self.bench is not None:
-            self._clock.sleep(seconds)
+        if self.bench is None:
+            return
+        end_ns = self._clock.now_ns() + round(seconds * 1e9)
+        while (left_ns := end_ns - self._clock.now_ns()) > 0:  # looked at as often as otherwise
+            self._clock.sleep(min(LOOK_S, left_ns * 1e-9))
 
     def die(self) -> None:
         """SIGKILL, now; a copy of the process lets the bench go on by itself and tells of it."""

@@ -31,6 +31,8 @@ STEP_US = 1_000_000
 """Each step of step-short has so long, also where the program hung and looked at less of it."""
 SMOOTH_MS = 5
 """Over so many samples a step's table averages before it takes times."""
+HUNG_MOST_US = 3_050_000
+"""As long as a hung program stands still at most."""
 FLOW_US = 1_000_000
 MASS_KG = 0.002
 """What a dead weight may differ from the one that is read at the load cell's resolution."""
@@ -134,7 +136,8 @@ def _flow(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: Ver
         return
     until_us = truth.bench_us(point["t_ns"])
     track = np.array(truth.track)
-    near = track[(track[:, 0] > until_us - FLOW_US) & (track[:, 0] <= until_us)]
+    from_us = until_us - FLOW_US - _stood_still_us(truth, until_us)
+    near = track[(track[:, 0] > from_us) & (track[:, 0] <= until_us)]
     middle = (near[1:, 0] + near[:-1, 0]) / 2
     speed = np.diff(near[:, 4]) / (np.diff(near[:, 0]) * 1e-6)
     kpa = truth.kpa[np.minimum(np.searchsorted(truth.us, middle), len(truth.us) - 1)]
@@ -148,6 +151,12 @@ def _flow(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: Ver
             f"point {row['order']}: {row['velocity_m_s']:.4g} m/s at {row['pressure_kpa']:.4g} kPa"
             f" never was: {worst:.2g} times what is allowed"
         )
+
+
+def _stood_still_us(truth: Truth, until_us: float) -> float:
+    """For how long the program hung before that: its point is recorded later by as much."""
+    hung = [f for f in truth.faults if (f.layer, f.kind) == ("process", "hung") and f.hits]
+    return sum(HUNG_MOST_US for f in hung if 0 <= f.begun_us < until_us)
 
 
 def _ram(truth: Truth, row: dict[str, Any], point: dict[str, Any], verdict: Verdict) -> None:
