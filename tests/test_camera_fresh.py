@@ -284,7 +284,7 @@ def test_a_usb_camera_that_hangs_drops_no_load(tmp_path: Path) -> None:
 
 def test_a_picture_looked_at_without_a_length_in_it_is_counted(sensor: Sensor) -> None:
     """Black pictures while a hung load comes to rest: nothing is stored, so the counter says it."""
-    camera = FreshCamera(CallCamera(sensor.expose), sensor.clock)
+    camera = FreshCamera(CallCamera(sensor.expose, "x"), sensor.clock)
     scale = SimpleNamespace(calibrations={"length_mm": SimpleNamespace(scale=0.1)})
     rig: Any = SimpleNamespace(camera=camera, clock=sensor.clock, config=scale)
     length = _Length(rig, {}, 0.1, 0.05)
