@@ -14,7 +14,7 @@ from typing import Any
 
 from docs.make.asked import HOUSE, REQUIRED, VARIES, Asked, Recorder
 from docs.make.kinds import KINDS, Kind
-from docs.make.readers import NAMES, recorded
+from docs.make.readers import named, recorded
 from docs.make.row import Row, number
 from docs.make.stated import listed_rows, plain_rows
 
@@ -81,15 +81,13 @@ def rows() -> list[Row]:
 
 def _is_key(kind: str, table: str, key: str, tables: set[tuple[str, str]]) -> bool:
     """False for a table that has a section of its own, and for what a user names."""
-    if re.fullmatch(r"valve\w*\.parameters", table):
+    if table in ("valve.parameters", "valve_b.parameters"):
         return False  # the firmware's, listed by themselves
     path = f"{table}.{key}" if table else key
-    named = path
-    for pattern, name in NAMES:
-        named = re.sub(pattern, name, named)
+    own = named(kind, path)
     below = any(k == kind and (t == path or t.startswith((f"{path}.", f"{path}[]")))
                 for k, t in tables)  # fmt: skip
-    return not below and (named == path or named.startswith("trials"))
+    return not below and (own == path or own.startswith("trials"))
 
 
 def _row(kind: str, table: str, key: str, one: Asked) -> Row:

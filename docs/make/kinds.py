@@ -49,11 +49,12 @@ KINDS: tuple[Kind, ...] = (
         "speaks is in [instruments](instruments.md). `[effects.NAME]` and `[virtual.plant]` have "
         "the keys of [effects](#effects) and of a [plant file](#plant-file).",
         "",
-        ("limits", "conditions", "valve", "pressure_source", "balance", "load_cell", "stage",
-         "camera", "camera.sync", "camera.settings", "calibrations", "calibrations.pressure_kpa",
-         "calibrations.force_n", "calibrations.length_mm", "thermometer", "flow",
-         "pressure_transmitter", "supply", "instruments.NAME", "manual.NAME", "load", "operator",
-         "virtual", "virtual.sensors"),
+        ("limits", "conditions", "joint", "valve", "valve_b", "pressure_source", "balance",
+         "load_cell", "stage", "camera", "camera.sync", "camera.settings", "calibrations",
+         "calibrations.pressure_kpa", "calibrations.pressure_b_kpa", "calibrations.force_n",
+         "calibrations.length_mm", "thermometer", "flow", "pressure_transmitter", "supply",
+         "instruments.NAME", "card", "card.channels.NAME", "card.output", "manual.NAME", "load",
+         "operator", "virtual", "virtual.joint", "virtual.regulator", "virtual.sensors"),
     ),
     Kind(
         "firmware", "Firmware parameters", "settings of the valve controller",
@@ -76,6 +77,22 @@ KINDS: tuple[Kind, ...] = (
         "Read by `pamrig calibrate camera`; a CSV file with the same columns serves as well.",
     ),
     Kind(
+        "regulator", "Regulator calibration file", "dynamics of a proportional regulator",
+        "Written by `pamrig calibrate regulator`, named by `pressure_source.dynamics` in a rig "
+        "file. It holds for regulator, line and muscle as mounted. See "
+        "[regulators](../use/regulators.md#dynamics).",
+        "", ("values", "standard_uncertainties"),
+    ),
+    Kind(
+        "marks", "Marks file", "printed marks whose pose is measured",
+        "Read by `pamrig pose --marks FILE`, named by `camera.marks` in a rig file. NAME is the "
+        "name of a mark. See [pose](../use/pose.md#marks).",
+    ),
+    Kind(
+        "pose-camera", "Pose camera file", "focal length, lens and plane of a camera",
+        "Written by `pamrig calibrate pose`, named by `camera` in a [marks file](#marks-file).",
+    ),
+    Kind(
         "instrument", "Instrument description", "lines of an instrument that gives readings",
         "Named by `form` in a rig file, or written into the instrument's table there. The shipped "
         "files are in `configs/instruments`. See [instruments](instruments.md).",
@@ -85,6 +102,13 @@ KINDS: tuple[Kind, ...] = (
         "Named by `form` in the table of the device, such as `[supply]`. See "
         "[extending](extending.md#an-instrument-by-description).",
         "", ("set.NAME", "get.NAME"),
+    ),
+    Kind(
+        "recorder", "Recorder file", "a controller of your own that prints columns",
+        "Read by `pamrig record FILE`; the shipped file is `own-controller` "
+        "(`configs/recorders/own-controller.toml`). QUANTITY is pressure_kpa, force_n, length_mm "
+        "or temperature_c. See [own controller](../use/own-controller.md).",
+        "", ("QUANTITY", "setpoint"),
     ),
     _protocol("isometric", "length held, pressure stepped, force read", "isometric"),
     _protocol("isobaric", "pressure held, length stepped, force read", "isobaric"),
@@ -96,6 +120,8 @@ KINDS: tuple[Kind, ...] = (
     _protocol("flow", "air velocity against pressure", "valve-tests"),
     _protocol("step", "steps of pressure by several schemes", "valve-tests"),
     _protocol("ram", "moves of a ram between proximity switches", "valve-tests"),
+    _protocol("joint-static", "angle, torque and stiffness of a joint", "joint"),
+    _protocol("joint-step", "steps of the pressures of both muscles of a joint", "joint"),
     Kind(
         "own", "Protocol of your own", "keys that every protocol written in Python has",
         "Beside these, the fields of the class are keys; see "
@@ -152,7 +178,7 @@ KINDS: tuple[Kind, ...] = (
         "`[channels]` is supply_kpa, pressure_kpa, length_mm, force_n or temperature_c; COMMAND is "
         "inlet_cmd or outlet_cmd; LABEL is slot, replicate, protocol, mounting, note or muscle; "
         "NUMBER is one of the other keys of `[trials]`.",
-        "", ("source", "time", "channels.NAME", "channels.NAME.time", "channels.COMMAND",
+        "", ("source", "companion", "time", "join", "channels.NAME", "channels.NAME.time", "channels.COMMAND",
              "channels.COMMAND.time", "channels.direction", "cut", "cut.edges", "cut.cycles",
              "trials", "trials.LABEL", "trials.NUMBER", "muscles.NAME"),
     ),

@@ -16,17 +16,20 @@ from rigs.bench.rig import open_rig
 from rigs.protocols.names import default_rig
 from rigs.protocols.own import OwnTest, procedure_of
 from rigs.protocols.registry import procedure
+from rigs.rigfile.columns import QUANTITIES, load_columns
 from rigs.rigfile.command_form import load_command_form
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.rigfile.form import load_form
 from rigs.steps.custom_step import Steps
+from rigs.virtual.board.joint_load import read_joint_constants
 from studies.simulation.scenario import load_scenario
 
 EXAMPLES = Path(__file__).with_name("examples")
 SHIPPED = HOUSE / "configs"
 NAMES = (
     # What a user names; the page shows one table for all names.
-    (r"^(instruments|manual|set|get|muscles)\.[^.]+", r"\1.NAME"),
+    (r"^(instruments|manual|set|get|muscles|marks)\.[^.]+", r"\1.NAME"),
+    (r"^card\.channels\.[^.]+", "card.channels.NAME"),
     (r"^channels\.(inlet|outlet)_cmd", "channels.COMMAND"),
     (r"^channels\.(?!COMMAND|direction)[^.]+", "channels.NAME"),
     (r"^trials\.(slot|replicate|protocol|mounting|note|muscle)$", "trials.LABEL"),
@@ -35,8 +38,11 @@ NAMES = (
 )
 FOLDERS = {"rigs": "rig", "calibrations": "calibration", "instruments": "commands",
            "plans": "plan", "own": "own", "scenarios": "scenario",
-           "mappings": "mapping"}  # fmt: skip
+           "mappings": "mapping", "recorders": "recorder", "regulators": "regulator",
+           "marks": "marks"}  # fmt: skip
 """Kind of file by the name of the folder in which it lies."""
+NAMES_OF = {"recorder": (rf"^({'|'.join(QUANTITIES)})$", "QUANTITY")}
+"""What a user names in one kind of file alone."""
 
 
 @dataclass(frozen=True)
@@ -65,13 +71,18 @@ class Reading:
 
     def place(self, source: str, code: str, table: str) -> tuple[str, str] | None:
         """Kind and table of a question."""
-        for pattern, name in NAMES:
-            table = re.sub(pattern, name, table)
         if Path(code).name == "form.py":
             return "instrument", ""  # also where a rig file holds the description
         folder = Path(source).parent.name
         kind = self.protocol if folder == "protocols" else FOLDERS.get(folder, "")
-        return (kind, table) if kind else None
+        return (kind, named(kind, table)) if kind else None
+
+
+def named(kind: str, table: str) -> str:
+    """A table of a kind of file, with NAME for what a user names."""
+    for pattern, name in (*NAMES, *((NAMES_OF[kind],) if kind in NAMES_OF else ())):
+        table = re.sub(pattern, name, table)
+    return table
 
 
 def recorded() -> Recorder:
@@ -88,6 +99,8 @@ def recorded() -> Recorder:
                 read(path)
         for path in _files("scenarios"):
             load_scenario(str(path))
+        for path in _files("recorders"):
+            load_columns(str(path))
     return reading.recorder
 
 
@@ -101,6 +114,8 @@ def _table(path: Path) -> dict[str, Any]:
 
 def _rig(path: Path) -> None:
     config = load_rig(str(path))
+    if config.virtual is not None and config.joint is not None:
+        read_joint_constants(config.virtual.joint, config.source)
     if config.pressure_source.own and config.is_virtual:
         with open_rig(config):  # its driver alone knows the keys
             pass
@@ -133,4 +148,7 @@ def _wider(config: RigConfig) -> RigConfig:
         length_max_mm=old.length_max_mm + 0.5, force_n=old.force_n + 7.0,
     )  # fmt: skip
     stage = replace(config.stage, speed_mm_s=config.stage.speed_mm_s + 1.0)
-    return replace(config, limits=limits, stage=stage)
+    joint = config.joint
+    if joint is not None:
+        joint = replace(joint, low_deg=joint.low_deg - 1.0, high_deg=joint.high_deg + 1.0)
+    return replace(config, limits=limits, stage=stage, joint=joint)

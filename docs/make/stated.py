@@ -30,8 +30,10 @@ from plant.links import reader as links
 from plant.models import catalogue as models
 from rigs.calibration.camera import read_gauge_table
 from rigs.rigfile.camera_calibration import load_camera_calibration
+from rigs.rigfile.marks import load_pose_camera
 from valvefw.config import PARAMETERS
 from vision.marker.lens import Lens
+from vision.pose.camera import Plane, PoseCamera
 
 EXAMPLES = Path(__file__).with_name("examples") / "plain"
 PLANT = HOUSE / "configs" / "plant"
@@ -155,6 +157,16 @@ def plain_kinds() -> tuple[Plain, ...]:
             },
             (EXAMPLES.parent / "calibrations" / "camera.toml",),
             load_camera_calibration,
+        ),
+        Plain(
+            "pose-camera",
+            {
+                "pose_camera": plain(*(f.name for f in dataclasses.fields(PoseCamera)
+                                       if f.name != "plane")),
+                "pose_camera.plane": plain(*(f.name for f in dataclasses.fields(Plane))),
+            },
+            (EXAMPLES.parent / "pose-cameras" / "camera.toml",),
+            load_pose_camera,
         ),
         Plain(
             "gauges",
