@@ -178,8 +178,8 @@ KINDS: tuple[Kind, ...] = (
         "`[channels]` is supply_kpa, pressure_kpa, length_mm, force_n or temperature_c; COMMAND is "
         "inlet_cmd or outlet_cmd; LABEL is slot, replicate, protocol, mounting, note or muscle; "
         "NUMBER is one of the other keys of `[trials]`.",
-        "", ("source", "companion", "time", "join", "channels.NAME", "channels.NAME.time", "channels.COMMAND",
-             "channels.COMMAND.time", "channels.direction", "cut", "cut.edges", "cut.cycles",
+        "", ("source", "companion", "time", "join", "channels.NAME", "channels.NAME.time",
+             "channels.COMMAND", "channels.COMMAND.time", "channels.direction", "cut", "cut.edges", "cut.cycles",
              "trials", "trials.LABEL", "trials.NUMBER", "muscles.NAME"),
     ),
     Kind(
