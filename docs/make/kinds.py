@@ -179,7 +179,8 @@ KINDS: tuple[Kind, ...] = (
         "inlet_cmd or outlet_cmd; LABEL is slot, replicate, protocol, mounting, note or muscle; "
         "NUMBER is one of the other keys of `[trials]`.",
         "", ("source", "companion", "time", "join", "channels.NAME", "channels.NAME.time",
-             "channels.COMMAND", "channels.COMMAND.time", "channels.direction", "cut", "cut.edges", "cut.cycles",
+             "channels.COMMAND", "channels.COMMAND.time", "channels.direction", "cut", "cut.edges",
+             "cut.cycles",
              "trials", "trials.LABEL", "trials.NUMBER", "muscles.NAME"),
     ),
     Kind(
