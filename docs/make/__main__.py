@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from docs.make import files, python_page
+from docs.make import commands, files, python_page
 
-GENERATORS: tuple[Callable[[], None], ...] = (files.main, python_page.main)
+GENERATORS: tuple[Callable[[], None], ...] = (files.main, python_page.main, commands.main)
 """Each writes one page."""
 
 if __name__ == "__main__":

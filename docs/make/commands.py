@@ -150,3 +150,8 @@ def _fields() -> str:
 
 def _exists(words: str) -> bool:
     return any(name == words for name, _ in every_command())
+
+
+def main() -> None:
+    """Write the page."""
+    (Path(__file__).resolve().parents[2] / PATH).write_text(page(), "utf-8")

@@ -58,9 +58,9 @@ KINDS: tuple[Kind, ...] = (
     ),
     Kind(
         "firmware", "Firmware parameters", "settings of the valve controller",
-        "In `[valve.parameters]` of a rig file, and in `[controller.parameters]` and `parameters` "
-        "of a scenario. Counts are those of the 12-bit converter; `_x16` means sixteenths of a "
-        "count. See the [wire format](wire-format.md).",
+        "In `[valve.parameters]` and `[valve_b.parameters]` of a rig file, and in "
+        "`[controller.parameters]` and `parameters` of a scenario. Counts are those of the 12-bit "
+        "converter; `_x16` means sixteenths of a count. See the [wire format](wire-format.md).",
     ),
     Kind(
         "calibration", "Calibration file", "offset, scale and uncertainty of one sensor",
@@ -178,9 +178,9 @@ KINDS: tuple[Kind, ...] = (
         "`[channels]` is supply_kpa, pressure_kpa, length_mm, force_n or temperature_c; COMMAND is "
         "inlet_cmd or outlet_cmd; LABEL is slot, replicate, protocol, mounting, note or muscle; "
         "NUMBER is one of the other keys of `[trials]`.",
-        "", ("source", "companion", "time", "join", "channels.NAME", "channels.NAME.time", "channels.COMMAND",
-             "channels.COMMAND.time", "channels.direction", "cut", "cut.edges", "cut.cycles",
-             "trials", "trials.LABEL", "trials.NUMBER", "muscles.NAME"),
+        "", ("source", "companion", "time", "join", "channels.NAME", "channels.NAME.time",
+             "channels.COMMAND", "channels.COMMAND.time", "channels.direction", "cut",
+             "cut.edges", "cut.cycles", "trials", "trials.LABEL", "trials.NUMBER", "muscles.NAME"),
     ),
     Kind(
         "uncertainty", "Calibration uncertainties", "`calibration.toml` of a dataset",
