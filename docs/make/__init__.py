@@ -1,6 +1,6 @@
 """Generators of the reference pages and of the documentation site; not part of the wheel.
 
-``python -m docs.make`` writes docs/reference/files.md and docs/reference/python.md, ``make docs``
+``python -m docs.make`` writes files.md, python.md and commands.md in docs/reference, ``make docs``
 the site. The tests that name what is missing are tests/test_reference_files.py,
 tests/test_reference_python.py and tests/test_docs_site.py.
 

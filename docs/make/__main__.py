@@ -6,11 +6,7 @@ from collections.abc import Callable
 
 from docs.make import commands, files, python_page
 
-GENERATORS: tuple[Callable[[], None], ...] = (
-    commands.main,
-    files.main,
-    python_page.main,
-)
+GENERATORS: tuple[Callable[[], None], ...] = (files.main, python_page.main, commands.main)
 """Each writes one page."""
 
 if __name__ == "__main__":

@@ -50,7 +50,8 @@ class Asked:
         forms: types, in words; "" where the reader takes the value as it is.
         limits, defaults, choices, units: as stated in each question.
         found: types of the values that were there.
-        tested: whether a reader asks only where the key is present.
+        tested: whether a reader looks whether the key is present.
+        absent: whether one asked where it was not.
     """
 
     forms: set[str] = field(default_factory=set)
@@ -60,6 +61,7 @@ class Asked:
     units: set[str] = field(default_factory=set)
     found: set[str] = field(default_factory=set)
     tested: bool = False
+    absent: bool = False
 
 
 class Recorder:
@@ -104,11 +106,13 @@ class Recorder:
             asked = self._at(*about(this), stated["key"])
             self._depth += 1
             try:
+                there = stated["key"] in this
                 value = plain(this, *given, **more)
             finally:
                 self._depth -= 1
             if asked is not None:
                 _note(asked, method, stated, value)
+                asked.absent |= not there
             return value
 
         return asking
@@ -174,8 +178,8 @@ def _note(asked: Asked, method: str, stated: dict[str, Any], value: Any) -> None
     words = stated.get("choices") or stated.get("among")
     if words:
         asked.choices.add(tuple(words))
-    if stated.get("unit"):
-        asked.units.add(stated["unit"])
+    if method in ("number", "numbers", "positive"):
+        asked.units.add(stated.get("unit", ""))
 
 
 def _frozen(value: Any) -> Any:

@@ -154,4 +154,4 @@ def _exists(words: str) -> bool:
 
 def main() -> None:
     """Write the page."""
-    Path(PATH).write_text(page(), encoding="utf-8")
+    (Path(__file__).resolve().parents[2] / PATH).write_text(page(), "utf-8")

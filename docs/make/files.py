@@ -93,16 +93,19 @@ def _is_key(kind: str, table: str, key: str, tables: set[tuple[str, str]]) -> bo
 def _row(kind: str, table: str, key: str, one: Asked) -> Row:
     forms = one.forms or set(one.found)
     forms = {form for form in forms if form != "list of tables"} or forms
-    limits = _limits(one)
+    limits = _limits(key, one)
     return Row(kind, table, key, " or ".join(sorted(forms)), limits, _default(one))
 
 
-def _limits(one: Asked) -> str:
+def _limits(key: str, one: Asked) -> str:
     if len(one.choices) == 1:
         return ", ".join(next(iter(one.choices)))
+    units = {u for u in one.units if u}
+    unit = units.pop() if len(units) == 1 else ""
+    if "" in one.units and not key.endswith(f"_{unit.lower()}"):
+        unit = ""  # not in every case
     if not one.limits:
-        return " ".join(one.units)
-    unit = " ".join(one.units)
+        return unit
     lows, highs = ({pair[k] for pair in one.limits} for k in (0, 1))
     low = _one(lows)
     if highs == {None}:
@@ -124,7 +127,7 @@ def _one(values: set[Any]) -> str:
 
 
 def _default(one: Asked) -> str:
-    if one.tested:
+    if one.tested and not one.absent:
         return ""  # the reader asks only where the key is there
     found = {value for value in one.defaults if value is not None} or {None}
     text = _one(found)

@@ -58,9 +58,9 @@ KINDS: tuple[Kind, ...] = (
     ),
     Kind(
         "firmware", "Firmware parameters", "settings of the valve controller",
-        "In `[valve.parameters]` of a rig file, and in `[controller.parameters]` and `parameters` "
-        "of a scenario. Counts are those of the 12-bit converter; `_x16` means sixteenths of a "
-        "count. See the [wire format](wire-format.md).",
+        "In `[valve.parameters]` and `[valve_b.parameters]` of a rig file, and in "
+        "`[controller.parameters]` and `parameters` of a scenario. Counts are those of the 12-bit "
+        "converter; `_x16` means sixteenths of a count. See the [wire format](wire-format.md).",
     ),
     Kind(
         "calibration", "Calibration file", "offset, scale and uncertainty of one sensor",

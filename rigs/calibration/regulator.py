@@ -184,7 +184,7 @@ class Small(CustomStep):
         raise DeviceError(
             source.name,
             f"small steps up to {still:.1f} kPa move nothing",
-            "give a larger --increment",
+            "give a larger --increment-kpa",
         )
 
 
