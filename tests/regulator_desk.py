@@ -15,7 +15,7 @@ from rigs.devices.event_loop import EventLoop
 from rigs.devices.pressure.proportional.alicat_pcd import AlicatLine
 from rigs.devices.pressure.proportional.line import RegulatorLine
 from rigs.devices.pressure.proportional.smc_itv import ItvLine
-from rigs.rigfile.regulator import MonitorForm
+from rigs.rigfile.tables.regulator import MonitorForm
 from rigs.virtual.emulators.proportional.alicat_pcd import VirtualAlicat
 from rigs.virtual.emulators.proportional.outlet import OutletDynamics, RegulatorOutlet
 from rigs.virtual.emulators.proportional.smc_itv import VirtualItv

@@ -104,7 +104,7 @@ def test_a_folder_that_is_missing_is_reported_before_anything_large_is_loaded(
         env={**os.environ, "PYTHONPATH": str(HOUSE)},
     )  # fmt: skip
     assert done.stdout == (
-        "nowhere: no such folder, and no run named nowhere (in runs) (check the path)\n"
+        "nowhere: no such folder, and no runs match in runs (pamrig runs list shows all runs)\n"
     )
 
 

@@ -21,7 +21,7 @@ from rigs.devices.motion.stage import MotorStage
 from rigs.devices.motion.tmcl import Reply, decode, encode
 from rigs.devices.motion.zaber import checksum
 from rigs.rigfile.config import load_rig
-from rigs.rigfile.stage import StageDevice, stage_module
+from rigs.rigfile.tables.stage import StageDevice, stage_module
 from rigs.virtual.emulators.injected_fault import INJECTED_FAULTS
 from rigs.virtual.server import open_server
 

@@ -18,7 +18,7 @@ from analysis.reduction.poses import point_poses, still_mean
 from cli.main import app
 from daq.errors import ConfigError
 from rigs.rigfile.config import camera_values, load_rig
-from rigs.rigfile.marks import load_marks, load_pose_camera, save_pose_camera
+from rigs.rigfile.tables.marks import load_marks, load_pose_camera, save_pose_camera
 from rigs.virtual.emulators.marks import Drawn, MarkCamera, draw_marks, seen_at
 from vision.pose.calibrate import CalibrationError, calibrate
 from vision.pose.camera import PoseCamera

@@ -19,7 +19,7 @@ from plant.constants import nominal
 from plant.simulator.bench import BenchSim
 from rigs.calibration.regulator import calibrate_regulator, check
 from rigs.rigfile.config import load_rig
-from rigs.rigfile.regulator import load_dynamics, write_dynamics
+from rigs.rigfile.tables.regulator import load_dynamics, write_dynamics
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.emulators.proportional.outlet import (
     LINE_LAG_S,

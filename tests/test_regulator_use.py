@@ -21,7 +21,7 @@ from rigs.execution.session import run_protocol
 from rigs.live.prediction import PRESSURE_PATH, LivePrediction
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig, load_rig
-from rigs.rigfile.regulator import write_dynamics
+from rigs.rigfile.tables.regulator import write_dynamics
 from rigs.rigfile.toml_reader import find_config
 
 BAD: dict[str, float] = {

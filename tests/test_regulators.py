@@ -22,7 +22,7 @@ from rigs.execution.runner import Runner
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig
-from rigs.rigfile.regulator import OUT_ZERO, output_parameters, read_analogue
+from rigs.rigfile.tables.regulator import OUT_ZERO, output_parameters, read_analogue
 from rigs.rigfile.toml_reader import Table
 from rigs.virtual.emulators.injected_fault import INJECTED_FAULTS
 

@@ -119,7 +119,7 @@ def pose(
 ) -> None:
     """Calibrate the camera for `pamrig pose`, by pictures of a ChArUco board at several tilts."""
     from rigs.calibration.pose import calibrate_pose
-    from rigs.rigfile.marks import save_pose_camera
+    from rigs.rigfile.tables.marks import save_pose_camera
     from vision.pose.detect import DICTIONARIES, Board
 
     bounded("--square-mm", square_mm, 0.0, 1000.0, "mm", above=True)
@@ -235,7 +235,7 @@ def regulator(
     from daq.interrupt import stop_on_signals
     from rigs.calibration.regulator import calibrate_regulator, summary
     from rigs.rigfile.config import load_rig
-    from rigs.rigfile.regulator import write_dynamics
+    from rigs.rigfile.tables.regulator import write_dynamics
 
     bounded("--repeats", repeats, 2, 100, "")
     bounded("--increment-kpa", increment_kpa, 0.01, 50.0, "kPa")

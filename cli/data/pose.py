@@ -91,7 +91,7 @@ def settings_of(frames: str, marks: Path | None, runs: Path) -> tuple[str | Path
         ConfigError: neither a file nor the run states marks.
     """
     from analysis.reduction.pictures import camera_of
-    from rigs.rigfile.marks import load_marks
+    from rigs.rigfile.tables.marks import load_marks
     from vision.pose.measure import MarkSettings
 
     run = recorded_run(frames, runs)

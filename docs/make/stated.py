@@ -30,7 +30,7 @@ from plant.links import reader as links
 from plant.models import catalogue as models
 from rigs.calibration.camera import read_gauge_table
 from rigs.rigfile.camera_calibration import load_camera_calibration
-from rigs.rigfile.marks import load_pose_camera
+from rigs.rigfile.tables.marks import load_pose_camera
 from valvefw.config import PARAMETERS
 from vision.marker.lens import Lens
 from vision.pose.camera import Plane, PoseCamera

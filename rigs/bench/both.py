@@ -14,7 +14,7 @@ from rigs.devices.event_loop import EventLoop
 from rigs.devices.pressure.source import PressureSource
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import RigConfig
-from rigs.rigfile.regulator import output_parameters
+from rigs.rigfile.tables.regulator import output_parameters
 
 
 @dataclass(frozen=True)

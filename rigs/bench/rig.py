@@ -36,7 +36,7 @@ from rigs.devices.pressure.solenoids import SolenoidPressure
 from rigs.devices.pressure.source import PressureSource
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import NONE, RigConfig
-from rigs.rigfile.stage import stage_module
+from rigs.rigfile.tables.stage import stage_module
 
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench

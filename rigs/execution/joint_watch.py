@@ -9,7 +9,7 @@ import numpy as np
 from daq.clock import NS_PER_S
 from rigs.bench.rig import Rig
 from rigs.devices.interfaces import Instrument, Rows
-from rigs.rigfile.joint import LOAD_CELL
+from rigs.rigfile.tables.joint import LOAD_CELL
 from rigs.steps.context import RunFault
 
 

@@ -15,11 +15,11 @@ from rigs.rigfile.camera_calibration import load_camera_calibration
 from rigs.rigfile.device import Device as Device
 from rigs.rigfile.form import GRAMS
 from rigs.rigfile.instruments import InstrumentSettings, read_instruments
-from rigs.rigfile.joint import JointSettings, read_joint
-from rigs.rigfile.marks import load_marks
 from rigs.rigfile.pressure_source import PressureSourceSettings, read_pressure_source
-from rigs.rigfile.stage import MANUAL, read_stage
-from rigs.rigfile.stage import StageDevice as StageDevice
+from rigs.rigfile.tables.joint import JointSettings, read_joint
+from rigs.rigfile.tables.marks import load_marks
+from rigs.rigfile.tables.stage import MANUAL, read_stage
+from rigs.rigfile.tables.stage import StageDevice as StageDevice
 from rigs.rigfile.toml_reader import Table, find_config, load_toml
 
 SENSORS = {"pressure_kpa": "valve", "pressure_b_kpa": "valve_b", "force_n": "balance"}

@@ -10,7 +10,7 @@ from typing import Any
 from daq.calibration import Calibration
 from daq.user_program import installed, load_installed
 from rigs.rigfile.device import Device
-from rigs.rigfile.regulator import Dynamics, load_dynamics, read_analogue
+from rigs.rigfile.tables.regulator import Dynamics, load_dynamics, read_analogue
 from rigs.rigfile.toml_reader import Table
 
 MODULES: dict[str, str] = {

@@ -18,7 +18,7 @@ from plant.effects.effects import Effects
 from plant.errors import PlantError
 from plant.simulator.bench import BenchSim
 from rigs.rigfile.config import PRESSURE_B, RigConfig
-from rigs.rigfile.stage import MANUAL, stage_module
+from rigs.rigfile.tables.stage import MANUAL, stage_module
 from rigs.virtual.board.board import Advance, PressureSensor, SimBoard
 from rigs.virtual.board.joint_load import JointBoard, JointLoad, Pair, read_joint_constants
 from rigs.virtual.board.ram_load import RamLoad

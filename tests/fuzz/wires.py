@@ -22,7 +22,7 @@ from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.form import load_form
 from rigs.rigfile.modbus_form import ModbusForm
-from rigs.rigfile.stage import stage_module
+from rigs.rigfile.tables.stage import stage_module
 from rigs.virtual.emulators.modbus import crc16
 from rigs.virtual.emulators.supply import VirtualSupply
 from valvefw import wire

@@ -19,7 +19,7 @@ from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.readings import Readings
 from rigs.rigfile.form import Parsed, TextForm
 from rigs.rigfile.modbus_form import ModbusForm
-from rigs.rigfile.regulator import MonitorForm
+from rigs.rigfile.tables.regulator import MonitorForm
 
 HOLD_S = 0.05
 """An answer is held this long (or half a period, if less) in case a second one comes."""

@@ -9,7 +9,7 @@ from daq.link.transport import Link
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.lines import LineDevice
 from rigs.devices.motion.stage import TRIES, Motion, MotorStage
-from rigs.rigfile.stage import StageDevice
+from rigs.rigfile.tables.stage import StageDevice
 
 # The whole report, so that half of one or two in one are none.
 _STATUS = re.compile(

@@ -16,7 +16,7 @@ from daq.link.transport import Link
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.lines import LineDevice
 from rigs.devices.motion.stage import CLOSE_MM, TRIES, Motion, MotorStage
-from rigs.rigfile.stage import StageDevice
+from rigs.rigfile.tables.stage import StageDevice
 
 _REPORT = re.compile(
     r"X:(?P<planned>-?\d+\.\d\d)(?: [A-Z]:-?\d+\.\d\d)+"

@@ -20,7 +20,7 @@ from daq.link.transport import Link
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.faults import Faults
 from rigs.devices.motion.stage import CLOSE_MM, TRIES, Motion, MotorStage
-from rigs.rigfile.stage import StageDevice
+from rigs.rigfile.tables.stage import StageDevice
 
 LENGTH = 9
 MVP, SAP, GAP, SGP, GGP, VERSION = 4, 5, 6, 9, 10, 136

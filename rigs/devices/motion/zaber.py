@@ -19,7 +19,7 @@ from daq.link.transport import Link
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.lines import LineDevice
 from rigs.devices.motion.stage import CLOSE_MM, TRIES, Motion, MotorStage
-from rigs.rigfile.stage import StageDevice
+from rigs.rigfile.tables.stage import StageDevice
 
 _REPLY = re.compile(
     r"@(?P<address>\d\d) (?P<axis>\d) (?P<number>\d\d) (?P<taken>OK|RJ) (?P<motion>IDLE|BUSY)"

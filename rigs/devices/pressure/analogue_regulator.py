@@ -3,9 +3,9 @@
 The controller's output goes through a conditioner (an amplifier or a current source) to the
 regulator. The rig file states signal, pressure range and conditioner. From them follows how the
 firmware turns a set-point in transducer counts into counts of its output (`out_scale`,
-`out_zero_x16`; `rigs.rigfile.regulator.output_parameters`), so that trip and highest set-point keep
-their meaning. The controller vents and holds by its valves, and takes its output back to count 0
-when it does.
+`out_zero_x16`; `rigs.rigfile.tables.regulator.output_parameters`), so that trip and highest
+set-point keep their meaning. The controller vents and holds by its valves, and takes its output
+back to count 0 when it does.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from rigs.execution.procedure import Parameters
 from rigs.rigfile.config import RigConfig
-from rigs.rigfile.joint import JointSettings
+from rigs.rigfile.tables.joint import JointSettings
 from rigs.rigfile.toml_reader import Table
 from rigs.steps.custom_step import Steps
 from rigs.steps.joint import VENTED_KPA, FreeJoint, JointCriterion, SetPressures, pressures_of

@@ -27,7 +27,7 @@ from rigs.devices.pressure.proportional.line import (
 from rigs.devices.pressure.regulator_output import RegulatorOutput
 from rigs.devices.pressure.source import PressureSource, SourceParts
 from rigs.rigfile.form import Parsed
-from rigs.rigfile.regulator import MonitorForm, check_reach, read_monitor
+from rigs.rigfile.tables.regulator import MonitorForm, check_reach, read_monitor
 
 GAUGE = {"psig": 6.894757293168, "kpag": 1.0, "barg": 100.0, "mbarg": 0.1, "mpag": 1000.0,
          "hpag": 0.1, "pag": 0.001}  # fmt: skip

@@ -20,7 +20,7 @@ from rigs.devices.instruments.instrument import PortInstrument
 from rigs.devices.pressure.behind_valves import BehindValves
 from rigs.devices.pressure.source import PressureCommand, PressureSource
 from rigs.rigfile.form import Parsed
-from rigs.rigfile.regulator import MonitorForm
+from rigs.rigfile.tables.regulator import MonitorForm
 
 TRIES = 3
 SECOND_S = 0.03

@@ -25,7 +25,7 @@ from rigs.devices.pressure.proportional.line import (
 )
 from rigs.devices.pressure.regulator_output import RegulatorOutput
 from rigs.devices.pressure.source import PressureSource, SourceParts
-from rigs.rigfile.regulator import MonitorForm, check_reach, read_monitor
+from rigs.rigfile.tables.regulator import MonitorForm, check_reach, read_monitor
 
 TOP = 1023
 COUNT = re.compile(r"\d{1,4}")

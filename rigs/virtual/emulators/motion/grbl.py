@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from rigs.rigfile.stage import StageDevice
+from rigs.rigfile.tables.stage import StageDevice
 from rigs.virtual.emulators.emulator import Emulator, Send
 from rigs.virtual.emulators.injected_fault import Wire
 from rigs.virtual.emulators.motion.axis import Axis, SetMotion
