@@ -110,6 +110,9 @@ class Calibration:
             what = "; ".join(f"{kind} {', '.join(keys)}" for kind, keys in lists.items() if keys)
             raise ConfigError(where, what, f"known keys: {', '.join(sorted(known))}")
         plain = dict(given)
+        for f in fields(Calibration):
+            if f.type == "str" and not isinstance(plain.get(f.name, ""), str):
+                raise ConfigError(where, f"{f.name}: expected text, got {plain[f.name]!r:.60}")
         try:
             for key in ("offset", "scale", "u_offset", "u_gain"):
                 if key in plain:

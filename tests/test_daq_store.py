@@ -242,6 +242,8 @@ def test_a_calibration_survives_json() -> None:
         ({"offset": "abc"}, "not a number"),
         ({"gain": 1}, "unknown key gain"),
         ({"unit": None}, "missing key unit"),
+        ({"unit": {"a": 5}}, "unit: expected text"),
+        ({"quantity": ["pressure_kpa"]}, "quantity: expected text"),
     ],
 )
 def test_an_impossible_calibration_is_refused_with_its_reason(

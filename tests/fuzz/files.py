@@ -249,8 +249,8 @@ def _folder(name: str, names: Sequence[str], ended: bool) -> Target:
                 fields = json.loads(body)
                 fields.pop("crc", None)
                 return data[:1] + _sealed_file(change_json(fields, rng))
-        except (ValueError, RecursionError, AttributeError, IndexError):
-            pass
+        except (ValueError, TypeError, RecursionError, AttributeError, IndexError):
+            pass  # no JSON object
         return seal(data)
 
     corpus = [bytes([k]) + sound[name] for k, name in enumerate(names)]
@@ -274,7 +274,7 @@ def _line(line: bytes) -> bytes:
         fields = json.loads(line)
         fields.pop("crc", None)
         return seal_line(fields)
-    except (ValueError, AttributeError, RecursionError):
+    except (ValueError, TypeError, AttributeError, RecursionError):
         at = line.rfind(b',"crc"')
         body = line[:at] if at > 0 else line
         return b'%s,"crc":"%08x"}\n' % (body, zlib.crc32(body))
