@@ -15,6 +15,7 @@ from analysis.reduction.pictures import measure_stored
 from analysis.reduction.points import reduce_isometric, write_table
 from analysis.regression.force_lines import against_length, per_length
 from analysis_bench import CALIBRATIONS, force_n, write_run
+from daq.errors import RecordError
 from daq.store.run import open_run
 
 MEASURED = ("pressure_kpa", "length_mm", "force_n")
@@ -171,3 +172,18 @@ def test_the_same_record_gives_the_same_files_to_the_byte(tmp_path: Path) -> Non
     pd.testing.assert_frame_equal(back, reduction.table)
     header = (tmp_path / "a" / "table.csv").read_text().splitlines()[0].split(",")
     assert header == list(COLUMNS)
+
+
+@pytest.mark.parametrize("patch", [[], [1, 2, 3], "abcd", [1, 2, 3, True], None])
+def test_a_patch_of_the_sync_light_that_is_no_box_is_refused(patch: Any) -> None:
+    """Found by fuzzing: run.json of a record may hold anything."""
+    gray = np.full((240, 640), 120, np.uint8)
+    with pytest.raises(RecordError, match=r"camera\.sync\.patch"):
+        measure_stored(gray, {"sync": {"patch": patch}})
+
+
+def test_a_stream_without_columns_has_no_rows_ahead() -> None:
+    from daq.record.ahead import AheadRows
+    from daq.record.segments import StreamSchema
+
+    assert len(AheadRows(None, StreamSchema("valve", {}, {}), 0, "")) == 0

@@ -97,7 +97,7 @@ def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> Ga
         gap = measure_gap(
             gray,
             tuple(region) if region else None,
-            exclude=(tuple(sync["patch"]),) if sync else (),
+            exclude=(_box(sync.get("patch")),) if sync else (),
         )
     except RegionError as error:
         return GapMeasurement(math.nan, math.nan, False, str(error))
@@ -105,6 +105,19 @@ def measure_stored(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> Ga
         pixels, u_pixels = Lens(**lens).gap(gap)
         gap = replace(gap, pixels=pixels, u_pixels=u_pixels)
     return gap
+
+
+def _box(given: Any) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the patch of the sync light.
+
+    Raises:
+        RecordError: run.json does not hold four numbers there.
+    """
+    four = isinstance(given, (list, tuple)) and len(given) == 4
+    if not four or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in given):
+        what = f"camera.sync.patch: expected four numbers, got {given!r:.60}"
+        raise RecordError("run.json", what)
+    return int(given[0]), int(given[1]), int(given[2]), int(given[3])
 
 
 def _macro(gray: npt.NDArray[np.uint8], camera: Mapping[str, Any]) -> GapMeasurement:

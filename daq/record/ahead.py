@@ -159,7 +159,7 @@ class AheadRows:
 
     def __len__(self) -> int:
         """Number of rows."""
-        return len(next(iter(self.columns.values())))
+        return len(next(iter(self.columns.values()), ()))
 
     def _own(self, data: bytes, run_id: str, stream: str) -> bool:
         """Whether the file is this stream's and not that of another run or stream."""
