@@ -33,7 +33,7 @@ def test_every_line_of_a_lock_file_is_one_version_with_the_sums_of_its_files(pat
         f"scipy==1.13.0 --hash=sha256:{SUM[:-1]}",
         f"scipy==1.13.0 --hash=md5:{SUM[:32]}",
         f"evil @ git+https://example.org/evil --hash=sha256:{SUM}",
-        "--index-url elsewhere",
+        "-i elsewhere",
     ],
 )
 def test_a_line_without_version_or_sum_is_found(line: str) -> None:
