@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.formats.columns import Column, described
-from daq.errors import ConfigError, RecordError
+from daq.errors import ConfigError
 from daq.record.disk import disk_error
 from daq.record.safe_read import names_inside, open_inside
 from daq.store.run import Run
@@ -395,6 +395,3 @@ def _preview(about: Publication, description: str, sums: str) -> str:
         "<p>Columns, units and uncertainties are described in "
         '<a href="ro-crate-metadata.json">ro-crate-metadata.json</a>.</p></body></html>\n'
     )
-
-
-__all__ = ["Author", "Publication", "RecordError", "read_author", "read_licence", "write_archive"]

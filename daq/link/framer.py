@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from valvefw import wire
 
 MAX_FRAME_BYTES = 1024
@@ -47,6 +49,23 @@ class LineFramer:
             tail = tail[max(0, len(tail) - keep) :]
         self._tail = tail
         return lines
+
+    def texts(self, data: bytes) -> Iterator[tuple[str, str]]:
+        """Lines of ASCII text, blank ones left out: ``(text, "")``, or ``("", what is wrong)``."""
+        before = self.oversize
+        lines = self.feed(data)
+        for _ in range(self.oversize - before):
+            yield "", "a line without an end"
+        for raw in lines:
+            line = raw.strip(b"\r\n\x00")
+            if not line.strip():
+                continue
+            try:
+                text = line.decode("ascii")
+            except UnicodeDecodeError:
+                yield "", repr(line)
+                continue
+            yield text, ""
 
     def _decode(self, line: bytes) -> bytes | None:
         """The content of a complete line; None if it is not valid."""

@@ -17,17 +17,17 @@ import numpy as np
 
 from daq.clock import NS_PER_S
 from rigs.bench.rig import Rig
-from rigs.devices.interfaces import Instrument, Rows
+from rigs.devices.interfaces import Rows
+from rigs.execution.source_instrument import SourceInstrument
 from rigs.rigfile.config import TOP_COUNT
 from rigs.steps.context import RunFault
 
 CONFIRMED = 3
 CONFIRMED_S = 0.5
 """A disagreement is a fault after so many readings in a row that span so long."""
-LEAST_READINGS = 4
 
 
-class PressureSensor:
+class PressureSensor(SourceInstrument):
     """The pressure of a test: by the controller, or by the instrument that the rig file names.
 
     Args:
@@ -38,36 +38,17 @@ class PressureSensor:
     """
 
     def __init__(self, rig: Rig) -> None:
-        self._rig = rig
         self._settings = rig.config.pressure_source
+        super().__init__(rig, rig.instruments.get(self._settings.sensor))
         self._calibration = rig.config.calibrations["pressure_kpa"]
-        self.instrument: Instrument | None = None
-        if not self._settings.sensor:
+        if self.instrument is None:
             return
-        self.instrument = rig.instruments[self._settings.sensor]
         self._controller: deque[tuple[int, float]] = deque()
         self._waiting: deque[tuple[int, float]] = deque()
         self._apart_ns: list[int] = []
         self._last_ns = 0
         rig.valve.on_batch.append(self._samples)
         self.instrument.on_rows.append(self._readings)
-
-    @property
-    def rows(self) -> int:
-        """Readings of the transducer so far; 0 where there is none."""
-        return 0 if self.instrument is None else self.instrument.rows
-
-    def needed(self, seconds: float) -> int:
-        """How many readings a window of so many seconds holds at least."""
-        if self.instrument is None:
-            return 0
-        return max(LEAST_READINGS, round(seconds * self.instrument.rate_hz))
-
-    def longest_s(self, seconds: float) -> float:
-        """How long they may take to come."""
-        if self.instrument is None:
-            return 0.0
-        return 3.0 * self.needed(seconds) / self.instrument.rate_hz + 1.0
 
     def recent_kpa(self, samples: int, readings: int) -> Any:
         """The newest readings of the pressure, oldest first: of the controller so many samples,
@@ -91,12 +72,8 @@ class PressureSensor:
         if blind or not self._last_ns:
             self._last_ns = max(self._last_ns, now_ns)
         elif now_ns - self._last_ns > self._settings.sensor_stale_s * NS_PER_S:
-            detail = self.instrument.last_problem
-            raise RunFault(
-                self.instrument.name,
-                f"no pressure reading for {self._settings.sensor_stale_s:g} s"
-                + (f" (last: {detail})" if detail else ""),
-                "check its cable and power",
+            raise self.silent(
+                "pressure", self._settings.sensor_stale_s, "check its cable and power"
             )
         while self._waiting and self._controller and self._waiting[0][0] <= self._controller[-1][0]:
             self._compare(*self._waiting.popleft())

@@ -455,14 +455,7 @@ class Runner:
         sensor = self.sensor
         if sensor.instrument is None:
             return {}
-        needed = first + sensor.needed(seconds)
-        if not self.rig.event_loop.until(lambda: sensor.rows >= needed, sensor.longest_s(seconds)):
-            raise RunFault(
-                sensor.instrument.name,
-                f"sent too little during a window of {seconds:g} s",
-                "check rates, cable and baud rate",
-            )
-        rows = [first, sensor.rows]
+        rows = sensor.window(first, seconds)
         if settled:
             sensor.settled(seq, rows)
         return {"pressure_rows": rows}
@@ -499,7 +492,7 @@ class Runner:
             first = self.sensor.rows
             seq, rows = self.window(step.seconds, pictures, look)
         pressure_rows = self._pressure_rows(first, step.seconds, seq, step.settled)
-        length_rows = self.length.window(first_length, step.seconds)
+        length_rows = self.length.length_rows(first_length, step.seconds)
         if self.steering.skip:
             return
         step = self._judged_again(step)

@@ -68,18 +68,9 @@ class TextInstrument(PortInstrument):
         if self._framer.partial.strip() and pause_ns > LINE_GAP_S * NS_PER_S:
             self.faults.add("half", repr(self._framer.partial))
             self._framer.discard()
-        before = self._framer.oversize
-        lines = self._framer.feed(chunk.data)
-        for _ in range(self._framer.oversize - before):
-            yield Parsed("damaged", detail="a line without an end")
-        for raw in lines:
-            line = raw.strip(b"\r\n\x00")
-            if not line.strip():
-                continue
-            try:
-                text = line.decode("ascii")
-            except UnicodeDecodeError:
-                yield Parsed("damaged", detail=repr(line))
+        for text, wrong in self._framer.texts(chunk.data):
+            if wrong:
+                yield Parsed("damaged", detail=wrong)
                 continue
             pattern = self.form.identify_pattern
             who = pattern.fullmatch(text.strip()) if pattern is not None else None

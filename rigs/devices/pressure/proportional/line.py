@@ -98,18 +98,9 @@ class RegulatorLine(PortInstrument):
         return self._framer.discard()
 
     def _decode(self, chunk: Chunk) -> Iterator[Parsed | None]:
-        before = self._framer.oversize
-        lines = self._framer.feed(chunk.data)
-        for _ in range(self._framer.oversize - before):
-            yield Answer("damaged", detail="a line without an end")
-        for raw in lines:
-            line = raw.strip(b"\r\n\x00")
-            if not line.strip():
-                continue
-            try:
-                text = line.decode("ascii")
-            except UnicodeDecodeError:
-                yield Answer("damaged", detail=repr(line))
+        for text, wrong in self._framer.texts(chunk.data):
+            if wrong:
+                yield Answer("damaged", detail=wrong)
                 continue
             if self._listing is not None:
                 self._listing.append(text.strip())

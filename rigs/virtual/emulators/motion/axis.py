@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from rigs.virtual.emulators.emulator import Send
+from rigs.virtual.emulators.injected_fault import Wire
+
 SetMotion = Callable[[float, float], None]
 """Called with (length_mm, rate_mm_s) when a move starts or ends."""
 
@@ -64,3 +67,42 @@ class Axis:
             self.end_ns, self.rate_mm_s = None, 0.0
             self._set_motion(self._at_mm, 0.0)
         self._now_ns = to_ns
+
+
+class StageEmulator:
+    """What every emulated stage is made of: an axis, its line to the host, and their time.
+
+    Args:
+        set_motion: told of every start and end of a move.
+        send: takes the bytes that go to the host.
+        start_mm: position at power-up.
+
+    Attributes:
+        wire: injects faults.
+    """
+
+    def __init__(self, set_motion: SetMotion, send: Send, start_mm: float) -> None:
+        self._axis = Axis(set_motion, start_mm)
+        self.wire = Wire(send)
+        self._now_ns = 0
+
+    @property
+    def next_ns(self) -> int | None:
+        """When it next has something to do."""
+        times = (self._axis.end_ns, self._due_ns, self.wire.next_ns)
+        return min((t for t in times if t is not None), default=None)
+
+    @property
+    def _due_ns(self) -> int | None:
+        """When the controller itself next has something to do."""
+        return None
+
+    def advance(self, to_ns: int) -> None:
+        """Let time pass to ``to_ns``; a move that is due ends there exactly."""
+        self._axis.advance(to_ns)
+        self._now_ns = to_ns
+        self._work()
+        self.wire.advance(to_ns)
+
+    def _work(self) -> None:
+        """What the controller does by itself now."""

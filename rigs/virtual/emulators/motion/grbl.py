@@ -6,13 +6,12 @@ import re
 
 from rigs.rigfile.tables.stage import StageDevice
 from rigs.virtual.emulators.emulator import Emulator, Send
-from rigs.virtual.emulators.injected_fault import Wire
-from rigs.virtual.emulators.motion.axis import Axis, SetMotion
+from rigs.virtual.emulators.motion.axis import SetMotion, StageEmulator
 
 _WORD = re.compile(r"([A-Z])(-?\d+(?:\.\d*)?)")
 
 
-class VirtualGrbl:
+class VirtualGrbl(StageEmulator):
     """Moves the muscle's end at constant speed; position is the muscle's length in mm.
 
     Args:
@@ -37,21 +36,13 @@ class VirtualGrbl:
         low_mm: float,
         high_mm: float,
     ) -> None:
-        self._axis = Axis(set_motion, start_mm)
+        super().__init__(set_motion, send, start_mm)
         self.comma = self.inches = False
-        self.wire = Wire(send)
         self._serial = serial
         self._low, self._high = low_mm, high_mm
-        self._now_ns = 0
         self._feed_mm_min = 600.0
         self._buffer = bytearray()
         self._send_line("Grbl 1.1h ['$' for help]")
-
-    @property
-    def next_ns(self) -> int | None:
-        """When it next has something to do."""
-        times = [t for t in (self._axis.end_ns, self.wire.next_ns) if t is not None]
-        return min(times) if times else None
 
     def restart(self) -> None:
         """A brown-out: it stops where it is and greets as after power-up."""
@@ -111,12 +102,6 @@ class VirtualGrbl:
             self._send_line("error:20")
             return
         self._send_line("ok")
-
-    def advance(self, to_ns: int) -> None:
-        """Let time pass to ``to_ns``; a move that is due ends there exactly."""
-        self._axis.advance(to_ns)
-        self._now_ns = to_ns
-        self.wire.advance(to_ns)
 
 
 def emulator(

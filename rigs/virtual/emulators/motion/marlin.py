@@ -7,15 +7,14 @@ from functools import reduce
 
 from rigs.rigfile.tables.stage import StageDevice
 from rigs.virtual.emulators.emulator import Emulator, Send
-from rigs.virtual.emulators.injected_fault import Wire
-from rigs.virtual.emulators.motion.axis import Axis, SetMotion
+from rigs.virtual.emulators.motion.axis import SetMotion, StageEmulator
 
 STEPS_PER_MM = 80.0
 BUSY_NS = 2_000_000_000
 """The board reports that it is busy this often while a command makes it wait."""
 
 
-class VirtualMarlin:
+class VirtualMarlin(StageEmulator):
     """Axis X of a printer board that moves the muscle's end.
 
     A target beyond the software end stops is shortened to them without a word, as Marlin does.
@@ -34,8 +33,7 @@ class VirtualMarlin:
         low_mm: float,
         high_mm: float,
     ) -> None:
-        self._axis = Axis(set_motion, start_mm)
-        self.wire = Wire(send)
+        super().__init__(set_motion, send, start_mm)
         self.waits = False
         self._serial = serial
         self._low, self._high = low_mm, high_mm
@@ -43,16 +41,9 @@ class VirtualMarlin:
         self._shift = 0.0
         self._feed_mm_s = 10.0
         self._last = 0
-        self._now_ns = 0
         self._buffer = b""
         self._queue: deque[str] = deque()
         self._busy_ns: int | None = None
-
-    @property
-    def next_ns(self) -> int | None:
-        """When it next has something to do."""
-        times = (self._axis.end_ns, self._busy_ns, self.wire.next_ns)
-        return min((t for t in times if t is not None), default=None)
 
     def restart(self) -> None:
         """A brown-out: it stops, and calls the place where it is zero."""
@@ -69,7 +60,7 @@ class VirtualMarlin:
         self._axis.halt()
         self._planned = self._axis.where_mm() - self._shift
         self._say(f"echo:endstops hit:  X:{self._planned:.2f}")
-        self._work()
+        self._take()
 
     def feed(self, data: bytes) -> None:
         """Bytes from the host."""
@@ -78,7 +69,7 @@ class VirtualMarlin:
             text = raw.decode("ascii", "replace").strip()
             if text and self._numbered(text):
                 self._queue.append(self._body(text))
-        self._work()
+        self._take()
 
     def _say(self, line: str) -> None:
         self.wire.send(line.encode("ascii") + b"\n", self._now_ns)
@@ -109,7 +100,17 @@ class VirtualMarlin:
         self._say("ok")
         return False
 
+    @property
+    def _due_ns(self) -> int | None:
+        return self._busy_ns
+
     def _work(self) -> None:
+        if self._busy_ns is not None and self._busy_ns <= self._now_ns:
+            self._busy_ns += BUSY_NS
+            self._say("echo:busy: processing")
+        self._take()
+
+    def _take(self) -> None:
         while self._queue:
             code = self._queue[0].split(" ")[0]
             if self._axis.moving and (code in ("G1", "M400") or (code == "M114" and self.waits)):
@@ -147,16 +148,6 @@ class VirtualMarlin:
             target = min(max(words["X"] + self._shift, self._low), self._high)
             self._planned = target - self._shift
             self._axis.move(round(target * STEPS_PER_MM) / STEPS_PER_MM, self._feed_mm_s)
-
-    def advance(self, to_ns: int) -> None:
-        """Let time pass to ``to_ns``."""
-        self._axis.advance(to_ns)
-        self._now_ns = to_ns
-        if self._busy_ns is not None and self._busy_ns <= to_ns:
-            self._busy_ns += BUSY_NS
-            self._say("echo:busy: processing")
-        self._work()
-        self.wire.advance(to_ns)
 
 
 def emulator(

@@ -6,15 +6,14 @@ import struct
 
 from rigs.rigfile.tables.stage import StageDevice
 from rigs.virtual.emulators.emulator import Emulator, Send
-from rigs.virtual.emulators.injected_fault import Wire
-from rigs.virtual.emulators.motion.axis import Axis, SetMotion
+from rigs.virtual.emulators.motion.axis import SetMotion, StageEmulator
 
 HOST = 2
 TYPE_AND_VERSION = 1140 << 16 | 1 << 8 | 47
 TELEGRAM = ">BBBBi"
 
 
-class VirtualTmcl:
+class VirtualTmcl(StageEmulator):
     """A module whose speeds are microsteps a second.
 
     Args:
@@ -36,21 +35,13 @@ class VirtualTmcl:
         set_motion: SetMotion,
         send: Send,
     ) -> None:
-        self._axis = Axis(set_motion, start_mm)
+        super().__init__(set_motion, send, start_mm)
         self._device = device
         self._limits_mm = limits_mm
-        self.wire = Wire(send)
         self._parameters = {4: 1000}
         self._variables = [0] * 56
         self._shift = 0
-        self._now_ns = 0
         self._buffer = b""
-
-    @property
-    def next_ns(self) -> int | None:
-        """When it next has something to do."""
-        times = [t for t in (self._axis.end_ns, self.wire.next_ns) if t is not None]
-        return min(times) if times else None
 
     def restart(self) -> None:
         """A brown-out: it stops, counts from 0 and forgets its user variables."""
@@ -123,12 +114,6 @@ class VirtualTmcl:
         target = self._device.zero_mm + (count + self._shift) / scale
         low, high = self._limits_mm
         self._axis.move(min(max(target, low), high), self._parameters[4] / abs(scale))
-
-    def advance(self, to_ns: int) -> None:
-        """Let time pass to ``to_ns``."""
-        self._axis.advance(to_ns)
-        self._now_ns = to_ns
-        self.wire.advance(to_ns)
 
 
 def emulator(

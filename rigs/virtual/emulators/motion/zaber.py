@@ -6,15 +6,14 @@ import re
 
 from rigs.rigfile.tables.stage import StageDevice
 from rigs.virtual.emulators.emulator import Emulator, Send
-from rigs.virtual.emulators.injected_fault import Wire
-from rigs.virtual.emulators.motion.axis import Axis, SetMotion
+from rigs.virtual.emulators.motion.axis import SetMotion, StageEmulator
 
 _COMMAND = re.compile(r"/(?:(\d+)(?: (\d+))?(?: (\d+|--))?)?\s*([a-z][^:]*)?(?::([0-9A-F]{2}))?")
 DEVICE_ID = "50081"
 VERSION = "7.38"
 
 
-class VirtualZaber:
+class VirtualZaber(StageEmulator):
     """A device with one axis that counts microsteps.
 
     Args:
@@ -37,21 +36,13 @@ class VirtualZaber:
         set_motion: SetMotion,
         send: Send,
     ) -> None:
-        self._axis = Axis(set_motion, start_mm)
+        super().__init__(set_motion, send, start_mm)
         self._device = device
         self._limits_mm = limits_mm
-        self.wire = Wire(send)
         self.flags: list[str] = []
         self._settings = {"comm.checksum": 0, "maxspeed": 153_600}
         self._shift = 0
-        self._now_ns = 0
         self._buffer = b""
-
-    @property
-    def next_ns(self) -> int | None:
-        """When it next has something to do."""
-        times = [t for t in (self._axis.end_ns, self.wire.next_ns) if t is not None]
-        return min(times) if times else None
 
     def restart(self) -> None:
         """A brown-out: it stops, counts from 0 and has no reference."""
@@ -128,12 +119,6 @@ class VirtualZaber:
         per_s = self._settings["maxspeed"] / 1.6384
         self._axis.move(target, per_s / abs(self._device.counts_per_mm))
         return True, "0"
-
-    def advance(self, to_ns: int) -> None:
-        """Let time pass to ``to_ns``."""
-        self._axis.advance(to_ns)
-        self._now_ns = to_ns
-        self.wire.advance(to_ns)
 
 
 def emulator(
