@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 MOST_ANSWERS = 8
 """So many steps are drawn, of the first replicate."""
 _RAD = math.pi / 180.0
+ANGLE_DECIMALS = 2
+"""Of a difference of angles without an uncertainty of its own, in degrees."""
 
 
 def joint_static_findings(run: Run, reduction: Reduction) -> Findings:
@@ -98,6 +100,8 @@ def _free_sections(table: pd.DataFrame, cells: list[FreeCell]) -> list[Section]:
 
     if not cells:
         return []
+    frame = pd.DataFrame(as_rows(cells))
+    frame["hysteresis_deg"] = frame["hysteresis_deg"].round(ANGLE_DECIMALS)
     words = (
         "Mean of all settled points, for the set-points of both pressures. The uncertainty holds"
         " the readings, the angle's zero and gain, both pressure calibrations, and friction: half"
@@ -116,7 +120,7 @@ def _free_sections(table: pd.DataFrame, cells: list[FreeCell]) -> list[Section]:
         ),
         Section(
             "Equilibrium angle at each pair of pressures", words,
-            pd.DataFrame(as_rows(cells)), columns, caption=f"{EXPANDED}.",
+            frame, columns, caption=f"{EXPANDED}.",
         ),
     ]  # fmt: skip
 

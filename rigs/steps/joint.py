@@ -23,6 +23,9 @@ VENTED_KPA = 5.0
 """Below this a set-point means "vented", not regulated: no valve holds 0 kPa gauge."""
 REACH_S = 1.0
 """About how long a new pair of pressures takes."""
+NEAR_KPA = 5.0
+NEAR_S = 3.0
+"""Muscles vent together when both are so near to one pressure, and after so long in any case."""
 LOCK_S = 20.0
 """About how long a person takes with the lock."""
 
@@ -88,6 +91,26 @@ class SetPressures(CustomStep):
                 side.source.set_pressure(pressure)
         for valve, number in asked:
             valve.answer(number)
+
+
+@dataclass(frozen=True)
+class EqualPressures(CustomStep):
+    """Bring both muscles of a free joint to one pressure: after they were vented, and before.
+
+    Muscles that fill to or vent from different pressures are filled or empty at different times:
+    the fuller one would swing the joint far beyond where the test is to have it.
+    """
+
+    kpa: float
+    seconds: ClassVar[float] = REACH_S
+
+    def perform(self, runner: StepContext) -> None:
+        """Set both, and wait until they are near each other."""
+        sides = runner.rig.sides
+        runner.do(SetPressures(self.kpa, self.kpa))
+        runner.rig.event_loop.until(
+            lambda: all(abs(s.source.measured_kpa - self.kpa) < NEAR_KPA for s in sides), NEAR_S
+        )
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
 from rigs.steps.joint import (
     VENTED_KPA,
+    EqualPressures,
     FreeJoint,
     JointCriterion,
     JointPoint,
@@ -74,9 +75,13 @@ class JointStatic(Parameters):
             yield Trial(trial, slot, place.replicate, trial, place.mounting, "joint-static", held)
             yield FreeJoint() if angle is None else LockJoint(angle)
             yield JointZero(trial, "before", self.zero_s)
+            if angle is None:
+                yield EqualPressures(self.common_kpa[0])
             for state, direction, pressures in self._points(angle, rng):
                 order += 1
                 yield self._point(trial, slot, place, order, state, direction, pressures, angle)
+            if angle is None:
+                yield EqualPressures(self.common_kpa[-1])
             yield Vent()
             yield JointZero(trial, "after", self.zero_s)
             yield EndTrial(trial)

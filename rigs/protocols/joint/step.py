@@ -18,7 +18,7 @@ from rigs.protocols.joint.method import (
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
-from rigs.steps.joint import VENTED_KPA, FreeJoint, JointResponse, JointZero
+from rigs.steps.joint import VENTED_KPA, EqualPressures, FreeJoint, JointResponse, JointZero
 from rigs.steps.schedule import arrange
 from rigs.steps.steps import EndTrial, State, Trial, Vent
 
@@ -57,12 +57,14 @@ class JointStep(Parameters):
             )  # fmt: skip
             yield FreeJoint()
             yield JointZero(trial, "before", self.zero_s)
+            yield EqualPressures(common)
             for number, (before, after) in enumerate(steps):
                 order += 1
                 yield JointResponse(
                     trial, f"{slot} {before:g} to {after:g}", place.replicate, order,
                     place.mounting, common, before, after, self.step_s, number == 0,
                 )  # fmt: skip
+            yield EqualPressures(common)
             yield Vent()
             yield EndTrial(trial)
         yield State("done")
