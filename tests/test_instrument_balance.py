@@ -10,6 +10,7 @@ import pytest
 from daq.errors import LinkLost
 from instrument_desk import Desk
 from rigs.devices.balance import Balance
+from rigs.devices.instruments.arrivals import Arrivals
 from rigs.virtual.emulators.balance import VirtualBalance
 
 G = 9.80665
@@ -101,6 +102,30 @@ def test_readings_that_an_adapter_delivers_together_stay(
     assert stated_ms <= 1.2 * bunch_ms + 2
     if rate_hz != 10:  # at 10 Hz the adapter is in step with the readings, or nearly so
         assert stated_ms >= 0.5 * bunch_ms
+
+
+@pytest.mark.parametrize("known_before", [False, True])
+def test_readings_of_one_long_hold_up_tell_no_period(known_before: bool) -> None:
+    """Found by fuzzing: a hundred readings in one delivery ended in a division by zero."""
+    arrivals, now_ns = Arrivals(), 0
+
+    def comes(at_ns: int, together: bool = False) -> None:
+        arrivals.heard(at_ns, together)
+        arrivals.add(at_ns)
+
+    if known_before:
+        for _ in range(100):
+            now_ns += 10_000_000
+            comes(now_ns)
+    now_ns += 1_000_000_000
+    for _ in range(100):
+        comes(now_ns, together=True)
+    assert not arrivals.learned
+    for _ in range(200):
+        now_ns += 10_000_000
+        comes(now_ns)
+    assert arrivals.possible(now_ns + 10_000_000)
+    assert not arrivals.possible(now_ns + 5_000_000)
 
 
 def test_a_doubled_reading_is_found_after_lost_ones_and_pauses() -> None:

@@ -20,6 +20,8 @@ EARLY = 0.3
 """A reading comes at most this share of a period before its time."""
 LOST = 0.7
 """One that is later than any so far by this share of a period follows a lost one."""
+STOOD_STILL = 0.5
+"""A period below this share of the one before: a long delivery, after the computer stood still."""
 BUNCHED_MS = 5.0
 """Less than this is the jitter of any computer."""
 
@@ -64,6 +66,9 @@ class Arrivals:
         self._first.append((host_ns, together))
         if len(self._first) < LEARN:
             return
+        if self._first[-1][0] == self._first[0][0]:  # one delivery: it holds no period
+            self._first.clear()
+            return
         bunches = sum(together for _, together in self._first) >= BUNCHES
         for at_ns, with_another in self._first:
             if bunches or not with_another:
@@ -94,7 +99,12 @@ class Arrivals:
         index, times = np.array(self._known, dtype=np.int64).T
         at, came = (index - index[0]).astype(np.float64), (times - times[0]).astype(np.float64)
         centred = at - at.mean()
-        self._period_ns = float(centred @ came / (centred @ centred))
+        period_ns = float(centred @ came / (centred @ centred))
+        if period_ns < STOOD_STILL * self._period_ns or period_ns <= 0.0:
+            self._known.clear()  # learned again from what follows
+            self._period_ns = 0.0
+            return
+        self._period_ns = period_ns
         behind = came - at * self._period_ns
         self._spread_ns = float(behind.max() - behind.min())
         self._start_ns = float(times[0]) + float(behind.min()) - float(index[0]) * self._period_ns
