@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+SINGLE_COLUMN = 88.0 / 25.4
+DOUBLE_COLUMN = 180.0 / 25.4
+"""Widths of a figure in a paper of one column and of two, in inches."""
 MARKERS = "osD^vPX"
 DASHES = ("-", "--", ":", "-.")
 INK = "#222222"
@@ -49,13 +54,29 @@ STYLE: dict[str, Any] = {
 }
 
 
-def as_svg(figure: Figure) -> bytes:
-    """The figure as SVG, glyphs as paths, without a date. Equal data give equal bytes."""
+def as_svg(figure: Figure, text: bool = False) -> bytes:
+    """The figure as SVG without a date. Equal data give equal bytes.
+
+    Args:
+        figure: the figure.
+        text: letters stay text, for a program that edits the file; otherwise they are paths and
+            look the same everywhere.
+    """
     from matplotlib import rc_context
 
     buffer = io.BytesIO()
-    with rc_context(STYLE):
+    with rc_context({**STYLE, "svg.fonttype": "none" if text else "path"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
+def as_pdf(figure: Figure) -> bytes:
+    """The figure as PDF with its fonts embedded, letters as text, without a date."""
+    from matplotlib import rc_context
+
+    buffer = io.BytesIO()
+    with rc_context({**STYLE, "pdf.fonttype": 42}):
+        figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
     return buffer.getvalue()
 
 
@@ -73,10 +94,27 @@ def style() -> Any:
     return mpl.rc_context(STYLE)
 
 
+_NARROW: ContextVar[bool] = ContextVar("narrow", default=False)
+NARROW_HEIGHT = 0.62
+"""Height of a figure in a single column, relative to its height in two."""
+
+
+@contextmanager
+def single_column() -> Iterator[None]:
+    """Figures that are drawn in this context fit the single column of a paper."""
+    token = _NARROW.set(True)
+    try:
+        yield
+    finally:
+        _NARROW.reset(token)
+
+
 def new_figure(
     width: float, height: float, rows: int = 1, columns: int = 1, sharex: bool = False
 ) -> tuple[Figure, Any]:
-    """A figure without a window and without global state."""
+    """A figure without a window and without global state; sizes in inches."""
+    if _NARROW.get():
+        width, height = SINGLE_COLUMN * width / DOUBLE_COLUMN, NARROW_HEIGHT * height
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -165,7 +203,7 @@ def curves_figure(
         zero_line: draw the line y = 0.
     """
     with style():
-        figure, axes = new_figure(7.2, 4.9)
+        figure, axes = new_figure(DOUBLE_COLUMN, 4.4)
         ends: CurveEnds = []
         draw(axes, sequence(count), ends)
         if zero_line:

@@ -9,6 +9,7 @@ import numpy as np
 
 from analysis.figures.drawing import (
     COVERAGE,
+    DOUBLE_COLUMN,
     INK,
     MEASURED,
     QUIET,
@@ -73,7 +74,7 @@ def regression_figure(
         ("intercept", "intercept (N)", "intercept_n", "u_intercept"),
     )
     with style():
-        figure, axes_pair = new_figure(7.2, 3.2, columns=2)
+        figure, axes_pair = new_figure(DOUBLE_COLUMN, 3.2, columns=2)
         for index, (name, label, column, u_name) in enumerate(panels):
             axes = axes_pair[index]
             values = np.array([getattr(line, column) for line in lines])
@@ -111,7 +112,7 @@ def residual_figure(
     groups = length_groups(table)
     colours = sequence(len(groups))
     with style():
-        figure, axes = new_figure(7.2, 3.0)
+        figure, axes = new_figure(DOUBLE_COLUMN, 3.0)
         ends: CurveEnds = []
         for index, (length_mm, temperature_c, rows) in enumerate(groups):
             line = _line_of(lines, length_mm, temperature_c)

@@ -9,6 +9,7 @@ import numpy as np
 
 from analysis.figures.drawing import (
     COVERAGE,
+    DOUBLE_COLUMN,
     QUIET,
     SET,
     CurveEnds,
@@ -69,7 +70,7 @@ def stiffness_figure(cells: Sequence[LockedCell]) -> Figure:
     differences = sorted({cell.difference_kpa for cell in cells})
     colours = sequence(len(differences))
     with style():
-        figure, axes = new_figure(7.2, 3.6)
+        figure, axes = new_figure(DOUBLE_COLUMN, 3.6)
         for k, difference in enumerate(differences):
             own = [cell for cell in cells if cell.difference_kpa == difference]
             axes.errorbar(
@@ -93,7 +94,7 @@ def answers_figure(answers: Sequence[tuple[str, Array, Array]]) -> Figure:
     """
     colours = sequence(len(answers))
     with style():
-        figure, axes = new_figure(7.2, 4.2)
+        figure, axes = new_figure(DOUBLE_COLUMN, 4.2)
         for k, (label, time_s, angle_deg) in enumerate(answers):
             axes.plot(time_s, angle_deg, color=colours[k], linewidth=1.0, label=label)
         axes.axvline(0.0, color=QUIET, linewidth=0.8)
@@ -108,7 +109,7 @@ def answers_figure(answers: Sequence[tuple[str, Array, Array]]) -> Figure:
 def pressures_figure(curves: Sequence[tuple[str, Array, Array]]) -> Figure:
     """Both pressures against time since the first step."""
     with style():
-        figure, axes = new_figure(7.2, 2.6)
+        figure, axes = new_figure(DOUBLE_COLUMN, 2.6)
         for colour, (label, time_s, kpa) in zip(("#0072B2", SET), curves, strict=False):
             axes.plot(time_s, kpa, color=colour, linewidth=0.8, label=label)
         axes.set_xlabel("time (s)")

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.figures.drawing import INK, MEASURED, SET, new_figure, style
+from analysis.figures.drawing import (
+    DOUBLE_COLUMN,
+    INK,
+    MEASURED,
+    SET,
+    new_figure,
+    style,
+)
 from daq.errors import RecordError
 from plant.arrays import Array
 
@@ -38,9 +45,9 @@ def timeline_figure(run: Run) -> Figure | None:
     forces = run.manifest.get("protocol") == "simulate" or bool(tares)
     with style():
         if forces:
-            figure, (top, bottom) = new_figure(7.2, 4.2, rows=2, sharex=True)
+            figure, (top, bottom) = new_figure(DOUBLE_COLUMN, 4.2, rows=2, sharex=True)
         else:
-            figure, top = new_figure(7.2, 2.6)
+            figure, top = new_figure(DOUBLE_COLUMN, 2.6)
             bottom = top
         top.plot(*min_max(time_s, setpoint), color=SET, linewidth=1.4, label="set-point")
         top.plot(*min_max(time_s, pressure), color=MEASURED, linewidth=0.7, label="measured")

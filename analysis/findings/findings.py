@@ -60,6 +60,33 @@ class Findings:
     report_entries: dict[str, Any] | None = None
 
 
+POINT_SETTINGS = (
+    "set_temperature_c", "set_length_mm", "mass_kg", "cycle_max_kpa", "set_pressure_kpa",
+    "direction",
+)  # fmt: skip
+VALVE_SETTINGS = ("valve", "set_pressure_kpa")
+"""Columns of a valve test that say which points are repeats of each other."""
+
+
+@dataclass(frozen=True)
+class ResultColumns:
+    """Which columns of a table are results, and which say what is a repeat of what.
+
+    Attributes:
+        quantities: columns of results; page one of the report and acceptance limits are on these.
+        settings: columns that are equal for repeats of one test; those that the table does not
+            have, or that are empty in it, are left out.
+        only: quantity to (column, word): a result only where that column holds the word; without
+            a word, only where that column is empty.
+        settled: only points that settled.
+    """
+
+    quantities: tuple[str, ...] = ("force_n",)
+    settings: tuple[str, ...] = POINT_SETTINGS
+    only: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    settled: bool = True
+
+
 @dataclass(frozen=True)
 class Analysis:
     """The analysis of the runs of one protocol. It needs the record only, no hardware.
@@ -70,6 +97,7 @@ class Analysis:
         reduce: reduces a run to its table of points.
         layout: panels of the live view and the view file, from ``parameters`` of run.json.
         findings: results from the table.
+        results: columns of the table that are results, and those that repeats have in common.
     """
 
     name: str
@@ -77,6 +105,7 @@ class Analysis:
     reduce: Callable[[Run], Reduction]
     layout: Callable[[Mapping[str, Any]], LiveLayout]
     findings: Callable[[Run, Reduction], Findings]
+    results: ResultColumns = ResultColumns()
 
 
 def source_table(run: Run) -> str | None:

@@ -16,8 +16,10 @@ import numpy as np
 from analysis.findings.findings import (
     EXPANDED,
     NO_POINT,
+    VALVE_SETTINGS,
     Analysis,
     Findings,
+    ResultColumns,
     Section,
     as_in,
     source_table,
@@ -380,11 +382,19 @@ def _shape_section(table: pd.DataFrame, fanning: Line | None) -> Section:
 def _figure(
     table: pd.DataFrame, fanning: Line | None, iso: IsoFit | None, meter: Meter | None
 ) -> Figure:
-    from analysis.figures.drawing import COVERAGE, INK, MEASURED, SET, new_figure, style
+    from analysis.figures.drawing import (
+        COVERAGE,
+        DOUBLE_COLUMN,
+        INK,
+        MEASURED,
+        SET,
+        new_figure,
+        style,
+    )
 
     rows = table.dropna(subset=["pressure_kpa", "velocity_m_s"])
     with style():
-        figure, axes = new_figure(7.2, 4.2)
+        figure, axes = new_figure(DOUBLE_COLUMN, 4.2)
         axes.errorbar(
             rows["pressure_kpa"], rows["velocity_m_s"],
             xerr=COVERAGE * np.nan_to_num(rows["u_pressure_kpa"]),
@@ -414,5 +424,6 @@ FLOW = Analysis(
     reduce_flow,
     lambda parameters: valve_layout("Flow test", parameters, flow=True),
     flow_findings,
+    ResultColumns(("velocity_m_s",), VALVE_SETTINGS),
 )
 ANALYSES = (FLOW,)

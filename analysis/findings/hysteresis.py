@@ -23,6 +23,7 @@ from analysis.findings.findings import (
     EXPANDED,
     Analysis,
     Findings,
+    ResultColumns,
     Section,
     as_in,
     max_pressure_kpa,
@@ -453,13 +454,22 @@ def _thesis(cycles: list[Cycle], kind: Kind) -> Section:
 
 
 def _figure(table: pd.DataFrame, cycles: list[Cycle], kind: Kind) -> Figure:
-    from analysis.figures.drawing import COVERAGE, QUIET, curve, marker, new_figure, sequence, style
+    from analysis.figures.drawing import (
+        COVERAGE,
+        DOUBLE_COLUMN,
+        QUIET,
+        curve,
+        marker,
+        new_figure,
+        sequence,
+        style,
+    )
 
     held = kind.held_values(table)
     values = sorted(held.dropna().unique())
     colours = dict(zip(values, sequence(len(values)), strict=True))
     with style():
-        figure, (top, bottom) = new_figure(7.2, 6.4, rows=2, sharex=True)
+        figure, (top, bottom) = new_figure(DOUBLE_COLUMN, 6.4, rows=2, sharex=True)
         for k, value in enumerate(values):
             rows = table[held == value]
             label: str | None = f"{value:g} {kind.held_unit}"
@@ -513,5 +523,9 @@ HYSTERESIS = Analysis(
         max_pressure_kpa(parameters, "cycles_kpa"),
     ),
     _findings,
+    ResultColumns(
+        ("force_n", "length_mm"),
+        only={"force_n": ("mass_kg", ""), "length_mm": ("set_length_mm", "")},
+    ),
 )
 ANALYSES = (HYSTERESIS,)

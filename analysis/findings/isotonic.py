@@ -15,6 +15,7 @@ from analysis.findings.findings import (
     NO_SETTLED_POINT,
     Analysis,
     Findings,
+    ResultColumns,
     Section,
     as_in,
     claims_section,
@@ -250,5 +251,6 @@ ISOTONIC = Analysis(
     partial(reduce_points, extra=EXTRA),
     lambda parameters: isotonic_layout(max_pressure_kpa(parameters)),
     isotonic_findings,
+    ResultColumns(("length_mm",)),
 )
 ANALYSES = (ISOTONIC,)

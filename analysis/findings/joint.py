@@ -13,6 +13,7 @@ from analysis.findings.findings import (
     NO_SETTLED_POINT,
     Analysis,
     Findings,
+    ResultColumns,
     Section,
     records,
 )
@@ -272,6 +273,11 @@ JOINT_STATIC = Analysis(
         "Static test of a joint", parameters, "Angle (degrees) or torque (N m)"
     ),
     joint_static_findings,
+    ResultColumns(
+        ("angle_deg", "torque_n_m"),
+        ("state", "set_angle_deg", "common_kpa", "difference_kpa", "direction"),
+        {"angle_deg": ("state", "free"), "torque_n_m": ("state", "locked")},
+    ),
 )
 JOINT_STEP = Analysis(
     "joint-step",
@@ -279,5 +285,10 @@ JOINT_STEP = Analysis(
     reduce_joint_step,
     lambda parameters: joint_layout("Step test of a joint", parameters, "Angle (degrees)"),
     joint_step_findings,
+    ResultColumns(
+        ("rise_s", "overshoot_deg", "settle_s"),
+        ("common_kpa", "from_kpa", "difference_kpa"),
+        settled=False,
+    ),
 )
 ANALYSES = (JOINT_STATIC, JOINT_STEP)

@@ -11,8 +11,10 @@ from analysis.findings.findings import (
     BARS,
     EXPANDED,
     NO_POINT,
+    POINT_SETTINGS,
     Analysis,
     Findings,
+    ResultColumns,
     Section,
     max_pressure_kpa,
     records,
@@ -86,7 +88,8 @@ def points_analysis(name: str, title: str = "") -> Analysis:
     def layout(parameters: Mapping[str, Any]) -> LiveLayout:
         return replace(isometric_layout(max_pressure_kpa(parameters)), title=title)
 
-    return Analysis(name, title, reduce_points, layout, points_findings)
+    results = ResultColumns(settings=("slot", *POINT_SETTINGS))
+    return Analysis(name, title, reduce_points, layout, points_findings, results)
 
 
 INTERACTIVE = points_analysis("interactive", "Interactive session")

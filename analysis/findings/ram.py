@@ -13,6 +13,7 @@ from analysis.findings.findings import (
     EXPANDED,
     Analysis,
     Findings,
+    ResultColumns,
     Section,
     claims_section,
     records,
@@ -149,11 +150,19 @@ def _headline(table: pd.DataFrame, reached: int, held: int) -> str:
 
 
 def _figure(run: Run, table: pd.DataFrame) -> Figure:
-    from analysis.figures.drawing import INK, MEASURED, QUIET, SET, new_figure, style
+    from analysis.figures.drawing import (
+        DOUBLE_COLUMN,
+        INK,
+        MEASURED,
+        QUIET,
+        SET,
+        new_figure,
+        style,
+    )
 
     moves = ValveMoves(run, table)
     with style():
-        figure, (top, bottom) = new_figure(7.2, 4.4, rows=2, sharex=True)
+        figure, (top, bottom) = new_figure(DOUBLE_COLUMN, 4.4, rows=2, sharex=True)
         if len(moves.first):
             part, seconds, spans = moves.draw_pressure(top, moves.first)
             if len(seconds):
@@ -189,5 +198,6 @@ RAM = Analysis(
         result_axis=("time to the switch (s)", float(parameters.get("reach_s") or 10.0)),
     ),
     ram_findings,
+    ResultColumns(("reach_s", "drift_kpa"), ("switch", "direction"), settled=False),
 )
 ANALYSES = (RAM,)

@@ -114,7 +114,14 @@ def findings(run: Run, reduction: Reduction) -> Findings:
 
 def scene_figure(run: Run) -> Figure:
     """Pressure and force of each muscle, and every position, against time."""
-    from analysis.figures.drawing import QUIET, SET, new_figure, sequence, style
+    from analysis.figures.drawing import (
+        DOUBLE_COLUMN,
+        QUIET,
+        SET,
+        new_figure,
+        sequence,
+        style,
+    )
 
     truth = run.samples("truth")
     t = (truth["host_ns"] - truth["host_ns"][0]) * 1e-9
@@ -125,7 +132,7 @@ def scene_figure(run: Run) -> Figure:
     ] or [n for n in truth if n.endswith("_length_mm")]
     positions += [n for n in truth if n == "length_mm"]
     with style():
-        figure, axes = new_figure(7.2, 5.6, rows=3, sharex=True)
+        figure, axes = new_figure(DOUBLE_COLUMN, 5.6, rows=3, sharex=True)
         groups = ((pressures, "pressure (kPa)"), (forces, "force (N)"), (positions, ""))
         for ax, (names, label) in zip(axes, groups, strict=True):
             for name, colour in zip(names, sequence(len(names)), strict=True):

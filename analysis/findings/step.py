@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.figures.valve_moves import ValveMoves
-from analysis.findings.findings import EXPANDED, Analysis, Findings, Section, claims_section
+from analysis.findings.findings import (
+    EXPANDED,
+    Analysis,
+    Findings,
+    ResultColumns,
+    Section,
+    claims_section,
+)
 from analysis.layouts.valve import valve_layout
 from analysis.reduction.step import reduce_step
 
@@ -160,14 +167,19 @@ def _claims(rows: list[dict[str, Any]]) -> Section | None:
 
 
 def _figure(run: Run, table: pd.DataFrame) -> Figure:
-    from analysis.figures.drawing import INK, new_figure, style
+    from analysis.figures.drawing import (
+        DOUBLE_COLUMN,
+        INK,
+        new_figure,
+        style,
+    )
 
     moves = ValveMoves(run, table)
     first = moves.first
     schemes = list(dict.fromkeys(first["scheme"]))
     count = max(len(schemes), 1)
     with style():
-        figure, axes = new_figure(7.2, 0.7 + 1.35 * count, rows=count, sharex=True)
+        figure, axes = new_figure(DOUBLE_COLUMN, 0.7 + 1.35 * count, rows=count, sharex=True)
         for ax, name in zip(np.atleast_1d(axes), schemes, strict=False):
             moves.draw_pressure(ax, first[first["scheme"] == name].sort_values("order"))
             ax.set_title(TITLES.get(name, name), loc="left", fontsize=8.5, color=INK)
@@ -189,5 +201,10 @@ STEP = Analysis(
         result_axis=("rms error of the second half of a step (kPa)", 100.0),
     ),
     step_findings,
+    ResultColumns(
+        ("rise_s", "overshoot_kpa", "settle_s"),
+        ("scheme", "from_kpa", "set_pressure_kpa"),
+        settled=False,
+    ),
 )
 ANALYSES = (STEP,)

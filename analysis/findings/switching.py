@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.findings.findings import NO_POINT, Analysis, Findings, Section, as_in, source_table
+from analysis.findings.findings import (
+    NO_POINT,
+    VALVE_SETTINGS,
+    Analysis,
+    Findings,
+    ResultColumns,
+    Section,
+    as_in,
+    source_table,
+)
 from analysis.layouts.valve import valve_layout
 from analysis.reduction.valve import reduce_switching_time, reduce_switching_voltage
 from analysis.regression.least_squares import Line, mean_of_repeats, pooled, straight_line
@@ -268,12 +277,19 @@ def _std_row(table: pd.DataFrame) -> Section:
 
 
 def _figure(table: pd.DataFrame, unit: str, label: str) -> Figure:
-    from analysis.figures.drawing import COVERAGE, MEASURED, SET, new_figure, style
+    from analysis.figures.drawing import (
+        COVERAGE,
+        DOUBLE_COLUMN,
+        MEASURED,
+        SET,
+        new_figure,
+        style,
+    )
 
     looks = {"inlet": (MEASURED, "o"), "outlet": (SET, "s")}
     lines = _lines(table, unit)
     with style():
-        figure, axes = new_figure(7.2, 4.4)
+        figure, axes = new_figure(DOUBLE_COLUMN, 4.4)
         for valve, edge in EDGES:
             rows = _readings(table, valve, edge, unit)
             filled = edge == "on"
@@ -304,6 +320,7 @@ SWITCHING_TIME = Analysis(
     reduce_switching_time,
     lambda parameters: valve_layout("Switching-time test", parameters),
     time_findings,
+    ResultColumns(("on_ms", "off_ms"), VALVE_SETTINGS),
 )
 SWITCHING_VOLTAGE = Analysis(
     "switching-voltage",
@@ -311,5 +328,6 @@ SWITCHING_VOLTAGE = Analysis(
     reduce_switching_voltage,
     lambda parameters: valve_layout("Switching-voltage test", parameters, voltage=True),
     voltage_findings,
+    ResultColumns(("on_v", "off_v"), VALVE_SETTINGS),
 )
 ANALYSES = (SWITCHING_TIME, SWITCHING_VOLTAGE)

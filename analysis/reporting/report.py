@@ -15,10 +15,11 @@ from analysis.registry import analysis_of
 from analysis.reporting.conditions import (
     condition_sections,
     conditions,
-    instruments,
     simulated,
 )
-from analysis.reporting.sections import figure_address, section_parts
+from analysis.reporting.page_one import page_one
+from analysis.reporting.results import acceptance_json, judge, results_of
+from analysis.reporting.sections import figure_parts, section_parts
 from analysis.run_table import contents_of, record_findings, reduce_run
 from daq.errors import RecordError
 from daq.record.safe_read import LARGEST_BULK, names_inside, open_inside
@@ -59,9 +60,12 @@ def report_json(
                 "results": findings.data,
                 "sections": [_section_json(section) for section in findings.sections],
             }
-        plain: dict[str, Any] = _plain(
+        results = results_of(reduction, kind.results)
+        plain: dict[str, Any] = plain_values(
             {
                 **_common(run, reduction),
+                "means": [result.as_dict() for result in results],
+                "acceptance": acceptance_json(judge(results, acceptance_of(run))),
                 "title": kind.title,
                 "headline": findings.headline,
                 "results": None,
@@ -144,26 +148,42 @@ def write_report(run: Run, out: Path | None = None, reduction: Reduction | None 
         reduction: its reduction, if already made.
     """
     out = out or Path(run.folder) / "derived" / "report.html"
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(render_report(run, reduction), encoding="utf-8")
+    return out
+
+
+def render_report(run: Run, reduction: Reduction | None = None) -> str:
+    """The HTML report as text; arguments as for :func:`write_report`."""
     reduction = reduction or reduce_run(run)
+    kind = analysis_of(run.manifest.get("protocol"))
     with contents_of(run):
-        findings = analysis_of(run.manifest.get("protocol")).findings(run, reduction)
+        findings = kind.findings(run, reduction)
         timeline = None if run.manifest.get("imported") else timeline_figure(run)
+        results = results_of(reduction, kind.results)
+        judged = judge(results, acceptance_of(run))
     data = report_json(run, reduction, findings)
-    html = (
-        _environment()
+    parts = [section_parts(section) for section in findings.sections]
+    html: str = (
+        environment()
         .get_template("report.html.j2")
         .render(
             r=data,
-            timeline=figure_address(timeline),
-            instruments=instruments(run, reduction),
+            one=page_one(run, reduction, data, results, judged),
+            timeline=figure_parts(timeline) if timeline is not None else {},
             conditions=[section_parts(section) for section in condition_sections(run)],
-            sections=[section_parts(section) for section in findings.sections],
+            figures=[part for part in parts if part["image"]],
+            sections=[part for part in parts if not part["image"]],
             provenance=_flat({k: data[k] for k in _APPENDIX if data.get(k) is not None}),
         )
     )
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(html, encoding="utf-8")
-    return out
+    return html
+
+
+def acceptance_of(run: Run) -> dict[str, Any] | None:
+    """The acceptance limits of a run's protocol, as recorded; None without."""
+    found = (run.manifest.get("parameters") or {}).get("acceptance")
+    return found if isinstance(found, dict) else None
 
 
 def _section_json(section: Section) -> dict[str, Any]:
@@ -195,7 +215,8 @@ def _last(run: Run, kind: str) -> dict[str, Any] | None:
     return {k: v for k, v in found[-1].items() if k not in ("n", "kind")} if found else None
 
 
-def _environment() -> Any:
+def environment() -> Any:
+    """The templates of all reports; whatever they show is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -224,12 +245,12 @@ def _flat(values: Any, path: str = "") -> list[tuple[str, str]]:
     return [(path, value_cell(values))]
 
 
-def _plain(value: Any) -> Any:
+def plain_values(value: Any) -> Any:
     """Values of Python types only, with None in place of NaN, for JSON."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain_values(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain_values(item) for item in value]
     if hasattr(value, "item"):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

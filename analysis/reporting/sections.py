@@ -29,23 +29,26 @@ def section_parts(section: Section) -> dict[str, Any]:
         }
         for record in records
     ]
+    figure = figure_parts(section.figure() if section.figure is not None else None)
     return {
         "title": section.title,
         "words": section.words,
         "heads": [heading.rsplit(", ", 1) for _, heading in section.columns],
         "rows": rows,
-        "image": figure_address(section.figure() if section.figure is not None else None),
+        "image": figure["address"],
+        "width_mm": figure["width_mm"],
         "caption": section.caption,
     }
 
 
-def figure_address(figure: Figure | None) -> str:
-    """A figure as a data address; empty for None."""
+def figure_parts(figure: Figure | None) -> dict[str, Any]:
+    """A figure as a data address, and its width on paper in mm; empty for None."""
     if figure is None:
-        return ""
+        return {"address": "", "width_mm": 0}
     from analysis.figures.drawing import as_svg
 
-    return "data:image/svg+xml;base64," + base64.b64encode(as_svg(figure)).decode()
+    address = "data:image/svg+xml;base64," + base64.b64encode(as_svg(figure)).decode()
+    return {"address": address, "width_mm": round(25.4 * float(figure.get_size_inches()[0]), 1)}
 
 
 def _cell(record: Mapping[Any, Any], name: str) -> dict[str, Any]:

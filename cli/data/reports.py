@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cli.completion import run_names
 from cli.data.import_data import import_data, import_template
 from cli.options import RUNS, JsonOption, OutOption, RunArgument, RunsOption, WarmOption
 from cli.output import print_json, state_findings, working, writing
+
+if TYPE_CHECKING:
+    from daq.store.run import Run
 
 THESIS_TABLES = (
     "Thesis table: c01 (isometric), c02 (c01 plus noise), c03 (isotonic), c04, c05 and c06, c07 "
@@ -18,27 +23,85 @@ THESIS_TABLES = (
 
 
 def report(
-    run: RunArgument = "last",
-    out: Annotated[Path | None, typer.Option("--out", help="HTML file to write.")] = None,
+    runs_given: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[RUN]...",
+            help="Run folders, run ids, or 'last'; several are compared in one report.",
+            autocompletion=run_names,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="HTML file to write; of several runs comparison.html."),
+    ] = None,
+    pdf: Annotated[
+        Path | None,
+        typer.Option("--pdf", help="Also write the page as PDF (pip install 'pamrig[pdf]')."),
+    ] = None,
+    figures: Annotated[
+        Path | None, typer.Option("--figures", help="Folder for each figure as PDF and SVG.")
+    ] = None,
+    column: Annotated[
+        str, typer.Option("--column", help="Width of --figures: double (180 mm), single (88 mm).")
+    ] = "double",
     runs: RunsOption = RUNS,
     as_json: JsonOption = False,
 ) -> None:
-    """Reduce a run and write its report: one self-contained HTML file."""
-    from analysis.reporting.derived import derive_all
-    from analysis.reporting.report import report_json
-    from analysis.run_table import record_findings
+    """Reduce runs and write their report: one self-contained HTML file."""
+    from daq.errors import ConfigError
     from daq.store.store import find_run
 
-    found = find_run(runs, run)
-    if as_json:
+    if column not in ("double", "single"):
+        raise ConfigError("--column", f"{column!r} is neither double nor single")
+    found = [find_run(runs, name) for name in runs_given or ["last"]]
+    wanted = Wanted(out, pdf, figures, column, as_json)
+    if len(found) > 1:
+        raise ConfigError("report", "takes one run")
+    _report_one(found[0], wanted)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a report is written to."""
+
+    out: Path | None
+    pdf: Path | None
+    figures: Path | None
+    column: str
+    as_json: bool
+
+
+def _report_one(found: Run, wanted: Wanted) -> None:
+    """The report of one run: its derived files, and what was asked for besides."""
+    from analysis.reporting.derived import derive_all
+    from analysis.reporting.figure_files import run_figures, write_figures
+    from analysis.reporting.pdf import page_to_pdf
+    from analysis.reporting.report import report_json
+    from analysis.run_table import record_findings
+
+    page: bytes | None = None
+    if not wanted.as_json or wanted.out is not None or wanted.pdf is not None:
+        with working("making table and report"):
+            path = derive_all(found.folder).folder / "derived" / "report.html"
+        page = path.read_bytes()
+    if wanted.out is not None and page is not None:
+        with writing(wanted.out):
+            wanted.out.write_bytes(page)
+    if wanted.pdf is not None and page is not None:
+        with working("making the PDF"), writing(wanted.pdf):
+            wanted.pdf.write_bytes(page_to_pdf(page.decode("utf-8")))
+    files: list[Path] = []
+    if wanted.figures is not None:
+        with working("drawing the figures"), writing(wanted.figures):
+            files = write_figures(run_figures(found, wanted.column), wanted.figures)
+    if wanted.as_json:
         print_json(report_json(found))
         return
-    with working("making table and report"):
-        path = derive_all(found.folder).folder / "derived" / "report.html"
-    if out is not None:
-        with writing(out):
-            out.write_bytes(path.read_bytes())
-    typer.echo(str(out or path))
+    typer.echo(str(wanted.out or path))
+    for other in (wanted.pdf, *files):
+        if other is not None:
+            typer.echo(str(other))
     state_findings(record_findings(found))
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from analysis.findings.findings import Analysis
 from daq.errors import ConfigError
+from rigs.rigfile.acceptance import Acceptance
 from rigs.steps.custom_step import Steps
 
 if TYPE_CHECKING:
@@ -29,6 +30,22 @@ class Parameters:
     def as_dict(self) -> dict[str, Any]:
         """Plain values for run.json."""
         return {key: plain(value) for key, value in vars(self).items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProtocolParameters(Parameters):
+    """Base of the parameters of a test.
+
+    Attributes:
+        acceptance: limits that the report judges the results by, where the file states some.
+    """
+
+    acceptance: Acceptance | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for run.json; without limits there is no ``acceptance``."""
+        out = super().as_dict()
+        return out if self.acceptance else {k: v for k, v in out.items() if k != "acceptance"}
 
 
 class Plan(Protocol):

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.findings.flow import FLOW, Meter, flow_share
-from rigs.execution.procedure import Parameters, Procedure
+from rigs.execution.procedure import Procedure, ProtocolParameters
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
 from rigs.steps.schedule import arrange
@@ -30,7 +31,7 @@ PULSE_US = 500_000
 
 
 @dataclass(frozen=True)
-class Flow(Parameters):
+class Flow(ProtocolParameters):
     """Parameters of a flow test, as read from its protocol file."""
 
     name: str
@@ -125,6 +126,7 @@ def read(name: str, config: RigConfig) -> Flow:
         bore_mm=meter.bore_mm,
         u_bore_mm=t.number("u_bore_mm", 0, 10, 0.01, unit="mm"),
         seed=t.integer("seed", 0, 2**63 - 1, 1),
+        acceptance=read_acceptance(t, FLOW.results),
         source=t.source,
     )
     t.finish()

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.findings.hysteresis import HYSTERESIS
-from rigs.execution.procedure import Parameters, Procedure
+from rigs.execution.procedure import Procedure, ProtocolParameters
 from rigs.protocols.isotonic import read_masses
 from rigs.protocols.parts.method import Method, read_method
 from rigs.protocols.parts.trials import Logbook, Path
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
@@ -19,7 +20,7 @@ from rigs.steps.steps import State
 
 
 @dataclass(frozen=True)
-class Hysteresis(Parameters):
+class Hysteresis(ProtocolParameters):
     """Parameters of a hysteresis test; either list of what is held may be empty.
 
     The two methods differ in their settling alone: one watches the force, one the length.
@@ -91,6 +92,7 @@ def read(name: str, config: RigConfig) -> Hysteresis:
         slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
         held=replace(held, settle=replace(held.settle, drift_mm=None)),
         hung=replace(held, settle=replace(held.settle, drift_n=None), leak=None),
+        acceptance=read_acceptance(t, HYSTERESIS.results),
         source=t.source,
     )
     t.finish()

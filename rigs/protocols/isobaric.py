@@ -8,6 +8,7 @@ from analysis.findings.isobaric import ISOBARIC
 from rigs.execution.procedure import Procedure
 from rigs.protocols.parts.method import Method, MethodParameters, read_method
 from rigs.protocols.parts.trials import VENTED_KPA, Logbook
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
@@ -56,6 +57,7 @@ def read(name: str, config: RigConfig) -> Isobaric:
         slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
         method=read_method(t, config.limits, drift_n=0.05),
         sweeps=read_sweeps(t, config),
+        acceptance=read_acceptance(t, ISOBARIC.results),
         source=t.source,
     )
     t.finish()

@@ -12,9 +12,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from analysis.findings.isometric import ISOMETRIC
-from rigs.execution.procedure import Parameters, Procedure
+from rigs.execution.procedure import Procedure, ProtocolParameters
 from rigs.protocols.parts.method import Method, read_method
 from rigs.protocols.parts.trials import VENTED_KPA, Logbook
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.config import Limits, RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
@@ -33,7 +34,7 @@ from rigs.steps.steps import (
 
 
 @dataclass(frozen=True)
-class Isometric(Parameters):
+class Isometric(ProtocolParameters):
     """Parameters of an isometric test, as read from its protocol file."""
 
     name: str
@@ -99,6 +100,7 @@ def load_isometric(name: str, limits: Limits) -> Isometric:
         lengths_mm=t.numbers("lengths_mm", low, high, unit="mm"),
         pressures_kpa=t.numbers("pressures_kpa", 0, limits.pressure_kpa, unit="kPa"),
         slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
+        acceptance=read_acceptance(t, ISOMETRIC.results),
         source=t.source,
         **vars(read_method(t, limits, drift_n=0.05)),
     )

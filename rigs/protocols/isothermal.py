@@ -8,6 +8,7 @@ from analysis.findings.isothermal import ISOTHERMAL
 from rigs.execution.procedure import Procedure
 from rigs.protocols.parts.method import Method, MethodParameters, read_method
 from rigs.protocols.parts.trials import Logbook
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
@@ -80,6 +81,7 @@ def read(name: str, config: RigConfig) -> Isothermal:
             timeout_s=soak.number("timeout_s", 1, 86400, 7200.0, unit="s"),
         ),
         method=read_method(t, config.limits, drift_n=0.05),
+        acceptance=read_acceptance(t, ISOTHERMAL.results),
         source=t.source,
     )
     for table in (soak, bars, t):

@@ -8,6 +8,7 @@ from analysis.findings.isotonic import ISOTONIC
 from rigs.execution.procedure import Procedure
 from rigs.protocols.parts.method import Method, MethodParameters, read_method
 from rigs.protocols.parts.trials import Logbook
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import Table, load_toml
 from rigs.steps.custom_step import Steps
@@ -53,6 +54,7 @@ def read(name: str, config: RigConfig) -> Isotonic:
         pressures_kpa=t.numbers("pressures_kpa", 0, config.limits.pressure_kpa, unit="kPa"),
         method=read_method(t, config.limits, drift_mm=0.02),
         rest_length_mm=t.number("rest_length_mm", 0.0, 10_000.0, 0.0, unit="mm"),
+        acceptance=read_acceptance(t, ISOTONIC.results),
         source=t.source,
     )
     t.finish()

@@ -21,6 +21,7 @@ from rigs.execution.procedure import Procedure
 from rigs.protocols.names import PROTOCOLS
 from rigs.protocols.parts.method import Method, MethodParameters, read_method
 from rigs.protocols.parts.trials import Logbook
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.config import Limits, RigConfig
 from rigs.rigfile.toml_reader import Table, load_toml
 from rigs.steps.custom_step import Steps
@@ -30,7 +31,7 @@ GROUP = "pamrig.protocols"
 
 LARGEST = 1e9
 DAY_S = 86400.0
-BASE = ("name", "slack_length_mm", "method", "source")
+BASE = ("name", "slack_length_mm", "method", "source", "acceptance")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +49,7 @@ class OwnTest(MethodParameters):
         method: order, repeats, mountings, preconditioning, settling and measuring, read from the
             same keys as for every shipped test.
         source: the protocol file.
+        acceptance: limits that the report judges the results by, or None.
     """
 
     protocol: ClassVar[str] = ""
@@ -89,7 +91,7 @@ def procedure_of(test: type[OwnTest], where: str) -> Procedure:
         )
     readers = {field.name: _reader(test, field, where) for field in _own_fields(test)}
     analysis = test.analysis or points_analysis(name)
-    return Procedure(analysis, partial(_read, test, readers))
+    return Procedure(analysis, partial(_read, test, analysis, readers))
 
 
 def load_own(path: str) -> Procedure:
@@ -178,7 +180,10 @@ def _bounds(field: Field[Any], limits: Limits) -> tuple[float, float, str]:
     return field.metadata.get("low", low), field.metadata.get("high", high), shown
 
 
-def _read(test: type[OwnTest], readers: dict[str, Reader], name: str, config: RigConfig) -> OwnTest:
+def _read(
+    test: type[OwnTest], analysis: Analysis, readers: dict[str, Reader], name: str,
+    config: RigConfig,
+) -> OwnTest:  # fmt: skip
     """The parameters from a protocol file; the defaults of the class without one.
 
     Raises:
@@ -196,6 +201,7 @@ def _read(test: type[OwnTest], readers: dict[str, Reader], name: str, config: Ri
         slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
         method=read_method(t, limits, drift_n=test.needs_drift_n),
         source=t.source,
+        acceptance=read_acceptance(t, analysis.results),
         **{key: read(t, limits) for key, read in readers.items()},
     )
     t.finish()

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from analysis.findings.ram import RAM
 from daq.clock import NS_PER_S
-from rigs.execution.procedure import Parameters, Procedure
+from rigs.execution.procedure import Procedure, ProtocolParameters
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import CustomStep, Steps
 from rigs.steps.steps import EndTrial, State, Trial
@@ -27,7 +28,7 @@ SWITCHES = {"A": 0x40, "B": 0x80}
 
 
 @dataclass(frozen=True)
-class RamTest(Parameters):
+class RamTest(ProtocolParameters):
     """Parameters of a ram test, as read from its protocol file."""
 
     name: str
@@ -152,6 +153,7 @@ def read(name: str, config: RigConfig) -> RamTest:
         hold_s=t.number("hold_s", 0.1, 3600, 3.0, unit="s"),
         repeats=t.integer("repeats", 1, 1000, 2),
         mounting=t.text("mounting", "m1"),
+        acceptance=read_acceptance(t, RAM.results),
         source=t.source,
     )
     t.finish()

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.findings.step import STEP
-from rigs.execution.procedure import Parameters, Procedure
+from rigs.execution.procedure import Procedure, ProtocolParameters
 from rigs.protocols.parts.trials import BREATH_KPA, BREATH_S
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.pressure_source import PROPORTIONAL
 from rigs.rigfile.toml_reader import Table, load_toml
 from rigs.steps.custom_step import CustomStep, Steps
@@ -30,7 +31,7 @@ REGULATOR = "reg"
 
 
 @dataclass(frozen=True)
-class Step(Parameters):
+class Step(ProtocolParameters):
     """Parameters of a step test, as read from its protocol file."""
 
     name: str
@@ -186,6 +187,7 @@ def read(name: str, config: RigConfig) -> Step:
         length_mm=t.number("length_mm", low, high, unit="mm"),
         repeats=t.integer("repeats", 1, 1000, 1),
         mounting=t.text("mounting", "m1"),
+        acceptance=read_acceptance(t, STEP.results),
         source=t.source,
     )
     t.finish()

@@ -24,8 +24,9 @@ from analysis.reduction.switching import (
 from daq.errors import DeviceError
 from plant.constants import nominal
 from plant.physics.valve import off_delay_s, on_delay_s
-from rigs.execution.procedure import Parameters, Procedure
+from rigs.execution.procedure import Procedure, ProtocolParameters
 from rigs.protocols.parts.valves import VALVES, each_valve, need_supply_axis
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
 from rigs.steps.valve import ValvePoint, capture_block
@@ -38,7 +39,7 @@ CAPTURE = {"order": "int64", "take": "int64", "k": "int64", "counts": "uint16"}
 
 
 @dataclass(frozen=True)
-class SwitchingTime(Parameters):
+class SwitchingTime(ProtocolParameters):
     """Parameters of a switching-time test, as read from its protocol file."""
 
     name: str
@@ -151,6 +152,7 @@ def read(name: str, config: RigConfig) -> SwitchingTime:
         u_air_m_s=line.number("u_air_m_s", 0, 100, 1.0, unit="m/s"),
         u_supply_kpa=t.number("u_supply_kpa", 0, 100, 3.0, unit="kPa"),
         seed=t.integer("seed", 0, 2**63 - 1, 1),
+        acceptance=read_acceptance(t, SWITCHING_TIME.results),
         source=t.source,
     )
     if plan.width_us % 5:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from analysis.findings.switching import SWITCHING_VOLTAGE
 from analysis.reduction.valve import open_in
-from rigs.execution.procedure import Parameters, Procedure
+from rigs.execution.procedure import Procedure, ProtocolParameters
 from rigs.protocols.parts.valves import VALVES, each_valve, need_supply_axis
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.context import RunFault
 from rigs.steps.custom_step import Steps
@@ -38,7 +39,7 @@ MOST_AGAIN = 6
 
 
 @dataclass(frozen=True)
-class SwitchingVoltage(Parameters):
+class SwitchingVoltage(ProtocolParameters):
     """Parameters of a switching-voltage test, as read from its protocol file."""
 
     name: str
@@ -210,6 +211,7 @@ def read(name: str, config: RigConfig) -> SwitchingVoltage:
         tolerance_kpa=t.number("tolerance_kpa", 0.5, 100, 8.0, unit="kPa"),
         limit_kpa=t.number("limit_kpa", 0.05, 50, 1.0, unit="kPa"),
         seed=t.integer("seed", 0, 2**63 - 1, 1),
+        acceptance=read_acceptance(t, SWITCHING_VOLTAGE.results),
         source=t.source,
     )
     need_supply_axis(t, plan.valves, config)

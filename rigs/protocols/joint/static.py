@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from analysis.findings.joint import JOINT_STATIC
-from rigs.execution.procedure import Parameters, Procedure
+from rigs.execution.procedure import Procedure, ProtocolParameters
 from rigs.protocols.joint.method import (
     FIRMWARE,
     JointMethod,
@@ -23,6 +23,7 @@ from rigs.protocols.joint.method import (
     read_method,
     read_settle,
 )
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
@@ -42,7 +43,7 @@ from rigs.steps.steps import EndTrial, State, Trial, Vent
 
 
 @dataclass(frozen=True)
-class JointStatic(Parameters):
+class JointStatic(ProtocolParameters):
     """Parameters of a static test of a joint, as read from its protocol file."""
 
     name: str
@@ -145,6 +146,7 @@ def read(name: str, config: RigConfig) -> JointStatic:
         measure_s=measure.number("seconds", 0.2, 600, 1.0, unit="s"),
         zero_s=measure.number("zero_s", 0.2, 600, 0.5, unit="s"),
         instruments=names_of(joint),
+        acceptance=read_acceptance(t, JOINT_STATIC.results),
         source=t.source,
     )
     measure.finish()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from analysis.findings.joint import JOINT_STEP
-from rigs.execution.procedure import Parameters, Procedure
+from rigs.execution.procedure import Procedure, ProtocolParameters
 from rigs.protocols.joint.method import (
     FIRMWARE,
     JointMethod,
@@ -15,6 +15,7 @@ from rigs.protocols.joint.method import (
     names_of,
     read_method,
 )
+from rigs.rigfile.acceptance import read_acceptance
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
@@ -24,7 +25,7 @@ from rigs.steps.steps import EndTrial, State, Trial, Vent
 
 
 @dataclass(frozen=True)
-class JointStep(Parameters):
+class JointStep(ProtocolParameters):
     """Parameters of a step test of a joint, as read from its protocol file."""
 
     name: str
@@ -92,6 +93,7 @@ def read(name: str, config: RigConfig) -> JointStep:
         method=read_method(t, config),
         zero_s=measure.number("zero_s", 0.2, 600, 0.5, unit="s"),
         instruments=names_of(joint),
+        acceptance=read_acceptance(t, JOINT_STEP.results),
         source=t.source,
     )
     measure.finish()

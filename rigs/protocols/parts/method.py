@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from rigs.execution.procedure import Parameters
+from rigs.execution.procedure import Parameters, ProtocolParameters
 from rigs.rigfile.config import Limits
 from rigs.rigfile.toml_reader import Table
 from rigs.steps.leak_check import LeakCheck
@@ -42,7 +42,7 @@ class Method(Parameters):
         return arrange(settings, self.order, self.repeats, self.mountings, self.seed)
 
 
-class MethodParameters(Parameters):
+class MethodParameters(ProtocolParameters):
     """Parameters of a test that has a method."""
 
     method: Method

@@ -1,0 +1,288 @@
+"""Page one of a report: facts, instruments, results, verdict against limits, sign-off."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from analysis.figures.wording import fixed
+from analysis.reduction.points import length_source, pressure_sensor
+from analysis.reporting.conditions import conditions, instruments
+from analysis.reporting.results import (
+    MOST,
+    QUANTITIES,
+    SETTINGS,
+    Judged,
+    Result,
+    chosen,
+    rounded,
+    rule_text,
+    setting_text,
+)
+from analysis.statistics.conformity import ORDER, overall
+
+if TYPE_CHECKING:
+    from analysis.reduction.points import Reduction
+    from daq.calibration import Calibration
+    from daq.store.run import Run
+
+JUDGED_MOST = 5
+LEAST = 5
+NOTES_MOST = 2
+NOTE_LONG = 170
+LISTED = 6
+"""Values of a list that are named one by one; of longer ones only the ends and the number."""
+UNIT_WORDS = {"kpa": "kPa", "mm": "mm", "kg": "kg", "deg": "°", "c": "°C"}
+
+
+def page_one(
+    run: Run, reduction: Reduction, data: Mapping[str, Any], results: Sequence[Result],
+    judged: Sequence[Judged],
+) -> dict[str, Any]:  # fmt: skip
+    """What the template needs for page one.
+
+    Args:
+        run: the run.
+        reduction: its reduction.
+        data: its JSON report.
+        results: all its results.
+        judged: those with limits.
+    """
+    used = [] if data["imported"] else instrument_rows(run, reduction)
+    taken = len(used) + 2 * min(len(judged), JUDGED_MOST)
+    shown = chosen(results, max(MOST - taken, LEAST))
+    return {
+        "facts": _facts(run, data),
+        "instruments": used,
+        "results": result_table(shown),
+        "all_results": len(results),
+        "details": result_table(results) if len(shown) < len(results) else None,
+        "means": means_text(results),
+        "acceptance": acceptance_table(judged, JUDGED_MOST),
+        "all_judged": acceptance_table(judged) if len(judged) > JUDGED_MOST else None,
+        "notes": _notes(data["notes"]),
+    }
+
+
+def _notes(notes: Sequence[str]) -> dict[str, Any]:
+    """Notes on page one: all where they are few and short, else the number of the others."""
+    short = [note for note in notes if len(note) <= NOTE_LONG][:NOTES_MOST]
+    return {"shown": short, "more": len(notes) - len(short)}
+
+
+def _facts(run: Run, data: Mapping[str, Any]) -> list[tuple[str, str]]:
+    manifest = run.manifest
+    rig = manifest.get("rig") or {}
+    facts = [("Specimen", str(data["specimen"] or "–"))]
+    source = data.get("source")
+    if source:
+        table = f" (Table {source['table']}, {source['origin']})" if source.get("table") else ""
+        facts.append(("Source", f"{source['title']}{table}"))
+    facts.append(("Run", str(data["run_id"])))
+    if data["imported"]:
+        facts.append(("Imported", _date(data["started_utc"])))
+    else:
+        duration = data["duration_s"]
+        took = f", {duration:.0f} s" if duration is not None else ""
+        facts += [
+            ("Operator", str(data["operator"] or "not stated")),
+            ("Tested", _date(data["started_utc"]) + took),
+            ("Method", method_text(manifest)),
+            ("Conditions", _conditions(run)),
+            ("Rig", " – ".join(filter(None, (rig.get("name"), rig.get("description")))) or "–"),
+        ]
+    facts.append(("Points", _points(data)))
+    if data["continues"]:
+        facts.append(("Continues", f"{data['continues']['run_id']}, from trial"
+                      f" {data['continues']['trial']} on"))  # fmt: skip
+    if data["note"]:
+        facts.append(("Note", str(data["note"])))
+    return facts
+
+
+def _points(data: Mapping[str, Any]) -> str:
+    more = f", {len(data['excluded'])} more excluded" if data["excluded"] else ""
+    return f"{len(data['points'])}{more}"
+
+
+def _date(utc: object) -> str:
+    """A time of a record as "2026-11-24 02:05 UTC"."""
+    text = str(utc or "")
+    found = re.match(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d)", text)
+    return f"{found[1]} {found[2]} UTC" if found else text or "–"
+
+
+def method_text(manifest: Mapping[str, Any]) -> str:
+    """The method in one line: protocol file, set values, repeats and order."""
+    given = dict(manifest.get("parameters") or {})
+    method = next((given[key] for key in ("method", "held") if given.get(key)), given)
+    words = [f"{manifest.get('protocol') or 'isometric'} ({given.get('source') or 'no file'})"]
+    for key, value in given.items():
+        name, _, unit = key.rpartition("_")
+        numbers = (
+            isinstance(value, list)
+            and value
+            and all(isinstance(one, (int, float)) for one in value)
+        )
+        if numbers and unit in UNIT_WORDS:
+            words.append(f"{name.replace('_', ' ')} {_listed(value)} {UNIT_WORDS[unit]}")
+    repeats, names = method.get("repeats"), method.get("mountings") or []
+    if repeats is not None:
+        words.append(f"{repeats} repeat{'s' if repeats != 1 else ''}")
+    if len(names) > 1:
+        words.append(f"{len(names)} mountings")
+    if method.get("order"):
+        words.append(f"order {method['order']}")
+    return "; ".join(words)
+
+
+def _listed(values: Sequence[float]) -> str:
+    def text(value: float) -> str:
+        return f"{value:g}".replace("-", "−")
+
+    if len(values) <= LISTED:
+        return ", ".join(map(text, values))
+    return f"{text(min(values))} to {text(max(values))} ({len(values)} values)"
+
+
+def _conditions(run: Run) -> str:
+    stated = run.manifest.get("conditions") or {}
+    words = []
+    if stated.get("temperature_c") is not None:
+        u = stated.get("u_temperature_c")
+        spread = f" ± {2.0 * float(u):.1f}" if u is not None else ""
+        words.append(f"{fixed(float(stated['temperature_c']), 1)}{spread} °C")
+    if stated.get("gravity_m_s2") is not None:
+        words.append(f"gravity {float(stated['gravity_m_s2']):g} m/s²")
+    leaks = conditions(run)["leak_checks"]
+    if leaks:
+        worst = max(leaks, key=lambda row: abs(row["loss_kpa_s"]))
+        words.append(
+            f"leak check {abs(worst['loss_kpa_s']):.3f} kPa/s at {worst['pressure_kpa']:.0f} kPa"
+            f" (limit {worst['limit_kpa_s']:g})"
+        )
+    return "; ".join(words) or "–"
+
+
+def instrument_rows(run: Run, reduction: Reduction) -> list[dict[str, str]]:
+    """The instruments of the test, each with what it measured and its calibration."""
+    rows = []
+    left = dict(reduction.calibrations)
+    device_of = {name: _device(run, name) for name in left}
+    for name, identity in instruments(run, reduction):
+        own = [q for q, device in device_of.items() if device.replace("_", " ") == name]
+        for quantity in own:
+            rows.append(_calibrated(name, identity, quantity, left.pop(quantity)))
+        if not own:
+            rows.append({"name": name, "identity": identity, "quantity": "", "calibration": "",
+                         "date": "", "u": ""})  # fmt: skip
+    return rows + [_calibrated("–", "", name, one) for name, one in left.items()]
+
+
+def _device(run: Run, quantity: str) -> str:
+    """The name of the instrument that read a quantity."""
+    devices = run.manifest.get("devices") or {}
+    names = (run.manifest.get("parameters") or {}).get("instruments") or {}
+    force = "load_cell" if "load_cell" in devices and "balance" not in devices else "balance"
+    return str({
+        "pressure_kpa": pressure_sensor(run) or "valve", "pressure_b_kpa": "valve_b",
+        "force_n": force, "length_mm": length_source(run) or "camera", "velocity_m_s": "flow",
+        "angle_deg": names.get("angle", ""), "torque_n_m": names.get("torque", ""),
+    }.get(quantity, ""))  # fmt: skip
+
+
+def _calibrated(name: str, identity: str, quantity: str, one: Calibration) -> dict[str, str]:
+    gain = f", {100.0 * one.u_gain:.3g} % of reading" if one.u_gain else ""
+    return {
+        "name": name,
+        "identity": identity,
+        "quantity": quantity.rpartition("_")[0].replace("_", " ") or quantity,
+        "calibration": one.id or "no certificate named",
+        "date": one.date or "no date stated",
+        "u": f"{one.u_offset:.3g} {one.unit}{gain}",
+    }
+
+
+def result_table(results: Sequence[Result]) -> dict[str, Any]:
+    """Columns and rows of a table of results; settings that all share are named once."""
+    names = list(dict.fromkeys(name for r in results for name, _ in r.at))
+    values = {name: {dict(r.at).get(name) for r in results} for name in names}
+    same = [name for name in names if len(values[name]) == 1 and len(results) > 1]
+    varied = [name for name in names if name not in same]
+    quantities = {r.quantity for r in results}
+    heads = [("quantity", "")] if len(quantities) > 1 else []
+    heads += [SETTINGS.get(name, (name, "")) for name in varied]
+    one = next(iter(quantities), "")
+    unit = QUANTITIES.get(one, ("", ""))[1] if len(quantities) == 1 else ""
+    heads += [("mean", unit), ("standard deviation", unit), ("tests", ""),
+              ("expanded uncertainty", unit), ("k", "")]  # fmt: skip
+    rows = []
+    for result in results:
+        at, text = dict(result.at), rounded(result.mean)
+        cells = [f"{result.name}, {result.unit}".strip(", ")] if len(quantities) > 1 else []
+        cells += [_short(name, at[name]) if name in at else "–" for name in varied]
+        rows.append({"settings": cells, "numbers": [text[key] for key in
+                     ("mean", "sd", "n", "expanded", "k")]})  # fmt: skip
+    title = QUANTITIES.get(one, (one, ""))[0] if len(quantities) == 1 else ""
+    shared = ", ".join(setting_text(name, next(iter(values[name]))) for name in same)  # type: ignore[arg-type]
+    return {"title": title, "shared": shared, "heads": heads, "rows": rows}
+
+
+def _short(name: str, value: float | str) -> str:
+    """A setting for a column whose heading has its name and unit."""
+    if isinstance(value, str):
+        return setting_text(name, value) if name == "direction" else value
+    return f"{value:g}".replace("-", "−")
+
+
+def means_text(results: Sequence[Result]) -> str:
+    """How mean, deviation and uncertainty were made, in words."""
+    if not results:
+        return ""
+    if all(not math.isfinite(r.mean.expanded) for r in results):
+        return "No uncertainty is known for these results."
+    mounted = (
+        " With several mountings the random part is from the means of the mountings."
+        if any(r.mountings > 1 for r in results) else ""
+    )  # fmt: skip
+    return (
+        "Expanded uncertainty U = k u for 95.45 %: u from the scatter of the mean (not below the"
+        " noise of the readings) and from the calibrations, which all tests share; k is Student's t"
+        f" for the effective degrees of freedom (GUM, G.4).{mounted}"
+    )
+
+
+def acceptance_table(judged: Sequence[Judged], most: int | None = None) -> dict[str, Any] | None:
+    """Verdict, rule and rows of the results with limits; the worst verdicts first."""
+    if not judged:
+        return None
+    verdicts = [one.verdict for one in judged]
+    order = sorted(judged, key=lambda one: ORDER.index(one.verdict))
+    rows = []
+    for one in order[:most]:
+        name, unit = QUANTITIES.get(one.quantity, (one.quantity, ""))
+        text = rounded(one.result.mean) if one.result else {"mean": "–", "expanded": "–"}
+        rows.append({
+            "what": ", ".join([name, *(setting_text(k, v) for k, v in one.at)]),
+            "limits": limits_text(one.lower, one.upper, unit),
+            "value": f"{text['mean']} ± {text['expanded']} {unit}" if one.result else "–",
+            "verdict": one.verdict,
+        })  # fmt: skip
+    return {
+        "verdict": overall(verdicts),
+        "counts": ", ".join(f"{verdicts.count(v)} {v}" for v in ORDER if v in verdicts),
+        "rule": rule_text(judged[0].guard),
+        "rows": rows,
+        "more": len(judged) - len(rows),
+    }
+
+
+def limits_text(lower: float | None, upper: float | None, unit: str) -> str:
+    """Limits in words: "34 to 38 N", "at most 7 N"."""
+    if lower is None:
+        return f"at most {upper:g} {unit}".replace("-", "−").strip()
+    if upper is None:
+        return f"at least {lower:g} {unit}".replace("-", "−").strip()
+    return f"{lower:g} to {upper:g} {unit}".replace("-", "−").strip()

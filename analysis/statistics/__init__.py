@@ -1,0 +1,1 @@
+"""Statistics of repeated tests: means, variance components, control charts, decisions on limits."""
