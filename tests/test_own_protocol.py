@@ -39,7 +39,7 @@ def relaxed(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, object]
     """The example, run on the virtual bench: its report and its record."""
     runs = tmp_path_factory.mktemp("runs")
     done = call_pamrig(
-        "test", EXAMPLE / "relaxation.py", "--protocol", EXAMPLE / "relaxation.toml",
+        "test", EXAMPLE / "holding.py", "--protocol", EXAMPLE / "holding.toml",
         "--out", runs, "--json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -50,10 +50,10 @@ def relaxed(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, object]
 def test_the_example_records_reduces_and_reports(relaxed: tuple[dict[str, object], Path]) -> None:
     report, folder = relaxed
     run = open_run(folder)
-    assert (run.outcome, run.manifest["protocol"]) == ("clean", "relaxation")
+    assert (run.outcome, run.manifest["protocol"]) == ("clean", "holding")
     assert run.manifest["parameters"]["waits_s"] == [0.5, 1.0]
     assert verify(run) == []
-    assert report["title"] == "Relaxation test"
+    assert report["title"] == "Holding test"
     points = report["points"]
     assert isinstance(points, list)
     assert [p["set_pressure_kpa"] for p in points] == [200, 200, 400, 400]
@@ -61,7 +61,7 @@ def test_the_example_records_reduces_and_reports(relaxed: tuple[dict[str, object
 
 
 def test_the_example_is_as_short_as_the_page_says() -> None:
-    text = (EXAMPLE / "relaxation.py").read_text()
+    text = (EXAMPLE / "holding.py").read_text()
     assert sum(bool(line.strip()) for line in text.splitlines()) <= 30
     page = (HOUSE / "docs" / "use" / "own-protocols.md").read_text()
     assert text.split('"""', 2)[2].strip() in page
@@ -99,7 +99,7 @@ def test_a_file_that_cannot_be_used_says_where(tmp_path: Path, text: str, words:
     [
         ('protocol = "mine"\nlength_mm = 500', "length_mm: 500 mm is outside 51 to 72.5"),
         ('protocol = "mine"\nlenght_mm = 60', "lenght_mm"),
-        ('protocol = "relaxation"', "'relaxation' is not one of mine"),
+        ('protocol = "holding"', "'holding' is not one of mine"),
         ('protocol = "mine"\nlength_mm = "long"', "expected a number in mm, got 'long'"),
     ],
 )
@@ -120,9 +120,9 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
 # ---- a package outside the repository ----------------------------------------------------
 
 ENTRY_POINTS = """[pamrig.protocols]
-relaxation = lab_bench.relaxation:Relaxation
+holding = lab_bench.holding:Holding
 [pamrig.analyses]
-relaxation = lab_bench.analysis:ANALYSIS
+holding = lab_bench.analysis:ANALYSIS
 [pamrig.pressure_sources]
 lab-regulator = lab_bench.regulator
 """
@@ -135,7 +135,7 @@ def findings(run, reduction):
     loss = (forces.first() - forces.last()).max()
     return Findings(f"The force relaxes by up to {loss:.2f} N.", data={"loss_n": float(loss)})
 
-ANALYSIS = replace(points_analysis("relaxation", "Stress relaxation"), findings=findings)
+ANALYSIS = replace(points_analysis("holding", "Held muscle"), findings=findings)
 """
 REGULATOR = """
 from rigs.devices.instruments.commanded import CommandedInstrument
@@ -213,7 +213,7 @@ def test_a_package_brings_a_protocol_its_report_and_a_pressure_source(tmp_path: 
     package.mkdir(parents=True)
     desk.mkdir()
     (package / "__init__.py").write_text("")
-    (package / "relaxation.py").write_text((EXAMPLE / "relaxation.py").read_text())
+    (package / "holding.py").write_text((EXAMPLE / "holding.py").read_text())
     (package / "analysis.py").write_text(ANALYSIS)
     (package / "regulator.py").write_text(REGULATOR)
     info = site / "lab_bench-1.0.dist-info"
@@ -227,18 +227,18 @@ def test_a_package_brings_a_protocol_its_report_and_a_pressure_source(tmp_path: 
     )
     (desk / "rig.toml").write_text(load_rig("virtual-thesis").text.replace("[balance]", table, 1))
     (desk / "short.toml").write_text(
-        (EXAMPLE / "relaxation.toml").read_text().replace("[200, 400]", "[200]")
+        (EXAMPLE / "holding.toml").read_text().replace("[200, 400]", "[200]")
     )
     path = os.pathsep.join([str(site), str(HOUSE), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
-        [sys.executable, "-m", "cli.main", "test", "relaxation", "--rig", "rig.toml",
+        [sys.executable, "-m", "cli.main", "test", "holding", "--rig", "rig.toml",
          "--protocol", "short.toml", "--json"],
         cwd=desk, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True,
         check=False, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
-    assert report["title"] == "Stress relaxation"
+    assert report["title"] == "Held muscle"
     assert report["headline"].startswith("The force relaxes by up to")
     assert report["devices"]["pressure_source"]["serial"] == "LAB-1"
     assert report["outcome"] == "clean"

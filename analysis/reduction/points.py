@@ -88,7 +88,10 @@ def reduce_isometric(run: Run, measure: MeasureGap | None = None) -> Reduction:
 
 
 def reduce_points(
-    run: Run, measure: MeasureGap | None = None, extra: Mapping[str, str] = {}
+    run: Run,
+    measure: MeasureGap | None = None,
+    extra: Mapping[str, str] = {},
+    trend: bool = False,
 ) -> Reduction:
     """Reduce a complete or interrupted run to its settled points.
 
@@ -99,6 +102,7 @@ def reduce_points(
         measure: replaces ``vision.marker.edge.measure_gap`` (for tests).
         extra: event fields that become additional columns, with types as in ``COLUMNS``. For
             points with a ``mass_kg`` the force is the weight of that mass.
+        trend: force and length change steadily in each window; see ``window_mean``.
     """
     takes = sum(event.get("kind") == "point" for event in run.events)
     points = point_events(run)
@@ -109,7 +113,7 @@ def reduce_points(
         return Reduction(points_frame([], extra), (why,), {})
     if points[0].get("row") is not None:
         return without_excluded(run, _imported(run, extra))
-    reduction = PointReducer(run, measure, extra).reduce(points)
+    reduction = PointReducer(run, measure, extra, trend).reduce(points)
     if len(points) < takes:
         note = f"{takes - len(points)} points were repeated; the last take of each is used"
         reduction = replace(reduction, own_notes=(*reduction.own_notes, note))
@@ -173,13 +177,18 @@ class PointReducer:
 
     Args:
         run: an opened run with recorded streams.
-        measure, extra: as for :func:`reduce_points`.
+        measure, extra, trend: as for :func:`reduce_points`.
     """
 
     def __init__(
-        self, run: Run, measure: MeasureGap | None = None, extra: Mapping[str, str] = {}
+        self,
+        run: Run,
+        measure: MeasureGap | None = None,
+        extra: Mapping[str, str] = {},
+        trend: bool = False,
     ) -> None:
         self.run = run
+        self.trend = trend
         self.measure = measure
         self.extra = extra
         self.notes: list[str] = []
@@ -341,7 +350,8 @@ class PointReducer:
     def _force(self, window: list[int], name: str) -> WindowMean:
         grams = self._window(self.balance, window, name, "balance readings are missing")
         calibration = self.calibrations["force_n"]
-        return window_mean(_applied(calibration, grams), abs(calibration.scale) * BALANCE_STEP_G)
+        step = abs(calibration.scale) * BALANCE_STEP_G
+        return window_mean(_applied(calibration, grams), step, self.trend)
 
     def _window(
         self, stream: Mapping[str, npt.NDArray[Any]], window: list[int], name: str, defect: str
@@ -357,7 +367,8 @@ class PointReducer:
     def _read_length(self, window: list[int], name: str) -> WindowMean:
         """Mean of the readings of the instrument that is the source of the length."""
         readings = self._window(self.lengths, window, name, "length readings are missing")
-        return window_mean(_applied(self.calibrations["length_mm"], readings))
+        lengths = _applied(self.calibrations["length_mm"], readings)
+        return window_mean(lengths, trend=self.trend)
 
     def _length(self, frames: list[int], name: str) -> WindowMean:
         """Mean over the frames of a point, each measured again in its stored picture."""

@@ -11,6 +11,9 @@ import numpy.typing as npt
 FEW_INDEPENDENT = 5.0
 """With fewer independent samples than this, a window does not give a reliable noise estimate."""
 
+FEWEST_FOR_TREND = 8
+"""A straight line is taken from this many readings or more."""
+
 
 @dataclass(frozen=True)
 class WindowMean:
@@ -69,7 +72,9 @@ def correlation_time(values: npt.NDArray[np.float64]) -> float:
     return tau
 
 
-def window_mean(values: npt.NDArray[np.float64], resolution: float = 0.0) -> WindowMean:
+def window_mean(
+    values: npt.NDArray[np.float64], resolution: float = 0.0, trend: bool = False
+) -> WindowMean:
     """Mean of a settled window and its standard uncertainty from noise and resolution.
 
     The resolution is added as that of one reading (step / sqrt 12) only if the noise is below
@@ -79,6 +84,8 @@ def window_mean(values: npt.NDArray[np.float64], resolution: float = 0.0) -> Win
     Args:
         values: shape (n,), readings equally spaced in time, in the unit of the result.
         resolution: one step of the instrument, same unit.
+        trend: the quantity changes steadily in the window: what follows a straight line is no
+            noise. Has no effect on fewer than ``FEWEST_FOR_TREND`` readings.
 
     Returns:
         WindowMean. For a single reading ``u`` is that of the resolution, NaN if the resolution
@@ -91,17 +98,20 @@ def window_mean(values: npt.NDArray[np.float64], resolution: float = 0.0) -> Win
     mean = float(values.mean())
     if n == 1:
         return WindowMean(mean, u_resolution if resolution > 0 else math.nan, 1, 1.0, math.nan)
+    if trend and n >= FEWEST_FOR_TREND:
+        at = np.arange(n) - (n - 1) / 2.0
+        values = values - at * (float(at @ values) / float(at @ at))
     tau = min(correlation_time(values), n / 2.0)
     n_effective = n / tau
     variance = float(values.var()) / (1.0 - 1.0 / n_effective)
     sd = math.sqrt(variance)
-    u_noise = sd / math.sqrt(n_effective) * _student_ratio(n_effective - 1.0)
+    u_noise = sd / math.sqrt(n_effective) * student_ratio(n_effective - 1.0)
     if sd < resolution / 2.0:
         u_noise = math.hypot(u_noise, u_resolution)
     return WindowMean(mean, u_noise, n, n_effective, sd)
 
 
-def _student_ratio(degrees_of_freedom: float) -> float:
+def student_ratio(degrees_of_freedom: float) -> float:
     """Student's two-sided 95.45 % quantile divided by 2, so that k = 2 covers 95.45 %."""
     from scipy.special import stdtrit
 

@@ -8,6 +8,10 @@ PROTOCOLS: dict[str, str] = {
     "isotonic": "Run an isotonic test: load hung, pressure stepped, length read by the camera.",
     "isothermal": "Repeat isometric and isobaric trials over temperatures.",
     "hysteresis": "Run cycles up and down, at held lengths or under hung loads.",
+    "blocked-force": "Hold the slack length, step the pressure, read the blocked force.",
+    "free-contraction": "Hang almost nothing, step the pressure, read the contraction.",
+    "creep": "Hold pressure and load, and read how the length creeps.",
+    "relaxation": "Hold length and pressure, and read how the force relaxes.",
     "switching-time": "Measure a valve's switching times at a range of pressures.",
     "switching-voltage": "Measure the voltages at which a valve turns on and off.",
     "flow": "Measure air velocity against pressure behind a valve.",
@@ -19,7 +23,14 @@ PROTOCOLS: dict[str, str] = {
 """Name of each protocol's command and what it does; its module is ``rigs.protocols.NAME`` with _
 for -, unless `MODULES` names another, and holds PROCEDURE."""
 
-MODULES: dict[str, str] = {"joint-static": "joint.static", "joint-step": "joint.step"}
+MODULES: dict[str, str] = {
+    "blocked-force": "muscle.blocked_force",
+    "free-contraction": "muscle.free_contraction",
+    "creep": "muscle.creep",
+    "relaxation": "muscle.relaxation",
+    "joint-static": "joint.static",
+    "joint-step": "joint.step",
+}
 """Protocols whose module is in a room of its own."""
 
 DEFAULT_RIG: dict[str, str] = {

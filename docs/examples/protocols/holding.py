@@ -1,4 +1,4 @@
-"""Stress relaxation: length and pressure are held, and the force is read at growing times."""
+"""Holding: length and pressure are held, and the force is read at growing times."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ from pamrig.protocol import Dwell, OwnTest, SetLength, SetPressure, Steps, Vent,
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relaxation(OwnTest):
+class Holding(OwnTest):
     """Its fields are the keys of its protocol file."""
 
     length_mm: float = 60.0
@@ -20,7 +20,7 @@ class Relaxation(OwnTest):
         for place, pressure in self.method.trials(list(self.pressures_kpa)):
             slot = f"P{pressure:g}"
             yield from book.remount(place)
-            yield from book.begin(place, slot, "relaxation", (("held_pressure_kpa", pressure),))
+            yield from book.begin(place, slot, "holding", (("held_pressure_kpa", pressure),))
             yield from book.tared()
             yield SetLength(self.length_mm)
             yield Zero(book.trial, "before", self.method.zero_s)

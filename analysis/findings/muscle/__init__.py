@@ -1,0 +1,1 @@
+"""Findings of the standard tests of one muscle beside those of the thesis."""

@@ -1,0 +1,52 @@
+"""Live layouts of the standard tests of one muscle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from analysis.layouts.layouts import POINTS, isometric_layout
+from analysis.layouts.static import isotonic_layout
+from daq.live.layout import Axis, Channel, LiveLayout, Panel
+
+
+def blocked_layout(pressure_max_kpa: float) -> LiveLayout:
+    """The isometric layout."""
+    return replace(isometric_layout(pressure_max_kpa), title="Blocked force test")
+
+
+def free_layout(pressure_max_kpa: float) -> LiveLayout:
+    """The isotonic layout."""
+    return isotonic_layout(pressure_max_kpa, "{mass_kg:g} kg", "Free contraction test")
+
+
+def held_layout(title: str, parameters: Mapping[str, Any], loaded: bool) -> LiveLayout:
+    """Force or length against the logarithm of time, beside the curves of a static test.
+
+    Args:
+        title: of the test.
+        parameters: of run.json.
+        loaded: a load hangs and the length is the result; otherwise the force is.
+    """
+    base = isotonic_layout(title=title) if loaded else isometric_layout()
+    times = parameters.get("times") or {}
+    low, high = float(times.get("first_s", 1.0)), float(times.get("duration_s", 1000.0))
+    label = "length (mm)" if loaded else "force (N)"
+    points = Panel(
+        f"{label.capitalize()} against log10 of the time held (s), one colour per trial",
+        "points",
+        "points",
+        (Channel(POINTS, label),),
+        share=1.5,
+        x_axis=Axis("log10 of the time held in s", _log(low), _log(high)),
+        y_axis=Axis(label, *((50.0, 73.0) if loaded else (0.0, 60.0))),
+    )
+    right = (points, *base.columns[1][1:])
+    return replace(base, title=title, columns=(base.columns[0], right), points=())
+
+
+def _log(value: float) -> float:
+    from math import log10
+
+    return log10(max(value, 1e-3))

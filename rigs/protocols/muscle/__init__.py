@@ -1,0 +1,1 @@
+"""Standard tests of one muscle beside those of the thesis."""
