@@ -15,6 +15,7 @@ from bench_process import bench_process, call_pamrig
 from bench_runs import quick, run_isometric
 from daq.calibration import Calibration
 from daq.errors import ConfigError, DeviceError, DeviceTimeout, LinkLost
+from daq.store.derive import engineering
 from daq.store.run import open_run
 from daq.store.verify import verify
 from regulator_desk import Desk, desk
@@ -328,6 +329,17 @@ def test_a_test_runs_with_it_and_its_own_reading_is_recorded(name: str, tmp_path
     assert own.max() == pytest.approx(500.0, abs=6.0)
     assert run.final is not None
     assert set(run.final["counters"]["pressure_source"]) == {"rows"}
+
+
+@pytest.mark.parametrize("name", ["virtual-alicat", "virtual-itv"])
+def test_a_vented_muscle_is_not_joined_to_a_charged_regulator(name: str, tmp_path: Path) -> None:
+    """The regulator rose behind a shut inlet, and the firmware took the jump for a broken wire."""
+    changes = {"pressures_kpa": (500.0,), "precondition_cycles": 2, "precondition_kpa": 500.0}
+    result, run = run_on(load_rig(name), tmp_path, **changes)
+    assert result.outcome == "clean", result.error
+    kpa = engineering(run, "valve")[0]["pressure_kpa"]
+    assert kpa.max() > 480.0
+    assert np.diff(kpa).max() < 15.0  # in a millisecond; the controller's `slew` is 22
 
 
 @pytest.mark.parametrize("protocol", ["step", "hysteresis", "isobaric", "isotonic"])

@@ -412,6 +412,7 @@ class Runner:
     def _set_pressure(self, pressure_kpa: float) -> None:
         """Record what will be commanded, then command it."""
         source = self.rig.pressure_source
+        source.prepare(pressure_kpa)
         self.record.event("command", **source.command(pressure_kpa).fields())
         self.watch.set_point("pressure", pressure_kpa)
         source.set_pressure(pressure_kpa)

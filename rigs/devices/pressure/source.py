@@ -167,6 +167,13 @@ class PressureSource(ABC):
             DeviceError: above the limit, or refused by the device.
         """
 
+    def prepare(self, pressure_kpa: float) -> None:  # noqa: B027  most sources are always ready
+        """What has to be waited for before a set-point counts as commanded; nothing for most.
+
+        Raises:
+            DeviceError, LinkLost: the source cannot be prepared.
+        """
+
     @abstractmethod
     def ramp_to(self, pressure_kpa: float) -> None:
         """The next set-point of a ramp, below the limit. A person is not asked for each of them."""

@@ -27,6 +27,10 @@ SECOND_S = 0.03
 """An answer is held this long in case a second one comes."""
 IDLE_S = 2.5
 """A line that is not quiet after so long is out of order."""
+LOW_KPA = 20.0
+"""A vented muscle is joined to a regulator that reads less: no step of the pressure, no jump."""
+LOW_S = 5.0
+"""A regulator that has not come down after so long cannot: one without an exhaust of its own."""
 
 
 @dataclass(frozen=True)
@@ -196,6 +200,11 @@ class RegulatorLine(PortInstrument):
             self._listing = None
         return found
 
+    def wait_low(self) -> None:
+        """Set to 0 already: wait until its own reading is low, `LOW_S` at most."""
+        first = self.rows
+        self._event_loop.until(lambda: self.rows > first and self.mean(1) < LOW_KPA, LOW_S)
+
     def let_down(self) -> None:
         """Set the pressure to 0, once and without a long wait: the muscle is vented already."""
         with contextlib.suppress(PamrigError):
@@ -253,12 +262,30 @@ class ProportionalSource(BehindValves):
         own = {"regulator_kpa": self._line.rounded(pressure_kpa)}
         return PressureCommand("pressure_source", pressure_kpa, own)
 
+    def prepare(self, pressure_kpa: float) -> None:
+        """Join a vented muscle to the regulator while that is at 0; both rise together then.
+
+        Air that waited behind the inlet would come in as a jump, which the firmware takes for a
+        broken sensor.
+
+        Raises:
+            DeviceError, LinkLost: the regulator does not take a set-point of 0.
+        """
+        if not self._valves.vented:
+            return
+        self._valves.keep_alive(LOW_S + IDLE_S)
+        if self._line.set_kpa_now != 0.0:
+            self._line.set_kpa(0.0)
+        self._line.wait_low()
+        self._valves.set_pressure(pressure_kpa)
+
     def set_pressure(self, pressure_kpa: float) -> PressureCommand:
         """Set the regulator, read its set-point back, then open the inlet.
 
         In this order: a regulator that still stands at an older, higher set-point is not let in.
         """
         command = self.command(pressure_kpa)
+        self.prepare(pressure_kpa)
         self._line.set_kpa(pressure_kpa)
         self._valves.set_pressure(pressure_kpa)
         return command
