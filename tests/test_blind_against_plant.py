@@ -28,6 +28,8 @@ VALVE = [
     (1.0, "inlet", 1.0), (1.006, "inlet", 0.0), (2.0, "inlet", 1.0), (2.015, "inlet", 0.0),
     (5.0, "outlet", 1.0), (5.02, "outlet", 0.0),
 ]  # fmt: skip
+# A stage shortens a vented muscle whose outlet is open: it draws air in.
+DRAWN = [(1.5, "outlet", 1.0), (3.0, "outlet", 0.0)]
 STAIRS = [(0.0, 100.0), (1.5, 500.0), (3.5, 200.0)]
 LIFT = [(0.0, 0.0), (1.0, 400.0), (3.0, 200.0)]
 STAGE = [(0.0, 56.0), (1.0, 56.0), (2.0, 66.0), (4.0, 56.0), (4.5, 61.0), (6.0, 61.0)]
@@ -47,13 +49,17 @@ def course(corners: list[tuple[float, float]]):
     return np.array([*t, 99.0]), np.array([*v, v[-1]])
 
 
+def edges(commands: list[tuple[float, str, float]]) -> np.ndarray:
+    return np.array([(t, 0 if c == "inlet" else 1, v) for t, c, v in commands])
+
+
 def on_blind(kind: str, e: np.ndarray) -> Readings:
     trial = {
-        "valve": lambda: {"held_mm": 60.0, "edges": np.array(
-            [(t, 0 if c == "inlet" else 1, v) for t, c, v in VALVE])},
+        "valve": lambda: {"held_mm": 60.0, "edges": edges(VALVE)},
         "held": lambda: {"held_mm": 54.0, "regulator": course(STAIRS)},
         "stage": lambda: {"length": tuple(np.array(STAGE).T), "regulator": course([(0.0, 300.0)])},
         "load": lambda: {"load_kg": 2.0, "regulator": course(LIFT)},
+        "drawn": lambda: {"length": tuple(np.array(STAGE).T), "edges": edges(DRAWN)},
     }[kind]()  # fmt: skip
     one = Trial("t", "s", "free", 1, 1, 40, END, temperature_c=40.0, camera_hz=50.0, **trial)
     return read_trial(one, nominal(), e, TIMES, TIMES, TIMES)
@@ -70,6 +76,7 @@ def on_plant(kind: str, effects: Effects) -> PlantReadings:
                   {"length_m": 0.056, "pressure_kpa": 300.0, "source": "regulator"}),
         "load": ([*regulated, *((t, "regulator_kpa", p) for t, p in LIFT)],
                  {"length_m": 0.0735, "mass_kg": 2.0, "load": "isotonic", "source": "regulator"}),
+        "drawn": ([*DRAWN, *rates], {"length_m": 0.056}),
     }[kind]  # fmt: skip
     c = plant.constants.nominal()
     traces = run_commands(c, commands(events), END, 1.0 / STEP, effects=effects,
@@ -78,7 +85,7 @@ def on_plant(kind: str, effects: Effects) -> PlantReadings:
 
 
 CHANNELS = (("pressure", "pressure_kpa"), ("force", "force_n"), ("length", "length_mm"))
-KINDS = ("valve", "held", "stage", "load")
+KINDS = ("valve", "held", "stage", "load", "drawn")
 
 
 @pytest.fixture(scope="module")

@@ -88,10 +88,12 @@ def independent(
             change[i] += mass_flow_kg_s(
                 supply, absolute[i], c.inlet_conductance_m3_s_pa, c.critical_ratio
             )
-        for i in outlet:
-            change[i] -= mass_flow_kg_s(
-                absolute[i], c.atmosphere_pa, c.outlet_conductance_m3_s_pa, c.critical_ratio
+        for i in outlet:  # it passes air both ways
+            ways = (absolute[i], c.atmosphere_pa), (c.atmosphere_pa, absolute[i])
+            out, back = (
+                mass_flow_kg_s(*way, c.outlet_conductance_m3_s_pa, c.critical_ratio) for way in ways
             )
+            change[i] -= out - back
         push = forward_dynamics(finger.arm, z[:n], z[n : 2 * n], torque)
         return np.concatenate([z[n : 2 * n], push, change * 287.05 * c.gas_temperature_k])
 

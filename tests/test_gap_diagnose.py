@@ -11,6 +11,9 @@ import pandas as pd
 import pytest
 
 from bench_process import call_pamrig
+from blind.exchange import write
+from blind.recording import record
+from blind.sets import blind_set
 from gap.data.reader import read_dataset
 from gap.decision.at_bound import relieving
 from gap.decision.classify import nearest_confounder
@@ -36,6 +39,12 @@ def test_the_nominal_plant_has_no_gap(nominal_set: Path) -> None:
     assert verdict.status == "no_gap_above_floor"
     assert not verdict.effects
     assert verdict.limits["liner_threshold"] > 0.0
+
+
+def test_a_muscle_that_draws_air_in_while_its_load_bounces_is_no_gap(tmp_path: Path) -> None:
+    # Without a reversed flow through the outlet the pressure after venting was 20 kPa off.
+    write(record(blind_set("practice", 20308)), tmp_path)
+    assert diagnose(read_dataset(tmp_path)).status == "no_gap_above_floor"
 
 
 @pytest.mark.parametrize(

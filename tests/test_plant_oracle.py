@@ -30,7 +30,8 @@ def through(conductance: float, up: float, down: float) -> float:
 def gas_rate(p: float, length: float, speed: float, inlet: bool, outlet: bool) -> float:
     volume = (B**2 * length - length**3) / (4 * math.pi * N**2) + V0
     swell = (B**2 - 3 * length**2) / (4 * math.pi * N**2) * speed
-    flow = through(1.25e-9, 550e3 + ATM, p) * inlet - through(1.25e-9, p, ATM) * outlet
+    out = through(1.25e-9, p, ATM) - through(1.25e-9, ATM, p)  # an outlet passes air both ways
+    flow = through(1.25e-9, 550e3 + ATM, p) * inlet - out * outlet
     return (RT * flow - p * swell) / volume
 
 

@@ -41,6 +41,7 @@ FOLLOW_S = 5.0
 _MOST_RATIO = 0.95
 
 _factor = inlined(flow.subsonic_factor)
+_outward = called(flow.outward_drive)
 _braid_volume = inlined(muscle.braid_volume)
 _PENDING = 32
 _FOLLOW, _LEARN, _APPLY = 0, 1, 2
@@ -93,14 +94,15 @@ def _flows(
         share = _factor(absolute / above, q[layout.INLET_CRITICAL_RATIO])
         wider = 1.0 + q[stage.INLET_DROP] * (supply - fall - p) / FULL_PRESSURE_PA
         flow_in = scale * q[layout.INLET_CONDUCTANCE] * max(wider, 0.02) * above * share
-    out_ratio = q[layout.ATMOSPHERE] / absolute
     area = q[stage.LEAK]
     if outlet:
         area += q[layout.OUTLET_CONDUCTANCE] * max(
             1.0 + q[stage.OUTLET_DROP] * p / FULL_PRESSURE_PA, 0.02
         )
     if area > 0.0:
-        flow_out = scale * area * absolute * _factor(out_ratio, q[layout.OUTLET_CRITICAL_RATIO])
+        flow_out = (
+            scale * area * _outward(absolute, q[layout.ATMOSPHERE], q[layout.OUTLET_CRITICAL_RATIO])
+        )
     if q[stage.LEAK_LAMINAR] != 0.0:
         flow_out += scale * q[stage.LEAK_LAMINAR] * laminar_drop(absolute, q[layout.ATMOSPHERE])
     return flow_in, flow_out, share
@@ -168,8 +170,8 @@ def _advance(
             alone = slope == 0.0 and q[stage.LINE] == 0.0
             if inlet and not outlet and p <= supply - s[3] and alone:
                 p1 = min(p1, supply - s[3])
-            if outlet and not inlet and p >= 0.0 and alone:
-                p1 = max(p1, 0.0)
+            if outlet and not inlet and alone:
+                p1 = max(p1, 0.0) if p >= 0.0 else min(p1, 0.0)
         if q[stage.LINE] > 0.0:
             s[4] += (p - s[4]) * (1.0 - math.exp(-h / q[stage.LINE_TIME]))
         if q[stage.HEAT_RATE] > 0.0:

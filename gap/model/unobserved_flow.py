@@ -1,7 +1,7 @@
 """Gas that went in or out unseen: what a load that bounces between frames leaves unknown.
 
 While a valve is open the length decides how much gas passes, above all near the atmosphere, where
-air goes out and none comes back. What the frames did not show then stays in the muscle as an
+air goes out and in as the load bounces. What the frames did not show then stays in the muscle as an
 amount of gas that nobody knows, and as one error of the pressure until the end of the trial.
 """
 

@@ -38,7 +38,7 @@ JOINT, REST, ARM = 0, 1, 2
 LOW, HIGH, STOP_STIFFNESS, STOP_DAMPING = 0, 1, 2, 3
 """Columns of the table of stops (joints, 4): rad, rad, N m/rad, N m s/rad."""
 
-_factor = inlined(flow.subsonic_factor)
+_outward_slope = called(flow.outward_slope)
 _factor_slope = inlined(flow.subsonic_slope)
 
 # ROS34PW2 (Rang and Angermann 2005, table 4.2): gamma, alpha, gamma_ij; b is the last row.
@@ -128,12 +128,9 @@ def _slopes(
             if absolute < supply:
                 leak += par[at.INLET_CONDUCTANCE] * _factor_slope(absolute / supply, critical)
         conductance = outward(state, par)
-        if conductance > 0.0 and absolute > par[at.ATMOSPHERE]:
+        if conductance > 0.0:
             critical = par[at.OUTLET_CRITICAL_RATIO]
-            ratio = par[at.ATMOSPHERE] / absolute
-            leak += conductance * (
-                _factor(ratio, critical) + ratio * _factor_slope(ratio, critical)
-            )
+            leak += conductance * _outward_slope(absolute, par[at.ATMOSPHERE], critical)
         gas[i] = -leak * REFERENCE_DENSITY_KG_M3 * heat / volume
 
 

@@ -2,7 +2,8 @@
 
     m_dot = C rho_0 P1 sqrt(T_0 / T) * psi(P2 / P1)
 
-with P1, P2 absolute pressures upstream and downstream, and no flow when P2 >= P1.
+with P1, P2 absolute pressures upstream and downstream. An open inlet passes nothing when P2 >= P1;
+a way to the atmosphere lets air in where the muscle is below it, with the same C and b.
 """
 
 from __future__ import annotations
@@ -40,6 +41,13 @@ def subsonic_factor(ratio: float, critical_ratio: float) -> float:
     return math.sqrt(share * (2.0 - share))
 
 
+def outward_drive(absolute: float, outside: float, critical_ratio: float) -> float:
+    """Upstream pressure times psi of a way to the outside, Pa; below zero where air comes in."""
+    if absolute >= outside:
+        return absolute * subsonic_factor(outside / absolute, critical_ratio)
+    return -outside * subsonic_factor(absolute / outside, critical_ratio)
+
+
 def subsonic_factors(
     ratios: npt.NDArray[np.float64], critical_ratio: float
 ) -> npt.NDArray[np.float64]:
@@ -58,6 +66,15 @@ def subsonic_slope(ratio: float, critical_ratio: float) -> float:
         return math.sqrt(edge * (2.0 - edge)) / LINEAR_BELOW
     share = below / width
     return (1.0 - share) / (width * math.sqrt(share * (2.0 - share)))
+
+
+def outward_slope(absolute: float, outside: float, critical_ratio: float) -> float:
+    """Derivative of `outward_drive` in the pressure within (>= 0)."""
+    if absolute >= outside:
+        ratio = outside / absolute
+        slope = ratio * subsonic_slope(ratio, critical_ratio)
+        return subsonic_factor(ratio, critical_ratio) + slope
+    return subsonic_slope(absolute / outside, critical_ratio)
 
 
 def mass_flow_kg_s(

@@ -23,6 +23,8 @@ LEAST_MASS_KG = 1e-3
 
 _factor = inlined(flow.subsonic_factor)
 _factor_slope = inlined(flow.subsonic_slope)
+_outward = called(flow.outward_drive)
+_outward_slope = called(flow.outward_slope)
 _force = inlined(muscle.braid_force)
 _force_slope = inlined(muscle.braid_force_slope)
 _volume = inlined(muscle.braid_volume)
@@ -129,7 +131,10 @@ def inlet_pressure(state: Slots, params: Slots, absolute: float) -> float:
 
 @inlined
 def flows(state: Slots, params: Slots, absolute: float) -> tuple[float, float]:
-    """Mass flow in and out in kg/s at absolute pressure `absolute` in the muscle."""
+    """Mass flow through the inlet and out to the atmosphere, kg/s, at `absolute` in the muscle.
+
+    The second is below zero where the muscle is below the atmosphere and draws air in.
+    """
     scale = REFERENCE_DENSITY_KG_M3 * math.sqrt(
         REFERENCE_TEMPERATURE_K / params[at.GAS_TEMPERATURE]
     )
@@ -141,8 +146,11 @@ def flows(state: Slots, params: Slots, absolute: float) -> tuple[float, float]:
         flow_in = scale * params[at.INLET_CONDUCTANCE] * supply * psi
     conductance = outward(state, params)
     if conductance > 0.0:
-        psi = _factor(params[at.ATMOSPHERE] / absolute, params[at.OUTLET_CRITICAL_RATIO])
-        flow_out = scale * conductance * absolute * psi
+        flow_out = (
+            scale
+            * conductance
+            * _outward(absolute, params[at.ATMOSPHERE], params[at.OUTLET_CRITICAL_RATIO])
+        )
     return flow_in, flow_out
 
 
@@ -167,8 +175,7 @@ def fastest_gas(state: Slots, params: Slots, absolute: float, volume: float) -> 
     if conductance > 0.0:
         atmosphere = params[at.ATMOSPHERE]
         critical = params[at.OUTLET_CRITICAL_RATIO]
-        ratio = atmosphere / absolute
-        slope += conductance * (_factor(ratio, critical) + ratio * _factor_slope(ratio, critical))
+        slope += conductance * _outward_slope(absolute, atmosphere, critical)
         gap = abs(absolute - atmosphere) + flow.LINEAR_BELOW * atmosphere
         leaving = max(leaving, change / gap)
     return max(slope * REFERENCE_DENSITY_KG_M3 * heat, 0.5 * leaving)

@@ -91,7 +91,9 @@ def _at_rest(state: Slots, params: Slots) -> bool:
     absolute = state[at.PRESSURE] + atmosphere
     if state[at.INLET_OPEN] > 0.0 and absolute * _EQUAL < state[at.SUPPLY] + atmosphere:
         return False
-    return outward(state, params) == 0.0 or absolute <= atmosphere * _EQUAL
+    if outward(state, params) == 0.0:
+        return True
+    return absolute <= atmosphere * _EQUAL and absolute * _EQUAL >= atmosphere
 
 
 @inlined
