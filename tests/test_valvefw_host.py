@@ -94,6 +94,7 @@ class Board:
         try:
             interpreter.run(
                 "import os, sys, binascii\nos.mkdir('/board')\nos.mkdir('/board/valvefw')\n"
+                "os.mkdir('/board/valvefw/inputs')\n"
                 "os.mkdir('/board/valvefw/boards')\n"
                 "os.mkdir('/board/valvefw/schemes')\nos.chdir('/board')\nsys.path[:] = ['']\n"
             )

@@ -1,3 +1,3 @@
 """Firmware of the valve controller, for MicroPython and CPython."""
 
-VERSION = "0.2.0"
+VERSION = "0.2.1"

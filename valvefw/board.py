@@ -21,6 +21,8 @@ If ``tick`` raises, the board closes the inlet, opens the outlet and resets itse
 from valvefw.core import REPLY_HIGH, REPLY_LOW
 
 DRIVE_SILENCE_US = 20000
+I2C_BUSY = -1
+I2C_NOBODY = -2
 
 
 class Board:
@@ -81,6 +83,42 @@ class Board:
     def captured(self) -> bytes:
         """The block, two bytes per sample, low byte first; empty until it is complete."""
         return b""
+
+    # Further inputs, which a board may lack. None of these may wait, and what the loop calls each
+    # millisecond may not allocate; those named ``start`` are called while disarmed only.
+
+    def bridge_start(self, pulses: int) -> None:
+        """Read a bridge converter (HX711, ADS1232) with so many clock pulses a conversion; 0: no
+        more."""
+
+    def bridge(self) -> int:
+        """The next conversion, 24 bits as they came; negative if there is none."""
+        return -1
+
+    def i2c_start(self, on: int) -> None:
+        """Use the two-wire bus; its only device is an ADS1115 at the address 0x48."""
+
+    def i2c_write(self, register: int, word: int) -> None:
+        """Begin to write 16 bits to a register."""
+
+    def i2c_read(self, register: int) -> None:
+        """Begin to read 16 bits of a register."""
+
+    def i2c_done(self) -> int:
+        """What became of the last transfer: ``I2C_BUSY``, ``I2C_NOBODY``, or the word (0 after
+        writing)."""
+        return I2C_NOBODY
+
+    def encoder_start(self, on: int) -> None:
+        """Count the edges of both lines of a quadrature encoder from 0 on."""
+
+    def encoder(self) -> int:
+        """The count, 24 bits; bit 24 is set if both lines changed at once since the last call."""
+        return -1
+
+    def analogue(self, which: int) -> int:
+        """Reading of the second (1) or third (2) analogue input now, 12 bits; negative: none."""
+        return -1
 
     def tidy(self) -> None:
         """Free memory, which may take milliseconds: called while vented."""

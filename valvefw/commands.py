@@ -7,6 +7,7 @@ Invalid arguments are refused, never clipped. All verbs: docs/reference/wire-for
 
 from valvefw import config
 from valvefw.core import COUNTS
+from valvefw.inputs.channels import KEYS
 from valvefw.wire import (
     CAPTURE_LEAD_US,
     CAPTURE_N,
@@ -223,6 +224,8 @@ class Commands:
         self._need_disarmed()
         c.values[args[0]] = value
         c.safety.load(c.values)
+        if args[0] in KEYS:
+            c.channels.load(c.values)
         return "conf=%04x" % c.checksum.of(c.values)
 
     def _arm(self, args: list[str]) -> str:

@@ -66,6 +66,12 @@ PARAMETERS = (
     ("burst_window", 16, 1, 64, "samples averaged for a reading"),
     ("out_scale", 4096, 1, 16383, "reg: output counts per 4096 counts of set-point"),
     ("out_zero_x16", 65536, 0, 131072, "reg: output at set-point 0, count/16, plus 65536"),
+    ("bridge", 0, 0, 8, "0 none; HX711: 1 gain 128, 2 gain 64, 3 input B; 4 ADS1232; +4: 80/s"),
+    ("adc16", 0, 0, 48, "ADS1115: 0 none, else 1 + its multiplexer + 8 * its range"),
+    ("adc16_ms", 20, 8, 1000, "ADS1115: time between two conversions, ms"),
+    ("encoder_ms", 0, 0, 1000, "quadrature encoder: time between two readings, ms; 0 none"),
+    ("second_ms", 0, 0, 1000, "second analogue input: time between two readings, ms; 0 none"),
+    ("third_ms", 0, 0, 1000, "third analogue input: time between two readings, ms; 0 none"),
 )
 
 

@@ -59,6 +59,7 @@ from valvefw.core import (
     decide,
     note,
 )
+from valvefw.inputs.channels import Channels
 from valvefw.native import copy
 from valvefw.receiver import Receiver, split
 from valvefw.replies import put_number
@@ -108,6 +109,7 @@ class Controller:
         self.valves = Valves()
         boot_id = board.random16() & 0xFFFF
         self.telemetry = Telemetry(self.core, boot_id or 1)
+        self.channels = Channels(board, self.core, self.telemetry.boot_id)
         self.openloop = OpenLoop()
         self.regulated = Regulated()
         self.schemes: dict[str, Scheme] = {"open": self.openloop, "reg": self.regulated}
@@ -185,6 +187,9 @@ class Controller:
                     self._run(self.scheme, dt_us)
             if self.telemetry.full():
                 self.send_held()
+            channels = self.channels
+            if channels.on and channels.poll():
+                self.board.tx(channels.buffer, channels.frame())
         size = self.receiver.next()
         if size <= 0:
             return MORE if size else IDLE

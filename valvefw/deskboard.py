@@ -5,7 +5,7 @@ shortest complete example of a ``Board``. Its only noise is the last bit of the 
 alternates: two runs are equal.
 """
 
-from valvefw.board import Board
+from valvefw.board import I2C_NOBODY, Board
 from valvefw.controller import Controller
 from valvefw.wire import CAPTURE_N, CAPTURE_US, TICK_US
 
@@ -49,6 +49,8 @@ class DeskBoard(BufferedBoard):
 
     name = "desk"
     serial = "DESK-1"
+    gone = 0
+    """Inputs whose plug is pulled: bit k is that of ``wire.INPUTS[k]``."""
 
     def __init__(self, boot_id: int = 4660, has_regulator: bool = False) -> None:
         self.has_regulator = has_regulator
@@ -61,6 +63,12 @@ class DeskBoard(BufferedBoard):
         self.override = -1
         self._boot_id = boot_id
         self._block_us = -1
+        self._pulses = 0
+        self._bridge_us = 0
+        self._registers = [0, 0]
+        self._chosen = 0
+        self._edges = 0
+        self.edges_lost = 0
         super().__init__()
         self.controller = Controller(self)
 
@@ -102,6 +110,46 @@ class DeskBoard(BufferedBoard):
 
     def led(self, on: int) -> None:
         self.led_on = on
+
+    def bridge_start(self, pulses: int) -> None:
+        self._pulses = pulses
+        self._bridge_us = self.now_us
+
+    def bridge(self) -> int:
+        """A bridge of 1000 steps for each count of pressure, 80 conversions a second."""
+        if not self._pulses or self.gone & 1 or self.now_us - self._bridge_us < 12500:
+            return -1
+        self._bridge_us += 12500
+        value = (self.pressure_x16 * 64 >> 4) - 30000 + (self.now_us // TICK_US & 7)
+        return value & 0xFFFFFF
+
+    def i2c_write(self, register: int, word: int) -> None:
+        """A conversion takes no time here: its result is there at once."""
+        self._registers[register] = word
+        self._registers[0] = (self.pressure_x16 >> 1) - 200 & 0xFFFF
+        self._chosen = -1
+
+    def i2c_read(self, register: int) -> None:
+        self._chosen = register
+
+    def i2c_done(self) -> int:
+        if self.gone & 2:
+            return I2C_NOBODY
+        return self._registers[self._chosen] if self._chosen >= 0 else 0
+
+    def encoder_start(self, on: int) -> None:
+        self._edges = self.pressure_x16 >> 6
+
+    def encoder(self) -> int:
+        """One step for each four counts of pressure."""
+        lost = self.edges_lost
+        self.edges_lost = 0
+        return (self._edges - (self.pressure_x16 >> 6)) & 0xFFFFFF | (lost and 0x1000000)
+
+    def analogue(self, which: int) -> int:
+        if self.gone >> which + 2 & 1:
+            return -1
+        return (self.pressure_x16 >> 4) // which
 
     def capture(self, source: int) -> bool:
         """Start a ramp, in which each sample is different."""

@@ -39,6 +39,8 @@ except ImportError:  # CPython
             """Leave the function as it is."""
             return function
 
+        native = viper
+
 
 def ptr8(memory):
     """Bytes."""

@@ -1,4 +1,4 @@
-"""Wire format: COBS frames with CRC-16, four payload types (see docs/reference/wire-format.md).
+"""Wire format: COBS frames with CRC-16, five payload types (see docs/reference/wire-format.md).
 
 A frame is COBS(payload + crc16(payload), high byte first) + one zero byte. Zero bytes occur
 nowhere else, so a receiver resynchronises at the next zero: invalid bytes damage only one
@@ -16,6 +16,7 @@ REQUEST = 0x51  # "Q", host to device
 REPLY = 0x52  # "R"
 TELEMETRY = 0x54  # "T"
 EVENT = 0x45  # "E", unsolicited text
+CHANNELS = 0x58  # "X", readings of the further inputs; only where a parameter switches one on
 
 TELEMETRY_HEADER = "<BHHIIB"  # type, boot_id, setpoint_x16, seq0, t0_us, n
 TELEMETRY_HEADER_SIZE = 14
@@ -25,6 +26,14 @@ MAX_SAMPLES = 32
 DT_UNKNOWN = 65535
 PULSE_UNIT_US = 5
 TICK_US = 1000
+
+CHANNELS_HEADER = "<BHIB"  # type, boot_id, seq0, n
+CHANNELS_HEADER_SIZE = 8
+READING = "<IBi"  # t_us, tag: input + 16 * state, value
+READING_SIZE = 9
+MAX_READINGS = 24
+INPUTS = ("bridge", "adc16", "encoder", "second", "third")
+STATES = ("ok", "overload", "silent", "stuck", "early", "lost_count", "no_answer")
 
 CAPTURE_N = 800  # samples of a switching capture
 CAPTURE_US = 50  # sample period, us

@@ -6,6 +6,7 @@ import struct
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from valvefw import wire
 
@@ -14,6 +15,10 @@ SAMPLE_DTYPE = np.dtype(
     [("dt_us", "<u2"), ("counts", "<u2"), ("flags", "u1"), ("inlet_u5", "u1"), ("vent_u5", "u1")]
 )
 assert SAMPLE_DTYPE.itemsize == wire.SAMPLE_SIZE == struct.calcsize(wire.SAMPLE)
+
+_CHANNELS = struct.Struct(wire.CHANNELS_HEADER)
+READING_DTYPE = np.dtype([("t_us", "<u4"), ("tag", "u1"), ("value", "<i4")])
+assert READING_DTYPE.itemsize == wire.READING_SIZE == struct.calcsize(wire.READING)
 
 
 class CodecError(ValueError):
@@ -54,6 +59,23 @@ def telemetry_head(payload: bytes) -> tuple[int, int, int, int, int]:
     if len(payload) != _HEADER.size + n * wire.SAMPLE_SIZE:
         raise CodecError(f"telemetry of {n} samples has {len(payload)} bytes")
     return boot, setpoint_x16, seq0, t0_us, n
+
+
+def channels_payload(payload: bytes) -> tuple[int, int, npt.NDArray[np.void]]:
+    """``boot, seq0, readings`` of a payload of the further inputs.
+
+    ``seq0`` is the number of the first reading since boot (32 bits, overflow); the readings are
+    of ``READING_DTYPE``, shape (n,).
+
+    Raises:
+        CodecError: it is none, or its length does not match its number of readings.
+    """
+    if len(payload) < _CHANNELS.size or payload[0] != wire.CHANNELS:
+        raise CodecError(f"no readings of further inputs: {payload[:24].hex(' ')}")
+    _, boot, seq0, n = _CHANNELS.unpack_from(payload)
+    if len(payload) != _CHANNELS.size + n * wire.READING_SIZE:
+        raise CodecError(f"{n} readings of further inputs have {len(payload)} bytes")
+    return boot, seq0, np.frombuffer(payload, READING_DTYPE, n, _CHANNELS.size)
 
 
 def encode_request(request_id: int, text: str) -> bytes:

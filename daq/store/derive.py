@@ -190,7 +190,12 @@ def sample_host_ns(run: Run, stream: str, raw: Columns) -> npt.NDArray[np.int64]
 
 
 def clock_map(run: Run, stream: str) -> ClockMap | None:
-    """The clock fit of the device of ``stream``; None if the run has none."""
+    """The clock fit of the device of ``stream``; None if the run has none.
+
+    Any other stream with a device time is of an input of the first controller.
+    """
+    if stream not in VALVE_STREAMS:
+        stream = VALVE_STREAM
     found: Any = (run.final or {}).get("clock_fit")
     if isinstance(found, dict) and "knots" not in found:
         found = found.get(stream)

@@ -53,7 +53,8 @@ KINDS: tuple[Kind, ...] = (
          "load_cell", "stage", "camera", "camera.sync", "camera.settings", "calibrations",
          "calibrations.pressure_kpa", "calibrations.pressure_b_kpa", "calibrations.force_n",
          "calibrations.length_mm", "thermometer", "flow", "pressure_transmitter", "supply",
-         "instruments.NAME", "card", "card.channels.NAME", "card.output", "manual.NAME", "load",
+         "instruments.NAME", "channels.NAME", "card", "card.channels.NAME", "card.output",
+         "manual.NAME", "load",
          "operator", "virtual", "virtual.joint", "virtual.regulator", "virtual.sensors"),
     ),
     Kind(

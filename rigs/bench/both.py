@@ -14,6 +14,7 @@ from rigs.devices.event_loop import EventLoop
 from rigs.devices.pressure.source import PressureSource
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import RigConfig
+from rigs.rigfile.tables.channel import channel_parameters
 from rigs.rigfile.tables.regulator import output_parameters
 
 
@@ -45,6 +46,7 @@ def firmware_parameters(config: RigConfig) -> dict[str, int]:
         "trip": int(pressure.raw(config.limits.trip_kpa)),
         "sp_max": int(pressure.raw(config.limits.pressure_kpa)) + 1,
         **output_parameters(config.pressure_source.output, pressure),
+        **channel_parameters(config.instruments.channels),
         **config.valve.parameters,
     }
 

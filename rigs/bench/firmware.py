@@ -24,7 +24,7 @@ Run = Callable[[Sequence[str]], str]
 
 SOURCE = Path(valvefw.__file__).parent
 FOLDER = "valvefw"
-FOLDERS = ("boards", "schemes")
+FOLDERS = ("boards", "inputs", "schemes")
 NOT_ON_BOARD = ("deskboard.py",)
 # As source: the version must be readable whatever else is wrong.
 AS_SOURCE = ("__init__.py",)

@@ -18,14 +18,17 @@ from rigs.devices.cards.card import Card
 from rigs.devices.cards.opened import backend
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.hung_mass import HungMass
+from rigs.devices.instruments.channel import ChannelReader
 from rigs.devices.instruments.modbus import ModbusInstrument
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
 from rigs.devices.interfaces import Instrument
 from rigs.devices.operator import ConsoleOperator, ManualAxis, ManualStage, Operator
 from rigs.devices.operator_port import RemoteOperator
+from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import Device, RigConfig, camera_values
 from rigs.rigfile.instruments import CardChannel, TextDevice
+from rigs.rigfile.tables.channel import ControllerChannel
 
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench
@@ -137,7 +140,9 @@ def open_supply(
     return supply
 
 
-def open_readers(ports: Ports, event_loop: EventLoop) -> dict[str, Instrument]:
+def open_readers(
+    ports: Ports, event_loop: EventLoop, valve: ValveController
+) -> dict[str, Instrument]:
     """Every instrument that gives readings, opened but not yet checked.
 
     The sources of force, length and pressure may not come back by themselves when their link was
@@ -151,6 +156,10 @@ def open_readers(ports: Ports, event_loop: EventLoop) -> dict[str, Instrument]:
         out[name] = channel
     for name, device in config.instruments.readers().items():
         if isinstance(device, CardChannel):
+            continue
+        if isinstance(device, ControllerChannel):
+            out[name] = reader = ChannelReader(valve, event_loop, name, device)
+            event_loop.add(reader.poll)
             continue
         link = ports.open(name, device)
         sources = (config.force_source, config.length_source, config.pressure_source.sensor)

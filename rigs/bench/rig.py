@@ -26,6 +26,7 @@ from rigs.devices.balance import Balance, NoBalance
 from rigs.devices.camera import CallCamera, NoCamera, open_camera
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.fresh_camera import FreshCamera
+from rigs.devices.instruments.channel import ChannelReader
 from rigs.devices.instruments.load_cell import LoadCell
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
@@ -36,6 +37,7 @@ from rigs.devices.pressure.solenoids import SolenoidPressure
 from rigs.devices.pressure.source import PressureSource
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import NONE, RigConfig
+from rigs.rigfile.tables.channel import net_grams
 from rigs.rigfile.tables.stage import stage_module
 
 if TYPE_CHECKING:
@@ -183,7 +185,7 @@ def open_rig(
             camera = FreshCamera(open_camera(config.camera, event_loop), clock, noisy)
             stack.callback(camera.close)
         person = operator or default_operator(ports, bench)
-        instruments = open_readers(ports, event_loop)
+        instruments = open_readers(ports, event_loop, valve)
         balance: Balance | LoadCell | NoBalance
         if config.force_source == NONE:
             balance = NoBalance()
@@ -191,6 +193,11 @@ def open_rig(
             cell = instruments["load_cell"]
             assert isinstance(cell, TextInstrument)
             balance = LoadCell(cell)
+        elif config.force_source in config.instruments.channels:
+            sensor = instruments[config.force_source]
+            assert isinstance(sensor, ChannelReader)
+            assert sensor.calibration is not None
+            balance = LoadCell(sensor, net_grams(sensor.calibration)[0])
         else:
             balance = Balance(ports.open("balance", config.balance), event_loop)
             event_loop.add(balance.poll)

@@ -106,7 +106,7 @@ def calibrate_force(
         if isinstance(rig.balance, LoadCell):
             raw_unit, device = (
                 rig.balance.indicator.unit,
-                config.instruments.text["load_cell"].serial,
+                config.instruments.readers()[config.force_source].serial,
             )
         else:
             raw_unit, device = "g", rig.identities["balance"].get("serial", "")

@@ -28,7 +28,7 @@ computer was busy."""
 PAUSE_NS = 300_000_000
 """A balance makes ten readings a second or more: after this they were held up on the way."""
 BALANCE_SCHEMA = {"row": "int64", "host_ns": "int64", "grams": "float64", "stable": "uint8"}
-BALANCE_UNITS = {"host_ns": "ns", "grams": "g"}
+BALANCE_UNITS = {"device_us": "us", "host_ns": "ns", "grams": "g"}
 """Columns and units of the balance's stream in a record."""
 
 
@@ -39,6 +39,7 @@ class NoBalance:
     """
 
     name = "balance (this rig has none)"
+    columns = BALANCE_SCHEMA
     rows = 0
     last_problem = ""
 
@@ -72,6 +73,8 @@ class Balance(LineDevice):
     "not ready" and other units are counted as faults and never become a value. Readings that an
     adapter delivered together stay, with the time at which they came.
     """
+
+    columns = BALANCE_SCHEMA
 
     def __init__(self, link: Link, event_loop: EventLoop) -> None:
         super().__init__(link, event_loop, "balance")

@@ -27,6 +27,7 @@ class Instrument(Protocol):
         quantity: what it measures, with unit: ``temperature_c``.
         unit: unit of the readings as they come.
         calibration: turns readings into ``quantity``; None where they are that already.
+        columns: of its stream in a record.
         rate_hz: readings a second.
         identity: what it reports about itself; filled by :meth:`connect`.
         rows: readings so far.
@@ -38,6 +39,7 @@ class Instrument(Protocol):
     quantity: str
     unit: str
     calibration: Calibration | None
+    columns: dict[str, str]
     rate_hz: float
     identity: dict[str, str]
     rows: int

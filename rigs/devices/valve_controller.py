@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from daq.clock import NS_PER_S, Clock
 from daq.errors import DeviceError, DeviceTimeout, LinkLost
+from daq.link.channels import ChannelStream
 from daq.link.clockfit import ClockFit
 from daq.link.codec import CodecError, Reply, decode_event, decode_reply, encode_request
 from daq.link.framer import CobsFramer
@@ -96,6 +97,7 @@ class ValveController:
         self.unanswered = 0
         self.clock_fit = ClockFit()
         self.telemetry = TelemetryStream(self._batch, on_gap=self._gap, on_boot=self._boot)
+        self.channels = ChannelStream(self.telemetry.device_time)
 
     @property
     def name(self) -> str:
@@ -127,6 +129,8 @@ class ValveController:
         kind = payload[0] if payload else 0
         if kind == wire.TELEMETRY:
             self.telemetry.feed(payload, host_ns)
+        elif kind == wire.CHANNELS:
+            self.channels.feed(payload, host_ns)
         elif kind == wire.REPLY:
             self._reply(decode_reply(payload), host_ns)
         elif kind == wire.EVENT:
@@ -433,4 +437,5 @@ class ValveController:
             "bad_payloads": self.bad_payloads,
             "unanswered": self.unanswered,
             **self.telemetry.counters(),
+            **self.channels.counters(),
         }

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 REGULATOR = "regulator"
 """Stream of a proportional regulator's own reading."""
+TIMES = {"device_us": "us", "host_ns": "ns"}
 TOLD = 20
 """So many faults of a kind become events of their own; then each hundredth. All are counted."""
 
@@ -77,7 +78,9 @@ def record_instruments(rig: Rig, record: RecordWriter) -> None:
     if rig.config.camera.source:
         rig.camera.faults.on_fault.append(_teller(record, "camera", rig.camera.faults.counts))
     for name, instrument in rig.instruments.items():
-        record.stream(name, COLUMNS, {"host_ns": "ns", "reading": instrument.unit})
+        columns = instrument.columns
+        units = {n: u for n, u in TIMES.items() if n in columns}
+        record.stream(name, columns, {**units, "reading": instrument.unit})
         instrument.on_rows.append(recorder(record, name))
         instrument.faults.on_fault.append(_teller(record, name, instrument.faults.counts))
     if rig.supply is not None:

@@ -17,7 +17,7 @@ from daq.record.writer import RecordWriter
 from rigs.bench.both import Side, firmware_parameters
 from rigs.bench.locks import vent_request
 from rigs.bench.rig import Rig, open_rig
-from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS, NoBalance
+from rigs.devices.balance import BALANCE_UNITS, NoBalance
 from rigs.devices.instruments.instrument import PortInstrument
 from rigs.devices.lines import LineDevice
 from rigs.devices.motion.stage import MotorStage
@@ -171,7 +171,9 @@ def _open_streams(rig: Rig, record: RecordWriter) -> None:
     for side in rig.sides:
         record.stream(side.name, VALVE_COLUMNS, VALVE_UNITS)
     if not isinstance(rig.balance, NoBalance):
-        record.stream("balance", BALANCE_SCHEMA, BALANCE_UNITS)
+        columns = rig.balance.columns
+        units = {name: unit for name, unit in BALANCE_UNITS.items() if name in columns}
+        record.stream("balance", columns, units)
 
 
 def _load(config: RigConfig, pictures: bool) -> None:

@@ -135,7 +135,11 @@ class Stretch(CustomStep):
         tables: dict[str, Columns] = {}
         times = {
             "valve": (valve["device_us"] - start_us) * 1e-6,
-            "balance": (balance["host_ns"] - start_ns) * 1e-9,
+            "balance": (
+                (balance["device_us"] - start_us) * 1e-6
+                if "device_us" in balance  # a cell on the controller
+                else (balance["host_ns"] - start_ns) * 1e-9
+            ),
         }
         units: dict[str, Mapping[str, str]] = {"valve": {}, "balance": BALANCE_UNITS}
         for stream, raw in (("valve", valve), ("balance", balance)):

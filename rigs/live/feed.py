@@ -16,7 +16,7 @@ from daq.clock import NS_PER_S
 from daq.live.layout import Feed, LiveLayout
 from daq.live.live import LiveView
 from daq.record.writer import RecordWriter
-from daq.store.derive import VALVE_STREAMS, scaled
+from daq.store.derive import scaled
 from rigs.bench.rig import Rig
 from rigs.devices.valve_controller import ValveController
 from rigs.execution.runner import Watch
@@ -145,7 +145,7 @@ class LiveFeed:
         if self.view.error is not None:
             self._state_end(self.view.error)
             return
-        time_s = (self._host_ns(stream, batch) - self._start_ns) / NS_PER_S
+        time_s = (self._host_ns(batch) - self._start_ns) / NS_PER_S
         columns, _ = scaled(stream, batch, self._calibrations, {})
         for feed in self._feeds:
             if feed.stream == stream:
@@ -158,10 +158,10 @@ class LiveFeed:
             self._ended = True
             self._warn(f"live view: {why}; the test continues without it")
 
-    def _host_ns(self, stream: str, batch: Batch) -> npt.NDArray[np.float64]:
-        """Host times of a batch; of telemetry by its spacing up to its arrival."""
+    def _host_ns(self, batch: Batch) -> npt.NDArray[np.float64]:
+        """Host times of a batch; with device times by their spacing up to its arrival."""
         host_ns = batch["host_ns"].astype(np.float64)
-        if stream not in VALVE_STREAMS:
+        if "device_us" not in batch:
             return host_ns
         device_us = batch["device_us"].astype(np.float64)
         return np.asarray(host_ns[-1] - (device_us[-1] - device_us) * 1000.0)

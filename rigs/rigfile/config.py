@@ -16,6 +16,7 @@ from rigs.rigfile.device import Device as Device
 from rigs.rigfile.form import GRAMS
 from rigs.rigfile.instruments import InstrumentSettings, read_instruments
 from rigs.rigfile.pressure_source import PressureSourceSettings, read_pressure_source
+from rigs.rigfile.tables.channel import net_grams
 from rigs.rigfile.tables.joint import JointSettings, read_joint
 from rigs.rigfile.tables.marks import load_marks
 from rigs.rigfile.tables.stage import MANUAL, read_stage
@@ -159,7 +160,8 @@ class RigConfig:
     """A whole rig file, checked.
 
     ``crc32`` is over the text of the file, so that a run tells which version it used.
-    ``force_source`` is "balance" or "load_cell"; ``balance`` is meaningless when there is none.
+    ``force_source`` is "balance", "load_cell" or a cell on the controller (a name of
+    ``instruments.channels``); ``balance`` is meaningless when there is none.
     ``length_source`` is "camera", or the instrument whose reading is the length of a test; a rig
     with such an instrument needs no camera, whose ``source`` is then "".
     A rig with a ``joint`` has a second controller, ``valve_b``, and neither balance, stage nor
@@ -201,6 +203,7 @@ class RigConfig:
             valve_b=None,
             joint=None,
             calibrations={**self.calibrations, "pressure_kpa": pressure},
+            instruments=replace(self.instruments, channels={}),
             pressure_source=PressureSourceSettings("", 0, "", kind, file=self.source),
         )
 
@@ -254,13 +257,10 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
         camera, length = _camera(root.table("camera"))
     else:
         camera, length = CameraDevice("", "", 95), _length_reader(root, instruments, length_source)
-    known = "load_cell" if "load_cell" in root and "balance" not in root else "balance"
-    force_source = root.text("force_source", known, choices=("balance", "load_cell"))
-    if force_source not in root:
-        raise root.fail("force_source", f"there is no table [{force_source}]", "add it")
+    force_source = _force_source(root, instruments)
     files = {"length_mm": length, "force_n": _cell(instruments, force_source)}
     serials = {q: root.table(t, optional=True).raw("serial", "") for q, t in SENSORS.items()}
-    calibrations = _calibrations(root.table("calibrations"), files, serials)
+    calibrations = _calibrations(root.table("calibrations"), files, serials, force_source)
     valve = _valve(root.table("valve"))
     rig = RigConfig(
         name=root.text("name"),
@@ -284,6 +284,17 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
         ),
     )
     return _finished(rig, root)
+
+
+def _force_source(root: Table, instruments: InstrumentSettings) -> str:
+    """Balance, load cell, or a cell on the controller; the first that there is without the key."""
+    cells = [n for n, c in instruments.channels.items() if c.form.quantity == "force_n"]
+    there = [name for name in ("balance", "load_cell") if name in root] + cells
+    known = ("balance", "load_cell", *cells)
+    source = root.text("force_source", there[0] if there else "balance", choices=known)
+    if source not in there:
+        raise root.fail("force_source", f"there is no table [{source}]", "add it")
+    return source
 
 
 def _joint_rig(
@@ -559,6 +570,8 @@ def _cell(instruments: InstrumentSettings, force_source: str) -> Calibration | N
 
     A test tares it, so that only its scale counts; what is uncertain about zero stays.
     """
+    if force_source in instruments.channels:
+        return net_grams(instruments.channels[force_source].calibration)[1]
     cell = instruments.text.get("load_cell") if force_source == "load_cell" else None
     if cell is None or cell.form.unit not in GRAMS or not cell.calibration.date:
         return None
@@ -567,7 +580,7 @@ def _cell(instruments: InstrumentSettings, force_source: str) -> Calibration | N
 
 
 def _calibrations(
-    t: Table, files: dict[str, Calibration | None], serials: dict[str, str]
+    t: Table, files: dict[str, Calibration | None], serials: dict[str, str], force_source: str
 ) -> dict[str, Calibration]:
     """The three that every rig has; ``files`` are those that an instrument's table names."""
     units = {"pressure_kpa": ("kPa", "count"), "force_n": ("N", "g"), "length_mm": ("mm", "pixel")}
@@ -576,10 +589,12 @@ def _calibrations(
         named = files.get(quantity)
         if named is not None:
             if quantity in t:
-                table = "camera" if quantity == "length_mm" else "load_cell"
+                table = "camera" if quantity == "length_mm" else force_source
                 what = f"{table}.calibration names a file for it as well"
                 if named.raw_unit != "pixel" and quantity == "length_mm":
                     what = "the instrument of length_source has a calibration of its own"
+                elif quantity == "force_n" and force_source != "load_cell":
+                    what = f"{force_source} has a calibration of its own, of its counts"
                 raise t.fail(quantity, what, "keep one")
             out[quantity] = named
             continue

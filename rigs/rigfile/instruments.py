@@ -11,6 +11,7 @@ from rigs.rigfile.command_form import CommandForm, load_command_form
 from rigs.rigfile.device import Device
 from rigs.rigfile.form import TextForm, load_form, read_form
 from rigs.rigfile.modbus_form import KINDS, MOST_REGISTERS, ORDERS, ModbusForm
+from rigs.rigfile.tables.channel import ControllerChannel, read_channels
 from rigs.rigfile.toml_reader import Table
 
 NAMED = ("thermometer", "load_cell", "flow")
@@ -144,6 +145,7 @@ class InstrumentSettings:
     modbus: dict[str, ModbusDevice] = field(default_factory=dict)
     supply: SupplyDevice | None = None
     card: CardDevice | None = None
+    channels: dict[str, ControllerChannel] = field(default_factory=dict)
     manual: dict[str, ManualAxisSettings] = field(default_factory=dict)
     load: LoadSettings = field(default_factory=LoadSettings)
     operator: str = ""
@@ -157,10 +159,10 @@ class InstrumentSettings:
             out["card"] = self.card
         return out
 
-    def readers(self) -> dict[str, TextDevice | ModbusDevice | CardChannel]:
+    def readers(self) -> dict[str, TextDevice | ModbusDevice | CardChannel | ControllerChannel]:
         """Every device that gives readings by itself, by name."""
-        channels = self.card.channels if self.card is not None else {}
-        return {**self.text, **self.modbus, **channels}
+        of_card = self.card.channels if self.card is not None else {}
+        return {**self.text, **self.modbus, **of_card, **self.channels}
 
 
 def read_instruments(root: Table) -> InstrumentSettings:
@@ -191,6 +193,8 @@ def read_instruments(root: Table) -> InstrumentSettings:
         modbus["pressure_transmitter"] = _modbus(t, "pressure_transmitter")
     supply = _supply(root.table("supply")) if "supply" in root else None
     card = _card(root.table("card"), (*text, *modbus)) if "card" in root else None
+    of_card = card.channels if card is not None else {}
+    channels = read_channels(root, (*text, *modbus, *of_card))
     manual = {}
     axes = root.table("manual", optional=True)
     for name in axes.keys():  # noqa: SIM118
@@ -199,7 +203,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
     load = root.table("load", optional=True)
     person = root.table("operator", optional=True)
     out = InstrumentSettings(
-        text, modbus, supply, card, manual,
+        text, modbus, supply, card, channels, manual,
         LoadSettings(
             u_mass=load.number("u_mass", 0, 1, 1e-4),
             lower_kpa_s=load.number("lower_kpa_s", 1, 2000, 150.0, unit="kPa/s"),

@@ -82,6 +82,7 @@ class VirtualBench:
         """Controllers by their names in the rig file."""
         self.board = self.boards["valve"]
         self.board.regulator_input = self.extras.regulator_input()
+        self.board.inputs = self.extras.inputs
         self.board.output_joined = config.pressure_source.kind != "card-output"
         self.emulators: dict[str, Emulator] = dict(self.boards)
         """Every device, in the order in which time reaches them."""

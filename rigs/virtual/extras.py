@@ -19,6 +19,8 @@ from plant.simulator.bench import BenchSim
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.instruments import CardDevice, TextDevice
 from rigs.rigfile.pressure_source import source_module
+from rigs.rigfile.tables.channel import ControllerChannel
+from rigs.virtual.board.inputs import VirtualInputs
 from rigs.virtual.board.joint_load import JointLoad
 from rigs.virtual.emulators.cards import VirtualCard, library_of
 from rigs.virtual.emulators.emulator import Emulator
@@ -119,6 +121,10 @@ class Extras:
                 max_v=settings.supply.max_v,
                 noise_v=lambda: float(rng.normal(0.0, SUPPLY_NOISE_V)),
             )
+        self.inputs: VirtualInputs | None = None
+        """What is connected to the controller's further inputs."""
+        if settings.channels:
+            self.inputs = self._inputs(settings.channels)
         self.card: VirtualCard | None = None
         if settings.card is not None:
             self.devices["card"] = self.card = self._card(settings.card)
@@ -132,6 +138,13 @@ class Extras:
             outlet = self.without_port["regulator"] = RegulatorOutlet(self._bench.plant)
             self._has_outlet(outlet)
 
+    def _inputs(self, channels: dict[str, ControllerChannel]) -> VirtualInputs:
+        truth = {
+            name: self._sensor(name, self._truth(name, c.form.quantity), c.calibration, noisy=False)
+            for name, c in channels.items()
+        }
+        return VirtualInputs(channels, truth, self._rng("inputs"))
+
     @property
     def card_library(self) -> Any:
         """The stand-in of the maker's package."""
@@ -140,7 +153,7 @@ class Extras:
     def _card(self, device: CardDevice) -> VirtualCard:
         truths: dict[str, Callable[[], float]] = {
             "temperature_c": lambda: self.temperature_c,
-            "force_n": self._cell_n,
+            "force_n": lambda: self._cell_n("load_cell"),
             "pressure_kpa": lambda: self._bench.plant.pressure_kpa,
             "length_mm": lambda: self._bench.plant.length_mm,
         }
@@ -207,13 +220,17 @@ class Extras:
         return lambda data: self._bench.transmit(name, data)
 
     def _sensor(
-        self, name: str, truth: Callable[[], float], calibration: Calibration
+        self,
+        name: str,
+        truth: Callable[[], float],
+        calibration: Calibration,
+        noisy: bool = True,
     ) -> Callable[[], float]:
         """The truth with this sensor's zero and gain error and noise, in its own unit."""
         rng = self._rng(name)
         drawn = self._config.virtual is not None and self._config.virtual.draw_calibration_errors
         zero, gain = rng.standard_normal(2) if drawn else (0.0, 0.0)
-        noise = self._noise(calibration.quantity, rng)
+        noise = self._noise(calibration.quantity, rng) if noisy else lambda value: 0.0
 
         def read() -> float:
             value = truth()
@@ -256,7 +273,7 @@ class Extras:
             case "temperature_c":
                 return lambda: self.temperature_c
             case "force_n":
-                return self._cell_n
+                return lambda: self._cell_n(name)
             case "pressure_kpa":
                 return lambda: self._bench.plant.pressure_kpa
             case "length_mm":
@@ -282,13 +299,13 @@ class Extras:
             return self.hung_kg * gravity
         return float(plant.params[MASS]) * gravity if plant.load == "isotonic" else plant.force_n
 
-    def _cell_n(self) -> float:
+    def _cell_n(self, name: str) -> float:
         """What the load cell shows of it; effects on the force reading concern one sensor."""
         joint, plant = self._config.joint, self._bench.plant
         if joint is not None and isinstance(plant, JointLoad):
             return plant.lock_torque_n_m / (joint.lever_mm * 1e-3)
         pull = self.pull_n()
-        if self._config.force_source != "load_cell":
+        if self._config.force_source != name:
             return pull
         return self._bench.sensor_error.force_n(pull)
 

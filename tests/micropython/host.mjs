@@ -21,7 +21,7 @@ function put(from, to) {
     } else if (entry.name.endsWith(".py")) {
       // This interpreter has no machine code and refuses its decorator.
       const text = fs.readFileSync(path.join(from, entry.name), "utf8");
-      mp.FS.writeFile(to + "/" + entry.name, text.replace(/^@micropython\.viper$/gm, ""));
+      mp.FS.writeFile(to + "/" + entry.name, text.replace(/^ *@micropython\.(viper|native)$/gm, ""));
     }
   }
 }

@@ -8,9 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.errors import ConfigError
+from rigs.devices.balance import BALANCE_SCHEMA
+from rigs.devices.instruments.channel import ChannelReader
 from rigs.devices.instruments.readings import Batch
 from rigs.devices.instruments.text import TextInstrument
 from rigs.rigfile.form import GRAMS
+
+DEVICE_TIME = {"device_us": "int64", "boot": "uint16"}
+"""Columns of a cell on the controller beside those of a balance."""
 
 
 class LoadCell:
@@ -18,18 +23,24 @@ class LoadCell:
 
     A tare that the indicator has no command for is taken here: the mean of readings at rest is
     subtracted from then on. The stream of the indicator itself keeps what was printed.
+
+    Args:
+        indicator: with a port of its own, or an input of the controller.
+        factor: grams in its unit; 0 for a unit of force or mass.
     """
 
-    def __init__(self, indicator: TextInstrument) -> None:
-        if indicator.unit not in GRAMS:
+    def __init__(self, indicator: TextInstrument | ChannelReader, factor: float = 0.0) -> None:
+        if not factor and indicator.unit not in GRAMS:
             raise ConfigError(
                 f"{indicator.key}: unit {indicator.unit!r}",
                 "is not a unit of force or mass",
                 f"known: {', '.join(GRAMS)}",
             )
         self.indicator = indicator
-        self.factor = GRAMS[indicator.unit]
+        self.factor = factor or GRAMS[indicator.unit]
         self._tare = 0.0
+        timed = isinstance(indicator, ChannelReader)
+        self.columns = {**BALANCE_SCHEMA, **(DEVICE_TIME if timed else {})}
         self.on_rows: list[Callable[[Batch], None]] = []
         indicator.on_rows.append(self._forward)
 
@@ -72,6 +83,7 @@ class LoadCell:
             "host_ns": batch["host_ns"],
             "grams": self.grams(batch["reading"].astype(np.float64)),
             "stable": batch["stable"],
+            **{name: batch[name] for name in DEVICE_TIME if name in batch},
         }
         for listener in self.on_rows:
             listener(rows)
@@ -87,7 +99,7 @@ class LoadCell:
         Raises:
             DeviceTimeout: the load did not come to rest.
         """
-        if self.indicator.form.tare:
+        if isinstance(self.indicator, TextInstrument) and self.indicator.form.tare:
             before = self.indicator.at_rest(seconds)
             self.indicator.tare(seconds)
             self._tare = 0.0

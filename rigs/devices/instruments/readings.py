@@ -27,6 +27,9 @@ class Readings:
         calibration: turns readings into ``quantity``; None takes them as they are.
     """
 
+    columns = COLUMNS
+    """Of its stream in a record."""
+
     def __init__(self, quantity: str, unit: str, calibration: Calibration | None) -> None:
         self.quantity = quantity
         self.unit = unit
@@ -67,8 +70,13 @@ class Readings:
             )
         }
         self._pending.clear()
+        batch |= self._columns()
         for listener in self.on_rows:
             listener(batch)
+
+    def _columns(self) -> Batch:
+        """Further columns of the rows that are handed on."""
+        return {}
 
     @property
     def last_problem(self) -> str:

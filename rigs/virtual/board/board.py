@@ -20,7 +20,7 @@ from rigs.virtual.board.fast_capture import FastCapture
 from rigs.virtual.board.pressure_sensor import ADC_TOP
 from rigs.virtual.board.pressure_sensor import PressureSensor as PressureSensor
 from rigs.virtual.board.timing import LoopTiming
-from valvefw.board import DRIVE_SILENCE_US
+from valvefw.board import DRIVE_SILENCE_US, I2C_NOBODY
 from valvefw.controller import Controller
 from valvefw.deskboard import BufferedBoard
 from valvefw.schemes.valves import VENT_HOLD_US
@@ -43,6 +43,19 @@ class SimulatedPlant(Protocol):
 
     state: npt.NDArray[np.float64]
     params: npt.NDArray[np.float64]
+
+
+class InputPins(Protocol):
+    """What is connected to the further inputs; times are of the bench, us (``Board``)."""
+
+    def bridge_start(self, pulses: int, now_us: int) -> None: ...  # noqa: D102
+    def bridge(self, now_us: int) -> int: ...  # noqa: D102
+    def i2c_write(self, register: int, word: int, now_us: int) -> None: ...  # noqa: D102
+    def i2c_read(self, register: int, now_us: int) -> None: ...  # noqa: D102
+    def i2c_done(self) -> int: ...  # noqa: D102
+    def encoder_start(self, on: int) -> None: ...  # noqa: D102
+    def encoder(self) -> int: ...  # noqa: D102
+    def analogue(self, which: int) -> int: ...  # noqa: D102
 
 
 class SimBoard(BufferedBoard):
@@ -118,6 +131,8 @@ class SimBoard(BufferedBoard):
         self.regulator_input: Callable[[float, int], None] | None = None
         """Takes the counts of the analogue output, and the time in ns, where an emulated regulator
         is connected."""
+        self.inputs: InputPins | None = None
+        """What is connected to the further inputs."""
         self.truth_us = array("q")
         self.truth_kpa = array("d")
         self._truth_every = truth_every
@@ -193,6 +208,42 @@ class SimBoard(BufferedBoard):
             self.sink(self.bench_us, sent)
         else:
             self._timed.append((self.bench_us, sent))
+
+    def bridge_start(self, pulses: int) -> None:
+        """Clock a bridge converter."""
+        if self.inputs is not None:
+            self.inputs.bridge_start(pulses, self.bench_us)
+
+    def bridge(self) -> int:
+        """Its next conversion."""
+        return -1 if self.inputs is None else self.inputs.bridge(self.bench_us)
+
+    def i2c_write(self, register: int, word: int) -> None:
+        """To the ADS1115."""
+        if self.inputs is not None:
+            self.inputs.i2c_write(register, word, self.bench_us)
+
+    def i2c_read(self, register: int) -> None:
+        """From the ADS1115."""
+        if self.inputs is not None:
+            self.inputs.i2c_read(register, self.bench_us)
+
+    def i2c_done(self) -> int:
+        """The word that was read."""
+        return I2C_NOBODY if self.inputs is None else self.inputs.i2c_done()
+
+    def encoder_start(self, on: int) -> None:
+        """Count from 0 on."""
+        if self.inputs is not None:
+            self.inputs.encoder_start(on)
+
+    def encoder(self) -> int:
+        """The count."""
+        return -1 if self.inputs is None else self.inputs.encoder()
+
+    def analogue(self, which: int) -> int:
+        """Second or third analogue input."""
+        return -1 if self.inputs is None else self.inputs.analogue(which)
 
     def capture(self, source: int) -> bool:
         """Fast samples from the present tick on."""

@@ -1,0 +1,1 @@
+"""Further inputs: force and length on the controller."""
