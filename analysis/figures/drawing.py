@@ -203,7 +203,7 @@ def curves_figure(
         zero_line: draw the line y = 0.
     """
     with style():
-        figure, axes = new_figure(DOUBLE_COLUMN, 4.4)
+        figure, axes = new_figure(DOUBLE_COLUMN, 4.0)
         ends: CurveEnds = []
         draw(axes, sequence(count), ends)
         if zero_line:
@@ -245,7 +245,7 @@ def labels_at_right(axes: Axes, ends: CurveEnds, heading: str) -> None:
             label, xy=(x, y), xytext=(1.035, place), textcoords=("axes fraction", "data"),
             arrowprops=arrow, **text,
         )  # fmt: skip
-    top = (1.035, places[-1] + gap * 1.2)
+    top = (1.035, places[-1] + gap * (0.7 + 0.5 * len(heading.splitlines())))
     axes.annotate(heading, xy=top, xycoords=("axes fraction", "data"), **text)
 
 

@@ -71,13 +71,17 @@ def stiffness_figure(cells: Sequence[LockedCell]) -> Figure:
     colours = sequence(len(differences))
     with style():
         figure, axes = new_figure(DOUBLE_COLUMN, 3.6)
+        # Beside each other: the stiffness hardly depends on the difference.
+        middle = 0.5 * (len(differences) - 1)
+        apart = 0.01 * (max(c.common_kpa for c in cells) - min(c.common_kpa for c in cells))
         for k, difference in enumerate(differences):
             own = [cell for cell in cells if cell.difference_kpa == difference]
             axes.errorbar(
-                [cell.common_kpa for cell in own],
+                [cell.common_kpa + (k - middle) * apart for cell in own],
                 [cell.stiffness_n_m_rad for cell in own],
                 yerr=[COVERAGE * cell.u_stiffness_n_m_rad for cell in own],
-                fmt=marker(k), color=colours[k], label=f"{difference:+g} kPa", markersize=4,
+                fmt=marker(k), color=colours[k], markersize=4,
+                label=f"{difference:+g} kPa".replace("-", "−"),
             )  # fmt: skip
         axes.set_xlabel("common pressure (kPa)")
         axes.set_ylabel("stiffness (N m/rad)")

@@ -364,7 +364,7 @@ def _headline(rows: list[dict[str, Any]], kind: Kind) -> str:
         )
     low, high = (pick(row["mean"] for row in known) for pick in (min, max))
     return (
-        f"At rising pressure the {what} is {low:.2f} to {high:.2f} {unit} above that at falling"
+        f"At rising pressure the {what} is {low:z.2f} to {high:z.2f} {unit} above that at falling"
         " pressure (means of the cycles)."
     ).replace(" -", " −")
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.figures.wording import fixed
 from analysis.findings.findings import (
     BARS,
     EXPANDED,
@@ -77,7 +78,7 @@ def _headline(locked: list[LockedCell], free: list[FreeCell]) -> str:
     parts = []
     if free:
         low, high = min(c.angle_deg for c in free), max(c.angle_deg for c in free)
-        parts.append(f"The free joint stood at {low:.1f} to {high:.1f} degrees")
+        parts.append(f"The free joint stood at {fixed(low, 1)} to {fixed(high, 1)} degrees")
     if locked:
         soft = min(locked, key=lambda c: c.stiffness_n_m_rad)
         stiff = max(locked, key=lambda c: c.stiffness_n_m_rad)

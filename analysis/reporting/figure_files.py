@@ -7,9 +7,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from analysis.figures.comparison import chart_figure, overlay_figure
 from analysis.figures.drawing import as_pdf, as_svg, single_column
 from analysis.figures.timeline import timeline_figure
 from analysis.registry import analysis_of
+from analysis.reporting.several import Comparison, chart_data, curves_of
 from analysis.run_table import contents_of, reduce_run
 
 if TYPE_CHECKING:
@@ -38,6 +40,18 @@ def run_figures(run: Run, width: str = "double") -> list[Named]:
         if not run.manifest.get("imported"):
             made.append(("Time line of the run", timeline_figure(run)))
     return [(title, figure) for title, figure in made if figure is not None]
+
+
+def comparison_figures(found: Comparison, width: str = "double") -> list[Named]:
+    """Title and figure of everything that a report over several runs draws."""
+    if width == "single":
+        with single_column():
+            return comparison_figures(found)
+    charts = [
+        (f"Control chart {one.name}", chart_figure(*chart_data(found, one)))
+        for one in found.charted
+    ]
+    return [("Runs over each other", overlay_figure(curves_of(found))), *charts]
 
 
 def write_figures(figures: Iterable[Named], folder: Path) -> list[Path]:

@@ -30,10 +30,14 @@ if TYPE_CHECKING:
 
 JUDGED_MOST = 5
 LEAST = 5
+ROOM = 38
+"""Lines of page one for facts, instruments, results and what else varies."""
+FACT_LONG, HEADLINE_LONG = 100, 85
 NOTES_MOST = 2
 NOTE_LONG = 170
 LISTED = 6
 """Values of a list that are named one by one; of longer ones only the ends and the number."""
+MEASURED = {"velocity_m_s": "air velocity", "torque_n_m": "torque"}
 UNIT_WORDS = {"kpa": "kPa", "mm": "mm", "kg": "kg", "deg": "°", "c": "°C"}
 
 
@@ -50,11 +54,16 @@ def page_one(
         results: all its results.
         judged: those with limits.
     """
+    facts, notes = _facts(run, data), _notes(data["notes"])
     used = [] if data["imported"] else instrument_rows(run, reduction)
-    taken = len(used) + 2 * min(len(judged), JUDGED_MOST)
-    shown = chosen(results, max(MOST - taken, LEAST))
+    lines = [_lines(words, FACT_LONG) for _, words in facts]
+    lines += [max(_lines(row["identity"], 36), _lines(row["u"], 20)) for row in used]
+    lines += [_lines(note, FACT_LONG) + 1 for note in notes["shown"]]
+    lines += [_lines(str(data["headline"]), HEADLINE_LONG), 6 * bool(judged)]
+    room = ROOM - sum(lines) - min(len(judged), JUDGED_MOST)
+    shown = chosen(results, min(max(room, LEAST), MOST))
     return {
-        "facts": _facts(run, data),
+        "facts": facts,
         "instruments": used,
         "results": result_table(shown),
         "all_results": len(results),
@@ -62,8 +71,12 @@ def page_one(
         "means": means_text(results),
         "acceptance": acceptance_table(judged, JUDGED_MOST),
         "all_judged": acceptance_table(judged) if len(judged) > JUDGED_MOST else None,
-        "notes": _notes(data["notes"]),
+        "notes": notes,
     }
+
+
+def _lines(text: str, wide: int) -> int:
+    return max(1, math.ceil(len(text) / wide))
 
 
 def _notes(notes: Sequence[str]) -> dict[str, Any]:
@@ -198,7 +211,7 @@ def _calibrated(name: str, identity: str, quantity: str, one: Calibration) -> di
     return {
         "name": name,
         "identity": identity,
-        "quantity": quantity.rpartition("_")[0].replace("_", " ") or quantity,
+        "quantity": MEASURED.get(quantity, quantity.rpartition("_")[0].replace("_", " ")),
         "calibration": one.id or "no certificate named",
         "date": one.date or "no date stated",
         "u": f"{one.u_offset:.3g} {one.unit}{gain}",

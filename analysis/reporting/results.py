@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -43,8 +43,8 @@ SETTINGS = {
 }  # fmt: skip
 """Name and unit of a column of settings."""
 WORDS = {"up": "rising", "down": "falling", "single": "held"}
-MOST = 22
-"""Rows of results and instruments for which page one of a report has room."""
+MOST = 16
+"""Results on page one of a report; all are in its details."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,18 @@ def setting_text(name: str, value: Setting) -> str:
 
 
 def results_of(reduction: Reduction, columns: ResultColumns) -> list[Result]:
-    """The results of a run in the order of its table: one for each quantity and setting."""
+    """The results of a run: one for each quantity and setting, in order of both."""
+    found = [
+        Result(quantity, at, _mean(part, quantity), part["mounting"].nunique())
+        for (quantity, at), part in point_groups(reduction, columns).items()
+    ]
+    return _in_order(found, columns)
+
+
+def point_groups(
+    reduction: Reduction, columns: ResultColumns
+) -> dict[tuple[str, At], pd.DataFrame]:
+    """The points of a run by quantity and setting: the rows that are repeats of each other."""
     table = reduction.table
     if columns.settled and "settled" in table:
         table = table[table["settled"].astype(bool)]
@@ -135,13 +146,7 @@ def results_of(reduction: Reduction, columns: ResultColumns) -> list[Result]:
         for quantity in columns.quantities:
             if quantity in row and _is_result(row, quantity, columns) and _finite(row[quantity]):
                 found.setdefault((quantity, at), []).append(index)
-    out = []
-    for quantity in columns.quantities:
-        for (name, at), rows in found.items():
-            if name == quantity:
-                part = table.iloc[rows]
-                out.append(Result(quantity, at, _mean(part, quantity), part["mounting"].nunique()))
-    return _in_order(out, columns)
+    return {key: table.iloc[rows] for key, rows in found.items()}
 
 
 def _in_order(results: list[Result], columns: ResultColumns) -> list[Result]:
@@ -204,13 +209,17 @@ def _is_result(row: Mapping[Any, Any], quantity: str, columns: ResultColumns) ->
 def chosen(results: Sequence[Result], most: int = MOST) -> list[Result]:
     """Not more than ``most`` results that show the range of the settings.
 
-    Falling pressures go first where there are rising ones; then levels of the setting that has
-    most of them, evenly, the highest last.
+    Falling pressures go first where there are rising ones, then the smaller cycles, then
+    levels of the setting that has most of them, evenly, the highest last.
     """
     left = list(results)
     if len(left) > most and any(("direction", "up") in r.at for r in left):
         left = [r for r in left if ("direction", "down") not in r.at]
     levels = _levels(left)
+    if len(left) > most and len(levels.get("cycle_max_kpa", ())) > 1:
+        top = levels["cycle_max_kpa"][-1]
+        left = [r for r in left if dict(r.at).get("cycle_max_kpa", top) == top]
+        levels = _levels(left)
     counts = {name: len(values) for name, values in levels.items()}
     kept = left
     while len(kept) > most:
@@ -253,7 +262,7 @@ def judge(results: Sequence[Result], acceptance: Mapping[str, Any] | None) -> li
     for limit in acceptance.get("limits") or ():
         quantity, wanted = str(limit["quantity"]), dict(limit.get("at") or {})
         lower, upper = limit.get("lower"), limit.get("upper")
-        fits = [r for r in results if r.quantity == quantity and _matches(dict(r.at), wanted)]
+        fits = [r for r in results if r.quantity == quantity and matches(dict(r.at), wanted)]
         out += [
             Judged(
                 quantity, r.at, r, lower, upper, guard,
@@ -268,7 +277,9 @@ def judge(results: Sequence[Result], acceptance: Mapping[str, Any] | None) -> li
     return out
 
 
-def _matches(at: Mapping[str, Setting], wanted: Mapping[str, Any]) -> bool:
+def matches(at: Mapping[str, Setting], wanted: Mapping[str, Any]) -> bool:
+    """Whether settings have all wanted values."""
+
     def same(a: Setting | None, b: Any) -> bool:
         if isinstance(a, float) and isinstance(b, (int, float)):
             return math.isclose(a, float(b), rel_tol=1e-9, abs_tol=1e-9)
@@ -309,7 +320,7 @@ def rounded(mean: RepeatMean) -> dict[str, str]:
     known = math.isfinite(mean.expanded) and mean.expanded > 0.0
     spread = mean.expanded if known else mean.sd if _positive(mean.sd) else abs(mean.mean) / 100
     decimals = min(max(1 - math.floor(math.log10(spread)), 0), 6) if spread > 0.0 else 3
-    number: Callable[[float, int], str] = lambda v, d: f"{v:z.{d}f}".replace("-", "−")  # noqa: E731
+    number = number_text
     return {
         "mean": number(mean.mean, decimals),
         "sd": number(mean.sd, min(decimals + 1, 6)) if math.isfinite(mean.sd) else "–",
@@ -317,6 +328,11 @@ def rounded(mean: RepeatMean) -> dict[str, str]:
         "expanded": number(mean.expanded, decimals) if known else "–",
         "k": f"{mean.k:.2f}" if known else "–",
     }
+
+
+def number_text(value: float, decimals: int) -> str:
+    """A number with this many decimals and a true minus; zero has no sign."""
+    return f"{value:z.{min(decimals, 6)}f}".replace("-", "−")
 
 
 def _positive(value: float) -> bool:

@@ -120,7 +120,7 @@ def variance_components(
         if not repeat_dof:
             expected = mounting.mean_square
         below = (expected, mounting_dof)
-    variance_s, specimen = _component(
+    _, specimen = _component(
         across, specimen_dof, weight, below, len(cells), "only one specimen was tested"
     )
     if specimen_dof and not mounting_dof:
@@ -128,7 +128,7 @@ def variance_components(
         specimen = Component(
             **{**vars(specimen), "remark": "; ".join(filter(None, (said, specimen.remark)))}
         )
-    known = [v for v in (ms_repeat, variance_m, variance_s) if math.isfinite(v)]
+    known = [c.sd**2 for c in (repeatability, mounting, specimen) if math.isfinite(c.sd)]
     return Components(
         mean, n, repeatability, mounting, specimen, math.sqrt(sum(known)) if known else math.nan
     )
@@ -141,7 +141,10 @@ def _kept(used: npt.NDArray[np.bool_], *names: Sequence[Hashable]) -> tuple[list
 def _component(
     squares: float, dof: int, weight: float, below: tuple[float, int], groups: int, none: str
 ) -> tuple[float, Component]:
-    """Variance and component of a level; ``below``: expected mean square without it, its dof."""
+    """Variance (which may be negative) and component of a level.
+
+    ``below``: expected mean square without it, and its degrees of freedom.
+    """
     from scipy.special import fdtrc
 
     if not dof:
@@ -153,12 +156,12 @@ def _component(
         variance, p = mean_square / weight, math.nan
     else:
         said = ""
-        variance = max(0.0, (mean_square - base) / weight)
+        variance = (mean_square - base) / weight
         p = float(fdtrc(dof, base_dof, mean_square / base)) if base > 0.0 and base_dof else math.nan
-        if variance == 0.0:
+        if variance <= 0.0:
             said = "not distinguishable from the scatter below it"
     remark = "; ".join(filter(None, (said, _remark(dof, ""))))
-    return variance, Component(math.sqrt(variance), dof, groups, mean_square, p, remark)
+    return variance, Component(math.sqrt(max(variance, 0.0)), dof, groups, mean_square, p, remark)
 
 
 def _remark(dof: int, none: str) -> str:

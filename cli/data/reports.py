@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -45,6 +46,21 @@ def report(
     column: Annotated[
         str, typer.Option("--column", help="Width of --figures: double (180 mm), single (88 mm).")
     ] = "double",
+    at: Annotated[
+        str | None,
+        typer.Option("--at", help="Several runs: only these settings: set_pressure_kpa=300,..."),
+    ] = None,
+    base: Annotated[
+        int | None,
+        typer.Option("--base", help="Several runs: limits of the control chart from the first N."),
+    ] = None,
+    chart_limits: Annotated[
+        str | None,
+        typer.Option(
+            "--chart-limits",
+            help="Several runs: centre and standard deviation of the chart: 20.7,0.05 (with --at).",
+        ),
+    ] = None,
     runs: RunsOption = RUNS,
     as_json: JsonOption = False,
 ) -> None:
@@ -56,8 +72,13 @@ def report(
         raise ConfigError("--column", f"{column!r} is neither double nor single")
     found = [find_run(runs, name) for name in runs_given or ["last"]]
     wanted = Wanted(out, pdf, figures, column, as_json)
+    several = {"--at": at, "--base": base, "--chart-limits": chart_limits}
     if len(found) > 1:
-        raise ConfigError("report", "takes one run")
+        _report_several(found, wanted, _settings(at), base, _chart_limits(chart_limits))
+        return
+    for option, value in several.items():
+        if value is not None:
+            raise ConfigError(option, "is for a report over several runs", "name more runs")
     _report_one(found[0], wanted)
 
 
@@ -70,6 +91,76 @@ class Wanted:
     figures: Path | None
     column: str
     as_json: bool
+
+
+def _settings(text: str | None) -> dict[str, float | str]:
+    """The settings of --at: NAME=VALUE, separated by commas."""
+    from daq.errors import ConfigError
+
+    found: dict[str, float | str] = {}
+    for part in filter(None, (one.strip() for one in (text or "").split(","))):
+        name, sign, value = (word.strip() for word in part.partition("="))
+        if not (name and sign and value):
+            raise ConfigError("--at", f"{part!r} is not NAME=VALUE", "set_length_mm=60")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            found[name] = value
+    return found
+
+
+def _chart_limits(text: str | None) -> tuple[float, float] | None:
+    """Centre and standard deviation of --chart-limits."""
+    from daq.errors import ConfigError
+
+    if text is None:
+        return None
+    try:
+        centre, sd = (float(part) for part in text.split(","))
+    except ValueError:
+        centre, sd = math.nan, math.nan
+    if not (math.isfinite(centre) and math.isfinite(sd) and sd > 0.0):
+        raise ConfigError(
+            "--chart-limits", f"{text!r} is no centre and standard deviation above 0", "20.7,0.05"
+        )
+    return centre, sd
+
+
+def _report_several(
+    found: list[Run], wanted: Wanted, at: dict[str, float | str], base: int | None,
+    stated: tuple[float, float] | None,
+) -> None:  # fmt: skip
+    """One report over several runs."""
+    from analysis.reporting.figure_files import comparison_figures, write_figures
+    from analysis.reporting.pdf import page_to_pdf
+    from analysis.reporting.several import compare_runs, comparison_json, render_comparison
+
+    with working(f"comparing {len(found)} runs"):
+        compared = compare_runs(found, at=at, base=base, stated=stated)
+    out = wanted.out or (None if wanted.as_json else Path("comparison.html"))
+    paths: list[Path] = []
+    if out is not None or wanted.pdf is not None:
+        with working("making the report"):
+            html = render_comparison(compared)
+        if out is not None:
+            with writing(out):
+                out.parent.mkdir(parents=True, exist_ok=True)
+                out.write_text(html, encoding="utf-8")
+            paths.append(out)
+        if wanted.pdf is not None:
+            with working("making the PDF"), writing(wanted.pdf):
+                wanted.pdf.write_bytes(page_to_pdf(html))
+            paths.append(wanted.pdf)
+    if wanted.figures is not None:
+        with working("drawing the figures"), writing(wanted.figures):
+            paths += write_figures(comparison_figures(compared, wanted.column), wanted.figures)
+    if wanted.as_json:
+        print_json(comparison_json(compared))
+        return
+    for path in paths:
+        typer.echo(str(path))
+    for note in compared.notes:
+        typer.echo(f"NOTE: {note}", err=True)
 
 
 def _report_one(found: Run, wanted: Wanted) -> None:
