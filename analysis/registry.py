@@ -23,6 +23,7 @@ ANALYSES: dict[str, str] = {
     "free-contraction": "muscle.limits",
     "creep": "muscle.held",
     "relaxation": "muscle.held",
+    "dynamic": "muscle.dynamic",
     "joint-static": "joint",
     "joint-step": "joint",
     "simulate": "simulation",

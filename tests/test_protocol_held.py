@@ -28,7 +28,7 @@ from rigs.protocols.muscle.times import Times
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.toml_reader import find_config
-from rigs.steps.held import log_mean_s
+from rigs.steps.muscle.held import log_mean_s
 
 NAMES = ("blocked-force", "free-contraction", "creep", "relaxation")
 CREEP = {"creep": {"relaxation_percent": 8.0, "fast_s": 2.0, "slow_s": 40.0}}

@@ -46,6 +46,26 @@ def held_layout(title: str, parameters: Mapping[str, Any], loaded: bool) -> Live
     return replace(base, title=title, columns=(base.columns[0], right), points=())
 
 
+def dynamic_layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Curves of a static test, and the gain of the pressure over frequency."""
+    base = isometric_layout()
+    sines = parameters.get("sines") or {}
+    frequencies = [float(f) for f in sines.get("frequencies_hz") or (0.1, 10.0)]
+    points = Panel(
+        "Pressure over set-point (dB) against log10 of the frequency (Hz)",
+        "points",
+        "points",
+        (Channel(POINTS, "gain", "dB"),),
+        share=1.5,
+        x_axis=Axis("log10 of the frequency in Hz", _log(min(frequencies)), _log(max(frequencies))),
+        y_axis=Axis("gain (dB)", -20.0, 3.0),
+    )
+    right = (points, *base.columns[1][1:])
+    return replace(
+        base, title="Dynamic test", columns=(base.columns[0], right), points=(), window_s=20.0
+    )
+
+
 def _log(value: float) -> float:
     from math import log10
 

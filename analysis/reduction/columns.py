@@ -32,7 +32,20 @@ COLUMNS: dict[str, str] = {
 A "label" column is int64 if all its values are integers, otherwise text."""
 
 LABEL_TYPES = {
-    **dict.fromkeys(("direction", "scheme", "switch", "valve", "slot", "mounting", "state"), "str"),
+    **dict.fromkeys(
+        (
+            "direction",
+            "scheme",
+            "switch",
+            "valve",
+            "slot",
+            "mounting",
+            "state",
+            "shape",
+            "pair",
+        ),
+        "str",
+    ),
     **dict.fromkeys(("repeat", "trial", "order"), "int64"),
     "settled": "bool",
 }

@@ -12,6 +12,7 @@ PROTOCOLS: dict[str, str] = {
     "free-contraction": "Hang almost nothing, step the pressure, read the contraction.",
     "creep": "Hold pressure and load, and read how the length creeps.",
     "relaxation": "Hold length and pressure, and read how the force relaxes.",
+    "dynamic": "Move the pressure in sines and sweeps, measure the frequency response.",
     "switching-time": "Measure a valve's switching times at a range of pressures.",
     "switching-voltage": "Measure the voltages at which a valve turns on and off.",
     "flow": "Measure air velocity against pressure behind a valve.",
@@ -28,6 +29,7 @@ MODULES: dict[str, str] = {
     "free-contraction": "muscle.free_contraction",
     "creep": "muscle.creep",
     "relaxation": "muscle.relaxation",
+    "dynamic": "muscle.dynamic",
     "joint-static": "joint.static",
     "joint-step": "joint.step",
 }

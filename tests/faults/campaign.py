@@ -18,11 +18,11 @@ from rigs.protocols.names import PROTOCOLS
 
 from .judge import Verdict, judge
 from .kinds import Fault, draw
-from .places import OF_JOINT
+from .places import CLASSES
 from .trial import run_trial
 from .values import check_continuing, check_values
 
-ORDER = tuple(name for name in PROTOCOLS if name not in OF_JOINT)
+ORDER = tuple(name for name in PROTOCOLS if name in CLASSES)
 FINDINGS = ("untold", "late", "unreadable", "wrong", "stuck")
 SHOWN = ("layer", "kind", "device", "hits", "must_tell")
 

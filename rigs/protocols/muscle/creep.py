@@ -13,8 +13,8 @@ from rigs.protocols.parts.trials import VENTED_KPA, Logbook
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
 from rigs.steps.custom_step import Steps
-from rigs.steps.held import Hold
 from rigs.steps.loads import HangLoad, LowerLoad
+from rigs.steps.muscle.held import Hold
 from rigs.steps.steps import Dwell, State, Zero
 
 

@@ -10,7 +10,7 @@ from rigs.execution.procedure import Parameters
 from rigs.protocols.parts.trials import Logbook
 from rigs.rigfile.toml_reader import Table
 from rigs.steps.custom_step import Steps
-from rigs.steps.held import HeldPart, Hold
+from rigs.steps.muscle.held import HeldPart, Hold
 from rigs.steps.schedule import Place
 
 SHORTEST_PART_S = 0.2

@@ -1,0 +1,1 @@
+"""Steps of the standard tests of one muscle."""
