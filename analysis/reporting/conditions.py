@@ -55,13 +55,14 @@ def _unused(run: Run, reduction: Reduction) -> set[str]:
     if not run.frames:
         unused.add("camera")
     table = reduction.table
-    if len(table) and "force_n" not in table:
+    tared = any(kind == "tare" for kind, _ in kinds)
+    if len(table) and "force_n" not in table and not tared:
         unused |= {"balance", "load_cell"} - checked
     if len(table) and "velocity_m_s" not in table:
         unused.add("flow")
     # The weight of a hung mass has no part from a calibration of the balance.
     weighed = "force_n" not in table or not len(table) or not _by_mass(table)
-    if not weighed and not any(kind == "tare" for kind, _ in kinds):
+    if not weighed and not tared:
         unused |= {"balance", "load_cell"} - checked
     return unused
 

@@ -191,7 +191,12 @@ def instrument_rows(run: Run, reduction: Reduction) -> list[dict[str, str]]:
         if not own:
             rows.append({"name": name, "identity": identity, "quantity": "", "calibration": "",
                          "date": "", "u": ""})  # fmt: skip
-    return rows + [_calibrated("–", "", name, one) for name, one in left.items()]
+    unused = set(run.manifest.get("devices") or {})  # those used are in the table already
+    return rows + [
+        _calibrated("–", "", name, one)
+        for name, one in left.items()
+        if device_of[name] not in unused
+    ]
 
 
 def _device(run: Run, quantity: str) -> str:
