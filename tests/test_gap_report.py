@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+from pypdf import PdfReader
 from typer.testing import CliRunner
 
+from analysis.reporting.pdf import page_to_pdf
 from cli.main import app
+from daq.errors import PamrigError
 from gap.data.from_runs import open_data
 from gap.reason import Cause, reason
 from gap.reporting.examination import Examination, examine
-from gap.reporting.report import render_report
+from gap.reporting.figures import maps
+from gap.reporting.report import render_report, report_figures
 from gap.reporting.text import experiment_sentence, headline, parameter_text, rivals
 from gap.verdict import (
     Contrast,
@@ -123,6 +128,9 @@ def test_every_kind_of_verdict_has_its_letter(liner: Examination, status: str, t
     page = render_report(dataclasses.replace(examined, field=None, ladder=()))
     assert told in page
     assert "Because of this." in page
+    said = re.search(r'<p class="verdict">(.*?)</p>', page)
+    assert said is not None
+    assert "It is " not in said[1], "nothing was named"
 
 
 def test_stages_contrasts_and_the_next_experiment_are_shown(liner: Examination) -> None:
@@ -132,7 +140,7 @@ def test_stages_contrasts_and_the_next_experiment_are_shown(liner: Examination) 
     assert "beyond chance" in page
     assert "6 trials of triangle" in page
     assert "from 1.1 to 4.9" in page
-    assert page.count("data:image/svg+xml;base64,") == 5
+    assert page.count("data:image/svg+xml;base64,") == 6
 
 
 def test_the_sentence_has_value_unit_interval_and_what_it_closes() -> None:
@@ -173,8 +181,43 @@ def test_rivals_come_nearest_first() -> None:
 
 def test_the_command_writes_the_page_and_says_the_sentence(tmp_path: Path) -> None:
     folder = settled_set(tmp_path / "set", {"pressure_zero": {"offset_kpa": 0.0}})
-    out = tmp_path / "letters" / "gap.html"
-    done = CliRunner().invoke(app, ["gap", "report", str(folder), "--out", str(out)])
+    out, figures = tmp_path / "letters" / "gap.html", tmp_path / "figures"
+    given = ["gap", "report", str(folder), "--out", str(out), "--figures", str(figures)]
+    done = CliRunner().invoke(app, given)
     assert done.exit_code == 0, done.output
     assert out.read_text().startswith("<!DOCTYPE html>")
+    names = sorted(path.name for path in figures.iterdir())
+    assert names[:2] == ["01-measured-and-predicted.pdf", "01-measured-and-predicted.svg"]
     assert len(done.output.splitlines()[0]) > 20
+
+
+def test_where_nothing_was_found_there_is_no_after(liner: Examination) -> None:
+    """The same map twice, once as "with what was found", would claim that something was."""
+    field = liner.field
+    assert field is not None
+    both, one = maps(field), maps(dataclasses.replace(field, after=field.before))
+    assert both is not None
+    assert one is not None
+    assert [len([a for a in f.axes if a.get_title()]) for f in (both, one)] == [2, 1]
+    unnamed = with_verdict(liner, status=Status.UNKNOWN, effects=())
+    page = render_report(
+        dataclasses.replace(unnamed, field=dataclasses.replace(field, after=field.before))
+    )
+    assert "so there is one map" in page
+    assert "The residual before and after" not in page
+
+
+def test_no_figure_is_wider_than_two_columns(liner: Examination) -> None:
+    widths = [25.4 * figure.get_size_inches()[0] for _, figure in report_figures(liner)]
+    assert len(widths) == 6
+    assert max(widths) <= 180.01
+
+
+def test_the_pdf_begins_with_the_sentence(liner: Examination) -> None:
+    try:
+        made = page_to_pdf(render_report(liner))
+    except PamrigError as error:
+        pytest.skip(str(error))
+    first = re.sub(r"\s+", " ", PdfReader(io.BytesIO(made)).pages[0].extract_text())
+    assert headline(liner.verdict).split(" (")[0] in first
+    assert "What to do next" in first, "sentence, traces and advice are on page one"

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pypdf import PdfReader
 from typer.testing import CliRunner
 
 from analysis.registry import analysis_of
@@ -186,8 +187,6 @@ def test_the_pdf_is_the_page(page: str) -> None:
     if isinstance(made, str):
         assert "Pango" in made
         pytest.skip("Pango is not installed: its absence is told in one line")
-    from pypdf import PdfReader
-
     pages = [re.sub(r"\s+", " ", p.extract_text()) for p in PdfReader(io.BytesIO(made)).pages]
     for part in ("Isometric test of synthetic", "Tested by: B. Tester", "FAIL", "Student"):
         assert part in pages[0], part

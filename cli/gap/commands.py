@@ -142,6 +142,13 @@ def next_experiment(
 def report(
     data: DataArgument,
     out: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("gap.html"),
+    pdf: Annotated[
+        Path | None,
+        typer.Option("--pdf", help="Also write the page as PDF (pip install 'pamrig[pdf]')."),
+    ] = None,
+    figures: Annotated[
+        Path | None, typer.Option("--figures", help="Folder for each figure as PDF and SVG.")
+    ] = None,
     without: WithoutOption = "",
     simulator: SimulatorOption = None,
     runs: RunsOption = RUNS,
@@ -152,7 +159,8 @@ def report(
     folder = data_folder(data, runs, simulator)
     from cli.gap.verdicts import Question, report_command
 
-    report_command(Question(folder, without, simulator, not no_cache), out, as_json)
+    question = Question(folder, without, simulator, not no_cache)
+    report_command(question, out, as_json, pdf, figures)
 
 
 def export(

@@ -10,7 +10,7 @@ from typing import Any
 import typer
 
 from cli.gap.progress import progress_line
-from cli.output import print_json
+from cli.output import print_json, writing
 from gap.data.dataset import DataSet
 from gap.decision.diagnosis import Diagnosis, diagnosis
 from gap.design.config import DESIGN
@@ -190,21 +190,37 @@ def next_command(question: Question, out: Path | None, as_json: bool) -> None:
     typer.echo("\n".join(lines))
 
 
-def report_command(question: Question, out: Path, as_json: bool) -> None:
-    """`pamrig gap report`: the diagnosis as an HTML page."""
+def report_command(
+    question: Question, out: Path, as_json: bool, pdf: Path | None = None,
+    figures: Path | None = None,
+) -> None:  # fmt: skip
+    """`pamrig gap report`: the diagnosis as an HTML page, as PDF, and its figures as files."""
+    from analysis.reporting.figure_files import write_figures
+    from analysis.reporting.pdf import page_to_pdf
     from gap.reporting.examination import examine
-    from gap.reporting.report import write_report
+    from gap.reporting.report import report_figures, write_report
     from gap.reporting.text import headline
 
     check_out(out)
+    check_out(pdf)
     data, found = question.read()
     examined = examine(data, found=found)
-    write_report(examined, out)
+    page = write_report(examined, out)
+    if pdf is not None:
+        with writing(pdf):
+            pdf.write_bytes(page_to_pdf(page))
+    files: list[Path] = []
+    if figures is not None:
+        with writing(figures):
+            files = write_figures(report_figures(examined), figures)
     if as_json:
         print_json({"report": str(out), "verdict": examined.verdict.as_dict()})
-    else:
-        typer.echo(headline(examined.verdict))
-        typer.echo(f"report   {out}")
+        return
+    typer.echo(headline(examined.verdict))
+    typer.echo(f"report   {out}")
+    for path in (pdf, *files):
+        if path is not None:
+            typer.echo(f"         {path}")
 
 
 def _rig_of(data: Path) -> str:

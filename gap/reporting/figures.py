@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from analysis.figures import drawing
-from analysis.figures.drawing import INK, QUIET
+from analysis.figures.drawing import DOUBLE_COLUMN, INK, QUIET
+from analysis.reporting.sections import figure_parts
 from gap.reporting.empirical import empirical_figure
 from gap.reporting.examination import Examination, Field
 from gap.reporting.map_figures import courses_figure
@@ -28,21 +27,42 @@ STYLE = {key: value for key, value in drawing.STYLE.items() if key not in _WITHO
 CELLS = 14
 
 
-def figures(examined: Examination) -> dict[str, str]:
-    """Figures by name as data addresses to embed; "" where there is nothing to draw."""
+NAMES = {
+    "traces": "Measured and predicted", "ladder": "Error step by step",
+    "maps": "Residual over pressure and length", "courses": "Courses of the residual",
+    "order": "Residual of each trial", "stages": "Share of the gap by stage",
+    "empirical": "Empirical term",
+}  # fmt: skip
+"""Figures of a diagnosis, in the order of the page, and their titles."""
+
+
+def figures(examined: Examination) -> dict[str, dict[str, Any]]:
+    """Figures by name: ``address`` to embed, "" where there is nothing to draw, ``width_mm``."""
+    return {name: figure_parts(figure) for name, figure in drawn(examined).items()}
+
+
+def drawn(examined: Examination) -> dict[str, Figure | None]:
+    """Figures by name, None where there is nothing to draw; no wider than two columns."""
     from matplotlib import rc_context
 
+    verdict, field = examined.verdict, examined.field
     with rc_context(STYLE):
-        made: dict[str, Figure | None] = {
-            "ladder": ladder(examined),
-            "stages": stages(examined.verdict.stages),
+        made = {
             "traces": traces(examined),
-            "maps": maps(examined.field) if examined.field is not None else None,
-            "courses": courses_figure(examined.courses, bool(examined.verdict.effects)),
-            "order": course(examined.field) if examined.field is not None else None,
-            "empirical": empirical_figure(examined.verdict.empirical),
+            "ladder": ladder(examined),
+            "maps": maps(field) if field is not None else None,
+            "courses": courses_figure(
+                examined.courses, bool(verdict.effects) and verdict.status.explained
+            ),
+            "order": course(field) if field is not None else None,
+            "stages": stages(verdict.stages),
+            "empirical": empirical_figure(verdict.empirical),
         }
-        return {name: _embedded(figure) if figure else "" for name, figure in made.items()}
+        for figure in made.values():
+            if figure is not None:
+                width, height = figure.get_size_inches()
+                figure.set_size_inches(min(width, DOUBLE_COLUMN), height)
+        return made
 
 
 def ladder(examined: Examination) -> Figure | None:
@@ -50,7 +70,7 @@ def ladder(examined: Examination) -> Figure | None:
     gap = examined.verdict.headline_gap
     if gap is None or len(examined.ladder) < 2:
         return None
-    figure, axes = _figure(6.4, 0.42 * len(examined.ladder) + 1.0)
+    figure, axes = _figure(DOUBLE_COLUMN, 0.42 * len(examined.ladder) + 1.0)
     labels = [rung.label for rung in examined.ladder]
     values = [rung.rms for rung in examined.ladder]
     colours = [QUIET, BLUE, *[GREEN] * (len(values) - 2)]
@@ -79,7 +99,7 @@ def stages(shares: tuple[Share, ...]) -> Figure | None:
     """Share of the end-to-end gap by stage, with intervals, as a waterfall to the whole."""
     if not shares:
         return None
-    figure, axes = _figure(6.4, 0.42 * len(shares) + 1.0)
+    figure, axes = _figure(DOUBLE_COLUMN, 0.42 * len(shares) + 1.0)
     start = 0.0
     for at, share in enumerate(shares):
         value = 100.0 * share.share
@@ -116,11 +136,13 @@ def traces(examined: Examination) -> Figure | None:
         return None
     from matplotlib import pyplot
 
-    made = pyplot.subplots(1, len(shown), figsize=(7.2, 2.7), layout="constrained", squeeze=False)
+    made = pyplot.subplots(
+        1, len(shown), figsize=(DOUBLE_COLUMN, 2.7), layout="constrained", squeeze=False
+    )
     figure: Figure = made[0]
     grid = made[1]
     pyplot.close(figure)
-    explained = not np.array_equal(field.before, field.after)
+    explained = _explained(field)
     for axes, trace in zip(grid[0], shown, strict=True):
         mark = "o" if trace.settled else ""
         axes.plot(trace.x, trace.measured, color=INK, lw=1.2, marker=mark, ms=3, label="measured")
@@ -137,31 +159,39 @@ def traces(examined: Examination) -> Figure | None:
     return figure
 
 
+def _explained(field: Field) -> bool:
+    """False where nothing was found that the verdict stands by: after is as before."""
+    return not np.array_equal(field.before, field.after)
+
+
 _QUANTITY = {"camera": "length shown"}
 
 
 def maps(field: Field) -> Figure | None:
     """Mean residual over pressure and length, before and after, on one scale of colour."""
-    before, after = (_cells(field, values) for values in (field.before, field.after))
-    if before is None or after is None:
+    titles = ("recalibrated", "with what was found")[: 1 + _explained(field)]
+    cells = [_cells(field, values) for values in (field.before, field.after)[: len(titles)]]
+    shown = [cell for cell in cells if cell is not None]
+    if len(shown) < len(titles):
         return None
     from matplotlib import pyplot
 
-    most = float(np.nanpercentile(np.abs(before[2]), 98)) or 1.0
-    made = pyplot.subplots(1, 2, figsize=(7.2, 3.1), sharey=True, layout="constrained")
+    most = float(np.nanpercentile(np.abs(shown[0][2]), 98)) or 1.0
+    made = pyplot.subplots(
+        1, len(shown), figsize=(0.6 * DOUBLE_COLUMN if len(shown) == 1 else DOUBLE_COLUMN, 3.1),
+        sharey=True, layout="constrained", squeeze=False,
+    )  # fmt: skip
     figure: Figure = made[0]
-    axes: Sequence[Axes] = made[1]
+    axes: Sequence[Axes] = list(made[1][0])
     pyplot.close(figure)
-    for axis, (edges, heights, mean), title in zip(
-        axes, (before, after), ("recalibrated", "with what was found"), strict=True
-    ):
+    for axis, (edges, heights, mean), title in zip(axes, shown, titles, strict=True):
         image = axis.pcolormesh(edges, heights, mean.T, cmap="RdBu_r", vmin=-most, vmax=most)
         axis.set_title(title, fontsize=9.5)
         axis.set_xlabel("pressure, kPa")
-        axis.set_facecolor("#f2f2f2")
+        axis.set_facecolor("#d6d6d6")
     axes[0].set_ylabel("length, mm")
     bar = figure.colorbar(image, ax=axes, shrink=0.9)
-    bar.set_label(f"measured - predicted, {field.unit}")
+    bar.set_label(f"measured − predicted, {field.unit}")
     return figure
 
 
@@ -170,11 +200,11 @@ def course(field: Field) -> Figure | None:
     orders = np.unique(field.order[np.isfinite(field.order)])
     if len(orders) < 3:
         return None
-    figure, axes = _figure(6.9, 2.4)
+    figure, axes = _figure(DOUBLE_COLUMN, 2.4)
     for values, colour, marker, label, shift in (
         (field.before, BLUE, "o", "recalibrated", -0.12),
         (field.after, GREEN, "s", "with what was found", 0.12),
-    ):
+    )[: 1 + _explained(field)]:
         mean, spread = [], []
         for order in orders:
             here = field.order == order
@@ -218,9 +248,3 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
     figure, axes = pyplot.subplots(figsize=(width, height), layout="constrained")
     pyplot.close(figure)
     return figure, axes
-
-
-def _embedded(figure: Figure) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from daq.version import version
 from gap.output import write_text
 from gap.reporting.empirical import empirical_sentences
 from gap.reporting.examination import Examination
-from gap.reporting.figures import figures
+from gap.reporting.figures import NAMES, drawn, figures
 from gap.reporting.text import (
     CAREFUL,
     HEADS,
@@ -24,6 +24,9 @@ from gap.reporting.text import (
     told_apart,
 )
 from gap.verdict import Verdict
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NEAREST = 8
 """Rivals that are named one by one; the others stand in a fold."""
@@ -40,9 +43,16 @@ def render_report(examined: Examination) -> str:
     return environment.get_template("letter.html.j2").render(**context(examined))
 
 
-def write_report(examined: Examination, path: Path) -> None:
-    """Write the report to `path`. Raises `GapError` where it cannot be written."""
-    write_text(path, render_report(examined))
+def write_report(examined: Examination, path: Path) -> str:
+    """Write the report to `path` and return the page. Raises `GapError` if it cannot be written."""
+    page = render_report(examined)
+    write_text(path, page)
+    return page
+
+
+def report_figures(examined: Examination) -> list[tuple[str, Figure]]:
+    """Title and figure of everything that the report draws, in its order."""
+    return [(NAMES[name], figure) for name, figure in drawn(examined).items() if figure is not None]
 
 
 def context(examined: Examination) -> dict[str, Any]:
@@ -67,6 +77,7 @@ def context(examined: Examination) -> dict[str, Any]:
         "told_apart": told_apart(verdict.effects),
         "limits": limits(verdict),
         "mimics": _confounders(verdict),
+        "explained": bool(verdict.effects) and verdict.status.explained,
         "origin": data.origin,
         "trials": len(data.trials),
         "slots": len(data.slots),

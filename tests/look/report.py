@@ -7,6 +7,7 @@ python -m tests.look.report RUN --out out/paper.png --paper
 from __future__ import annotations
 
 import argparse
+import base64
 import json
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,14 @@ def look_at_report(
         browser.picture(out)
     shrink(out)
     return beyond
+
+
+def print_to_pdf(page: Path) -> bytes:
+    """A page as the browser prints it on the paper that its style asks for."""
+    with Browser(PAPER, HEIGHT) as browser:
+        browser.open(page.resolve().as_uri())
+        made = browser.call("Page.printToPDF", preferCSSPageSize=True, printBackground=True)
+    return base64.b64decode(made["data"])
 
 
 def main() -> None:

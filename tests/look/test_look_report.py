@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import io
+import re
 from pathlib import Path
 
 import pytest
+from pypdf import PdfReader
 
 from analysis.formats.importer import import_thesis
 from analysis.reporting.derived import derive_all
 from daq.clock import RealClock
 from protocol_runs import run_short
-from rigs.protocols.names import PROTOCOLS
+from rigs.execution.session import run_protocol
+from rigs.protocols.names import PROTOCOLS, default_rig
+from rigs.protocols.registry import procedure
+from rigs.rigfile.config import load_rig
+from rigs.rigfile.toml_reader import find_config
 from tests.look.browser import find_browser
-from tests.look.report import look_at_report
+from tests.look.report import look_at_report, print_to_pdf
 
 pytestmark = [
     pytest.mark.look,
@@ -25,6 +32,30 @@ def test_a_report_fits_on_paper(name: str, tmp_path: Path) -> None:
     _, run, _ = run_short(name, tmp_path)
     page = derive_all(run.folder).folder / "derived" / "report.html"
     assert look_at_report(page, tmp_path / "paper.png", paper=True) == []
+    check_first_page(page)
+
+
+def check_first_page(page: Path) -> None:
+    """Page one, as the browser prints it, ends with the sign-off; page two has the figures."""
+    pages = [p.extract_text() for p in PdfReader(io.BytesIO(print_to_pdf(page))).pages]
+    assert "Checked by" in pages[0]
+    assert re.match(r"\s*(Figures|Details)\b", pages[1])
+    assert not re.search(r"[−-]0(\.0+)?(?![\d.])\s", "".join(pages)), "zero has no sign"
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_page_one_of_a_default_test_is_one_page(name: str, tmp_path: Path) -> None:
+    """With the lengths, pressures and repeats of a whole test, and with limits on every result."""
+    kind = procedure(name)
+    config = load_rig(default_rig(name))
+    quantity = kind.analysis.results.quantities[0]
+    path = tmp_path / f"{name}.toml"
+    limits = f'\n[[acceptance.limits]]\nquantity = "{quantity}"\nupper = 20.0\n'
+    path.write_text(find_config(name, "protocols")[0] + limits, "utf-8")
+    plan = kind.read(str(path), config)
+    result = run_protocol(kind, config, plan, tmp_path, operator="A. Tester", note="whole test")
+    page = derive_all(result.folder).folder / "derived" / "report.html"
+    check_first_page(page)
 
 
 @pytest.mark.parametrize("table", ["c01", "c03", "c06", "d01", "d04", "d05"])
