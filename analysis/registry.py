@@ -24,6 +24,7 @@ ANALYSES: dict[str, str] = {
     "creep": "muscle.held",
     "relaxation": "muscle.held",
     "dynamic": "muscle.dynamic",
+    "fatigue": "muscle.fatigue",
     "joint-static": "joint",
     "joint-step": "joint",
     "simulate": "simulation",

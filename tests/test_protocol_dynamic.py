@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from analysis.reduction.response import (
+from analysis.reduction.muscle.response import (
     PRESSURE_FORCE,
     PRESSURE_LENGTH,
     SET_PRESSURE,

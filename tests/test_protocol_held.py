@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.reduction.time_laws import best_law, fit_rate, fit_time_laws
+from analysis.reduction.muscle.time_laws import best_law, fit_rate, fit_time_laws
 from analysis.registry import analysis_of
 from analysis.reporting.derived import derive_all
 from analysis.run_table import reduce_run

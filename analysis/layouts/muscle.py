@@ -66,6 +66,26 @@ def dynamic_layout(parameters: Mapping[str, Any]) -> LiveLayout:
     )
 
 
+def fatigue_layout(parameters: Mapping[str, Any]) -> LiveLayout:
+    """Curves of a static test, and force range or stroke over the cycles."""
+    loaded = bool(parameters.get("mass_kg"))
+    base = isotonic_layout(title="Fatigue test") if loaded else isometric_layout()
+    label = "stroke (mm)" if loaded else "force range (N)"
+    points = Panel(
+        f"{label.capitalize()} against log10 of the cycle",
+        "points",
+        "points",
+        (Channel(POINTS, label),),
+        share=1.5,
+        x_axis=Axis("log10 of the cycle", 0.0, _log(float(parameters.get("cycles") or 1000))),
+        y_axis=Axis(label, 0.0, 20.0 if loaded else 60.0),
+    )
+    right = (points, *base.columns[1][1:])
+    return replace(
+        base, title="Fatigue test", columns=(base.columns[0], right), points=(), window_s=20.0
+    )
+
+
 def _log(value: float) -> float:
     from math import log10
 

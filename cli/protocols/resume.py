@@ -132,6 +132,8 @@ def continue_run(
     run = last_part(run, root)
     continues = continuation(run)
     kind, config, plan = same_test(run, rig, protocol)
+    if kind.done is not None:
+        continues.update(kind.done(run))
     manifest = run.manifest
     make_live = live_maker(kind, plan, config, browser, []) if live else None
     return run_protocol(

@@ -85,6 +85,9 @@ class RecordWriter:
         frames_file_bytes: size after which frames start a new file.
 
     Attributes:
+        withheld: streams whose batches are not recorded at present but handed to ``on_withheld``:
+            a test of days keeps the readings of some of its cycles only, and says which.
+        on_withheld: called with the name of the stream and its batch.
         on_wait: called with a text every few seconds while the end of the record waits for the
             disk.
 
@@ -113,6 +116,8 @@ class RecordWriter:
         self._wires: dict[str, _Indexed] = {}
         self._events = 0
         self._final: dict[str, Any] | None = None
+        self.withheld: frozenset[str] = frozenset()
+        self.on_withheld: Callable[[str, Columns], None] = lambda stream, columns: None
         self.on_wait: Callable[[str], None] = lambda text: None
         self._closed = False
         wall_ns = clock.wall_ns()
@@ -205,6 +210,9 @@ class RecordWriter:
             s = self._streams[stream]
             if self._closed:  # a device may still send while the bench closes
                 return s.rows
+            if stream in self.withheld:
+                self.on_withheld(stream, columns)
+                return s.rows
             parts, rows = s.encoder.parts(columns)
             first_row = s.rows
             if rows == 0:
@@ -236,7 +244,7 @@ class RecordWriter:
         """
         with self._lock:
             s = self._streams[stream]
-            if self._closed:
+            if self._closed or stream in self.withheld:
                 return
             parts, rows = s.encoder.parts(columns)
             if rows:

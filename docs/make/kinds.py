@@ -121,6 +121,7 @@ KINDS: tuple[Kind, ...] = (
     _protocol("creep", "pressure and load held, length read over time", "creep"),
     _protocol("relaxation", "length and pressure held, force read over time", "creep"),
     _protocol("dynamic", "sines and sweeps of the pressure", "dynamic"),
+    _protocol("fatigue", "many cycles between two pressures", "fatigue"),
     _protocol("switching-time", "switching times of a valve", "valve-tests"),
     _protocol("switching-voltage", "switching voltages of a valve", "valve-tests"),
     _protocol("flow", "air velocity against pressure", "valve-tests"),

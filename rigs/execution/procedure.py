@@ -12,6 +12,7 @@ from rigs.rigfile.acceptance import Acceptance
 from rigs.steps.custom_step import Steps
 
 if TYPE_CHECKING:
+    from daq.store.run import Run
     from rigs.rigfile.config import RigConfig
 
 
@@ -82,6 +83,10 @@ class Procedure:
         on_joint: it tests a joint between two muscles, not a muscle.
         open_ended: its steps come as it runs, so that they cannot be walked through beforehand;
             one of them arms the bench.
+        done: what the continuation of a run has to know beside its whole trials, for a test that
+            goes on within a trial; it is added to ``continues`` of run.json.
+        rest: steps of such a continuation, from its plan and ``continues``.
+        stored_points: points of a plan that are stored at full rate, where not all are.
     """
 
     analysis: Analysis
@@ -89,6 +94,9 @@ class Procedure:
     firmware: Mapping[str, int] = field(default_factory=dict)
     open_ended: bool = False
     on_joint: bool = False
+    done: Callable[[Run], Mapping[str, Any]] | None = None
+    rest: Callable[[Any, Mapping[str, Any]], Steps] | None = None
+    stored_points: Callable[[Any], int] | None = None
 
     def check(self, config: RigConfig) -> None:
         """Refuse a rig of the other kind.

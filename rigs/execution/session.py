@@ -55,7 +55,7 @@ class Result:
     planned: int = 0
 
 
-def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by name; its phases stand in one place
+def run_protocol(  # noqa: C901, PLR0913, PLR0915 - what may be stated of a run, each by name; its phases stand in one place
     kind: Procedure,
     config: RigConfig,
     plan: Plan,
@@ -100,11 +100,13 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
     """
 
     def method() -> Steps:
+        if continues and kind.rest is not None:
+            return kind.rest(plan, continues)
         return remaining(plan.steps(), continues["trials"]) if continues else plan.steps()
 
     kind.check(config)
     points, seconds = (0, 0.0) if kind.open_ended else outline(method(), config.stage.speed_mm_s)
-    check_disk(root, points)
+    check_disk(root, points if kind.stored_points is None else kind.stored_points(plan))
     stop = stop or StopFlag()
     watch = watch or Watch()
     control = control or RunControl()

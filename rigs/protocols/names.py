@@ -13,6 +13,7 @@ PROTOCOLS: dict[str, str] = {
     "creep": "Hold pressure and load, and read how the length creeps.",
     "relaxation": "Hold length and pressure, and read how the force relaxes.",
     "dynamic": "Move the pressure in sines and sweeps, measure the frequency response.",
+    "fatigue": "Cycle the pressure many times, and record how the muscle wears.",
     "switching-time": "Measure a valve's switching times at a range of pressures.",
     "switching-voltage": "Measure the voltages at which a valve turns on and off.",
     "flow": "Measure air velocity against pressure behind a valve.",
@@ -30,6 +31,7 @@ MODULES: dict[str, str] = {
     "creep": "muscle.creep",
     "relaxation": "muscle.relaxation",
     "dynamic": "muscle.dynamic",
+    "fatigue": "muscle.fatigue",
     "joint-static": "joint.static",
     "joint-step": "joint.step",
 }

@@ -44,7 +44,7 @@ STEP_S = 1e-3
 OF_JOINT = {"joint-static", "joint-step"}
 """Their rig has other devices; `tests/test_joint_safety.py` harms it."""
 OF_MUSCLE = {
-    "blocked-force", "free-contraction", "creep", "relaxation", "dynamic",
+    "blocked-force", "free-contraction", "creep", "relaxation", "dynamic", "fatigue",
 }  # fmt: skip
 """Made of steps of the others, and with tests of their own."""
 

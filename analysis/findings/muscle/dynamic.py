@@ -18,7 +18,7 @@ from analysis.findings.findings import (
     records,
 )
 from analysis.layouts.muscle import dynamic_layout
-from analysis.reduction.response import (
+from analysis.reduction.muscle.response import (
     PRESSURE_FORCE,
     PRESSURE_LENGTH,
     SET_PRESSURE,

@@ -19,13 +19,13 @@ from analysis.findings.findings import (
     records,
 )
 from analysis.layouts.muscle import held_layout
-from analysis.reduction.points import Reduction, reduce_points
-from analysis.reduction.time_laws import (
+from analysis.reduction.muscle.time_laws import (
     TimeLaw,
     best_law,
     fit_rate,
     fit_time_laws,
 )
+from analysis.reduction.points import Reduction, reduce_points
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -1,0 +1,1 @@
+"""Reduction of the standard tests of one muscle."""
