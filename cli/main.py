@@ -11,6 +11,7 @@ import typer
 
 from cli.bench.bench import add_bench, add_firmware
 from cli.bench.calibrate import add_calibration
+from cli.bench.init import InitGroup, add_init
 from cli.data.length import length
 from cli.data.pose import pose
 from cli.data.reports import add_imports, report, view
@@ -80,6 +81,13 @@ add_gap(
 add_studies(_group("study", "Simulation studies."))
 add_firmware(_group("firmware", "Install the firmware on a board, and check it."))
 add_bench(app)
+init_app = typer.Typer(
+    cls=InitGroup,
+    help="Write a rig file or a protocol file from questions.",
+    context_settings=HELP,
+)
+add_init(init_app)
+app.add_typer(init_app, name="init")
 add_protocols(app, runs_app)
 for command in (report, view, length, strain, pose, links, fit, simulate):
     app.command()(command)

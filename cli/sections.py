@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SECTIONS: dict[str, tuple[str, ...]] = {
     "Test": (*PROTOCOLS, "test", "run", "continue", "record"),
-    "Bench": ("virtual", "doctor", "read", "vent", "console", "calibrate", "firmware"),
+    "Bench": ("init", "virtual", "doctor", "read", "vent", "console", "calibrate", "firmware"),
     "Data": ("runs", "report", "view", "length", "strain", "pose", "import"),
     "Model": ("models", "fit", "links"),
     "Gap": ("gap",),

@@ -65,6 +65,7 @@ QUICK = {
     "runs export": ["runs", "export", "last", "--to", "csv"],
     "runs archive": ["runs", "archive", "last", "--title", "x", "--author", "Me", "--out", "x.zip"],
     "runs index": ["runs", "index"],
+    "init protocol": ["init", "protocol", "isometric", "x.toml"],
     "length": ["length", "last"],
     "models list": ["models", "list"],
     "models compare": ["models", "compare", "c01", "--models", "fluidic"],
@@ -75,6 +76,7 @@ QUICK = {
 }
 SLOW = {
     "doctor": ["doctor"],
+    "init rig": ["init", "rig", "bench.toml", "--answer", "bench=virtual"],
     "read": ["read", "--rig", "virtual-instruments", "--seconds", "1"],
     "models audit-thesis": ["models", "audit-thesis"],
     "gap where": ["gap", "where", "last"],

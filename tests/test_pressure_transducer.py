@@ -18,6 +18,7 @@ from daq.errors import ConfigError
 from daq.store.run import Run, open_run
 from daq.store.verify import verify
 from gap.data.run_trials import run_trials
+from protocol_runs import run_short
 from rigs.execution.runner import Runner
 from rigs.execution.session import Result
 from rigs.rigfile.config import RigConfig, load_rig
@@ -180,6 +181,13 @@ def test_readings_late_within_the_stated_lag_are_no_disagreement(tmp_path: Path)
 
 
 # ---- faults -----------------------------------------------------------------------------
+
+
+def test_a_reading_while_the_muscle_vents_is_no_disagreement(tmp_path: Path) -> None:
+    """It is newer than the middle of the controller's last batch, and the pressure falls fast."""
+    method = {"precondition_cycles": 2, "precondition_kpa": 500.0, "precondition_dwell_s": 0.5}
+    result, _, _ = run_short("hysteresis", tmp_path, "virtual-transducer", method=method)
+    assert result.outcome == "clean", result.error
 
 
 def test_a_transducer_that_drifts_away_is_a_fault(tmp_path: Path) -> None:

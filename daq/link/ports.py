@@ -18,6 +18,7 @@ import select
 import socket
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
@@ -261,14 +262,34 @@ class ModemLines:
             self._port.close()
 
 
-def list_ports() -> list[str]:
+@dataclass(frozen=True)
+class PortInfo:
+    """A serial port of this computer: its name, what its adapter says, its serial number."""
+
+    name: str
+    about: str = ""
+    serial: str = ""
+
+
+def list_ports() -> list[PortInfo]:
     """The serial ports of this machine, as far as known."""
     try:
         from serial.tools import list_ports as tool
 
-        return sorted(str(p.device) for p in tool.comports())
+        found = tool.comports()
     except (ImportError, OSError):
         return []
+    return sorted(
+        (PortInfo(str(p.device), _about(p), str(p.serial_number or "")) for p in found),
+        key=lambda port: port.name,
+    )
+
+
+def _about(port: Any) -> str:
+    words = [str(port.description or "")]
+    if port.vid is not None:
+        words.append(f"USB {port.vid:04x}:{port.pid:04x}")
+    return ", ".join(word for word in words if word and word != "n/a")
 
 
 def not_opened(path: str, error: Exception) -> PortError:
@@ -282,7 +303,7 @@ def not_opened(path: str, error: Exception) -> PortError:
     elif isinstance(cause, TimeoutError):
         what, remedy = "the host does not answer", "check the network and the address"
     elif number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in text:
-        ports = ", ".join(list_ports())
+        ports = ", ".join(port.name for port in list_ports())
         what = "no such port"
         remedy = "plug the device in or correct the path; "
         remedy += f"available ports: {ports}" if ports else "this machine has no serial port"

@@ -75,7 +75,12 @@ class PressureSensor(SourceInstrument):
             raise self.silent(
                 "pressure", self._settings.sensor_stale_s, "check its cable and power"
             )
-        while self._waiting and self._controller and self._waiting[0][0] <= self._controller[-1][0]:
+        # A batch that began later is needed: the mean of one stands for its middle, not its end.
+        while (
+            self._waiting
+            and len(self._controller) > 1
+            and self._waiting[0][0] <= self._controller[-2][0]
+        ):
             self._compare(*self._waiting.popleft())
 
     def settled(self, seq: list[int], rows: list[int]) -> None:

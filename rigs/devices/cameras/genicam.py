@@ -9,6 +9,7 @@ Standard Features Naming Convention of GenICam.
 from __future__ import annotations
 
 import contextlib
+import importlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -177,6 +178,30 @@ class GenicamCamera:
                     getattr(acquirer, end)()
         with contextlib.suppress(Exception):
             self._harvester.reset()
+
+
+def found_cameras(producer: str, package: Any = None) -> list[tuple[str, str]]:
+    """(serial number, model) of each camera that a GenTL producer sees; none is opened.
+
+    Raises:
+        DeviceError: the package or the producer is missing.
+    """
+    name = "camera genicam"
+    try:
+        harvester = (package or importlib.import_module("harvesters.core")).Harvester()
+        try:
+            harvester.add_file(producer, check_existence=True)
+            harvester.update()
+            return [
+                (str(info.serial_number), str(getattr(info, "model", "")))
+                for info in harvester.device_info_list
+            ]
+        finally:
+            harvester.reset()
+    except Exception as error:  # of a compiled library: it has no common base class
+        raise DeviceError(
+            name, f"no cameras through {producer}: {_words(error)}", "check package and producer"
+        ) from None
 
 
 def _words(error: Exception) -> str:
