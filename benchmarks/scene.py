@@ -3,8 +3,8 @@
     python -m benchmarks.scene             # a table
     python -m benchmarks.scene --json
 
-The same recorded valve commands (fills and vents of 12 to 25 ms on the valve of 1996) to the same
-muscle with 3 kg hung on it, between its stops:
+The same recorded valve commands (fills and vents of 12 to 25 ms on the valve of the thesis) to
+the same muscle with 3 kg hung on it, between its stops:
 
 - the compiled scene (`plant.scene.scene`), and the single bench's kernel
 (`plant.simulator.simulate`);

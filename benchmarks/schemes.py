@@ -2,7 +2,7 @@
 
     python -m benchmarks.schemes                  # the table of docs/reference/valve-schemes.md
     python -m benchmarks.schemes --picture docs/images  # and its picture
-    python -m benchmarks.schemes --seeds 20             # more draws of noise
+    python -m benchmarks.schemes --seeds 20             # more noise realizations
 
 The muscle is held at 60 mm. Set-points are 25 to 85 % of supply, from vented and then at least
 25 % apart, 2 s each. Error is |mean true pressure - set-point| over the last half second, ripple
@@ -40,7 +40,7 @@ TITLES = {
     "duty_in": "PWM of the inlet",
     "duty": "PWM of both",
     "slide": "sliding mode",
-    "burst": "bursts (ours)",
+    "burst": "bursts (pamrig)",
 }
 RIGS = ("virtual", "virtual-thesis")
 

@@ -72,8 +72,9 @@ def lines(result: dict[str, Any]) -> list[str]:
     out = table(["method", "times real time", "time / pamrig", "largest error, kPa", "um"], rows)
     versions = ", ".join(f"{n} {v}" for n, v in result["versions"].items())
     out += [
-        f"{versions}; {result['rounds']} rounds, processor time of one core. The valve of 1996, "
-        "one muscle, 3 kg, fills and vents of 12 to 25 ms; errors against `solve_ivp` at 1e-11. "
+        f"{versions}; {result['rounds']} rounds, processor time of one core. The valve of the "
+        "thesis, one muscle, 3 kg, fills and vents of 12 to 25 ms; errors against "
+        "`solve_ivp` at 1e-11. "
         "MuJoCo's `<cylinder>` is a first-order filter of the command on a constant area: no gas, "
         "no valve, no muscle. It is the alternative for a user, but not the same model.",
         "",

@@ -71,7 +71,7 @@ class TestSideBySide:
         found = {"first": 0, "last": 3, "forms": side_by_side(self.seen, self.kept)}
         write_forms_page(tmp_path / "page.md", found)
         text = (tmp_path / "page.md").read_text(encoding="utf-8")
-        assert "| figure | seen forms | held-out forms |" in text
+        assert "| score | seen forms | held-out forms |" in text
         assert "| creep | 4 | 1 | 0 | 0 | 1 |" in text
 
 

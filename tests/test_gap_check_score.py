@@ -160,11 +160,11 @@ class TestTotals:
 
     def test_mimicked_sets_stand_apart(self) -> None:
         table = self.table()
-        assert table["with confounder: a single name given"]["hits"] == 1
-        assert table["with confounder: a single name given"]["met"] is False
+        assert table["with confounder: single name given"]["hits"] == 1
+        assert table["with confounder: single name given"]["met"] is False
 
     def test_nothing_to_count_is_no_success(self) -> None:
-        line = self.table()["both of two named, each >= 2 floors"]
+        line = self.table()["both effects of a pair named, each >= 2 floors"]
         assert line["of"] == 0
         assert line["met"] is None
 

@@ -1,4 +1,4 @@
-"""`pamrig pose`: position and angle of ArUco and ChArUco marks in pictures."""
+"""`pamrig pose`: position and angle of ArUco and ChArUco markers in pictures."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def pose(
         str, typer.Argument(help="Picture, folder, TIFF stack, video, run folder or run id.")
     ],
     marks: Annotated[
-        Path | None, typer.Option(help="File of the marks; a run has its own.")
+        Path | None, typer.Option(help="File of the markers; a run has its own.")
     ] = None,
     still: Annotated[
-        bool, typer.Option("--still", help="The marks do not move: state mean and scatter.")
+        bool, typer.Option("--still", help="The markers do not move: state mean and scatter.")
     ] = False,
     preview: Annotated[
         Path | None, typer.Option(help="Write a picture of the first measurement.")
@@ -36,7 +36,7 @@ def pose(
     runs: RunsOption = RUNS,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure position and angle of marks; exit status 2 if no frame gave a pose."""
+    """Measure position and angle of markers; exit status 2 if no frame gave a pose."""
     failed = pose_report(
         frames, marks, lambda part: typer.echo(part, nl=False),
         still=still, preview=preview, runs=runs, as_json=as_json,

@@ -85,9 +85,9 @@ KINDS: tuple[Kind, ...] = (
         "", ("values", "standard_uncertainties"),
     ),
     Kind(
-        "marks", "Marks file", "printed marks whose pose is measured",
+        "marks", "Marks file", "printed markers whose pose is measured",
         "Read by `pamrig pose --marks FILE`, named by `camera.marks` in a rig file. NAME is the "
-        "name of a mark. See [pose](../use/pose.md#marks).",
+        "name of a marker. See [pose](../use/pose.md#marks).",
     ),
     Kind(
         "pose-camera", "Pose camera file", "focal length, lens and plane of a camera",
@@ -131,7 +131,7 @@ KINDS: tuple[Kind, ...] = (
     _protocol("joint-step", "steps of the pressures of both muscles of a joint", "joint"),
     Kind(
         "own", "Protocol of your own", "keys that every protocol written in Python has",
-        "Beside these, the fields of the class are keys; see "
+        "In addition to these, the fields of the class are keys; see "
         "[own protocols](../use/own-protocols.md).",
         "protocol", _METHOD,
     ),

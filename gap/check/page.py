@@ -8,13 +8,16 @@ from typing import Any
 from gap.check import figures
 
 NOTE = """Every set was made by the package `blind`, which shares no code with the diagnosis or with
-`plant`: it has its own integrator, other functional forms for every effect, other noise and its
-own protocols. Answers were sealed by salted SHA-256 before the diagnosis ran. The scorer opened
-them after the verdict was stored. The *size* of a gap is the rms of (effect on minus effect off),
-after the nominal constants are fitted again within their tolerances, divided by the rms of the
-replicate scatter of the clearest channel. A set counts as having a *confounder* if one or two
-other entries of the catalogue take more than 90 % of what the effect leaves on that same design.
-Intervals are Wilson intervals at 95 %. Every score is defined in the package `gap.check`.
+`plant`: it has its own integrator, functional forms of the effects, noise and protocols
+([kinds of sets](blind.md)). The true answers were sealed (salted SHA-256) before the diagnosis ran,
+and opened by the scorer after the verdict was stored. The *size* of a gap is the rms of the change
+that the hidden effect causes, after the nominal constants are fitted again within their tolerances.
+Its unit is one *floor*: the rms scatter between replicates, in the channel that shows the effect
+best. A *confounder* is one other entry of the catalogue, or two together, that reproduce more than
+90 % of this change with the same design. *Changed conditions*: protocols, rates, muscle sizes and
+noise that no practice set has. The *credible set* lists the most probable explanations, up to 90 %
+together. The *closed fraction* is the part of the gap that the named effect removes. Intervals are
+Wilson intervals at 95 %. Each score is defined in the package `gap.check`.
 """
 
 
@@ -33,7 +36,7 @@ def cell(line: dict[str, Any]) -> str:
 def headline_table(found: dict[str, Any]) -> list[str]:
     """Figure, target, all sets, familiar conditions, changed conditions."""
     lines = [
-        "| figure | target | all sets | familiar | changed conditions | met |",
+        "| score | target | all sets | familiar conditions | changed conditions | met |",
         "|---|---|---|---|---|---|",
     ]
     parts = zip(
@@ -55,16 +58,16 @@ def baseline_table(found: dict[str, Any]) -> list[str]:
         return []
     wanted = (
         "false alarm at nominal", "right family, gap >= 2 floors", "wrong name given, any size",
-        "both of two named, each >= 2 floors", "false extras per pair",
-        "unknown flagged, no confounder", "set at 90 % holds the truth",
-        "calibration error, debiased",
+        "both effects of a pair named, each >= 2 floors", "wrong additional names per pair",
+        "unknown effect detected, no confounder", "90 % credible set contains the truth",
+        "calibration error, bias-corrected",
     )  # fmt: skip
     own = {line["figure"]: line for line in found["headline"]}
     tables = {n: {line["figure"]: line for line in found["baselines"][n]} for n in names}
     lines = ["", "## Comparison with simple methods", ""]
     if found["baseline_sets"] < found["sets"]:
         lines += [f"The simple methods ran on {found['baseline_sets']} of the sets.", ""]
-    lines.append("| figure | this diagnosis | " + " | ".join(names) + " |")
+    lines.append("| score | this diagnosis | " + " | ".join(names) + " |")
     lines.append("|---" * (len(names) + 2) + "|")
     for figure in wanted:
         others = " | ".join(cell(tables[n][figure]) for n in names)
@@ -78,7 +81,15 @@ def effect_table(found: dict[str, Any]) -> list[str]:
         return []
     bands = list(found["effects"][0]["bands"])
     head = " | ".join(f"{b} floors" for b in bands)
-    lines = ["", "## Results per effect", "", "Right family / sets, by gap size.", ""]
+    lines = [
+        "",
+        "## Results per effect",
+        "",
+        "Sets with the right family / all sets, by size of "
+        "the gap. *Limit*: smallest size above which at least 90 % of the sets without a "
+        "confounder got the right family.",
+        "",
+    ]
     lines.append(f"| effect | sets | with confounder | {head} | wrong names | limit (floors) |")
     lines.append("|---" * (len(bands) + 5) + "|")
     for e in found["effects"]:
@@ -106,27 +117,27 @@ def write_page(path: Path, found: dict[str, Any]) -> None:
     lines = [
         "# Blind check of the diagnosis",
         "",
-        f"{found['sets']} sets of the stream `{found['stream']}`, numbers {found['first']} to "
-        f"{found['last']}: {kinds}; {found['changed']} under protocols, rates, muscle sizes and "
-        "noise that no practice set has. This command made the results and this page:",
+        f"{found['sets']} data sets of the stream `{found['stream']}`, numbers {found['first']} to "
+        f"{found['last']}: {kinds}; {found['changed']} of them under changed conditions (below). "
+        "This command made the results and this page:",
         "",
         "```",
         f"pamrig gap check --stream {found['stream']} --sets {found['first']}-{found['last']} "
         "--page docs/evidence/gap-check.md",
         "```",
         "",
-        "You can stop it at any time; it then continues from there. To try it on a few sets:",
+        "You can stop it at any time; the next start continues it. To try it on a few sets:",
         "",
         "    pamrig gap check --sets 1,5 --no-baselines --jobs 1 --out few",
         "",
         NOTE,
-        "## Figures and targets",
+        "## Scores and targets",
         "",
         *headline_table(found),
         "",
         f"Processor time per set: median {found['seconds_median']} s, "
         f"maximum {found['seconds_most']} s. "
-        f"Calibration error before debiasing: {found['calibration_error']}.",
+        f"Calibration error before bias correction: {found['calibration_error']}.",
         "",
         f"![Rates over the size of the gap]({folder}/gap-check-sizes.png)",
         "",
@@ -166,7 +177,7 @@ def write_forms_page(path: Path, found: dict[str, Any]) -> None:
         "```",
         "",
         FORMS_NOTE,
-        "| figure | seen forms | held-out forms |",
+        "| score | seen forms | held-out forms |",
         "|---|---|---|",
         *(
             f"| {line['figure']} | {cell(line['seen'])} | {cell(line['held_out'])} |"

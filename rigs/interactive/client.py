@@ -81,7 +81,7 @@ class Stretch:
 class InteractiveRig:
     """An open rig. Everything that its devices send is recorded in a run folder.
 
-    A process of its own holds the rig and sends the heartbeat, so a long computation in the
+    A separate process controls the rig and sends the heartbeat, so a long computation in the
     notebook does not vent the muscle. The muscle is vented and the record closed when the ``with``
     block is left, when a call is interrupted, when a cell of a notebook raises an error, and when
     the notebook's process ends or is killed. It is vented, and the session goes on, when the muscle
@@ -148,28 +148,28 @@ class InteractiveRig:
         return answer
 
     def arm(self) -> None:
-        """Allow air to be let in."""
+        """Enable the inlet valve."""
         self._ask("arm")
 
     def disarm(self) -> float:
-        """Vent, disarm and confirm it; the pressure afterwards in kPa."""
+        """Vent, disarm, confirm by the reading; returns the pressure afterwards in kPa."""
         return float(self._ask("disarm"))
 
     def set_pressure(self, pressure_kpa: float, timeout_s: float = 20.0) -> bool:
-        """Regulate to a pressure and wait until it rests; 0 vents.
+        """Regulate to a pressure and wait until it has settled; 0 vents.
 
         Args:
             pressure_kpa: gauge pressure, up to the limit of the rig.
-            timeout_s: how long to wait for rest; 0 does not wait.
+            timeout_s: longest wait for settling; 0 does not wait.
 
         Returns:
-            Whether the pressure rests at the set-point; True if it was not waited for.
+            Whether the pressure has settled at the set-point; True without waiting.
         """
         answer = self._ask("set_pressure", pressure_kpa=pressure_kpa, timeout_s=timeout_s)
         return bool(answer["settled"]) if isinstance(answer, dict) else True
 
     def set_length(self, length_mm: float) -> None:
-        """Move the stage, and wait until it is there.
+        """Move the stage, and wait until it has arrived.
 
         Args:
             length_mm: within the limits of the rig.
@@ -177,7 +177,7 @@ class InteractiveRig:
         self._ask("set_length", length_mm=length_mm)
 
     def vent(self) -> None:
-        """Let the air out, confirm it by the reading, and stay armed."""
+        """Vent, confirm by the pressure reading, and stay armed."""
         self._ask("vent")
 
     def tare(self) -> None:

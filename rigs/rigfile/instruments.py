@@ -287,7 +287,7 @@ def _modbus(t: Table, name: str) -> ModbusDevice:
 def _calibration(
     t: Table, quantity: str, raw_unit: str, domain: tuple[float, float], serial: str
 ) -> Calibration:
-    """Of a calibration file, or as the maker states it in the table itself."""
+    """Of a calibration file, or as the manufacturer states it in the table itself."""
     if "calibration" in t:
         return load_calibration(
             t.text("calibration"), t.source, quantity, raw_unit, serial
@@ -309,7 +309,7 @@ def _calibration(
         u_offset=t.number("u_offset", 0, 1e6, 0.0),
         u_gain=t.number("u_gain", 0, 1, 0.0),
         domain=domain,
-        id=t.text("id", "as the maker states"),
+        id=t.text("id", "as the manufacturer states"),
         date=t.text("date", ""),
     )
 
@@ -336,7 +336,7 @@ def _length_calibration(t: Table, raw_unit: str, domain: tuple[float, float]) ->
         u_offset=t.number("u_offset", 0, 1e6, 0.0, unit="mm"),
         u_gain=t.number("u_gain", 0, 1, 0.0),
         domain=(ends[0], ends[1]),
-        id=t.text("id", "as the maker states"),
+        id=t.text("id", "as the manufacturer states"),
         date=t.text("date", ""),
     )
 

@@ -147,7 +147,7 @@ class Extras:
 
     @property
     def card_library(self) -> Any:
-        """The stand-in of the maker's package."""
+        """The mock of the manufacturer's package."""
         return None if self.card is None else library_of(self.card)
 
     def _card(self, device: CardDevice) -> VirtualCard:

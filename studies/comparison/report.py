@@ -29,7 +29,7 @@ _LEGEND = (
     "the last second the largest error (steady), the range (ripple), the largest error of\n"
     "another joint (others). Circle: rms and largest distance of the fingertip from its\n"
     "reference, after the first turn. switch/s: all valves. - : not reached. Below the\n"
-    "medians: lowest and highest over the draws of the noise. held: number of draws within\n"
+    "medians: lowest and highest over the noise realizations. held: number of these within\n"
     f"{MOST_STEADY_DEG:g} degree and {MOST_PATH_RMS_MM:g} mm rms, no fault; (payload learned)."
 )
 
@@ -128,7 +128,7 @@ _PRESSURE_LEGEND = (
     "Staircase of five set-points, 2 s each, muscle at 62 mm. Error: mean and worst over\n"
     "the steps, of the last half second; ripple (range), overshoot and settling within\n"
     "5 kPa: the worst step. - : a step did not settle. Below the medians: lowest and highest\n"
-    "over the draws of the noise."
+    "over the noise realizations."
 )
 
 

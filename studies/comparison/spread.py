@@ -1,4 +1,4 @@
-"""Median and range of figures of merit over draws of the noise."""
+"""Median and range of figures of merit over noise realizations."""
 
 from __future__ import annotations
 

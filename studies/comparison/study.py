@@ -99,7 +99,7 @@ seven before the adaptive law learned friction, the others after."""
 
 @dataclass(frozen=True)
 class Row:
-    """One controller on one valve and plant under one draw of the noise.
+    """One controller on one valve and plant under one noise realization.
 
     `learned_g` is the payload estimated by the adaptive law.
     """
@@ -150,7 +150,7 @@ def run_trial(
 def run_case(
     finger: Finger, law: str, valve: str, case: Case, seed: int = 1, step_max_s: float = FINE_STEP_S
 ) -> Row:
-    """Step and circle of one controller on one plant, under one draw of the noise."""
+    """Step and circle of one controller on one plant, under one noise realization."""
     joint = finger.arm.joint(STEP_JOINT)
     stepped, turned = (
         run_trial(finger, law, valve, case, reference, seed=seed, step_max_s=step_max_s)

@@ -29,7 +29,7 @@ UNITS_US = (1000, 100, 20)
 
 
 def bench_of(mode: str) -> PlantConstants:
-    """The bench of 1996 with one kind of delay."""
+    """The bench of the thesis with one kind of delay."""
     return nominal().with_overrides({"delay_mode": mode})
 
 
@@ -40,7 +40,7 @@ def answer_kpa(mode: str, width_ms: float) -> float:
 
 
 def run(full: bool, progress: Progress) -> Study:
-    """Run the study; `full` with all steps, loads and four draws of noise."""
+    """Run the study; `full` with all steps, loads and four noise realizations."""
     steps, seeds = (STEPS, 4) if full else (STEPS[:3], 1)
     loads = LOADS if full else LOADS[:1]
     cases = [(load, s, unit) for load in loads for s in (*INTENDED, "burst")
@@ -72,7 +72,7 @@ def run(full: bool, progress: Progress) -> Study:
         "Inertial or transport delay: does it matter, and how can they be distinguished?",
         (),
         (
-            Grid("Schemes under either delay, valve of 1996", heads, tuple(rows)),
+            Grid("Schemes under either delay, valve of the thesis", heads, tuple(rows)),
             Grid("One inlet pulse into the vented muscle at 60 mm",
                  ("pulse, ms", "inertial, kPa", "transport, kPa", "open inertial, ms",
                   "open transport, ms"), pulses),

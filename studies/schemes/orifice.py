@@ -1,8 +1,8 @@
 """Map of orifice size and valve speed that would prevent the oscillation.
 
 The muscle is held at 60 mm. The conductance is proportional to the square of the orifice diameter
-(1.25e-9 m3/(s Pa) at 1.0 mm). All four delays are those of 1996 times one factor. The steady error
-is the rms distance of the true pressure from the set-point over the last second of 3 s.
+(1.25e-9 m3/(s Pa) at 1.0 mm). All four delays are those of the thesis times one factor. The steady
+error is the rms distance of the true pressure from the set-point over the last second of 3 s.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 
 DIAMETERS_MM = (0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4)
 SPEEDS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4)
-"""Delays relative to those of 1996 (on 10.9 ms, off 8.5 ms at 550 kPa)."""
+"""Delays relative to those of the thesis (on 10.9 ms, off 8.5 ms at 550 kPa)."""
 STEPS = (0.25, 0.55, 0.85, 0.5, 0.25)
 CURED_RMS = 2.0
 """Cured means a steady error below this, in % of supply."""
 
 
 def valve(diameter_mm: float, speed: float) -> PlantConstants:
-    """The bench of 1996 with another orifice and scaled delays."""
+    """The bench of the thesis with another orifice and scaled delays."""
     c = nominal()
     changes = {f"{s}_conductance_m3_s_pa": 1.25e-9 * diameter_mm**2 for s in ("inlet", "outlet")}
     for side in ("inlet", "outlet"):
@@ -61,7 +61,7 @@ def burst_share(c: PlantConstants) -> float:
 
 
 def run(full: bool, progress: Progress) -> Study:
-    """Run the study; `full` on the whole grid with three draws of noise."""
+    """Run the study; `full` on the whole grid with three noise realizations."""
     diameters = DIAMETERS_MM if full else (0.2, 0.5, 1.0)
     speeds = SPEEDS if full else (0.1, 0.5, 1.0)
     seeds = 3 if full else 1
@@ -79,7 +79,7 @@ def run(full: bool, progress: Progress) -> Study:
     grids = tuple(
         Grid(
             f"Steady error of {TITLES[s]} (rms, % of supply)",
-            ("delays, share of 1996", *(f"{d:g} mm" for d in diameters)),
+            ("delays, share of the thesis", *(f"{d:g} mm" for d in diameters)),
             tuple((f"{v:g}", *(f"{x:.1f}" for x in row)) for v, row in
                   zip(speeds, maps[s], strict=True)),
         )
@@ -122,13 +122,13 @@ def _limits(
                 TITLES[s],
                 f"{max(small):g} mm" if small else "none",
                 float(rise),
-                f"{max(fast):g} of 1996" if fast else "none",
+                f"{max(fast):g} of the thesis" if fast else "none",
                 float(worth[cured].max()) if cured.any() else float("nan"),
                 float(ill.min()) if ill.size else float("nan"),
             )
         )
-    heads = ("scheme", "largest orifice, delays of 1996", "its rise, s",
-             "slowest valve, orifice of 1996", "largest burst cured, %",
+    heads = ("scheme", "largest orifice, delays of the thesis", "its rise, s",
+             "slowest valve, orifice of the thesis", "largest burst cured, %",
              "smallest burst not cured, %")  # fmt: skip
     return Grid("Limits of one remedy alone", heads, tuple(rows))
 
@@ -163,8 +163,8 @@ def _statements(
         v = max(faster)
         k = speeds.index(v)
         because = (
-            f"two-position: {two[i, j]:.1f} % with the delays of 1996, {two[k, j]:.1f} % with "
-            f"{v:g} of them (off after {8.5 * v:.1f} ms), where a burst is "
+            f"two-position: {two[i, j]:.1f} % with the delays of the thesis, "
+            f"{two[k, j]:.1f} % with {v:g} of them (off after {8.5 * v:.1f} ms), where a burst is "
             f"{worth[k, j]:.1f} % of supply"
         )
     else:
@@ -208,7 +208,7 @@ def _figure(
         for ax in axes[-1]:
             ax.set_xlabel("orifice (mm)")
         for ax in axes[:, 0]:
-            ax.set_ylabel("delays (share of 1996)")
+            ax.set_ylabel("delays (share of the thesis)")
         figure.colorbar(
             mesh, ax=axes, label="steady error (rms, % of supply); lines: bursts of 1, 3, 10 %",
             shrink=0.7,

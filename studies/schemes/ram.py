@@ -134,10 +134,10 @@ def run(full: bool, progress: Progress) -> Study:
         (
             Grid("Lifts to the switch at 150 mm", ("changed", "held", "rest minus switch, mm",
                  "movement in the last 0.5 s, mm", "arrives at, mm/s"), tuple(rows)),
-            Grid("Pressure held by the schemes of 5.7, valve of 1996",
+            Grid("Pressure held by the schemes of 5.7, valve of the thesis",
                  ("scheme", "ripple muscle, %", "ripple ram, %", "error muscle, %",
                   "error ram, %"), pressure_rows),
-            Grid("Smallest burst of the valve of 1996",
+            Grid("Smallest burst of the valve of the thesis",
                  ("chamber", "gas volume, ml", "effect, % of supply"), bursts),
         ),
         {"ram": lambda: _figure(base)},

@@ -37,12 +37,12 @@ Case = tuple[str, str, str, str]
 
 
 def valves() -> dict[str, PlantConstants]:
-    """The valve of 1996, and a small, fast valve."""
+    """The valve of the thesis, and a small, fast valve."""
     return {"1996": nominal(), "small and fast": load_valve("cured")}
 
 
 def run(full: bool, progress: Progress) -> Study:
-    """Run the study; `full` with all steps and four draws of noise."""
+    """Run the study; `full` with all steps and four noise realizations."""
     steps, seeds = (STEPS, 4) if full else (FEW_STEPS, 1)
     cases = [
         (load, valve, code, scheme)
@@ -66,8 +66,8 @@ def run(full: bool, progress: Progress) -> Study:
         {"schemes": lambda: _traces_figure(), "schemes-causes": lambda: _causes_figure(found)},
         (
             "Ripple, overshoot and errors in % of supply, mean ± standard deviation over steps "
-            f"of the set-point ({len(steps)} steps, {seeds} draws of noise); rise: until within "
-            "5 % of supply for the first time.",
+            f"of the set-point ({len(steps)} steps, {seeds} noise realizations); rise: until "
+            "within 5 % of supply for the first time.",
         ),
     )
 
@@ -195,7 +195,9 @@ def _causes(found: dict[Case, Summary]) -> Grid:
                 )
             ]
             rows.append((LOAD_WORDS[load], TITLES[scheme], *cells))
-    heads = ("load", "scheme", "neither", "code as printed alone", "valve of 1996 alone", "both")
+    heads = (
+        "load", "scheme", "neither", "code as printed alone", "valve of the thesis alone", "both",
+    )  # fmt: skip
     return Grid("Ripple (% of supply): effect of valve and code", heads, tuple(rows))
 
 
@@ -206,8 +208,8 @@ def _sensitivity_grid(sensitivity: Sensitivity) -> Grid:
         ripples = tuple(f"{four[s]['ripple'][0]:.1f}" for s in INTENDED)
         rows.append((words, *ripples, *("yes" if verdicts[n] else "no" for n in names)))
     heads = ("changed", *(f"ripple {TITLES[s]}, %" for s in INTENDED), *names)
-    return Grid("Parameters not printed in the thesis (code as intended, valve of 1996)", heads,
-                tuple(rows))  # fmt: skip
+    title = "Parameters not printed in the thesis (code as intended, valve of the thesis)"
+    return Grid(title, heads, tuple(rows))
 
 
 def _share(sensitivity: Sensitivity, name: str) -> str:
@@ -290,7 +292,7 @@ def _statements(found: dict[Case, Summary], sensitivity: Sensitivity) -> tuple[S
             "the oscillation is caused by too much air per burst: orifice and switching time",
             "5.8, 5.10",
             CONFIRMED if _valve_alone(found) else PARTLY,
-            "with the code as intended the ripple of two-position with the valve of 1996 is "
+            "with the code as intended the ripple of two-position with the valve of the thesis is "
             f"{_pm(found['held', '1996', 'intended', 'two']['ripple'])} %, with the small, fast "
             f"valve {_pm(cured['two']['ripple'])} %; with the code as printed on the small, fast "
             f"valve {_pm(found['held', 'small and fast', 'printed', 'two']['ripple'])} % "
@@ -341,7 +343,7 @@ def _causes_figure(found: dict[Case, Summary]) -> Figure:
     groups = (
         ("neither", "small and fast", "intended"),
         ("code as printed alone", "small and fast", "printed"),
-        ("valve of 1996 alone", "1996", "intended"),
+        ("valve of the thesis alone", "1996", "intended"),
         ("both", "1996", "printed"),
     )
     with style():

@@ -48,7 +48,7 @@ TITLES = {
     "duty_in": "PWM of the inlet",
     "duty": "PWM of both",
     "slide": "sliding mode",
-    "burst": "bursts (ours)",
+    "burst": "bursts (pamrig)",
 }
 TICK_US = 1000
 

@@ -19,9 +19,9 @@ HEAD = """\
 `make fuzz` (`python -m tests.fuzz --page docs/evidence/fuzz.md`) writes this page. Everything that
 reads bytes from an instrument, a file or a folder of unknown origin gets mutated valid inputs. An
 input that takes a new branch is kept and mutated further (`tests/fuzz/cover.py` marks the branches,
-so every input is monitored). Half of the inputs in a sealed or framed format get valid checksums,
-so that they reach the code behind the check. Each target runs in its own process. A *finding* is
-an exception that is not the documented error, the end of the process, more than {hang:g} s of
+so every input is monitored). Half of the inputs in a format with checksums get valid ones, so that
+they reach the code behind the check. Each target runs in its own process. A *finding* is an
+exception that is not the documented error, the end of the process, more than {hang:g} s of
 processor time for one input, or more than {more:g} MB above the memory that the valid inputs took.
 """
 

@@ -169,7 +169,7 @@ def page(outcomes: list[Outcome]) -> str:
     lines = [
         "# Measured data of others",
         "",
-        "The diagnosis put to measurements that nobody made for it. The data are not part of this",
+        "The diagnosis of measurements that were not made for it. The data are not part of this",
         "repository, only the mapping files are. The analyses by hand were written down first",
         "(`tests/real/by_hand.toml`).",
         "",

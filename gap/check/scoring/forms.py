@@ -56,18 +56,18 @@ def figures(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
         f"right family, gap >= {CLEAR:g} floors": rate(rows, "family_right", clear_single),
         f"right name given, gap >= {CLEAR:g} floors": rate(rows, "named_right", clear_single),
         "wrong name given, any size": rate(fit, "wrong_name", lambda r: r["mimic"] <= MIMICKED),
-        "unknown flagged, no confounder": rate(rows, "flagged_unknown", clear_unknown),
-        "false unknown": rate(hidden, "flagged_unknown", lambda r: True),
-        "set at 90 % holds the truth": rate(
+        "unknown effect detected, no confounder": rate(rows, "flagged_unknown", clear_unknown),
+        "falsely unknown": rate(hidden, "flagged_unknown", lambda r: True),
+        "90 % credible set contains the truth": rate(
             fit, "covered", lambda r: r["truth"] == "none" or r["size"] >= 1.0
         ),
         "parameter: 95 % interval covers": rate(
             rows, "parameter_covered", lambda r: "parameter_covered" in r
         ),
-        "closed: 95 % interval covers": rate(
+        "closed fraction: 95 % interval covers": rate(
             rows, closed_covers, lambda r: r.get("closed_true") is not None
         ),
-        "calibration error, debiased": calibration(rows),
+        "calibration error, bias-corrected": calibration(rows),
         "crashed": rate(rows, "crashed", lambda r: True),
     }
 

@@ -1,4 +1,4 @@
-"""A GenICam camera through the package `harvesters` and the GenTL producer of its maker.
+"""A GenICam camera through the package `harvesters` and the GenTL producer of its manufacturer.
 
 The interface is that of harvesters 1.4 (`harvesters.core`): `Harvester.add_file`, `update`,
 `create`; of the acquirer `start`, `try_fetch`, `stop`, `destroy` and `remote_device.node_map`. The
@@ -86,7 +86,7 @@ class GenicamCamera:
             raise DeviceError(
                 self.name,
                 f"the GenTL producer {producer} cannot be loaded: {_words(error)}",
-                "give the .cti file of the camera's maker in camera.gentl",
+                "give the .cti file of the camera's manufacturer in camera.gentl",
             ) from None
         self._harvester.update()
         known = [str(info.serial_number) for info in self._harvester.device_info_list]

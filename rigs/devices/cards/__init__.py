@@ -1,1 +1,1 @@
-"""Data acquisition cards by their makers' Python packages."""
+"""Data acquisition cards by their manufacturers' Python packages."""

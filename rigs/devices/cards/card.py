@@ -33,7 +33,7 @@ LEAST_BUCKETS = 6
 
 
 class Backend(Protocol):
-    """What is needed of a maker's package; `labjack` and `ni` are the two that there are."""
+    """What is needed of a manufacturer's package; `labjack` and `ni` are the two that there are."""
 
     lost: float
     """The voltage that stands for a scan that the card could not keep; nan where there is none."""
@@ -173,7 +173,7 @@ class Card:
     """An opened card.
 
     Args:
-        backend: the maker's package.
+        backend: the manufacturer's package.
         device: its table of the rig file.
         event_loop: of the bench.
 

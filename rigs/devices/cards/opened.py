@@ -1,4 +1,4 @@
-"""Opens the card of a rig file; the maker's package is imported only then."""
+"""Opens the card of a rig file; the manufacturer's package is imported only then."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PACKAGES = {"labjack": ("labjack.ljm", "labjack"), "nidaqmx": ("nidaqmx", "ni")}
 
 
 def backend(device: CardDevice, clock: Clock, library: Any = None) -> Backend:
-    """The maker's package for a card.
+    """The manufacturer's package for a card.
 
     Args:
         device: its table of the rig file.
@@ -37,7 +37,7 @@ def backend(device: CardDevice, clock: Clock, library: Any = None) -> Backend:
         except ImportError:
             raise ConfigError(
                 "card.kind", f"the package for {device.kind} is not installed",
-                f"pip install 'pamrig[{extra}]', and the maker's driver",
+                f"pip install 'pamrig[{extra}]', and the manufacturer's driver",
             ) from None  # fmt: skip
     loaded = getattr(getattr(library, "ljm", None), "_staticLib", library)
     if loaded is None:

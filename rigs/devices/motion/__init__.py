@@ -1,1 +1,1 @@
-"""Drivers of what sets the length: linear stages of several makers, one module a protocol."""
+"""Drivers of what sets the length: linear stages of several manufacturers, a module a protocol."""

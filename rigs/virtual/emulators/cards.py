@@ -1,7 +1,7 @@
-"""Stand-ins of the makers' packages: the functions that the drivers use, with a card behind them.
+"""Mocks of the manufacturers' packages: the functions that the drivers use, with a simulated card.
 
 They are made from the packages' own signatures (labjack-ljm 1.23, nidaqmx 1.7), not from the
-drivers. No card and no simulated device of a maker stands behind them.
+drivers. No card and no simulated device of a manufacturer stands behind them.
 """
 
 from __future__ import annotations
