@@ -29,7 +29,8 @@ QUANTITIES = {
     "rise_s": ("rise time", "s"), "overshoot_kpa": ("overshoot", "kPa"),
     "overshoot_deg": ("overshoot", "°"), "settle_s": ("settling time", "s"),
     "reach_s": ("time to the switch", "s"), "drift_kpa": ("drift while held", "kPa"),
-    "angle_deg": ("angle", "°"), "torque_n_m": ("torque", "N m"),
+    "angle_deg": ("angle", "°"), "torque_n_m": ("torque", "N m"), "gain": ("gain", ""),
+    "phase_deg": ("phase", "°"),
 }  # fmt: skip
 """Name and unit of a column of results."""
 SETTINGS = {
@@ -39,7 +40,8 @@ SETTINGS = {
     "valve": ("valve", ""), "scheme": ("scheme", ""), "switch": ("switch", ""),
     "from_kpa": ("from", "kPa"), "state": ("joint", ""), "set_angle_deg": ("angle", "°"),
     "common_kpa": ("common pressure", "kPa"), "difference_kpa": ("difference", "kPa"),
-    "slot": ("setting", ""),
+    "slot": ("setting", ""), "to_s": ("held until", "s"), "pair": ("response", ""),
+    "frequency_hz": ("frequency", "Hz"),
 }  # fmt: skip
 """Name and unit of a column of settings."""
 WORDS = {"up": "rising", "down": "falling", "single": "held"}

@@ -14,6 +14,7 @@ from analysis.findings.findings import (
     NO_POINT,
     Analysis,
     Findings,
+    ResultColumns,
     Section,
     records,
 )
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from daq.store.run import Run
 
 UNITS = {SET_PRESSURE: "kPa/kPa", PRESSURE_FORCE: "N/kPa", PRESSURE_LENGTH: "mm/kPa"}
+NARROW = 5.0
+"""A logarithmic axis whose ends differ by less gets evenly spaced labels."""
 HALF_POWER = 10.0 ** (-3.0 / 20.0)
 METHOD: tuple[str, ...] = (
     "Input and output are cut into segments of whole periods (of a chirp: sweeps). The response is"
@@ -156,7 +159,7 @@ def _minor(value: float, _: object) -> str:
 
 
 def _bode(part: pd.DataFrame, unit: str) -> Figure:
-    from matplotlib.ticker import FuncFormatter
+    from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
     from analysis.figures.drawing import COVERAGE, QUIET, marker, new_figure, sequence, style
 
@@ -188,8 +191,13 @@ def _bode(part: pd.DataFrame, unit: str) -> Figure:
         top.set_xscale("log")
         top.set_yscale("log")
         for axis in (bottom.xaxis, top.yaxis):
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axis.set_minor_formatter(FuncFormatter(_minor))
+            low, high = axis.get_view_interval()
+            if high < NARROW * low:
+                axis.set_major_locator(MaxNLocator(5))
+                axis.set_minor_locator(NullLocator())
+            else:
+                axis.set_minor_formatter(FuncFormatter(_minor))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.4g}"))
         middle.axhline(0.0, color=QUIET, linewidth=0.8)
         top.set_ylabel(f"gain ({unit})")
         middle.set_ylabel("phase (degrees)")
@@ -201,5 +209,8 @@ def _bode(part: pd.DataFrame, unit: str) -> Figure:
     return figure
 
 
-DYNAMIC = Analysis("dynamic", "Dynamic test", reduce_dynamic, dynamic_layout, dynamic_findings)
+DYNAMIC = Analysis(
+    "dynamic", "Dynamic test", reduce_dynamic, dynamic_layout, dynamic_findings,
+    ResultColumns(("gain", "phase_deg"), ("pair", "slot", "frequency_hz")),
+)  # fmt: skip
 ANALYSES = (DYNAMIC,)

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.findings.findings import EXPANDED, NO_POINT, Analysis, Findings, Section, records
+from analysis.findings.findings import (
+    EXPANDED,
+    NO_POINT,
+    Analysis,
+    Findings,
+    ResultColumns,
+    Section,
+    records,
+)
 from analysis.layouts.muscle import fatigue_layout
 from analysis.reduction.muscle.cycles import reduce_fatigue
 from analysis.reduction.muscle.energy import Energy, State, cycle_energy, stated_air
@@ -221,7 +229,7 @@ def _headline(
     if not math.isfinite(u):
         return f"{text}; too few for a drift."
     return (
-        f"{text}; the {quantity.name} changed by {change:+.2f} ± {2 * u:.2g} % (k = 2)."
+        f"{text}; the {quantity.name} changed by {change:+z.2f} ± {2 * u:.2g} % (k = 2)."
     ).replace("-", "−")
 
 
@@ -264,5 +272,8 @@ def _figure(table: pd.DataFrame, quantity: Quantity, law: TimeLaw | None) -> Fig
     return figure
 
 
-FATIGUE = Analysis("fatigue", "Fatigue test", reduce_fatigue, fatigue_layout, fatigue_findings)
+FATIGUE = Analysis(
+    "fatigue", "Fatigue test", reduce_fatigue, fatigue_layout, fatigue_findings,
+    ResultColumns(quantities=()),  # its cycles are no repeats: they drift
+)  # fmt: skip
 ANALYSES = (FATIGUE,)

@@ -15,6 +15,7 @@ from analysis.findings.findings import (
     NO_POINT,
     Analysis,
     Findings,
+    ResultColumns,
     Section,
     records,
 )
@@ -243,12 +244,15 @@ def _figure(trials: list[HeldTrial], quantity: Quantity) -> Figure:
     return figure
 
 
+HELD_SETTINGS = ("set_length_mm", "mass_kg", "set_pressure_kpa", "to_s")
+
 CREEP = Analysis(
     "creep",
     "Creep test",
     partial(reduce_points, extra=EXTRA, trend=True),
     lambda parameters: held_layout("Creep test", parameters, loaded=True),
     partial(held_findings, LENGTH),
+    ResultColumns(("length_mm",), HELD_SETTINGS),
 )
 RELAXATION = Analysis(
     "relaxation",
@@ -256,5 +260,6 @@ RELAXATION = Analysis(
     partial(reduce_points, extra=EXTRA, trend=True),
     lambda parameters: held_layout("Relaxation test", parameters, loaded=False),
     partial(held_findings, FORCE),
+    ResultColumns(("force_n",), HELD_SETTINGS),
 )
 ANALYSES = (CREEP, RELAXATION)

@@ -18,6 +18,7 @@ from analysis.findings.findings import (
     NO_SETTLED_POINT,
     Analysis,
     Findings,
+    ResultColumns,
     Section,
     max_pressure_kpa,
     records,
@@ -166,7 +167,7 @@ def free_contraction_findings(run: Run, reduction: Reduction) -> Findings:
     )
     headline = (
         f"The largest free contraction is {100 * best['contraction']:.2f} ±"
-        f" {200 * best['u_contraction']:.2g} % (k = 2) at {best['pressure_kpa']:.1f} kPa, of"
+        f" {200 * best['u_contraction']:.2f} % (k = 2) at {best['pressure_kpa']:.1f} kPa, of"
         f" L0 = {l0_mm:.2f} mm."
     )
     data = {
@@ -309,5 +310,6 @@ FREE_CONTRACTION = Analysis(
     partial(reduce_points, extra=EXTRA),
     lambda parameters: free_layout(max_pressure_kpa(parameters)),
     free_contraction_findings,
+    ResultColumns(("length_mm",)),
 )
 ANALYSES = (BLOCKED_FORCE, FREE_CONTRACTION)
