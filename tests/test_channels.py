@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from analysis.run_table import reduce_run
+from bench_process import bench_process, run_pamrig
 from bench_runs import quick, run_isometric
 from daq.errors import ConfigError, DeviceTimeout
 from daq.store.derive import engineering
@@ -320,3 +321,23 @@ def test_a_run_of_two_controllers_takes_the_channels_of_the_first() -> None:
     )
     assert both.side_b is not None
     assert both.side_b.instruments.channels == {}
+
+
+@pytest.mark.realtime
+def test_isometric_and_hysteresis_in_real_time_over_ports(tmp_path: Path) -> None:
+    with bench_process(tmp_path / "bench", RIG) as bench:
+        for protocol in ("isometric", "hysteresis"):
+            done = run_pamrig(
+                protocol, "--rig", bench.rig, "--protocol", f"{protocol}-short",
+                "--out", tmp_path / "runs",
+            )  # fmt: skip
+            assert done.returncode == 0, done.stderr
+    for folder in sorted((tmp_path / "runs").glob("2*")):
+        run = open_run(folder)
+        assert run.outcome == "clean"
+        assert verify(run) == []
+        counters = run.final["counters"]  # type: ignore[index]
+        assert counters["valve"]["channel_missing"] == 0
+        for name in ("cell", "encoder", "gauge"):
+            assert set(counters[name]) == {"rows"}
+        assert np.diff(run.samples("cell")["device_us"]).max() < 60_000

@@ -98,11 +98,8 @@ class Board:
     def i2c_start(self, on: int) -> None:
         """Use the two-wire bus; its only device is an ADS1115 at the address 0x48."""
 
-    def i2c_write(self, register: int, word: int) -> None:
-        """Begin to write 16 bits to a register."""
-
-    def i2c_read(self, register: int) -> None:
-        """Begin to read 16 bits of a register."""
+    def i2c_begin(self, register: int, word: int) -> None:
+        """Begin to write 16 bits to a register, or to read them where ``word`` is negative."""
 
     def i2c_done(self) -> int:
         """What became of the last transfer: ``I2C_BUSY``, ``I2C_NOBODY``, or the word (0 after

@@ -123,14 +123,12 @@ class DeskBoard(BufferedBoard):
         value = (self.pressure_x16 * 64 >> 4) - 30000 + (self.now_us // TICK_US & 7)
         return value & 0xFFFFFF
 
-    def i2c_write(self, register: int, word: int) -> None:
+    def i2c_begin(self, register: int, word: int) -> None:
         """A conversion takes no time here: its result is there at once."""
-        self._registers[register] = word
-        self._registers[0] = (self.pressure_x16 >> 1) - 200 & 0xFFFF
-        self._chosen = -1
-
-    def i2c_read(self, register: int) -> None:
-        self._chosen = register
+        self._chosen = register if word < 0 else -1
+        if word >= 0:
+            self._registers[register] = word
+            self._registers[0] = (self.pressure_x16 >> 1) - 200 & 0xFFFF
 
     def i2c_done(self) -> int:
         if self.gone & 2:

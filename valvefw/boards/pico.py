@@ -61,8 +61,14 @@ PIN_LED = 4
 PIN_REGULATOR = 5  # PWM through a low-pass, if there is a regulator
 PIN_PROX_A = 6  # open collector to ground, active low
 PIN_PROX_B = 7
+PIN_BRIDGE = 8  # DOUT of a bridge converter
+PIN_BRIDGE_CLOCK = 9
+PIN_SDA = 10  # of I2C1: an ADS1115
+PIN_SCL = 11
+PIN_ENCODER = 12  # A; B is the next one
 PIN_PRESSURE = 26  # ADC0: 0.5 to 4.5 V through a divider of 2:3, or 0 to 3.3 V
 PIN_SECOND = 27  # ADC1
+PIN_THIRD = 28  # ADC2
 OUTLET_NORMALLY_OPEN = True
 HAS_REGULATOR = False
 BAUD = 115200
@@ -71,6 +77,7 @@ MICROPYTHON = (1, 28)  # the oldest that was tried; hard timer interrupts on the
 TX_BYTES = 2048
 TX_FORGET_US = 200000  # by then the UART has sent them all
 REGULATOR_HZ = 10000
+I2C_HZ = 400000
 
 PIO_HZ = 5000000  # five instructions per loop: 1 us
 ADC_HZ = 48000000
@@ -78,10 +85,32 @@ SIO = 0xD0000000
 PIO0 = 0x50200000  # words 4 and 5 are the transmit FIFOs of state machines 0 and 1
 NVIC_IPR0 = 0xE000E400  # priorities of interrupts 0 to 3
 DMA = 0x50000000  # 0x40 bytes a channel, word 2 is the number of transfers left
+# Further inputs. The bridge's state machine is the third of PIO0, the encoder's has PIO1 to itself:
+# its table fills nearly all of the memory, from address 0 on.
+BRIDGE_MACHINE = const(2)
+BRIDGE_HZ = 2000000  # 0.5 us an instruction
+ENCODER_MACHINE = const(4)
+ENCODER_HZ = 5000000  # an edge takes at most 14 instructions: 350000 a second
+PIO_FSTAT = const(1)  # bits 8 to 11: receive FIFOs that are empty
+PIO_RXF = const(8)
+PIO_IRQ = const(12)
+PIO1 = 0x50300000
+DREQ_PIO1_RX0 = 12
+ADS1115 = 0x48
+I2C_DATA_CMD = const(4)  # words of the bus's registers
+I2C_STOP = const(0x200)
+I2C_RESTART = const(0x400)
+I2C_READ = const(0x100)
+I2C_RAW_STAT = const(13)  # bit 6: the transfer was aborted
+I2C_CLR_ABRT = const(21)
+I2C_STATUS = const(28)  # bit 2: all was sent, bit 5: it is active
+I2C_RXFLR = const(30)
 
 # What the interrupt needs, as addresses and numbers: a global of machine code is an object. The
 # chip's file adds the addresses that differ.
 _SETUP = array("I", [0, 0, SIO, PIO0, int(OUTLET_NORMALLY_OPEN), 1 << PIN_LED, 0, 0, 0, 0])
+_FURTHER = array("I", [0, PIO0, PIO1, 0])  # I2C1, both PIOs; 1 while the bus reads
+_COUNT = array("i", [0])  # the encoder's, written by its DMA
 _TIMER = const(0)  # word 10 is the time in microseconds, 32 bits
 _ADC = const(1)  # words 0 to 4 are CS, RESULT, FCS, FIFO, DIV
 _GPIO = const(2)  # word 1 is GPIO_IN
@@ -132,6 +161,172 @@ def hold_shut():
     label("off")
     set(pins, 0)
     jmp("loop")
+
+
+@rp2.asm_pio(
+    sideset_init=rp2.PIO.OUT_LOW, in_shiftdir=rp2.PIO.SHIFT_LEFT, out_shiftdir=rp2.PIO.SHIFT_RIGHT
+)
+def bridge_bits():
+    """24 bits of an HX711 or ADS1232 when it is ready. Y: pulses beyond them, less one.
+
+    The clock is high for 1 us at a time: 60 us would switch an HX711 off. The line must be high
+    after the last pulse, so one that is stuck low gives nothing at all.
+    """
+    wrap_target()
+    wait(1, pin, 0).side(0)
+    wait(0, pin, 0).side(0)
+    set(x, 23).side(0)
+    label("bit")
+    nop().side(1)
+    in_(pins, 1).side(1)
+    jmp(x_dec, "bit").side(0)[1]
+    mov(x, y).side(0)
+    label("gain")
+    nop().side(1)[1]
+    jmp(x_dec, "gain").side(0)[1]
+    push(noblock).side(0)
+    wrap()
+
+
+@rp2.asm_pio(in_shiftdir=rp2.PIO.SHIFT_LEFT)
+def quadrature():
+    """Count in X the edges of A (first pin) and B; each new count is sent.
+
+    Y holds the lines as they were. The first 16 instructions are the table of old BA, new BA: the
+    jump into it is the decision. Both lines at once is no step: flag 0 says so.
+    """
+    jmp("look")  # 00 00
+    jmp("up")  # 00 01
+    jmp("down")  # 00 10
+    jmp("bad")  # 00 11
+    jmp("down")  # 01 00
+    jmp("look")  # 01 01
+    jmp("bad")  # 01 10
+    jmp("up")  # 01 11
+    jmp("up")  # 10 00
+    jmp("bad")  # 10 01
+    jmp("look")  # 10 10
+    jmp("down")  # 10 11
+    jmp("bad")  # 11 00
+    jmp("down")  # 11 01
+    jmp("up")  # 11 10
+    jmp("look")  # 11 11
+    label("bad")
+    irq(0)
+    jmp("look")
+    label("up")
+    mov(x, invert(x))
+    jmp(x_dec, "back")
+    label("back")
+    mov(x, invert(x))
+    jmp("send")
+    label("down")
+    jmp(x_dec, "send")
+    label("send")
+    mov(isr, x)
+    push(noblock)
+    wrap_target()
+    label("look")
+    mov(isr, null)
+    in_(y, 2)
+    in_(pins, 2)
+    mov(y, isr)
+    mov(pc, isr)
+    wrap()
+    nop()  # 32 instructions: no other place fits than from 0 on
+    nop()
+
+
+@micropython.viper
+def _bridge() -> int:
+    """The oldest word of the bridge, or -1."""
+    further = ptr32(_FURTHER)
+    pio = ptr32(further[1])
+    if pio[PIO_FSTAT] & (256 << BRIDGE_MACHINE):
+        return -1
+    return pio[PIO_RXF + BRIDGE_MACHINE] & 0xFFFFFF
+
+
+@micropython.viper
+def _encoder() -> int:
+    """The count, 24 bits; bit 24 where both lines changed at once since the last call."""
+    further = ptr32(_FURTHER)
+    pio = ptr32(further[2])
+    count = ptr32(_COUNT)
+    lost = 0
+    if pio[PIO_IRQ] & 1:
+        pio[PIO_IRQ] = 1
+        lost = 0x1000000
+    return (count[0] & 0xFFFFFF) | lost
+
+
+@micropython.viper
+def _i2c_send(register: int, word: int):
+    """Begin to write 16 bits to a register; a negative word: to read them."""
+    further = ptr32(_FURTHER)
+    bus = ptr32(further[0])
+    further[3] = 0
+    _ = bus[I2C_CLR_ABRT]
+    while bus[I2C_RXFLR]:
+        _ = bus[I2C_DATA_CMD]
+    bus[I2C_DATA_CMD] = register
+    if word < 0:
+        further[3] = 1
+        bus[I2C_DATA_CMD] = I2C_READ | I2C_RESTART
+        bus[I2C_DATA_CMD] = I2C_READ | I2C_STOP
+    else:
+        bus[I2C_DATA_CMD] = word >> 8
+        bus[I2C_DATA_CMD] = (word & 255) | I2C_STOP
+
+
+@micropython.viper
+def _i2c_done() -> int:
+    """-1 while the bus is busy, -2 without an answer, else the word that was read, or 0."""
+    further = ptr32(_FURTHER)
+    bus = ptr32(further[0])
+    if bus[I2C_RAW_STAT] & 64:
+        return -2
+    if further[3]:
+        if bus[I2C_RXFLR] < 2:
+            return -1
+        high = bus[I2C_DATA_CMD] & 255
+        return high << 8 | (bus[I2C_DATA_CMD] & 255)
+    if bus[I2C_STATUS] & 36 != 4:
+        return -1
+    return 0
+
+
+@micropython.asm_thumb
+def _convert(r0, r1):
+    """One conversion of input ``r1``, 2 us; ``r0`` is the address of ``_SETUP``.
+
+    The interrupt uses the converter too, so it is masked meanwhile. During a capture, and where
+    the converter does not end within a few microseconds, it is -1.
+    """
+    lsl(r1, r1, 12)
+    add(r1, r1, 5)
+    cpsid(2)
+    ldr(r2, [r0, 24])  # the DMA channel of a capture
+    cmp(r2, 0)
+    bne(NONE)
+    ldr(r0, [r0, 4])  # the converter
+    str(r1, [r0, 0])
+    mov(r3, 100)
+    mov(r2, 1)
+    lsl(r2, r2, 8)
+    label(WAIT)
+    sub(r3, 1)
+    beq(NONE)
+    ldr(r1, [r0, 0])
+    tst(r1, r2)
+    beq(WAIT)
+    ldr(r0, [r0, 4])
+    b(DONE)
+    label(NONE)
+    mov(r0, 0)
+    sub(r0, 1)
+    label(DONE)
+    cpsie(2)
 
 
 @micropython.viper
@@ -280,6 +475,7 @@ class Pico(Board):
         machine.Pin(PIN_PROX_B, machine.Pin.IN, machine.Pin.PULL_UP)
         machine.ADC(PIN_PRESSURE)
         machine.ADC(PIN_SECOND)
+        machine.ADC(PIN_THIRD)
         self._regulator = None
         if HAS_REGULATOR:
             self._regulator = machine.PWM(machine.Pin(PIN_REGULATOR), freq=REGULATOR_HZ, duty_u16=0)
@@ -298,6 +494,15 @@ class Pico(Board):
         self._dma = None
         self._timer = None
         self._source = 0
+        self._bridge = None
+        self._encoder = None
+        self._counted = None
+        self.bridge = _bridge
+        self.i2c_begin = _i2c_send
+        self.i2c_done = _i2c_done
+        _FURTHER[0] = chip.I2C1
+        _FURTHER[1] = PIO0
+        _FURTHER[2] = PIO1
 
     def start(self) -> None:
         """Run the safety core each millisecond from now on."""
@@ -352,6 +557,78 @@ class Pico(Board):
         if self._queued + n <= TX_BYTES - 64:
             self._uart.write(data, n)
             self._queued += n
+
+    def bridge_start(self, pulses: int) -> None:
+        if self._bridge is None:
+            if not pulses:
+                return
+            data = machine.Pin(PIN_BRIDGE, machine.Pin.IN, machine.Pin.PULL_UP)
+            clock = machine.Pin(PIN_BRIDGE_CLOCK, machine.Pin.OUT, value=0)
+            self._bridge = rp2.StateMachine(
+                BRIDGE_MACHINE, bridge_bits, freq=BRIDGE_HZ, in_base=data, sideset_base=clock
+            )
+        self._bridge.active(0)
+        self._bridge.restart()
+        while self._bridge.rx_fifo():
+            self._bridge.get()
+        if pulses:
+            self._bridge.put(pulses - 25)
+            self._bridge.exec("pull()")
+            self._bridge.exec("mov(y, osr)")
+            self._bridge.active(1)
+
+    def i2c_start(self, on: int) -> None:
+        """Set the bus up; from then on its registers are used directly, so that nothing waits."""
+        if not on:
+            return
+        machine.I2C(1, sda=machine.Pin(PIN_SDA), scl=machine.Pin(PIN_SCL), freq=I2C_HZ)
+        base = _FURTHER[0]
+        machine.mem32[base + 0x6C] = 0  # the address can be set while it is off
+        machine.mem32[base + 0x04] = ADS1115
+        machine.mem32[base + 0x6C] = 1
+
+    def encoder_start(self, on: int) -> None:
+        """Count from 0 on. A DMA channel writes each count to memory, the newest one last."""
+        if self._counted is not None:
+            self._encoder.active(0)
+            self._counted.close()
+            self._counted = None
+        if not on:
+            return
+        first = machine.Pin(PIN_ENCODER, machine.Pin.IN, machine.Pin.PULL_UP)
+        machine.Pin(PIN_ENCODER + 1, machine.Pin.IN, machine.Pin.PULL_UP)
+        if self._encoder is None:
+            self._encoder = rp2.StateMachine(
+                ENCODER_MACHINE, quadrature, freq=ENCODER_HZ, in_base=first
+            )
+        self._encoder.restart()
+        while self._encoder.rx_fifo():
+            self._encoder.get()
+        _COUNT[0] = 0
+        self._encoder.exec("set(x, 0)")
+        self._encoder.exec("mov(isr, null)")
+        self._encoder.exec("in_(pins, 2)")
+        self._encoder.exec("mov(y, isr)")
+        machine.mem32[PIO1 + 4 * PIO_IRQ] = 1
+        self._counted = rp2.DMA()
+        self._counted.config(
+            read=PIO1 + 4 * PIO_RXF,
+            write=_COUNT,
+            count=0x0FFFFFFF,  # as many as an RP2350 takes
+            ctrl=self._counted.pack_ctrl(
+                size=2, inc_read=False, inc_write=False, treq_sel=DREQ_PIO1_RX0
+            ),
+        )
+        self._counted.active(1)
+        self._encoder.active(1)
+
+    def encoder(self) -> int:
+        if not self._counted.count:  # its last transfer was made: 1.3 km at 5 um
+            return 0x1000000
+        return _encoder()
+
+    def analogue(self, which: int) -> int:
+        return _convert(_SETUP, which)
 
     def tidy(self) -> None:
         gc.collect()

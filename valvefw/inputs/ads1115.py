@@ -54,7 +54,7 @@ class Ads1115:
         stage = self._stage
         if stage == IDLE:
             if due:
-                board.i2c_write(CONFIG, self._config)
+                board.i2c_begin(CONFIG, self._config)
                 self._stage = STARTING
             return -1
         word = board.i2c_done()
@@ -67,9 +67,9 @@ class Ads1115:
             self._stage = IDLE
             return word
         if stage == CONVERTING and word & START:
-            board.i2c_read(CONVERSION)
+            board.i2c_begin(CONVERSION, -1)
             self._stage = READING
             return -1
-        board.i2c_read(CONFIG)
+        board.i2c_begin(CONFIG, -1)
         self._stage = CONVERTING
         return -1

@@ -340,7 +340,6 @@ class Channels:
         w[WAITED] += dt
         return 1 if waiting >= SEND_N or w[WAITED] >= SEND_US else 0
 
-    @micropython.native
     def frame(self) -> int:
         """Write the oldest readings that wait into ``buffer`` as a frame; returns its length."""
         size = gather_readings(self._words, self._ring, self._boot_id, self.buffer)

@@ -50,8 +50,7 @@ class InputPins(Protocol):
 
     def bridge_start(self, pulses: int, now_us: int) -> None: ...  # noqa: D102
     def bridge(self, now_us: int) -> int: ...  # noqa: D102
-    def i2c_write(self, register: int, word: int, now_us: int) -> None: ...  # noqa: D102
-    def i2c_read(self, register: int, now_us: int) -> None: ...  # noqa: D102
+    def i2c_begin(self, register: int, word: int, now_us: int) -> None: ...  # noqa: D102
     def i2c_done(self) -> int: ...  # noqa: D102
     def encoder_start(self, on: int) -> None: ...  # noqa: D102
     def encoder(self) -> int: ...  # noqa: D102
@@ -218,15 +217,10 @@ class SimBoard(BufferedBoard):
         """Its next conversion."""
         return -1 if self.inputs is None else self.inputs.bridge(self.bench_us)
 
-    def i2c_write(self, register: int, word: int) -> None:
-        """To the ADS1115."""
+    def i2c_begin(self, register: int, word: int) -> None:
+        """To or from the ADS1115."""
         if self.inputs is not None:
-            self.inputs.i2c_write(register, word, self.bench_us)
-
-    def i2c_read(self, register: int) -> None:
-        """From the ADS1115."""
-        if self.inputs is not None:
-            self.inputs.i2c_read(register, self.bench_us)
+            self.inputs.i2c_begin(register, word, self.bench_us)
 
     def i2c_done(self) -> int:
         """The word that was read."""

@@ -244,15 +244,12 @@ class VirtualInputs:
         """See ``Board``."""
         return -1 if self._bridge is None else self._bridge.read(now_us)
 
-    def i2c_write(self, register: int, word: int, now_us: int) -> None:
+    def i2c_begin(self, register: int, word: int, now_us: int) -> None:
         """See ``Board``."""
-        if self._adc16 is not None:
-            self._adc16.write(register, word, now_us)
-
-    def i2c_read(self, register: int, now_us: int) -> None:
-        """See ``Board``."""
-        if self._adc16 is not None:
+        if self._adc16 is not None and word < 0:
             self._adc16.read(register, now_us)
+        elif self._adc16 is not None:
+            self._adc16.write(register, word, now_us)
 
     def i2c_done(self) -> int:
         """See ``Board``."""
