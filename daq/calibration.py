@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from daq.errors import ConfigError
 
 Floats = npt.NDArray[np.float64]
+MOST_DAYS = 36500
 BEYOND = 0.005
 """Part of the calibrated range by which a value may lie outside it without a warning."""
 
@@ -32,6 +34,7 @@ class Calibration:
         id: certificate or file of origin.
         date: date of the calibration, ISO.
         note: free text.
+        valid_days: days after ``date`` at which it is due again; 0 where none are stated.
     """
 
     quantity: str
@@ -45,6 +48,7 @@ class Calibration:
     id: str = ""
     date: str = ""
     note: str = ""
+    valid_days: int = 0
 
     def __post_init__(self) -> None:
         where = f"calibration {self.quantity}"
@@ -59,6 +63,22 @@ class Calibration:
             raise ConfigError(where, "an uncertainty is negative", "give it as a positive number")
         if not self.domain[0] < self.domain[1]:
             raise ConfigError(where, f"domain {self.domain} is empty", "give it as [low, high]")
+        whole = isinstance(self.valid_days, int) and not isinstance(self.valid_days, bool)
+        if not whole or not 0 <= self.valid_days <= MOST_DAYS:
+            what = f"valid_days = {self.valid_days!r}: expected a whole number"
+            raise ConfigError(where, f"{what} from 0 to {MOST_DAYS}", "0: no due date")
+        if self.valid_days and self.due is None:
+            what = f"valid_days is stated, and date = {self.date!r} is no date"
+            raise ConfigError(where, what, "write the date as YYYY-MM-DD")
+
+    @property
+    def due(self) -> dt.date | None:
+        """The day from which on it is due again; None where nothing says so."""
+        try:
+            made = dt.date.fromisoformat(self.date[:10])
+            return made + dt.timedelta(days=self.valid_days) if self.valid_days else None
+        except (ValueError, OverflowError):
+            return None
 
     def apply(self, raw: npt.ArrayLike) -> Floats:
         """Convert raw readings to values in ``unit``, same shape."""
@@ -89,6 +109,8 @@ class Calibration:
         """The attributes for run.json; an open end of the domain is None."""
         plain = asdict(self)
         plain["domain"] = [d if np.isfinite(d) else None for d in self.domain]
+        if not self.valid_days:
+            del plain["valid_days"]
         return plain
 
     @staticmethod

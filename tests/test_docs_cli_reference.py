@@ -38,7 +38,7 @@ def test_every_command_stands_under_a_heading_and_says_what_it_does() -> None:
                 assert parameter.help, f"pamrig {words}: {parameter.name} has no help"
 
 
-QUANTITIES = ("mm", "kpa", "kg", "n", "deg", "min", "seconds")
+QUANTITIES = ("mm", "kpa", "kg", "n", "deg", "min", "seconds", "days")
 UNITLESS = {
     *("--seed", "--seeds", "--count", "--jobs", "--threshold", "--budget", "--markers"),
     *("--repeats", "--base"),

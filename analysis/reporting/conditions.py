@@ -32,14 +32,30 @@ def instruments(run: Run, reduction: Reduction) -> list[tuple[str, str]]:
     """The instruments that this test used: name, and what identifies it."""
     devices = run.manifest.get("devices") or {}
     unused = _unused(run, reduction)
+    due = {entry.get("device"): entry for entry in calibrations_due(run)}
     out = []
     for name, about in devices.items():
         if name in unused:
             continue
         shown = about if isinstance(about, dict) else {"": about}
         words = [f"{key} {shown[key]}".strip() for key in ("", *SHOWN) if shown.get(key)]
+        if name in due:
+            words.append(due_sentence(due[name]))
         out.append((name.replace("_", " "), ", ".join(words) or "no identity stated"))
     return out
+
+
+def calibrations_due(run: Run) -> list[dict[str, Any]]:
+    """The calibrations that were due at the start of a run, or soon after, as its record states."""
+    given = run.manifest.get("calibrations_due")
+    return [entry for entry in given if isinstance(entry, dict)] if isinstance(given, list) else []
+
+
+def due_sentence(entry: dict[str, Any]) -> str:
+    """One of them in words."""
+    left = entry.get("days_left")
+    late = isinstance(left, int) and left <= 0
+    return f"calibration of {entry.get('date')} {'was' if late else 'is'} due on {entry.get('due')}"
 
 
 def _unused(run: Run, reduction: Reduction) -> set[str]:

@@ -13,6 +13,7 @@ from analysis.findings.findings import Findings, Section
 from analysis.reduction.points import Reduction
 from analysis.registry import analysis_of
 from analysis.reporting.conditions import (
+    calibrations_due,
     condition_sections,
     conditions,
     simulated,
@@ -110,6 +111,7 @@ def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
             {"quantity": name, **calibration.to_dict()}
             for name, calibration in reduction.calibrations.items()
         ],
+        "calibrations_due": calibrations_due(run),
         "faults": [
             {
                 "t_s": event["t_ns"] / 1e9,

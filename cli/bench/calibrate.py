@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 from pathlib import Path
@@ -14,12 +15,16 @@ from cli.output import print_json, writing
 from daq.errors import ConfigError
 
 if TYPE_CHECKING:
+    from daq.calibration import Calibration
     from rigs.calibration.run import Calibrated
     from rigs.execution.runner import Watch
 
 CalibrationOption = Annotated[Path, typer.Option("--out", help="Calibration file to write.")]
 RecordsOption = Annotated[Path, typer.Option(help="Folder for the record.")]
 ReplaceOption = Annotated[bool, typer.Option("--replace", help="Replace an existing file.")]
+ValidOption = Annotated[
+    int, typer.Option("--valid-days", help="Days after which it is due again; 0: none stated.")
+]
 RECORDS = Path("calibrations")
 
 
@@ -51,12 +56,14 @@ def camera(
         float, typer.Option(help="Standard uncertainty of the markers' distance to that plane.")
     ] = 0.0,
     identity: Annotated[str, typer.Option("--id", help="Name of this calibration.")] = "",
+    valid_days: ValidOption = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Pixels to millimetres: gauge-block pictures, or a chessboard in the marker plane."""
     from rigs.calibration import camera as cc
     from rigs.rigfile.camera_calibration import save_camera_calibration
 
+    _valid_days(valid_days)
     bounded("--square-mm", square_mm, 0.0, 1000.0, "mm", above=True)
     bounded("--offset-mm", offset_mm, -10_000.0, 10_000.0, "mm")
     bounded("--u-offset-mm", u_offset_mm, 0.0, 1000.0, "mm")
@@ -88,6 +95,7 @@ def camera(
             u_off_plane_mm=u_off_plane_mm,
             identity=identity,
         )
+    found = dataclasses.replace(found, calibration=_valid(found.calibration, valid_days))
     with writing(out):
         save_camera_calibration(out, found)
     if as_json:
@@ -162,6 +170,7 @@ def pressure(
     records: RecordsOption = RECORDS,
     operator: OperatorOption = "",
     replace: ReplaceOption = False,
+    valid_days: ValidOption = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Counts to kPa: pressures up and down on the bench, compared with a reference."""
@@ -176,13 +185,14 @@ def pressure(
         _uncertainty(u_zero, "--u-zero"),
         _uncertainty(u_gain, "--u-gain", relative=True),
     )
+    _valid_days(valid_days)
     _check(out, replace)
     with stop_on_signals() as stop:
         done = calibrate_pressure(
             load_rig(rig), _numbers(pressures, "--pressures-kpa"), records,
             reference=reference if gauge else None, who=operator, stop=stop, watch=_watch(as_json),
         )  # fmt: skip
-    _write(done, out, replace, as_json)
+    _write(done, out, replace, valid_days, as_json)
 
 
 def force(
@@ -197,6 +207,7 @@ def force(
     records: RecordsOption = RECORDS,
     operator: OperatorOption = "",
     replace: ReplaceOption = False,
+    valid_days: ValidOption = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Grams (or a load cell's reading) to newtons: dead weights, up and down."""
@@ -210,13 +221,14 @@ def force(
         u_each=_uncertainty(u_each, "--u-each"),
         u_gain=_uncertainty(u_gain, "--u-gain", relative=True),
     )
+    _valid_days(valid_days)
     _check(out, replace)
     with stop_on_signals() as stop:
         done = calibrate_force(
             load_rig(rig), _numbers(masses, "--masses-kg"), records, weights=reference,
             who=operator, stop=stop, watch=_watch(as_json),
         )  # fmt: skip
-    _write(done, out, replace, as_json)
+    _write(done, out, replace, valid_days, as_json)
 
 
 def regulator(
@@ -229,6 +241,7 @@ def regulator(
     records: RecordsOption = RECORDS,
     operator: OperatorOption = "",
     replace: ReplaceOption = False,
+    valid_days: ValidOption = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Dynamics of a proportional regulator: steps, small steps and a ramp on the bench."""
@@ -239,17 +252,19 @@ def regulator(
 
     bounded("--repeats", repeats, 2, 100, "")
     bounded("--increment-kpa", increment_kpa, 0.01, 50.0, "kPa")
+    _valid_days(valid_days)
     _check(out, replace)
     with stop_on_signals() as stop:
         done = calibrate_regulator(
             load_rig(rig), records, repeats=repeats, increment_kpa=increment_kpa,
             who=operator, stop=stop, watch=_watch(as_json),
         )  # fmt: skip
-    write_dynamics(out, done.found.regulator, done.found.u, done.about, replace)
+    about = {**done.about, **({"valid_days": valid_days} if valid_days else {})}
+    write_dynamics(out, done.found.regulator, done.found.u, about, replace)
     rows = summary(done.found)
     if as_json:
         print_json(
-            {**done.about, "values": {name: value for name, _, value, _ in rows},
+            {**about, "values": {name: value for name, _, value, _ in rows},
              "u": done.found.u, "file": str(out), "folder": str(done.folder)}
         )  # fmt: skip
         return
@@ -315,11 +330,22 @@ def _watch(as_json: bool) -> Watch:
     return Watch(state=show, log=show)
 
 
-def _write(done: Calibrated, out: Path, replace: bool, as_json: bool) -> None:
+def _valid_days(days: int) -> None:
+    from daq.calibration import MOST_DAYS
+
+    bounded("--valid-days", days, 0, MOST_DAYS, "days")
+
+
+def _valid(calibration: Calibration, days: int) -> Calibration:
+    """The calibration with its due date."""
+    return dataclasses.replace(calibration, valid_days=days)
+
+
+def _write(done: Calibrated, out: Path, replace: bool, valid_days: int, as_json: bool) -> None:
     from rigs.rigfile.calibration_file import write_calibration
 
-    write_calibration(out, done.file, done.points, replace)
-    c = done.file.calibration
+    c = _valid(done.file.calibration, valid_days)
+    write_calibration(out, dataclasses.replace(done.file, calibration=c), done.points, replace)
     if as_json:
         print_json(
             {**c.to_dict(), "linearity": done.file.linearity, "file": str(out),

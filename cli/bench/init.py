@@ -189,7 +189,7 @@ def _may_write(file: Path, replace: bool, ask: Interview, silent: bool) -> None:
         raise ConfigError(str(file), "its folder does not exist", "create it first")
     if not file.exists() or replace:
         return
-    if silent or not ask.flag("replace", f"{file} exists already. Replace it?", False):
+    if silent or not ask.yes_no("replace", f"{file} exists already. Replace it?", False):
         raise ConfigError(
             str(file), "exists already, and stays as it is", "choose another name, or add --replace"
         )

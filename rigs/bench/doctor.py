@@ -14,6 +14,7 @@ from daq.clock import Clock
 from daq.errors import PamrigError
 from rigs.bench.both import Side, sides_of
 from rigs.bench.computer import Computer
+from rigs.bench.due import due_calibrations
 from rigs.bench.rig import Rig, open_rig
 from rigs.devices.valve_controller import ALIVE_S
 from rigs.rigfile.config import NONE, RigConfig, load_rig
@@ -83,12 +84,15 @@ def _config(config: RigConfig) -> Iterator[Finding]:
             "(a normally open outlet vents by itself)",
         )
     for quantity, cal in config.calibrations.items():
+        made = f"of {cal.date}" if cal.date else "without a date"
         yield Finding(
             f"calibration {quantity}",
-            "ok",
-            f"{cal.id} of {cal.date}, {cal.domain[0]:g} to {cal.domain[1]:g} {cal.unit}, "
+            "ok" if cal.date else "warn",
+            f"{cal.id} {made}, {cal.domain[0]:g} to {cal.domain[1]:g} {cal.unit}, "
             f"u = {cal.u_offset:g} {cal.unit} + {cal.u_gain * 100:g} %",
         )
+    for late in due_calibrations(config):
+        yield Finding(f"calibration of {late.device}", "warn", f"{late.text}: calibrate it again")
 
 
 def _devices(rig: Rig) -> Iterator[Finding]:

@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from rigs.bench.due import due_calibrations
 from rigs.bench.rig import Rig
 from rigs.execution.procedure import Plan
 from rigs.execution.recording import instrument_manifest
@@ -64,6 +65,9 @@ def manifest(
     }  # fmt: skip
     out.update(instrument_manifest(rig))
     out["load"] = dict(vars(config.instruments.load))
+    late = [one.as_dict() for one in due_calibrations(config)]
+    if late:
+        out["calibrations_due"] = late
     if config.virtual is not None:
         out["virtual"] = {"seed": config.virtual.seed}
     return out

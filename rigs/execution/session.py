@@ -15,6 +15,7 @@ from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS, Gap
 from daq.record.disk import check_disk
 from daq.record.writer import RecordWriter
 from rigs.bench.both import Side, firmware_parameters
+from rigs.bench.due import due_calibrations
 from rigs.bench.locks import vent_request
 from rigs.bench.rig import Rig, open_rig
 from rigs.devices.balance import BALANCE_UNITS, NoBalance
@@ -110,9 +111,7 @@ def run_protocol(  # noqa: C901, PLR0913, PLR0915 - what may be stated of a run,
     stop = stop or StopFlag()
     watch = watch or Watch()
     control = control or RunControl()
-    if not config.is_virtual:
-        used = bool(plan.frames) or kind.open_ended
-        _load(config, pictures=used and bool(config.camera.source))
+    _prepare(config, watch, bool(plan.frames) or kind.open_ended)
     with open_rig(config, operator=person, bench=bench) as rig:
         virtual = rig.clock.virtual
         if kind.firmware:
@@ -176,6 +175,14 @@ def _open_streams(rig: Rig, record: RecordWriter) -> None:
         columns = rig.balance.columns
         units = {name: unit for name, unit in BALANCE_UNITS.items() if name in columns}
         record.stream("balance", columns, units)
+
+
+def _prepare(config: RigConfig, watch: Watch, pictures: bool) -> None:
+    """What comes before the bench is opened: a word on calibrations that are due, and imports."""
+    for late in due_calibrations(config):
+        watch.log(f"WARNING: calibration of {late.device}: {late.text}")
+    if not config.is_virtual:
+        _load(config, pictures=pictures and bool(config.camera.source))
 
 
 def _load(config: RigConfig, pictures: bool) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.calibration import Calibration
+from daq.calibration import MOST_DAYS, Calibration
 from daq.errors import ConfigError
 from rigs.rigfile.toml_reader import Table, load_toml
 
@@ -50,6 +50,7 @@ def read_fields(t: Table, quantity: str, unit: str, raw_unit: str) -> Calibratio
         id=t.text("id"),
         date=t.text("date"),
         note=t.text("note", ""),
+        valid_days=t.integer("valid_days", 0, MOST_DAYS, 0),
     )
 
 
@@ -119,6 +120,7 @@ def write_calibration(
         raise ConfigError(str(path), "exists already", "choose another --to, or add --replace")
     c = file.calibration
     rows = ",\n".join(f"    [{raw:.9g}, {ref:.9g}, {res:.4g}]" for raw, ref, res in points)
+    days = f"valid_days = {c.valid_days}\n" if c.valid_days else ""
     text = f"""# {c.unit} = offset + scale * {c.raw_unit}; uncertainties are standard (k = 1).
 quantity = {json.dumps(c.quantity)}
 id = {json.dumps(c.id)}
@@ -134,7 +136,7 @@ u_gain = {c.u_gain:.6g}
 domain = [{float(c.domain[0])!r}, {float(c.domain[1])!r}]
 linearity = {file.linearity:.6g}
 note = {json.dumps(c.note)}
-# reading in {c.raw_unit}, reference in {c.unit}, residual in {c.unit}
+{days}# reading in {c.raw_unit}, reference in {c.unit}, residual in {c.unit}
 points = [
 {rows},
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from daq.calibration import Calibration
+from daq.calibration import MOST_DAYS, Calibration
 from rigs.rigfile.calibration_file import load_calibration
 from rigs.rigfile.command_form import CommandForm, load_command_form
 from rigs.rigfile.device import Device
@@ -311,6 +311,7 @@ def _calibration(
         domain=domain,
         id=t.text("id", "as the manufacturer states"),
         date=t.text("date", ""),
+        valid_days=t.integer("valid_days", 0, MOST_DAYS, 0),
     )
 
 
@@ -338,6 +339,7 @@ def _length_calibration(t: Table, raw_unit: str, domain: tuple[float, float]) ->
         domain=(ends[0], ends[1]),
         id=t.text("id", "as the manufacturer states"),
         date=t.text("date", ""),
+        valid_days=t.integer("valid_days", 0, MOST_DAYS, 0),
     )
 
 
@@ -389,6 +391,7 @@ def _card(t: Table, taken: tuple[str, ...]) -> CardDevice:
             domain=(c.number("low", -1e9, 1e9, ends[0]), c.number("high", -1e9, 1e9, ends[1])),
             id=c.text("id", "as stated in the rig file"),
             date=c.text("date", ""),
+            valid_days=c.integer("valid_days", 0, MOST_DAYS, 0),
         )
         form = CardForm(quantity, "V", rate_hz)
         channels[name] = CardChannel(port, 9600, "", form, calibration, c.text("terminal"), range_v)

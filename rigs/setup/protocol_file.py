@@ -95,7 +95,7 @@ def ask_protocol(ask: Interview, protocol: str, before: Mapping[str, Any] | None
     taken = dict(before or {})
     for entry in top:
         lines[entry.at] = _line(entry, _value(ask, entry, taken.get(entry.name, entry.value)))
-    asked = ask.flag(
+    asked = ask.yes_no(
         "all", "Also preconditioning, settling and the other tables?", bool(taken.get("all", False))
     )
     for entry in rest:
@@ -112,7 +112,7 @@ def _value(ask: Interview, entry: Entry, default: Any) -> Any:
     """The answer to one key, of the type that it has in the shipped file."""
     own = entry.value
     if isinstance(own, bool):
-        return ask.flag(entry.name, entry.question, default)
+        return ask.yes_no(entry.name, entry.question, default)
     if isinstance(own, (int, float)):
         number = ask.number(entry.name, entry.question, default, -MOST, MOST, entry.unit)
         return round(number) if isinstance(own, int) and number == round(number) else number

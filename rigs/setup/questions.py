@@ -146,7 +146,7 @@ class Interview:
 
         return str(self._answer(key, text, default, parse))
 
-    def flag(self, key: str, text: str, default: bool) -> bool:
+    def yes_no(self, key: str, text: str, default: bool) -> bool:
         """Yes or no.
 
         Raises:

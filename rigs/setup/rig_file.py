@@ -269,7 +269,7 @@ def _ports(
         return
     wanted = _wanted(parts, registers)
     ask.tell("", *requests_text(wanted, parts.ports))
-    if ask.flag("ask_devices", "Send this and see who answers?", False):
+    if ask.yes_no("ask_devices", "Send this and see who answers?", False):
         for answer in here.search(wanted, parts.ports, ask.tell):
             parts.found[answer.probe.device] = answer
             parts.taken.add(answer.port)

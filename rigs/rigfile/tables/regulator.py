@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.regression.regulator import Regulator
-from daq.calibration import Calibration
+from daq.calibration import MOST_DAYS, Calibration
 from daq.errors import ConfigError
 from rigs.rigfile.toml_reader import Table, load_toml
 
@@ -53,6 +53,7 @@ class Dynamics:
     u: dict[str, float]
     date: str
     path: str
+    valid_days: int = 0
 
     def to_dict(self) -> dict[str, Any]:
         """For run.json."""
@@ -183,10 +184,11 @@ def load_dynamics(name: str, rig_source: str, serial: str = "") -> Dynamics:
     uncertain = {key: u.number(key, 0.0, 1e6) for key in NAMES if key in u}
     u.finish()
     date = t.text("date", "")
+    valid_days = t.integer("valid_days", 0, MOST_DAYS, 0)
     for key in ("record", "note", "misfit_kpa", "ramp_kpa", "replicates", "slew_above_kpa_s"):
         t.raw(key, None)
     t.finish()
-    return Dynamics(Regulator(slew_kpa_s=slew, **numbers), uncertain, date, str(path))
+    return Dynamics(Regulator(slew_kpa_s=slew, **numbers), uncertain, date, str(path), valid_days)
 
 
 def write_dynamics(
