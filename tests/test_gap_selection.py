@@ -15,6 +15,7 @@ from gap.selection.backward import drop_needless, swapped
 from gap.selection.candidate_fits import Hypothesis, fit_further, linear_gains
 from gap.selection.config import SELECTION
 from gap.selection.inclusion import (
+    StepStatistics,
     excess_chi2,
     is_included,
     leaves_nothing,
@@ -103,3 +104,37 @@ def test_what_takes_all_that_is_left_counts_beside_an_effect_of_any_size(table: 
     assert nothing_is_left(5000.0, 100.0)
     assert not nothing_is_left(5000.0, 250.0)
     assert not nothing_is_left(900.0, 0.0)
+
+
+def further(**changes: float | bool | str) -> StepStatistics:
+    """A further effect of 9 sd that hardly shows in any block."""
+    plain = StepStatistics(
+        key="dead_volume", gain=900.0, gap=1e4, left=1000.0, rows=5000, alarm=30.0,
+        visibility=0.2, own_channels=False, same_family=False, best_of_family=True,
+        shift_before=0.5, shift_after=0.5, frees=False,
+    )  # fmt: skip
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+def test_beside_what_leaves_nothing_an_effect_need_not_be_visible() -> None:
+    """There is no form that it could correct, so its gain alone says whether it is there."""
+    alone = {"gain": 127.0, "left": 0.0, "gap": 62000.0}
+    assert is_included(further(**alone))
+    assert not is_included(further(**alone, same_family=True))
+    assert not is_included(further(**{**alone, "gain": 40.0}))
+    assert not is_included(further(**{**alone, "left": 3000.0}))
+
+
+def test_an_effect_of_few_rows_counts_by_the_share_that_it_takes() -> None:
+    few = {"gain": 11000.0, "left": 18000.0, "gap": 100000.0}
+    assert is_included(further(**few))
+    assert not is_included(further(**{**few, "gap": 1e6}))
+    assert not is_included(further(**{**few, "gain": 8000.0}))
+
+
+def test_a_visible_effect_counts_beside_a_form_that_leaves_much() -> None:
+    beside = {"gain": 4800.0, "left": 10800.0, "gap": 330000.0, "visibility": 1.4}
+    assert is_included(further(**beside))
+    assert not is_included(further(**{**beside, "visibility": 0.9}))
+    assert not is_included(further(**{**beside, "gain": 800.0}))
+    assert not is_included(further(**{**beside, "gap": 1e6}))

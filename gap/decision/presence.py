@@ -21,9 +21,8 @@ from importlib import resources
 import numpy as np
 from scipy.special import expit
 
-from gap.decision.traits import shape_at_end
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.shape_fit import fit_shapes
+from gap.estimation.shape_fit import LOOSE, fit_shapes
 from gap.selection.backward import refitted_without, without
 from gap.selection.candidate_fits import Hypothesis, fit_further, linear_gains
 from gap.selection.inclusion import excess_chi2, visibility
@@ -46,7 +45,7 @@ class Evidence:
         margin: rise of chi-square with the best other effect in its place; `lost` where none.
         slots: t-value over slots of the rise without it.
         visibility: what it takes from some block, in units of its floor.
-        shape_at_end: whether a number of its shape stands at an end of its range.
+        shape_at_end: whether the data hold a number of its shape at an end of its range.
         single: whether the explanation has no other effect.
     """
 
@@ -119,11 +118,33 @@ def evidence_of(problem: FitProblem, search: SearchResult) -> tuple[Evidence, ..
                 name, search.left + chance, search.gap + chance, lost,
                 max(min([lost, *others]), 0.0), _over_slots(problem, less, fit),
                 visibility(problem, less, fit),
-                float(any(shape_at_end(c) for c in fit.candidates if c.key == key)),
+                float(any(_against_end(problem, fit, j, search.left + chance)
+                          for j, c in enumerate(fit.candidates) if c.key == key)),
                 float(len(keys) == 1),
             )
         )  # fmt: skip
     return tuple(made)
+
+
+def _against_end(problem: FitProblem, fit: FitResult, at: int, left: float) -> bool:
+    """Whether the data hold a number of a candidate's shape at the end of its range.
+
+    They do where the number inside, by one sd of its prior, costs more than `left`. A number that
+    they do not determine may end anywhere: a travel shorter than what is read of it, a knee in
+    pressure where the pressure is held.
+    """
+    candidate = fit.candidates[at]
+    for key, (low, high) in candidate.free.items():
+        number = candidate.shape[key]
+        if 1.02 * low < number < 0.98 * high:
+            continue
+        inside = number * float(np.exp(LOOSE if number <= 1.02 * low else -LOOSE))
+        shape = {**candidate.shape, key: inside}
+        moved = [*fit.candidates[:at], replace(candidate, shape=shape), *fit.candidates[at + 1 :]]
+        other = problem.polish(problem.fit(moved, fit.amounts.tolist(), fit))
+        if other.cost - fit.cost > left:
+            return True
+    return False
 
 
 def _stand_ins(problem: FitProblem, best: Hypothesis, key: str) -> list[float]:

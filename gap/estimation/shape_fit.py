@@ -22,7 +22,7 @@ _STEP = 0.05
 """Change of a number's logarithm at which its signature is taken."""
 _STRIDE = 0.8
 """Largest change of a logarithm in one round."""
-_LOOSE = 1.0
+LOOSE = 1.0
 """Sd of a number's logarithm about that of the candidate it came from."""
 
 
@@ -45,8 +45,8 @@ def fit_shapes(problem: FitProblem, fit: FitResult) -> FitResult:
         )
         matrix, right = problem.normal(np.hstack([constants, slopes]), fit.residual, fit.shift)
         last = range(len(matrix) - len(free), len(matrix))
-        matrix[last, last] += 1.0 / _LOOSE**2
-        right[-len(free) :] -= (at - start) / _LOOSE**2
+        matrix[last, last] += 1.0 / LOOSE**2
+        right[-len(free) :] -= (at - start) / LOOSE**2
         better = None
         for _ in range(4):
             beta = damped_step(matrix, right, damping)
@@ -70,7 +70,7 @@ def _numbers(candidates: Sequence[Candidate], free: list[tuple[int, str]]) -> Ar
 
 
 def _prior(fit: FitResult, free: list[tuple[int, str]], start: Array) -> float:
-    return float(np.sum((_numbers(fit.candidates, free) - start) ** 2)) / _LOOSE**2
+    return float(np.sum((_numbers(fit.candidates, free) - start) ** 2)) / LOOSE**2
 
 
 def _with(

@@ -145,8 +145,9 @@ def is_included(s: StepStatistics, config: SelectionConfig = SELECTION) -> bool:
         return False
     if s.best_of_family and (leaves_nothing(s, config) or frees_constant(s, config)):
         return True
-    visible = s.visibility > config.further_visibility
-    return visible and (s.own_channels or _takes_fair_share(s, config))
+    if not (s.visibility > config.further_visibility or _needs_no_sight(s, config)):
+        return False
+    return s.own_channels or _takes_fair_share(s, config)
 
 
 def leaves_nothing(s: StepStatistics, config: SelectionConfig = SELECTION) -> bool:
@@ -179,11 +180,29 @@ def relieves_constant(s: StepStatistics, config: SelectionConfig = SELECTION) ->
     return drop > config.relief_sd and s.shift_after < config.relieved_sd
 
 
+def _exact(s: StepStatistics) -> bool:
+    """Whether the effects before leave nothing: there is no form that this one could correct."""
+    return max(s.left, 1.0) < 2.0 * s.chance
+
+
+def _needs_no_sight(s: StepStatistics, config: SelectionConfig) -> bool:
+    """Whether an effect counts however little it takes from the rms of a whole block.
+
+    An effect of the gas shows in the few rows in which a valve is open.
+    """
+    most = s.of_left > config.unseen_of_left and s.gain > config.further_share * s.gap
+    return not s.same_family and (most or _exact(s))
+
+
 def _takes_fair_share(s: StepStatistics, config: SelectionConfig) -> bool:
-    """Whether a visible effect takes a fair share of the gap, or of what is left."""
-    exact = max(s.left, 1.0) < 2.0 * s.chance  # there is no form that it could correct
+    """Whether an effect takes a fair share of the gap, or of what is left."""
     return (
         s.gain > config.further_share * s.gap
-        or (exact and s.gain > config.exact_gain * s.alarm)
+        or (_exact(s) and s.gain > config.exact_gain * s.alarm)
         or (s.visibility > config.plain_visibility and s.of_left > config.plain_of_left)
+        or (
+            s.visibility > config.fair_visibility
+            and s.of_left > config.fair_of_left
+            and s.gain > config.nothing_share * s.gap
+        )
     )

@@ -128,7 +128,7 @@ def _is_needed(
         return True  # held-out slots are no test: too few show it, or a constant takes its place
     exact = s.left < 2.0 * s.chance
     part = gain < config.form_share * max(problem.base.cost - fit.cost, 1.0)
-    if part and not (s.own_channels or exact) and s.visibility < config.plain_visibility:
+    if part and not (s.own_channels or exact) and s.visibility < config.fair_visibility:
         return False  # it corrects the form of the effect before it
     return _gains_surely(held_out(problem, less), held_out(problem, fit), config)
 
