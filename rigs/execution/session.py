@@ -56,7 +56,7 @@ class Result:
     planned: int = 0
 
 
-def run_protocol(  # noqa: C901, PLR0913, PLR0915 - what may be stated of a run, each by name; its phases stand in one place
+def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by name; its phases stand in one place
     kind: Procedure,
     config: RigConfig,
     plan: Plan,
