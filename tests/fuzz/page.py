@@ -35,7 +35,8 @@ def page(totals: list[dict[str, Any]], seed: int) -> str:
     versions = ", ".join(f"{n} {version(n)}" for n in names)
     out = [
         HEAD.format(hang=HANG_S, more=MORE_MB),
-        f"**{count:,} inputs, {found} finding{'' if found == 1 else 's'}**; {datetime.now(UTC):%Y-%m-%d}, seed {seed}, "
+        f"**{count:,} inputs, {found} finding{'' if found == 1 else 's'}**;"
+        f" {datetime.now(UTC):%Y-%m-%d}, seed {seed}, "
         f"{seconds / 60:.0f} min on one core; revision {_revision()}, Python "
         f"{platform.python_version()}, {versions}, {platform.system()}.\n",
         "| Target | Reads | Inputs | Refused | Kept | Branches | us per input | Slowest, s | "
