@@ -10,18 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.regression.calibration_line import Reference
 from analysis.run_table import reduce_run
 from bench_process import bench_process, run_pamrig
 from bench_runs import quick, run_isometric
-from daq.errors import ConfigError, DeviceTimeout
+from daq.errors import ConfigError, DeviceError, DeviceTimeout
 from daq.store.derive import engineering
 from daq.store.run import Run, open_run
 from daq.store.verify import verify
 from protocol_runs import run_short
 from rigs.bench.doctor import examine
 from rigs.bench.rig import open_rig
+from rigs.calibration.force import calibrate_force
 from rigs.execution.runner import Runner
 from rigs.execution.session import Result
+from rigs.rigfile.calibration_file import write_calibration
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 
@@ -231,6 +234,38 @@ def test_an_encoder_that_jumps_ends_the_run_before_a_wrong_length(tmp_path: Path
     points = reduce_run(run).table
     assert len(points) >= 1
     assert (points["length_mm"] - points["set_length_mm"]).abs().max() < 0.06
+
+
+def test_an_encoder_that_counts_from_elsewhere_is_refused() -> None:
+    """The controller restarted at another length than that of the zero."""
+    config = load_rig(RIG)
+    with open_rig(config) as rig:
+        bench = rig.bench
+        assert bench is not None
+        assert rig.length_reader is not None
+        rig.stage.set_value(58.0)
+        assert rig.length_reader.next_mean(5) == pytest.approx(58.0, abs=0.06)
+    bench.board.reset("power")
+    words = r"reads 61\.7\d mm, and the stage stands at 58\.00 mm"
+    with pytest.raises(DeviceError, match=words), open_rig(config, bench=bench):
+        pass
+
+
+def test_a_cell_is_calibrated_with_weights(tmp_path: Path) -> None:
+    """The file of `pamrig calibrate force` is in counts, and a rig file takes it."""
+    weights = Reference("weights E-1", u_gain=1e-4, u_each=0.0)
+    done = calibrate_force(
+        load_rig(RIG), [0.0, 1.0, 2.5, 5.0], tmp_path, weights=weights, seconds=1.0
+    )
+    made = done.file.calibration
+    assert made.raw_unit == "count"
+    assert done.file.instrument == "LC-0009"
+    assert made.scale == pytest.approx(8.3e-5, rel=2e-3)
+    write_calibration(tmp_path / "cell.toml", done.file, done.points)
+    lines = load_rig(RIG).text.partition('serial = "LC-0009"\n')[2].partition("\n\n")[0]
+    config = rig_with(tmp_path, (lines, 'calibration = "cell.toml"'))
+    assert config.calibrations["force_n"].id == made.id
+    assert config.calibrations["force_n"].raw_unit == "g"
 
 
 # ---- rig files ------------------------------------------------------------------------

@@ -145,6 +145,29 @@ def open_valve(
         yield valve, event_loop, stack, bench
 
 
+def _force_source(
+    ports: Ports,
+    event_loop: EventLoop,
+    instruments: dict[str, Instrument],
+    identities: dict[str, dict[str, str]],
+) -> Balance | LoadCell | NoBalance:
+    """What measures the force: a balance with a port of its own, or one of the instruments."""
+    config = ports.config
+    if config.force_source == NONE:
+        return NoBalance()
+    if config.force_source == "balance":
+        balance = Balance(ports.open("balance", config.balance), event_loop)
+        event_loop.add(balance.poll)
+        identities["balance"] = balance.connect(config.balance.serial)
+        return balance
+    cell = instruments[config.force_source]
+    if isinstance(cell, ChannelReader):
+        assert cell.calibration is not None
+        return LoadCell(cell, net_grams(cell.calibration)[0])
+    assert isinstance(cell, TextInstrument)
+    return LoadCell(cell)
+
+
 @contextmanager
 def open_rig(
     config: RigConfig,
@@ -186,22 +209,7 @@ def open_rig(
             stack.callback(camera.close)
         person = operator or default_operator(ports, bench)
         instruments = open_readers(ports, event_loop, valve)
-        balance: Balance | LoadCell | NoBalance
-        if config.force_source == NONE:
-            balance = NoBalance()
-        elif config.force_source == "load_cell":
-            cell = instruments["load_cell"]
-            assert isinstance(cell, TextInstrument)
-            balance = LoadCell(cell)
-        elif config.force_source in config.instruments.channels:
-            sensor = instruments[config.force_source]
-            assert isinstance(sensor, ChannelReader)
-            assert sensor.calibration is not None
-            balance = LoadCell(sensor, net_grams(sensor.calibration)[0])
-        else:
-            balance = Balance(ports.open("balance", config.balance), event_loop)
-            event_loop.add(balance.poll)
-            identities["balance"] = balance.connect(config.balance.serial)
+        balance = _force_source(ports, event_loop, instruments, identities)
         for name, reader in instruments.items():
             identities[name] = reader.connect(config.instruments.readers()[name].serial)
         stage: MotorStage | ManualStage
@@ -217,6 +225,9 @@ def open_rig(
             assert isinstance(stage, MotorStage)
             event_loop.add(stage.poll)
             identities["stage"] = stage.connect(config.stage.serial)
+            length = instruments.get(config.length_source)
+            if isinstance(length, ChannelReader):
+                length.check_place(stage.status()[1])
         if config.camera.source:
             identities["camera"] = camera.identity
         transducer = SolenoidPressure(valve, config)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from daq.clock import NS_PER_S
-from daq.errors import DeviceTimeout
+from daq.errors import DeviceError, DeviceTimeout
 from daq.link.channels import OK, OVERLOAD, Arrived, ChannelReading, EdgeCount
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.instruments.readings import Batch, Readings
@@ -20,6 +20,8 @@ CONNECT_S = 3.0
 SILENT_S = 1.0
 """Without any message of the input for so long, or three readings, the controller itself is
 silent."""
+ZERO_MM = 1.0
+"""An encoder may read so much else than the stage says: play, and the muscle's ends."""
 COLUMNS = {
     "row": "int64",
     "device_us": "int64",
@@ -139,6 +141,23 @@ class ChannelReader(Readings):
         """
         self._await(n, 3.0 * n / self.rate_hz + 1.0)
         return self.mean(n)
+
+    def check_place(self, stage_mm: float) -> None:
+        """An encoder counts from where the controller was switched on; the stage knows better.
+
+        Raises:
+            DeviceError: it reads another length than that at which the stage stands.
+        """
+        if self._edges is None:
+            return
+        read_mm = self.next_mean(3)
+        if abs(read_mm - stage_mm) > ZERO_MM:
+            assert self.calibration is not None
+            raise DeviceError(
+                self.name, f"reads {read_mm:.2f} mm, and the stage stands at {stage_mm:.2f} mm",
+                "it counts from where the controller was switched on: switch it off and on at"
+                f" {self.calibration.offset:g} mm (channels.{self.key}.offset)",
+            )  # fmt: skip
 
     def at_rest(self, seconds: float = 10.0) -> float:
         """Mean of the next half second of readings, in counts.
