@@ -68,7 +68,7 @@ def page_one(
         "results": result_table(shown),
         "all_results": len(results),
         "details": result_table(results) if len(shown) < len(results) else None,
-        "means": means_text(results),
+        "means": means_text(results, bool(reduction.calibrations)),
         "acceptance": acceptance_table(judged, JUDGED_MOST),
         "all_judged": acceptance_table(judged) if len(judged) > JUDGED_MOST else None,
         "notes": notes,
@@ -255,7 +255,7 @@ def _short(name: str, value: float | str) -> str:
     return f"{value:g}".replace("-", "−")
 
 
-def means_text(results: Sequence[Result]) -> str:
+def means_text(results: Sequence[Result], calibrated: bool = True) -> str:
     """How mean, deviation and uncertainty were made, in words."""
     if not results:
         return ""
@@ -265,9 +265,13 @@ def means_text(results: Sequence[Result]) -> str:
         " With several mountings the random part is from the means of the mountings."
         if any(r.mountings > 1 for r in results) else ""
     )  # fmt: skip
+    shared = (
+        "from the calibrations, which all tests share" if calibrated
+        else "no calibration, because none is known"
+    )  # fmt: skip
     return (
         "Expanded uncertainty U = k u for 95.45 %: u from the scatter of the mean (not below the"
-        " noise of the readings) and from the calibrations, which all tests share; k is Student's t"
+        f" noise of the readings) and {shared}; k is Student's t"
         f" for the effective degrees of freedom (GUM, G.4).{mounted}"
     )
 

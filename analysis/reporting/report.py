@@ -165,13 +165,15 @@ def render_report(run: Run, reduction: Reduction | None = None) -> str:
         results = results_of(reduction, kind.results)
         judged = judge(results, acceptance_of(run))
     data = report_json(run, reduction, findings)
+    with contents_of(run):
+        first = page_one(run, reduction, data, results, judged)
     parts = [section_parts(section) for section in findings.sections]
     html: str = (
         environment()
         .get_template("report.html.j2")
         .render(
             r=data,
-            one=page_one(run, reduction, data, results, judged),
+            one=first,
             timeline=figure_parts(timeline) if timeline is not None else {},
             conditions=[section_parts(section) for section in condition_sections(run)],
             figures=[part for part in parts if part["image"]],

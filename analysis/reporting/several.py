@@ -58,6 +58,7 @@ class Tested:
         reduction: its table.
         results: its results by quantity and settings.
         judged: its results with limits.
+        method: its method in one line.
     """
 
     number: int
@@ -65,6 +66,7 @@ class Tested:
     reduction: Reduction
     results: Mapping[Key, Result]
     judged: tuple[Judged, ...]
+    method: str
 
     @property
     def specimen(self) -> str:
@@ -194,8 +196,9 @@ def compare_runs(
         with contents_of(run):
             results = results_of(reduction, kind.results)
             judged = tuple(judge(results, acceptance_of(run)))
+            method = method_text(run.manifest)
         tested.append(
-            Tested(number, run, reduction, {(r.quantity, r.at): r for r in results}, judged)
+            Tested(number, run, reduction, {(r.quantity, r.at): r for r in results}, judged, method)
         )
     keys = [
         key
@@ -249,7 +252,7 @@ def _compare(
 def _notes(tested: Sequence[Tested]) -> list[str]:
     """What differs between the runs besides specimen, mounting and date."""
     notes = []
-    methods = {method_text(one.run.manifest) for one in tested}
+    methods = {one.method for one in tested}
     if len(methods) > 1:
         notes.append(
             f"the runs were made by {len(methods)} different methods: "
@@ -361,7 +364,7 @@ def _page_one(found: Comparison) -> dict[str, Any]:
     stated = dict.fromkeys((j.quantity, j.lower, j.upper) for one in found.runs for j in one.judged)
     return {
         "heads": [(one.name, one.unit) for one in shown], "rows": rows, "limits": limits,
-        "method": method_text(found.runs[0].run.manifest),
+        "method": found.runs[0].method,
         "limits_text": "; ".join(
             f"{QUANTITIES.get(q, (q, ''))[0]} {limits_text(a, b, QUANTITIES.get(q, ('', ''))[1])}"
             for q, a, b in stated

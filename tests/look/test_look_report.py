@@ -37,13 +37,14 @@ def test_a_report_fits_on_paper(name: str, tmp_path: Path) -> None:
 
 def check_first_page(page: Path) -> None:
     """Page one, as the browser prints it, ends with the sign-off; page two has the figures."""
-    pages = [p.extract_text() for p in PdfReader(io.BytesIO(print_to_pdf(page))).pages]
+    printed = PdfReader(io.BytesIO(print_to_pdf(page))).pages
+    pages = [re.sub(r"page \d+ of \d+", "", p.extract_text()).strip() for p in printed]
     assert "Checked by" in pages[0]
-    assert re.match(r"\s*(Figures|Details)\b", pages[1])
+    assert pages[1].startswith(("Figures", "Details"))
     assert not re.search(r"[−-]0(\.0+)?(?![\d.])\s", "".join(pages)), "zero has no sign"
 
 
-@pytest.mark.parametrize("name", PROTOCOLS)
+@pytest.mark.parametrize("name", ["isometric", "hysteresis", "switching-time", "joint-static"])
 def test_page_one_of_a_default_test_is_one_page(name: str, tmp_path: Path) -> None:
     """With the lengths, pressures and repeats of a whole test, and with limits on every result."""
     kind = procedure(name)
