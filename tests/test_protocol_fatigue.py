@@ -25,6 +25,9 @@ from daq.errors import ConfigError
 from daq.interrupt import StopFlag
 from daq.store.run import Run, open_run
 from daq.store.verify import verify
+from plant.constants import nominal
+from plant.effects.effects import Effects
+from plant.simulator.bench import BenchSim
 from protocol_runs import events, force_n, run_short, with_virtual
 from rigs.execution.runner import Runner
 from rigs.execution.session import run_protocol
@@ -220,6 +223,44 @@ def test_efficiency_by_hand() -> None:
     assert math.isnan(cycle_energy(0.2, 0.001, high, low, None).efficiency)
     beyond = dataclasses.replace(low, length_mm=80.0)
     assert math.isnan(cycle_energy(0.2, 0.001, high, beyond, air).exergy_j)
+
+
+@pytest.mark.parametrize("friction_n", [0.0, 3.0])
+def test_work_lost_over_a_loop_of_length(friction_n: float, tmp_path: Path) -> None:
+    """An isobaric test stretches and lets back: friction takes twice itself times the way."""
+    effects = {"braid_friction": {"friction_n": friction_n}} if friction_n else {}
+    config = with_virtual(load_rig("virtual", 7), effects=effects)
+    result, run, _ = run_short(
+        "isobaric", tmp_path, config=config, pressures_kpa=(300.0,), lengths_mm=(57.0, 61.0, 65.0)
+    )
+    assert result.outcome == "clean", result.error
+    (loop,) = analysis_of("isobaric").findings(run, reduce_run(run)).data["loops"]
+    if friction_n == 0.0:
+        assert abs(loop["lost_mj"]) < 3.0 * loop["u_lost_mj"]
+        return
+    plant = BenchSim(nominal(), Effects.from_config(effects), length_m=0.057)
+    plant.set_pressure(300.0)
+    forces, lengths = [], [57.0, 61.0, 65.0, 65.0, 61.0, 57.0]
+    for length in lengths:
+        plant.set_length(length)
+        forces.append(plant.force_n)
+    true = -1e3 * loop_work(np.array(forces), np.array(lengths), np.zeros(6), np.zeros(6))[0]
+    assert true > 10.0
+    assert abs(loop["lost_mj"] - true) < 3.0 * loop["u_lost_mj"] + 0.1 * true
+
+
+def test_cycles_under_a_load_have_work_and_efficiency(tmp_path: Path) -> None:
+    air = Air(600.0, 5.0, 101.0, 0.5, (50.0, 60.0, 80.0), (10.0, 8.0, 4.0), 1.0, 0.3)
+    result, run, _ = run_short(
+        "hysteresis", tmp_path, lengths_mm=(), masses_kg=(1.154,), cycles_kpa=(300.0,),
+        step_kpa=150.0, air=air,
+    )  # fmt: skip
+    assert result.outcome == "clean", result.error
+    assert run.manifest["parameters"]["air"]["dead_ml"] == 1.0
+    (row,) = analysis_of("hysteresis").findings(run, reduce_run(run)).data["energy"]
+    assert row["work_j"] == pytest.approx(1.154 * 9.80665 * row["stroke"] * 1e-3, rel=1e-3)
+    assert 0.01 < row["efficiency"] < 0.2
+    assert 0.0 < row["u_efficiency"] < 0.1 * row["efficiency"]
 
 
 def test_a_killed_test_goes_on_with_the_count(tmp_path: Path) -> None:

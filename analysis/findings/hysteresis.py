@@ -30,7 +30,7 @@ from analysis.findings.findings import (
     source_table,
 )
 from analysis.layouts.static import hysteresis_layout
-from analysis.reduction.points import Reduction, reduce_points
+from analysis.reduction.points import Reduction, is_imported, reduce_points
 from analysis.reduction.setpoint import at_set_pressure
 from analysis.regression.force_lines import nominal_kpa
 from plant.arrays import Array
@@ -496,14 +496,32 @@ def _figure(table: pd.DataFrame, cycles: list[Cycle], kind: Kind) -> Figure:
     return figure
 
 
+def _with_work(
+    run: Run, made: Findings, table: pd.DataFrame, calibrations: Mapping[str, Calibration]
+) -> Findings:
+    """The findings of cycles under loads, with work and efficiency of each."""
+    from analysis.findings.muscle.energy import lifting_section
+
+    parameters = run.manifest.get("parameters") or {}
+    section, rows = lifting_section(table, parameters, calibrations.get("length_mm"))
+    if section is None:
+        return made
+    data = {**made.data, "energy": rows}
+    return replace(made, sections=(*made.sections, section), data=data)
+
+
 def _findings(run: Run, reduction: Reduction) -> Findings:
     """Findings of both kinds of cycle, each corrected to the set pressures."""
     hung = reduction.table["mass_kg"].notna()
     parts = []
+    measured = reduction.table[hung]
     for use, value in ((~hung, "force_n"), (hung, "length_mm")):
         table = at_set_pressure(reduction.table[use].reset_index(drop=True), value)
         if len(table) or (value == "force_n" and not hung.any()):
-            parts.append(hysteresis_findings(run, replace(reduction, table=table)))
+            made = hysteresis_findings(run, replace(reduction, table=table))
+            if value == "length_mm" and not is_imported(run):
+                made = _with_work(run, made, measured, reduction.calibrations)
+            parts.append(made)
     if len(parts) == 1:
         return parts[0]
     return Findings(

@@ -18,7 +18,7 @@ from analysis.findings.findings import (
     source_table,
 )
 from analysis.layouts.static import isobaric_layout
-from analysis.reduction.points import reduce_points
+from analysis.reduction.points import is_imported, reduce_points
 from analysis.regression.force_lines import coldest, line_uncertainty, nominal_kpa
 from analysis.regression.least_squares import Line, straight_line
 
@@ -93,6 +93,13 @@ def isobaric_findings(run: Run, reduction: Reduction) -> Findings:
             f" {intercept.slope:.5f} P {signed(intercept.intercept, 3)} N, P in kPa."
         )
         sections.append(Section("Gradient and intercept against pressure", (words,)))
+    if not is_imported(run):
+        from analysis.findings.muscle.energy import loops_section
+
+        loops, lost = loops_section(table, reduction.calibrations)
+        if loops is not None:
+            sections.append(loops)
+            data["loops"] = lost
     if source_table(run) == "C-2":
         sections.append(_compare_c37(lines))
     return Findings(_headline(table, inside, gradient), tuple(sections), data)

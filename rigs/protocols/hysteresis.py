@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from analysis.findings.hysteresis import HYSTERESIS
+from analysis.reduction.muscle.energy import Air
 from rigs.execution.procedure import Procedure, ProtocolParameters
 from rigs.protocols.isotonic import read_masses
+from rigs.protocols.parts.air import read_air
 from rigs.protocols.parts.method import Method, read_method
 from rigs.protocols.parts.trials import Logbook, Path
 from rigs.rigfile.acceptance import read_acceptance
@@ -34,12 +37,17 @@ class Hysteresis(ProtocolParameters):
     slack_length_mm: float
     held: Method
     hung: Method
+    air: Air | None = None
     source: str = ""
 
     @property
     def frames(self) -> int:
         """Pictures at a point."""
         return self.hung.frames
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for run.json, without a table that the file does not have."""
+        return {k: v for k, v in super().as_dict().items() if k != "air" or v is not None}
 
     def cycle(self, top_kpa: float) -> Path:
         """Set-points from nothing to the turn and back, each pressure once each way."""
@@ -93,6 +101,7 @@ def read(name: str, config: RigConfig) -> Hysteresis:
         held=replace(held, settle=replace(held.settle, drift_mm=None)),
         hung=replace(held, settle=replace(held.settle, drift_n=None), leak=None),
         acceptance=read_acceptance(t, HYSTERESIS.results),
+        air=read_air(t),
         source=t.source,
     )
     t.finish()

@@ -34,6 +34,7 @@ BINS_PER_DECADE = 8
 EARLY, COUNT = 5, 5
 """The reference is the mean of cycles 6 to 10: the first of a rested muscle are different."""
 LAST = 10
+MISSED_KPA = 5.0
 PARTS = ["cycle", "n", "mean", "u", "low", "high"]
 DRIFT = (
     "The cycles are averaged in parts whose length grows by a factor. The rate is the slope of a"
@@ -96,9 +97,10 @@ def fatigue_findings(run: Run, reduction: Reduction) -> Findings:
     stop = _reason(run, table, parameters, failure)
     rows = [{"what": quantity.name, "unit": quantity.unit, **drift}]
     if table["leak_kpa_s"].notna().sum() >= 2:
-        rows.append({"what": "leak", "unit": "kPa/s", **_plain(table, "leak_kpa_s")})
+        leak = _plain(table, "leak_kpa_s") | {"change": math.nan, "u_change": math.nan}
+        rows.append({"what": "leak", "unit": "kPa/s", **leak})
     columns = (
-        ("what", "quantity"), ("unit", "unit"), ("first", "cycles 6 to 10"),
+        ("what", "quantity"), ("unit", "unit"), ("first", "first cycles"),
         ("last", "last cycles"), ("change", "change, %"), ("rate", "rate, per decade"),
     )  # fmt: skip
     sections = [
@@ -108,7 +110,7 @@ def fatigue_findings(run: Run, reduction: Reduction) -> Findings:
             caption="Lines: means of parts of the cycles; shaded: smallest and largest cycle of"
             " each part; dashed: line over the logarithm of the number of cycles.",
         ),
-        Section("End of the test", (stop,)),
+        Section("End of the test", (stop, *_missed(table, parameters))),
         Section("Drift", (DRIFT,), pd.DataFrame(rows), columns, caption=f"{EXPANDED}."),
         _energy_section(run, ends),
     ]
@@ -202,6 +204,19 @@ def _energy_section(run: Run, ends: dict[str, Any]) -> Section:
     frame = pd.DataFrame(rows)
     return Section(title, words, frame, (("cycles", "cycles"), *ENERGY_COLUMNS),
                    caption=f"{EXPANDED}.")  # fmt: skip
+
+
+def _missed(table: pd.DataFrame, parameters: dict[str, Any]) -> tuple[str, ...]:
+    """Whether most cycles did not reach the high pressure."""
+    missed = float(parameters.get("high_kpa", math.nan)) - float(
+        table["pressure_high_kpa"].median()
+    )
+    if not missed > MISSED_KPA:
+        return ()
+    return (
+        f"Half of the cycles missed the high pressure by more than {missed:.0f} kPa: they are too"
+        " fast for the source of pressure and its valves. A lower rate_hz gives steadier values.",
+    )
 
 
 def _reason(

@@ -198,7 +198,8 @@ class CycleLog:
             f"the range fell by {drop:.1f} % (limit {limits.drop_percent:g} %)": (
                 0.0 < limits.drop_percent < drop, "drop"),
             f"the high pressure was missed by {missed_kpa:.1f} kPa (limit {limits.reach_kpa:g}"
-            " kPa): a burst or a blocked line": (0.0 < limits.reach_kpa < missed_kpa, "reach"),
+            " kPa): a burst, a blocked line, or cycles too fast for the source": (
+                0.0 < limits.reach_kpa < missed_kpa, "reach"),
         }  # fmt: skip
         if 0.0 < limits.leak_kpa_s < leak_kpa_s:
             return f"it leaks {leak_kpa_s:.2f} kPa/s (limit {limits.leak_kpa_s:g} kPa/s)"

@@ -48,9 +48,14 @@ class Hold(CustomStep):
         if self.length_mm is None:
             apply = rig.config.calibrations["pressure_kpa"].apply
 
+            tolerance = self.settle.pressure_kpa
+            if not rig.pressure_source.closed_on_sensor:  # as for a point that settles
+                tolerance += 3 * float(rig.config.calibrations["pressure_kpa"].u(self.pressure_kpa))
+                tolerance += rig.pressure_source.accuracy_kpa
+
             def near() -> bool:
                 kpa = float(apply(rig.valve.recent_counts(NEAR_SAMPLES).mean()))
-                return abs(kpa - self.pressure_kpa) <= self.settle.pressure_kpa
+                return abs(kpa - self.pressure_kpa) <= tolerance
 
             reached = rig.event_loop.until(near, self.settle.timeout_s)
         else:
