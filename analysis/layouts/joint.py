@@ -7,12 +7,13 @@ from typing import Any
 
 from analysis.layouts.layouts import (
     MESSAGES,
-    NOW,
     POINTS,
     PRESSURE,
     SET_POINT,
     STATE_FEEDS,
     STATES,
+    STATUS,
+    VALUES,
 )
 from daq.live.layout import (
     BLUE,
@@ -47,21 +48,21 @@ def joint_layout(title: str, parameters: Mapping[str, Any], result: str) -> Live
         "series",
         "pressure",
         (
-            Channel(SET_POINT, "set-point a", "kPa", ORANGE, step=True),
-            Channel(PRESSURE, "muscle a", "kPa", SKY),
-            Channel(SET_POINT_B, "set-point b", "kPa", VERMILLION, step=True),
-            Channel(PRESSURE_B, "muscle b", "kPa", BLUE),
+            Channel(SET_POINT, "pressure a, set-point", "kPa", ORANGE, step=True),
+            Channel(PRESSURE, "pressure a, measured", "kPa", SKY),
+            Channel(SET_POINT_B, "pressure b, set-point", "kPa", VERMILLION, step=True),
+            Channel(PRESSURE_B, "pressure b, measured", "kPa", BLUE),
         ),
         share=1.6,
     )
     angle = Panel(
-        "Angle (degrees)", "series", "angle", (Channel(ANGLE, "measured", "deg", GREEN, digits=2),),
-        share=1.5,
+        "Angle (degrees)", "series", "angle",
+        (Channel(ANGLE, "angle, measured", "deg", GREEN, digits=2),), share=1.5,
     )  # fmt: skip
     feeds = [
-        Feed(SET_POINT, "valve", "setpoint_kpa"),
+        Feed(SET_POINT, "valve", "target_kpa"),
         Feed(PRESSURE, "valve", "pressure_kpa"),
-        Feed(SET_POINT_B, "valve_b", "setpoint_kpa"),
+        Feed(SET_POINT_B, "valve_b", "target_kpa"),
         Feed(PRESSURE_B, "valve_b", "pressure_b_kpa"),
     ]
     left = [pressures, angle]
@@ -71,7 +72,7 @@ def joint_layout(title: str, parameters: Mapping[str, Any], result: str) -> Live
     if names.get("torque"):
         force = names["torque"] == "load_cell"
         what, unit = ("Force on the lever", "N") if force else ("Torque", "N m")
-        channel = Channel(TORQUE, "measured", unit, PURPLE, digits=4)
+        channel = Channel(TORQUE, f"{what.lower()}, measured", unit, PURPLE, digits=4)
         left.append(Panel(f"{what} ({unit})", "series", "torque", (channel,)))
         feeds.append(Feed(TORQUE, names["torque"], "force_n" if force else "torque_n_m"))
     widest = max((abs(float(d)) for d in parameters.get("difference_kpa") or [100.0]), default=100)
@@ -86,7 +87,7 @@ def joint_layout(title: str, parameters: Mapping[str, Any], result: str) -> Live
     )
     return LiveLayout(
         title=title,
-        columns=((*left, STATES), (results, NOW, MESSAGES)),
+        columns=((*left, STATES, MESSAGES), (STATUS, results, VALUES)),
         shares=(1.0, 1.0),
         window_s=30.0,
         feeds=tuple(feeds),

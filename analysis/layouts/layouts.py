@@ -62,7 +62,7 @@ STATE_COLOURS = (
 )
 
 
-PRESSURE_FEEDS = (Feed(SET_POINT, "valve", "setpoint_kpa"), Feed(PRESSURE, "valve", "pressure_kpa"))
+PRESSURE_FEEDS = (Feed(SET_POINT, "valve", "target_kpa"), Feed(PRESSURE, "valve", "pressure_kpa"))
 VALVE_FEEDS = (
     Feed(INLET, "valve", "inlet_cmd", scale=100.0),
     Feed(OUTLET, "valve", "outlet_cmd", scale=100.0),
@@ -73,28 +73,32 @@ VALVES = Panel(
     "series",
     "valves",
     (
-        Channel(INLET, "inlet", "%", SKY, reduce="mean", digits=0),
-        Channel(OUTLET, "outlet", "%", VERMILLION, reduce="mean", digits=0),
+        Channel(INLET, "inlet, commanded open", "%", SKY, reduce="mean", readout=False),
+        Channel(OUTLET, "outlet, commanded open", "%", VERMILLION, reduce="mean", readout=False),
     ),
     y_range=(-5.0, 105.0),
 )
 STATES = Panel(
-    "Protocol",
+    "Steps of the test, and faults",
     "states",
     "state",
-    (Channel(STATE, "state"), Channel(FAULT, "fault", colour=VERMILLION)),
+    (Channel(STATE, "step"), Channel(FAULT, "fault", colour=VERMILLION)),
     share=0.8,
     state_colours=STATE_COLOURS,
 )
 NOW = Panel("Now", "readout", "readout", share=0.85)
-MESSAGES = Panel("Messages", "log", LOG, share=0.6)
+STATUS = Panel("Status", "status", "status", share=0.8)
+RESULTS = Panel("Results", "table", "results", share=0.75)
+MESSAGES = Panel("Messages", "log", LOG, share=0.75)
+NEWS = (RESULTS, MESSAGES)
+VALUES = (NOW, RESULTS)
 
 
 def pressure_panel(title: str) -> Panel:
     """Set-point and measured pressure."""
     channels = (
-        Channel(SET_POINT, "set-point", "kPa", ORANGE, step=True),
-        Channel(PRESSURE, "measured", "kPa", SKY),
+        Channel(SET_POINT, "pressure, set-point", "kPa", ORANGE, step=True),
+        Channel(PRESSURE, "pressure, measured", "kPa", SKY),
     )
     return Panel(title, "series", "pressure", channels, share=1.6)
 
@@ -110,7 +114,7 @@ def isometric_layout(pressure_max_kpa: float = 500.0, force_max_n: float = 100.0
         "Force (N)",
         "series",
         "force",
-        (Channel(FORCE, "measured", "N", GREEN, digits=2),),
+        (Channel(FORCE, "force, measured", "N", GREEN, digits=2),),
         share=1.5,
     )
     length = Panel(
@@ -118,8 +122,8 @@ def isometric_layout(pressure_max_kpa: float = 500.0, force_max_n: float = 100.0
         "series",
         "length",
         (
-            Channel(SET_LENGTH, "set", "mm", ORANGE, step=True, digits=2),
-            Channel(LENGTH, "measured by camera", "mm", YELLOW, digits=3),
+            Channel(SET_LENGTH, "length, set", "mm", ORANGE, step=True, digits=2),
+            Channel(LENGTH, "length, measured", "mm", YELLOW, digits=3),
         ),
     )
     points = Panel(
@@ -141,10 +145,10 @@ def isometric_layout(pressure_max_kpa: float = 500.0, force_max_n: float = 100.0
     left = (pressure_panel("Pressure (kPa)"), force, length, VALVES, STATES)
     return LiveLayout(
         title="Isometric test",
-        columns=(left, (points, (camera, NOW), MESSAGES)),
+        columns=(left, (STATUS, points, (camera, NOW), NEWS)),
         shares=(1.0, 1.0),
         window_s=60.0,
-        feeds=(*PRESSURE_FEEDS, *VALVE_FEEDS, Feed(FORCE, "balance", "force_n")),
+        feeds=(*PRESSURE_FEEDS, *VALVE_FEEDS, Feed(FORCE, "balance", "zeroed_n")),
         event_feeds=(
             EventFeed(SET_LENGTH, "command", "length_mm"),
             EventFeed(LENGTH, "length", "pixels", quantity="length_mm", only="trusted"),

@@ -28,7 +28,7 @@ def isobaric_layout(force_max_n: float = 100.0) -> LiveLayout:
     pressure, force, length, valves, states = base.columns[0]
     left = (_with_share(length, 1.4), force, pressure, valves, states)
     return replace(
-        base, title="Isobaric test", columns=(left, (points, *base.columns[1][1:])), points=(feed,)
+        base, title="Isobaric test", columns=(left, _with_points(base, points)), points=(feed,)
     )
 
 
@@ -38,14 +38,14 @@ def isotonic_layout(
     """Camera picture and length, which is the result; without the balance."""
     base = isometric_layout(pressure_max_kpa=pressure_max_kpa)
     pressure, _, length, valves, states = base.columns[0]
-    camera, now = base.columns[1][1]  # type: ignore[misc]
+    camera, now = base.columns[1][2]  # type: ignore[misc]
     points = _length_points(pressure_max_kpa)
     return replace(
         base,
         title=title,
         columns=(
             (_with_share(length, 1.7), pressure, valves, states),
-            (points, (replace(camera, share=1.2), now), base.columns[1][2]),
+            (base.columns[1][0], points, (replace(camera, share=1.2), now), base.columns[1][3]),
         ),
         feeds=tuple(feed for feed in base.feeds if feed.stream != "balance"),
         points=(_length_feed(label),),
@@ -66,10 +66,10 @@ def hysteresis_layout(
         title="Loops: force (N) against pressure (kPa), one colour per length and cycle",
     )
     feed = replace(base.points[0], label="{set_length_mm:g} mm" + label, needs="set_length_mm")
-    right: tuple[Panel | tuple[Panel, ...], ...] = (points, *base.columns[1][1:])
+    right = _with_points(base, points)
     feeds: tuple[PointFeed, ...] = (feed,)
     if list(masses):
-        right = ((points, _length_points(pressure_max_kpa)), *base.columns[1][1:])
+        right = _with_points(base, (points, _length_points(pressure_max_kpa)))
         feeds = (feed, _length_feed("{mass_kg:g} kg" + label))
     return replace(base, title="Hysteresis test", columns=(base.columns[0], right), points=feeds)
 
@@ -79,7 +79,7 @@ def isothermal_layout(pressure_max_kpa: float = 600.0) -> LiveLayout:
     base = isometric_layout(pressure_max_kpa=pressure_max_kpa)
     warm = Panel(
         "Temperature (°C)", "series", "temperature",
-        (Channel(TEMPERATURE, "thermometer", "°C", PURPLE, digits=2),),
+        (Channel(TEMPERATURE, "temperature, measured", "°C", PURPLE, digits=2),),
     )  # fmt: skip
     points = replace(
         _panel(base, "points"),
@@ -90,13 +90,22 @@ def isothermal_layout(pressure_max_kpa: float = 600.0) -> LiveLayout:
     return replace(
         base,
         title="Isothermal test",
-        columns=((warm, pressure, force, length, states), (points, *base.columns[1][1:])),
+        columns=((warm, pressure, force, length, states), _with_points(base, points)),
         feeds=(
             *(f for f in base.feeds if not f.path.startswith("valves/")),
             Feed(TEMPERATURE, "thermometer", "temperature_c"),
         ),
         points=(feed,),
     )
+
+
+Row = Panel | tuple[Panel, ...]
+
+
+def _with_points(base: LiveLayout, points: Row) -> tuple[Row, ...]:
+    """The right column of the isometric layout with another chart."""
+    status, _, *rest = base.columns[1]
+    return (status, points, *rest)
 
 
 def _panel(layout: LiveLayout, kind: str) -> Panel:

@@ -7,11 +7,12 @@ from typing import Any
 
 from analysis.layouts.layouts import (
     MESSAGES,
-    NOW,
     POINTS,
     PRESSURE_FEEDS,
     STATE_FEEDS,
     STATES,
+    STATUS,
+    VALUES,
     VALVE_FEEDS,
     VALVES,
     pressure_panel,
@@ -44,11 +45,11 @@ def valve_layout(
     feeds = [*PRESSURE_FEEDS, *VALVE_FEEDS]
     right: list[Panel] = []
     if flow:
-        velocity = Channel(VELOCITY, "air velocity", "m/s", GREEN, digits=2)
+        velocity = Channel(VELOCITY, "air velocity, measured", "m/s", GREEN, digits=2)
         right.append(Panel("Air velocity (m/s)", "series", "flow", (velocity,), share=1.2))
         feeds.append(Feed(VELOCITY, "flow", "velocity_m_s"))
     if voltage:
-        volts = Channel(VOLTAGE, "solenoids", "V", YELLOW, step=True, digits=2)
+        volts = Channel(VOLTAGE, "voltage of the solenoids", "V", YELLOW, step=True, digits=2)
         right.append(Panel("Voltage of the solenoids (V)", "series", "supply", (volts,), share=1.2))
         feeds.append(Feed(VOLTAGE, "supply", "voltage_v"))
     result = result_axis or parameters.get("result_axis")
@@ -66,10 +67,10 @@ def valve_layout(
                 y_axis=Axis(label, 0.0, float(high)),
             )
         )
-    left = (pressure_panel("Pressure between the valves (kPa)"), VALVES, STATES)
+    left = (pressure_panel("Pressure between the valves (kPa)"), VALVES, STATES, MESSAGES)
     return LiveLayout(
         title=title,
-        columns=(left, (*right, NOW, MESSAGES)),
+        columns=(left, (STATUS, *right, VALUES)),
         shares=(1.0, 1.0),
         window_s=window_s,
         feeds=tuple(feeds),

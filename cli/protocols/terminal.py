@@ -67,6 +67,8 @@ class ProgressLine:
     def _left(self) -> str:
         if self._runner is None:
             return ""
+        from rigs.steps.watching import time_left_s
+
         p = self._runner.progress
         text = f"  {p.done}/{p.points} points"
         left_s = time_left_s(
@@ -80,19 +82,6 @@ class ProgressLine:
         """End the line."""
         if self._width:
             typer.echo("", err=True)
-
-
-def time_left_s(total_s: float, spent_s: float, elapsed_s: float, virtual: bool) -> float | None:
-    """Time left in s of wall time, or None if it is not known yet.
-
-    Args:
-        total_s, spent_s: estimated bench time of the whole procedure and of the steps done.
-        elapsed_s: wall time since the start.
-        virtual: True if bench time and wall time differ.
-    """
-    if spent_s > 0.02 * total_s:
-        return max(0.0, total_s - spent_s) * elapsed_s / spent_s
-    return None if virtual else total_s
 
 
 def exit_status(result: Result) -> int:

@@ -108,7 +108,7 @@ def _view(panel: Panel, span: _Span) -> Any:
             **where,
             background=[*BACKGROUND, 255],
             visual_bounds=rrb.VisualBounds2D(
-                x_range=[-90.0, WIDTH + 120.0], y_range=[-70.0, HEIGHT + 95.0]
+                x_range=[-90.0, WIDTH + 120.0], y_range=[-95.0, HEIGHT + 125.0]
             ),
         )
     if panel.kind == "camera":

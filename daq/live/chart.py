@@ -127,6 +127,6 @@ class Chart:
             strips=strips,
             tick_at=tick_at,
             tick_text=[f"{v:g}" for v in np.concatenate((tx, ty)).round(9)],
-            title_at=np.array([[WIDTH / 2, HEIGHT + 56.0], [title_x, -34.0]]),
+            title_at=np.array([[WIDTH / 2, HEIGHT + 56.0], [title_x, -62.0]]),
             title_text=[a.title for a in self.axes],
         )

@@ -44,6 +44,15 @@ def decimate(
     return time_s[keep], values[keep]
 
 
+def decimate_steps(time_s: Floats, values: Floats, bin_s: float) -> tuple[Floats, Floats]:
+    """The same for a step curve, whose NaN stay: the curve has a gap from there on."""
+    none = np.isnan(values)
+    kept_s, kept = decimate(time_s, values, bin_s)
+    times = np.concatenate((kept_s, time_s[none]))
+    order = np.argsort(times, kind="stable")
+    return times[order], np.concatenate((kept, values[none]))[order]
+
+
 class Thinner:
     """Decimates a curve that arrives in batches; keeps the incomplete bin for the next batch."""
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 Colour = tuple[int, int, int]
-Kind = Literal["series", "states", "points", "camera", "log", "readout"]
+Kind = Literal["series", "states", "points", "camera", "log", "readout", "status", "table"]
 Reduce = Literal["minmax", "mean"]
 
 # Okabe and Ito's colour-blind safe palette; light grey replaces black on the dark background.
@@ -55,6 +55,29 @@ class Channel:
     digits: int = 1
     readout: bool = True
 
+    @property
+    def legend(self) -> str:
+        """The name with its unit: ``force, measured (N)``."""
+        return f"{self.label} ({self.unit})" if self.unit else self.label
+
+
+UNITS = {
+    "kpa": "kPa", "n": "N", "mm": "mm", "percent": "%", "v": "V", "c": "°C", "deg": "deg", "s": "s",
+    "ms": "ms", "g": "g", "kg": "kg", "hz": "Hz",
+}  # fmt: skip
+"""Units by the last word of a path."""
+
+
+def channel_of(path: str, colour: Colour | None = None) -> Channel:
+    """A channel for a path that no panel knows: name and unit from its words.
+
+    ``force/predicted_n`` becomes ``force, predicted (N)``.
+    """
+    words = path.replace("/", " / ").replace("_", " ").split()
+    unit = UNITS.get(words[-1], "") if len(words) > 1 and words[-2] != "/" else ""
+    name = " ".join(words[:-1] if unit else words).replace(" / ", ", ")
+    return Channel(path, name, unit, colour, digits=2)
+
 
 @dataclass(frozen=True)
 class Axis:
@@ -72,7 +95,8 @@ class Panel:
     Args:
         title: shown above it, with the unit.
         kind: series (values over time), states (lanes over time), points (y over x), camera,
-            log, or readout (newest values as text).
+            log, readout (newest values as text), status (state, progress and faults in large
+            letters), or table (newest results as rows).
         origin: first part of its paths; the panel shows all data logged below it.
         channels: the known channels; others may follow at run time.
         share: height (or width) relative to its neighbours.

@@ -188,6 +188,11 @@ class LiveView:
         """Add a line to the log; level INFO, WARN or ERROR."""
         self._queue.put_event(("text", str(path), float(time_s), str(text), str(level).upper()))
 
+    @_never_raises
+    def status(self, time_s: float, text: str, path: str = "status") -> None:
+        """Show a text in Markdown in the panel "Status" from ``time_s`` on."""
+        self._queue.put_event(("status", str(path), float(time_s), str(text)))
+
     def wait_for_viewer(self, timeout_s: float) -> bool:
         """Wait until a viewer has connected; False on time-out.
 

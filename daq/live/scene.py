@@ -13,7 +13,22 @@ import numpy.typing as npt
 
 from daq.live.blueprint import TIMELINE, blueprint
 from daq.live.chart import Chart
-from daq.live.layout import GREY, ORANGE, PALETTE, VERMILLION, Channel, Colour, LiveLayout, Panel
+from daq.live.layout import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PALETTE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    YELLOW,
+    Channel,
+    Colour,
+    LiveLayout,
+    Panel,
+    channel_of,
+)
 
 APPLICATION = "pamrig"
 Floats = npt.NDArray[np.float64]
@@ -22,7 +37,9 @@ Line = tuple[tuple[float, float], tuple[float, float], str]
 FRAME_COLOUR = (130, 135, 140)
 GRID_COLOUR = (45, 49, 53)
 TEXT_COLOUR = (215, 215, 215)
+EXTRA_COLOURS = (PURPLE, VERMILLION, SKY, YELLOW, ORANGE, GREEN, BLUE, GREY)
 MOST_STATES = 200  # limit of texts with their own colour per lane
+TABLE_ROWS = 9  # the newest results that a table shows
 
 
 def _label_place(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
@@ -42,6 +59,9 @@ class Scene:
         self._rr, self._rec = rr, rec
         self._layout = layout
         self._known = set(layout.channels)
+        self._more: dict[str, Channel] = {}
+        self._results: dict[str, list[tuple[str, float, float]]] = {}
+        self._counts: dict[str, int] = {}
         self._charts: dict[str, Chart] = {}
         self._extra = False
         self._state_colours: dict[str, dict[str, Colour]] = {}
@@ -66,15 +86,21 @@ class Scene:
                 for channel in panel.channels:
                     self._state_colours[channel.path] = dict(panel.state_colours)
                     self._state_style(channel.path)
+            if panel.kind == "table":
+                self._table(panel.origin)
+            if panel.kind == "status":
+                self.status(panel.origin, 0.0, "# STARTING")
 
     def _style(self, channel: Channel, colour: Colour) -> None:
         self._rec.log(
             channel.path,
             self._rr.SeriesLines(
-                names=channel.label,
+                names=channel.legend,
                 colors=[channel.colour or colour],
                 widths=1.2 if channel.step else 2.2,
                 interpolation_mode="StepAfter" if channel.step else "Linear",
+                # Where several points fall on one pixel: steps as they are, peaks of others kept.
+                aggregation_policy="Off" if channel.step else "MinMax",
             ),
             static=True,
         )
@@ -108,9 +134,13 @@ class Scene:
 
     def _add_path(self, path: str) -> None:
         self._known.add(path)
-        label = path.split("/", 1)[-1].replace("_", " ").replace("/", " ")
-        self._style(Channel(path, label), PALETTE[(len(self._known) - 1) % len(PALETTE)])
-        if self._layout.panel_of(path) is None and not self._extra:
+        panel = self._layout.panel_of(path)
+        used = [c.colour for c in panel.channels] if panel is not None else []
+        used += [c.colour for c in self._more.values() if self._layout.panel_of(c.path) == panel]
+        free = [colour for colour in EXTRA_COLOURS if colour not in used] or list(PALETTE)
+        channel = self._more[path] = channel_of(path, free[0])
+        self._style(channel, free[0])
+        if panel is None and not self._extra:
             self._extra = True
             self._rec.send_blueprint(blueprint(self._layout, extra=self._extra))
 
@@ -121,6 +151,13 @@ class Scene:
             return
         self._at(time_s)
         chart = self._chart(panel)
+        rows = self._results.setdefault(panel.origin, [])
+        rows += [(label, float(a), float(b)) for a, b in zip(x, y, strict=True)]
+        self._counts[panel.origin] = self._counts.get(panel.origin, 0) + len(x)
+        del rows[:-TABLE_ROWS]
+        for table in self._layout.panels:
+            if table.kind == "table":
+                self._table(table.origin)
         if chart.add(label, x, y):
             self._axes(panel, chart)
             for name in chart.curves:
@@ -138,6 +175,30 @@ class Scene:
                 show_labels=True,
             ),
         )
+
+    def _table(self, origin: str) -> None:
+        """The newest results of every chart as rows, the newest first."""
+        parts = []
+        for panel in self._layout.panels:
+            if panel.kind != "points" or panel.x_axis is None or panel.y_axis is None:
+                continue
+            rows, count = self._results.get(panel.origin, []), self._counts.get(panel.origin, 0)
+            lines = [
+                f"| no. | curve | {panel.x_axis.title} | {panel.y_axis.title} |",
+                "|--:|:--|--:|--:|",
+            ]
+            lines += [
+                f"| {count - k} | {label} | {x:#.5g} | {y:#.4g} |"
+                for k, (label, x, y) in enumerate(reversed(rows))
+            ]
+            parts.append("\n".join(lines if rows else [*lines, "| | none yet | | |"]))
+        body = "\n\n".join(parts)
+        self._rec.log(f"{origin}/newest", self._rr.TextDocument(body, media_type="text/markdown"))
+
+    def status(self, path: str, time_s: float, text: str) -> None:
+        """Show a text in Markdown in the panel of ``path`` from ``time_s`` on."""
+        self._at(time_s)
+        self._rec.log(f"{path}/now", self._rr.TextDocument(text, media_type="text/markdown"))
 
     def _chart(self, panel: Panel) -> Chart:
         if panel.origin not in self._charts:
@@ -247,6 +308,8 @@ class Scene:
         until_s = self.newest_s - behind_s
         for path, value in list(self.newest.items()):
             channel = self._layout.channels.get(path)
+            if np.isnan(value):  # there is no set-point to extend
+                continue
             if channel is not None and channel.step and self._last_s[path] < until_s:
                 self.series(path, np.array([until_s]), np.array([value]))
 
@@ -266,12 +329,13 @@ class Scene:
         rows = []
         for panel in self._layout.panels:
             for channel in panel.channels:
-                if panel.kind == "states":
-                    rows.append((channel.label, self.states.get(channel.path, "")))
-                elif panel.kind == "series" and channel.readout:
-                    value = self.newest.get(channel.path)
-                    text = "" if value is None else f"{value:.{channel.digits}f} {channel.unit}"
-                    rows.append((f"{panel.origin} {channel.label}", text))
+                if panel.kind == "series" and channel.readout:
+                    rows.append((channel.label, self._value(channel)))
+            rows += [
+                (channel.label, self._value(channel))
+                for channel in self._more.values()
+                if self._layout.panel_of(channel.path) == panel
+            ]
         body = "\n".join(f"| {name} | **{value or '-'}** |" for name, value in rows)
         head = f"| {self._layout.title} | {self.newest_s:.1f} s |\n|:--|:--|\n"
         self._at(self.newest_s)
@@ -280,6 +344,11 @@ class Scene:
                 f"{panel.origin}/now",
                 self._rr.TextDocument(head + body + f"\n\n{note}", media_type="text/markdown"),
             )
+
+    def _value(self, channel: Channel) -> str:
+        """The newest value with its unit; empty for none."""
+        value = self.newest.get(channel.path, np.nan)
+        return "" if np.isnan(value) else f"{value:.{channel.digits}f} {channel.unit}"
 
     def _at(self, time_s: float) -> None:
         self.newest_s = max(self.newest_s, time_s)

@@ -21,7 +21,7 @@ from typing import Any, BinaryIO, TextIO
 
 import numpy as np
 
-from daq.live.decimate import Thinner, decimate
+from daq.live.decimate import Thinner, decimate_steps
 from daq.live.door import Door
 from daq.live.history import History
 from daq.live.layout import LiveLayout
@@ -103,6 +103,8 @@ class Screen:
                 time_s, lines, size = rest
                 lines = [(tuple(a), tuple(b), text) for a, b, text in lines]
                 self._try(scene.image, path, time_s, numbers.take(size), lines)
+            elif kind == "status":
+                self._try(scene.status, path, *rest)
             elif kind == "state":
                 self._try(scene.state, path, *rest)
             else:
@@ -121,8 +123,8 @@ class Screen:
         if channel is not None and channel.step:
             # Draw the changes only, and at once; ``hold_steps`` extends the last value.
             known = np.concatenate(([scene.newest.get(path, np.nan)], values[:-1]))
-            change = values != known
-            scene.series(path, *decimate(time_s[change], values[change], BIN_S))
+            change = (values != known) & ~(np.isnan(values) & np.isnan(known))
+            scene.series(path, *decimate_steps(time_s[change], values[change], BIN_S))
             return
         if path not in self._thinners:
             reduce = channel.reduce if channel else "minmax"

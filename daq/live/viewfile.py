@@ -11,31 +11,45 @@ import os
 import tempfile
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from daq.errors import RecordError
+from daq.link.causes import CAUSES, cause_of, event_words
 from daq.live.decimate import decimate
 from daq.live.door import Door
 from daq.live.history import ViewFile
 from daq.live.layout import Channel, EventFeed, Feed, LiveLayout, Panel, PointFeed
 from daq.live.page import PageFile, page_files
 from daq.live.scene import APPLICATION, Line, Scene
+from daq.live.status import (
+    DONE,
+    FAULT,
+    STOPPED,
+    Phases,
+    Status,
+    from_zero,
+    joined,
+    problem_and_remedy,
+    with_target,
+)
 from daq.record.disk import disk_error
 from daq.record.segments import Columns
-from daq.store.derive import Maker, engineering
+from daq.store.derive import VALVE_STREAMS, Maker, engineering
 from daq.store.run import Run
 
 Edges = Callable[[bytes], list[Line]]
 
 FILE = "view.rrd"
+STATUS = "status"
 PORT = 9090
 CHUNK_ROWS = 65_536
 MOST_ROWS = 1_000_000
 MOST_FRAMES = 1_000
-_QUIET = {"state", "point", "result", "length", "command", "clockfit", "zero"}
+_QUIET = {"state", "point", "result", "length", "command", "clockfit", "zero", "trial"}
 _LEVELS = {"fault": "ERROR", "vent_unconfirmed": "ERROR", "gap": "WARN", "end": "WARN"}
 
 
@@ -122,6 +136,7 @@ def _fill(scene: Scene, run: Run, layout: LiveLayout, edges: Edges | None, most_
     scene.start()
     start_ns = int(run.manifest["started"]["monotonic_ns"])
     tables = {name: engineering(run, name)[0] for name in run.streams}
+    _add_live_columns(run, tables)
     frame_ns = {int(f["frame"]): int(f["host_ns"]) for f in run.frames}
     for feed in layout.feeds:
         _series(scene, tables.get(feed.stream, {}), feed, layout, most_rows)
@@ -135,15 +150,76 @@ def _fill(scene: Scene, run: Run, layout: LiveLayout, edges: Edges | None, most_
     for points in layout.points:
         _points(scene, run, tables, points)
     _results(scene, run, layout)
+    if any(panel.kind == "status" for panel in layout.panels):
+        _status(scene, run, tables)
     _frames(scene, run, layout.camera, frame_ns, start_ns, edges)
     for event in run.events:
         if event["kind"] not in _QUIET:
             level = _LEVELS.get(event["kind"], "INFO")
+            level = "INFO" if event.get("outcome") == "stopped" else level
             scene.text("log", event["t_ns"] / 1e9, _summary(event), level)
     for problem in run.problems:
         scene.text("log", 0.0, f"record: {problem}", "ERROR")
     scene.text("log", scene.newest_s, f"outcome: {run.outcome}", "INFO")
     scene.finish()
+
+
+def _add_live_columns(run: Run, tables: dict[str, Columns]) -> None:
+    """Columns that the live view shows in another form than the record."""
+    for stream in VALVE_STREAMS:
+        if {"setpoint_kpa", "outlet_cmd"} <= tables.get(stream, {}).keys():
+            tables[stream] = with_target(tables[stream])
+    balance = tables.get("balance", {})
+    if {"time_s", "force_n"} <= balance.keys():
+        tare_s = next((e["t_ns"] / 1e9 for e in run.events if e["kind"] == "tare"), None)
+        force = np.asarray(balance["force_n"], dtype=np.float64)
+        times = np.asarray(balance["time_s"], dtype=np.float64)
+        tables["balance"] = {**balance, "zeroed_n": from_zero(times, force, tare_s)}
+
+
+def _status(scene: Scene, run: Run, tables: dict[str, Columns]) -> None:
+    """State, step and points of the run over its time, and at the end its outcome."""
+    changes = _changes(run, tables)
+    made = sum(what == "point" for _, what, _ in changes)
+    status = Status("", planned=made if run.outcome == "clean" else 0)
+    phases: dict[str, str] = {}
+    for at_s, what, text in changes:
+        if what == "step":
+            status = replace(status, step=text)
+        elif what == "point":
+            status = replace(status, done=status.done + 1)
+        elif what == "fault":
+            cause = cause_of(text)
+            problem, remedy = CAUSES[cause] if cause else (event_words(text), "")
+            status = status if status.problem else replace(status, problem=problem, remedy=remedy)
+        else:
+            phases = dict(sorted({**phases, what: text}.items()))
+            status = replace(status, phase=joined(phases))
+        scene.status(STATUS, at_s, status.markdown())
+    phase = {"clean": DONE, "stopped": STOPPED}.get(run.outcome, FAULT)
+    problem, remedy = problem_and_remedy(str((run.final or {}).get("reason") or ""))
+    if phase == FAULT and not problem:
+        problem = f"the run ended {run.outcome}"
+    last = replace(status, phase=phase, problem=problem, remedy=remedy)
+    scene.status(STATUS, scene.newest_s, last.markdown())
+
+
+def _changes(run: Run, tables: dict[str, Columns]) -> list[tuple[float, str, str]]:
+    """What the status depends on, in order of time: time in s, kind or controller, text."""
+    changes: list[tuple[float, str, str]] = []
+    for stream in VALVE_STREAMS:
+        table = tables.get(stream, {})
+        if "time_s" in table:
+            changes += [(t, stream, p) for t, p in Phases().feed(table["time_s"], table)]
+    for event in run.events:
+        kind, at_s = event["kind"], event["t_ns"] / 1e9
+        if kind == "state":
+            changes.append((at_s, "step", str(event.get("state", ""))))
+        elif kind in ("point", "skipped") and event.get("take", 1) == 1:
+            changes.append((at_s, "point", ""))
+        elif kind == "fault":
+            changes.append((at_s, "fault", str(event.get("text", ""))))
+    return sorted(changes, key=lambda change: change[0])
 
 
 def _series(scene: Scene, table: Columns, feed: Feed, layout: LiveLayout, most_rows: int) -> None:
@@ -153,7 +229,8 @@ def _series(scene: Scene, table: Columns, feed: Feed, layout: LiveLayout, most_r
     values = np.asarray(table[feed.column], dtype=np.float64) * feed.scale
     channel = layout.channels.get(feed.path)
     if channel is not None and channel.step and len(values):  # keep only the steps of a step curve
-        changes = np.flatnonzero(values[1:] != values[:-1]) + 1
+        both_none = np.isnan(values[1:]) & np.isnan(values[:-1])
+        changes = np.flatnonzero((values[1:] != values[:-1]) & ~both_none) + 1
         keep = np.unique(np.concatenate(([0], changes, [len(values) - 1])))
         time_s, values = time_s[keep], values[keep]
     if len(time_s) > most_rows:
@@ -185,7 +262,7 @@ def _event_series(
         frame = event.get("frame")
         at_s = (frame_ns[frame] - start_ns if frame in frame_ns else event["t_ns"]) / 1e9
         if panel is not None and panel.kind == "states":
-            scene.state(feed.path, at_s, str(event[feed.field]))
+            scene.state(feed.path, at_s, event_words(str(event[feed.field])))
         else:
             raw = float(event[feed.field])
             values.append(float(calibration.apply(raw)) if calibration else raw)
@@ -281,6 +358,8 @@ def _frames(
 
 
 def _summary(event: dict[str, Any]) -> str:
+    if event["kind"] in ("controller", "fault"):
+        return event_words(str(event.get("text", "")))
     skip = ("n", "t_ns", "kind", "crc")
     rest = ", ".join(
         f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}"

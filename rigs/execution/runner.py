@@ -17,6 +17,7 @@ import numpy as np
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError, LinkLost, PamrigError, RecordError
 from daq.interrupt import StopFlag
+from daq.link.causes import CAUSES, cause_of
 from daq.record.writer import RecordWriter
 from rigs.bench.both import Side
 from rigs.bench.computer import REMEDY, Computer, raised_priority
@@ -170,10 +171,12 @@ class Runner:
         busy = self.computer.busy() if "host_silent" in words else ""
         if busy:
             return RunFault(valve.name, f"reported {words!r}; {busy}", REMEDY)
+        cause = cause_of(words)
+        what, remedy = CAUSES.get(cause, ("", "find the cause, then `pamrig doctor`"))
         return RunFault(
             valve.name,
-            f"reported {words!r}",
-            "find the cause, then `pamrig doctor`; the fault is cleared by the next run",
+            f"reported the fault {cause}: {what}" if cause else f"reported {words!r}",
+            f"{remedy}; the fault is cleared by the next run",
         )
 
     def _silent(
@@ -403,8 +406,11 @@ class Runner:
 
     def _tare(self) -> float:
         self._balance_speaks = False  # a balance that tares sends no readings meanwhile
+        self.watch.taring()
         try:
-            return self.rig.balance.tare()
+            grams = self.rig.balance.tare()
+            self.watch.tared()
+            return grams
         finally:
             self._balance_speaks = True
             self._last_row = (0, 0)

@@ -136,7 +136,7 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
             if plan.frames and config.camera.source:
                 _check_camera(rig, record, camera)
             if live is not None:
-                live.attach(rig, record, watch)
+                live.attach(rig, record, watch, runner.progress)
             if on_start is not None:
                 on_start(runner, record)
             control.listen(
@@ -158,13 +158,19 @@ def run_protocol(  # noqa: C901, PLR0913 - what may be stated of a run, each by 
         finally:
             outcome = outcome_of(error)
             control.close()
-            if live is not None:
-                live.close()
+            _end_live(live, outcome, error)
             if _finish(runner, record, outcome, error) != outcome:
                 # The last words did not reach the disk: the run is not what it seemed to be.
                 error = error or record.failed
                 outcome = outcome_of(error)
     return Result(record.folder, outcome, error, runner.progress.done, points)
+
+
+def _end_live(live: LiveView | None, outcome: str, error: BaseException | None) -> None:
+    """The live view says how the run ended, and closes."""
+    if live is not None:
+        live.ended(outcome, error)
+        live.close()
 
 
 def _open_streams(rig: Rig, record: RecordWriter) -> None:

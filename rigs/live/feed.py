@@ -13,14 +13,18 @@ from analysis.layouts import layouts as paths
 from analysis.layouts.layouts import edge_lines, profile_lines
 from analysis.reduction.pictures import decode
 from daq.clock import NS_PER_S
+from daq.link.causes import event_words
 from daq.live.layout import Feed, LiveLayout
 from daq.live.live import LiveView
+from daq.live.status import ForceZero, with_target
 from daq.record.writer import RecordWriter
 from daq.store.derive import scaled
 from rigs.bench.rig import Rig
 from rigs.devices.valve_controller import ValveController
 from rigs.execution.runner import Watch
+from rigs.live.status import LiveStatus
 from rigs.steps.steps import Measure
+from rigs.steps.watching import Progress
 
 if TYPE_CHECKING:
     from vision.marker.gap import GapMeasurement
@@ -43,8 +47,12 @@ class LiveFeed:
         self._start_ns = 0
         self._warn: Callable[[str], None] = lambda text: None
         self._ended = view.error is not None  # that it did not start was said
+        self._zero = ForceZero()
+        self._status: LiveStatus | None = None
 
-    def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:  # noqa: C901 - one small hook after another
+    def attach(  # noqa: C901 - one small hook after another
+        self, rig: Rig, record: RecordWriter, watch: Watch, progress: Progress
+    ) -> None:
         """Listen to everything; called once before the run."""
         self._start_ns = record.start_ns
         self._rig = rig
@@ -53,8 +61,11 @@ class LiveFeed:
         def now_s() -> float:
             return (clock.now_ns() - self._start_ns) / NS_PER_S
 
+        names = [side.name for side in rig.sides]
+        status = self._status = LiveStatus(self.view, progress, now_s, names)
         for side in rig.sides:
             side.valve.on_batch.append(self._listener(side.name))
+            side.valve.on_event = self._event_listener(side.valve, now_s)
         rig.balance.on_rows.append(lambda batch: self._batch("balance", batch))
         self._feeds = (*self._feeds, *self._length_feeds(rig))
         for name, instrument in rig.instruments.items():
@@ -73,6 +84,7 @@ class LiveFeed:
         def state(text: str) -> None:
             inner.state(text)
             self.view.state(paths.STATE, now_s(), text)
+            status.step(text)
 
         def log(text: str) -> None:
             inner.log(text)
@@ -80,6 +92,7 @@ class LiveFeed:
 
         def point(step: Measure, pressure_kpa: float, force_n: float, length_mm: float) -> None:
             inner.point(step, pressure_kpa, force_n, length_mm)
+            status.point()
             values = {"pressure_kpa": pressure_kpa, "force_n": force_n, "length_mm": length_mm}
             for feed in self._layout.points:
                 if (x := values.get(feed.x[1])) is None or (y := values.get(feed.y[1])) is None:
@@ -112,10 +125,10 @@ class LiveFeed:
             inner.result(x, y, label)
             self.view.points(paths.POINTS, x, y, label, time_s=now_s())
 
-        for side in rig.sides:
-            side.valve.on_event = self._event_listener(side.valve, now_s)
         watch.state, watch.log, watch.point = state, log, point
         watch.picture, watch.set_point, watch.result = picture, set_point, result
+        watch.taring = _both(inner.taring, self._zero.taring)
+        watch.tared = _both(inner.tared, self._zero.tared)
 
     def _event_listener(
         self, valve: ValveController, now_s: Callable[[], float]
@@ -125,10 +138,12 @@ class LiveFeed:
         def event(text: str) -> None:
             if on_event is not None:
                 on_event(text)
-            fault = text.startswith("fault")
+            fault, words = text.startswith("fault"), event_words(text)
             if fault:
-                self.view.state(paths.FAULT, now_s(), text)
-            self.view.text(now_s(), text, "ERROR" if fault else "INFO")
+                self.view.state(paths.FAULT, now_s(), words)
+            self.view.text(now_s(), words, "ERROR" if fault else "INFO")
+            if self._status is not None:
+                self._status.event(text)
 
         return event
 
@@ -147,6 +162,12 @@ class LiveFeed:
             return
         time_s = (self._host_ns(batch) - self._start_ns) / NS_PER_S
         columns, _ = scaled(stream, batch, self._calibrations, {})
+        if stream in VALVE_STREAMS:
+            columns = with_target(columns)
+            if self._status is not None:
+                self._status.batch(stream, time_s, columns)
+        if "force_n" in columns and stream == "balance":
+            columns = {**columns, "zeroed_n": self._zero.apply(columns["force_n"])}
         for feed in self._feeds:
             if feed.stream == stream:
                 values = np.asarray(columns[feed.column]).astype(np.float64) * feed.scale
@@ -166,9 +187,24 @@ class LiveFeed:
         device_us = batch["device_us"].astype(np.float64)
         return np.asarray(host_ns[-1] - (device_us[-1] - device_us) * 1000.0)
 
+    def ended(self, outcome: str, error: BaseException | None) -> None:
+        """Show how the run ended, and what to do about a fault."""
+        if self._status is not None:
+            self._status.ended(outcome, error)
+
     def close(self) -> None:
         """Close the view, within its own bound of time."""
         self.view.close()
+
+
+def _both(first: Callable[[], None], second: Callable[[], None]) -> Callable[[], None]:
+    """One hook after the other."""
+
+    def call() -> None:
+        first()
+        second()
+
+    return call
 
 
 def open_live(run_id: str, layout: LiveLayout, open_browser: bool) -> LiveFeed:

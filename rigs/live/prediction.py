@@ -73,6 +73,8 @@ class LivePrediction:
         shut = constants.with_overrides({"outlet_normally": "closed"})
         self._muscle = BenchSim(shut, effects)
         self._length_mm = self._gas.length_mm
+        # The predicted force at the newest tare: measured forces are counted from there too.
+        self._zero_n = 0.0
         self._seq: int | None = None
         self._failed = False
         self._share = LiveShare()
@@ -102,7 +104,14 @@ class LivePrediction:
             point(step, pressure_kpa, force_n, length_mm)
             self._compares = True
 
+        tared = watch.tared
+
+        def zeroed() -> None:
+            tared()
+            self._zero_n = self._muscle.force_n
+
         watch.set_point, watch.state, watch.point = set_point, doing, pointed
+        watch.tared = zeroed
         self._calibrations = rig.config.calibrations
         rig.balance.on_rows.append(self._force)
         self._start_ns = record.start_ns
@@ -153,10 +162,11 @@ class LivePrediction:
             self.view.series(PRESSURE_PATH, time_s, self._respond(self._regulator, time_s))
         self._muscle.set_pressure(max(float(seen.mean()), -50.0))
         self._muscle.advance(len(seen) * TICK_S)
-        self.view.series(FORCE_PATH, [float(time_s.mean())], [self._muscle.force_n])
+        force_n = self._muscle.force_n - self._zero_n
+        self.view.series(FORCE_PATH, [float(time_s.mean())], [force_n])
         if not self._regulated and self._compares:
             self._share.predicted(
-                float(time_s.mean()), self._muscle.force_n, float(self._gas.force_n)
+                float(time_s.mean()), force_n, float(self._gas.force_n) - self._zero_n
             )
 
     def _set_to(self, now_ns: int, pressure_kpa: float) -> None:

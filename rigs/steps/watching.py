@@ -23,6 +23,8 @@ class Watch:
     set_point: Callable[[str, float], None] = lambda channel, value: None
     log: Callable[[str], None] = lambda text: None
     result: Callable[[float, float, str], None] = lambda x, y, label: None
+    taring: Callable[[], None] = lambda: None
+    tared: Callable[[], None] = lambda: None
 
 
 @dataclass
@@ -36,11 +38,28 @@ class Progress:
     spent_s: float = 0.0
 
 
+def time_left_s(total_s: float, spent_s: float, elapsed_s: float, virtual: bool) -> float | None:
+    """Time left in s of the clock of ``elapsed_s``, or None if it is not known yet.
+
+    Args:
+        total_s, spent_s: estimated bench time of the whole procedure and of the steps done.
+        elapsed_s: time since the start.
+        virtual: True if bench time and the time that elapsed differ.
+    """
+    if spent_s > 0.02 * total_s:
+        return max(0.0, total_s - spent_s) * elapsed_s / spent_s
+    return None if virtual else total_s
+
+
 class LiveView(Protocol):
     """What a running test feeds; it may lose anything, the test never waits for it."""
 
-    def attach(self, rig: Rig, record: RecordWriter, watch: Watch) -> None:
+    def attach(self, rig: Rig, record: RecordWriter, watch: Watch, progress: Progress) -> None:
         """Take what the rig reads and what the run reports from now on."""
+        ...
+
+    def ended(self, outcome: str, error: BaseException | None) -> None:
+        """How the run ended, and why."""
         ...
 
     def close(self) -> None:
