@@ -18,7 +18,7 @@ from daq.live.layout import Feed, LiveLayout
 from daq.live.live import LiveView
 from daq.live.status import ForceZero, with_target
 from daq.record.writer import RecordWriter
-from daq.store.derive import scaled
+from daq.store.derive import VALVE_STREAMS, scaled
 from rigs.bench.rig import Rig
 from rigs.devices.valve_controller import ValveController
 from rigs.execution.runner import Watch
