@@ -43,7 +43,7 @@ SETTLE_N = const(5)  # conversions; both bridge converters have settled after fo
 SAME_N = const(6)
 LATE_US = const(3000)
 AGAIN_US = const(1000000)
-SEND_US = const(40000)  # a reading waits at most so long for a frame ...
+SEND_US = const(60000)  # a reading waits at most so long for a frame ...
 SEND_N = const(12)  # ... that holds as many
 HELD_READINGS = const(64)
 
@@ -347,6 +347,7 @@ class Channels:
         w[WAITED] += dt
         return 1 if waiting >= SEND_N or w[WAITED] >= SEND_US else 0
 
+    @micropython.native
     def frame(self) -> int:
         """Write the oldest readings that wait into ``buffer`` as a frame; returns its length."""
         size = gather_readings(self._words, self._ring, self._boot_id, self.buffer)
