@@ -184,12 +184,12 @@ def test_an_encoder_that_jumped_gives_no_value_until_it_is_set_anew() -> None:
     board.ask("set encoder_ms 10")
     assert {row[3] for row in rows(board.run(100))} == {"ok"}
     board.edges_lost = 1
-    board.run(60)  # readings that wait
+    board.run(90)  # readings that wait
     assert {row[3] for row in rows(board.run(1000))} == {"lost_count"}
     board.ask("set second_ms 20")  # another input is nothing to it
     assert {row[3] for row in rows(board.run(500)) if row[2] == "encoder"} == {"lost_count"}
     board.ask("set encoder_ms 0")
-    board.ask("set encoder_ms 10", 60)
+    board.ask("set encoder_ms 10", 90)
     assert {row[3] for row in rows(board.run(100)) if row[2] == "encoder"} == {"ok"}
 
 
@@ -205,7 +205,7 @@ def test_an_ads1115_gives_a_result_of_its_own_for_each_start_and_silence_without
     board.run(120)
     assert {row[3] for row in rows(board.run(1000))} == {"silent"}
     board.gone = 0
-    board.run(60)
+    board.run(100)
     assert {row[3] for row in rows(board.run(200))} == {"ok"}
 
 

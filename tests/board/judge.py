@@ -115,6 +115,7 @@ def _conformance(r: dict[str, Any]) -> Iterator[str]:
 
 _OF = {
     "schemes": _scheme,
+    "inputs": lambda r: _memory(r) if "spans" in r else _scheme(r),
     "trials": _trials,
     "pulses": _pulses,
     "memory": _memory,

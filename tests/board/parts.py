@@ -18,6 +18,7 @@ from valvefw.schemes.scheme import HOLD_US
 from . import image, node
 
 SCHEMES = ("two", "duty_in", "duty", "slide", "ram", "pwm", "burst", "open", "idle")
+INPUTS = ("set bridge 5", "set encoder_ms 20", "set second_ms 100", "set third_ms 100")
 TRIALS = {  # kind: share of the trials asked for
     "over": 1.0,
     "silent": 1.0,
@@ -84,12 +85,24 @@ def _every(setting: Setting) -> list[Job]:
         )
         for scheme in SCHEMES
     ]
+    out += [
+        Job(
+            f"inputs:{scheme}",
+            "inputs",
+            "firmware",
+            {"kind": "scheme", "scheme": scheme, "seconds": setting.seconds, "inputs": INPUTS},
+        )
+        for scheme in ("pwm", "burst")
+    ]
     repeats = max(2, min(20, setting.trials // 10))
     spans = max(2, min(20, round(setting.seconds)))
     words: dict[str, Any] = {"kind": "pulses", "widths": WIDTHS_US, "repeats": repeats, "seed": 1}
     out.append(Job("pulses", "pulses", "firmware", words))
     words = {"kind": "memory", "schemes": SCHEMES, "spans": spans}
     out.append(Job("memory", "memory", "memory", words))
+    out.append(
+        Job("inputs:memory", "inputs", "memory", {**words, "schemes": ("burst",), "inputs": INPUTS})
+    )
     for kind, share in TRIALS.items():
         number = max(min(FEWEST_TRIALS, setting.trials), round(setting.trials * share))
         for first in range(0, number, CHUNK):

@@ -43,7 +43,7 @@ SETTLE_N = const(5)  # conversions; both bridge converters have settled after fo
 SAME_N = const(6)
 LATE_US = const(3000)
 AGAIN_US = const(1000000)
-SEND_US = const(40000)  # a reading waits at most so long for a frame ...
+SEND_US = const(60000)  # a reading waits at most so long for a frame ...
 SEND_N = const(12)  # ... that holds as many
 HELD_READINGS = const(64)
 
@@ -109,36 +109,43 @@ def put(w: ptr32, ring: ptr8, tag: int, value: int, low: int, high: int):
 
 
 @micropython.viper
-def wait(w: ptr32, which: int, dt: int) -> int:
-    """Let ``dt`` us pass for an input; 1 if it is due to be read."""
-    at = which * PLACES
-    since = w[at + SINCE]
-    if since < 0x10000000:
-        since += dt
-        w[at + SINCE] = since
-    due = w[at + DUE] - dt
-    if due > 0:
-        w[at + DUE] = due
-        return 0
-    due += w[at + PERIOD]
-    if due <= 0:
-        due = w[at + PERIOD]
-    w[at + DUE] = due
-    return 1
+def pass_time(w: ptr32, dt: int) -> int:
+    """Let ``dt`` us pass. Bits: 0 on, the input is due to be read; 8 on, it is on; 16 on, it has
+    been silent for too long, unless a conversion is there now."""
+    mask = 0
+    bit = 1
+    at = 0
+    while at < INPUTS * PLACES:
+        if w[at + ON]:
+            mask = mask | bit << 8
+            since = w[at + SINCE]
+            if since < 0x10000000:
+                w[at + SINCE] = since + dt
+            left = w[at + SILENT_LEFT] - dt
+            w[at + SILENT_LEFT] = left
+            if left <= 0:
+                mask = mask | bit << 16
+            due = w[at + DUE] - dt
+            if due <= 0:
+                mask = mask | bit
+                due += w[at + PERIOD]
+                if due <= 0:
+                    due = w[at + PERIOD]
+            w[at + DUE] = due
+        bit = bit << 1
+        at += PLACES
+    return mask
 
 
 @micropython.viper
-def miss(w: ptr32, ring: ptr8, which: int, dt: int, low: int, high: int):
-    """No conversion came in ``dt`` us."""
+def miss(w: ptr32, ring: ptr8, which: int, low: int, high: int):
+    """No conversion has come for too long."""
     at = which * PLACES
-    left = w[at + SILENT_LEFT] - dt
-    if left <= 0:
-        left = AGAIN_US
-        put(w, ring, which | SILENT << 4, w[at + SINCE] // 1000, low, high)
-        w[at + HELD] = 0
-        if w[at + CHECKED]:
-            w[at + SETTLE] = SETTLE_N
-    w[at + SILENT_LEFT] = left
+    put(w, ring, which | SILENT << 4, w[at + SINCE] // 1000, low, high)
+    w[at + SILENT_LEFT] = AGAIN_US
+    w[at + HELD] = 0
+    if w[at + CHECKED]:
+        w[at + SETTLE] = SETTLE_N
 
 
 @micropython.viper
@@ -308,38 +315,39 @@ class Channels:
         now = s[NOW]
         dt = (now - self._now) & TIME_MASK
         self._now = now
-        board.stamp(s)
-        low = s[REPLY_LOW]
-        high = s[REPLY_HIGH]
+        mask = pass_time(w, dt)
         which = 0
-        at = 0
         while which < INPUTS:
-            if w[at + ON]:
-                due = wait(w, which, dt)
+            if mask & 0x100:
                 raw = -1
                 if which == BRIDGE:
                     raw = board.bridge()
                 elif which == ADC16:
-                    raw = self._adc16.step(due)
-                elif due:
+                    raw = self._adc16.step(mask & 1)
+                elif mask & 1:
                     raw = board.encoder() if which == ENCODER else board.analogue(which - ENCODER)
-                if raw < 0:
-                    miss(w, ring, which, dt, low, high)
-                elif dt <= LATE_US or which > ADC16:
-                    take(w, ring, which, raw, low, high)
-                else:  # nobody knows when it was made
-                    heard(w, which)
-                    w[at + SINCE] = w[at + PERIOD]  # nor when the next one is early
-                    while which == BRIDGE and board.bridge() >= 0:
-                        pass
+                if raw >= 0 or mask & 0x10000:
+                    board.stamp(s)
+                    low = s[REPLY_LOW]
+                    high = s[REPLY_HIGH]
+                    if raw < 0:
+                        miss(w, ring, which, low, high)
+                    elif dt <= LATE_US or which > ADC16:
+                        take(w, ring, which, raw, low, high)
+                    else:  # nobody knows when it was made
+                        heard(w, which)
+                        w[which * PLACES + SINCE] = w[which * PLACES + PERIOD]  # nor of the next
+                        while which == BRIDGE and board.bridge() >= 0:
+                            pass
+            mask >>= 1
             which += 1
-            at += PLACES
         waiting = w[WAITING]
         if waiting == 0:
             return 0
         w[WAITED] += dt
         return 1 if waiting >= SEND_N or w[WAITED] >= SEND_US else 0
 
+    @micropython.native
     def frame(self) -> int:
         """Write the oldest readings that wait into ``buffer`` as a frame; returns its length."""
         size = gather_readings(self._words, self._ring, self._boot_id, self.buffer)

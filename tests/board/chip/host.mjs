@@ -1,5 +1,5 @@
 // The host at the other end of the UART: frames, requests, replies, events and telemetry.
-const KIND = { request: 0x51, reply: 0x52, telemetry: 0x54 };
+const KIND = { request: 0x51, reply: 0x52, telemetry: 0x54, inputs: 0x58 };
 
 const CRC_TABLE = Array.from({ length: 256 }, (_, high) => {
   let crc = high << 8;
@@ -55,6 +55,7 @@ export class Host {
     this.next = -1; // number of the next sample
     this.gaps = 0;
     this.samples = 0;
+    this.inputs = {}; // readings of the further inputs by "input:state"
     this.id = 0;
     this.beats = 0;
     board.uart.onByte = (byte) => this.#byte(byte);
@@ -70,8 +71,17 @@ export class Host {
     this.part = [];
     if (payload === null) this.damaged++;
     else if (payload[0] === KIND.telemetry) this.#telemetry(payload);
+    else if (payload[0] === KIND.inputs) this.#inputs(payload);
     else if (payload[0] === KIND.reply) this.#reply(payload.subarray(1).toString());
     else this.events.push([this.board.nanos, payload.subarray(1).toString()]);
+  }
+
+  #inputs(payload) {
+    for (let at = 8; at < payload.length; at += 9) {
+      const tag = payload[at + 4];
+      const name = `${tag & 15}:${tag >> 4}`;
+      this.inputs[name] = (this.inputs[name] ?? 0) + 1;
+    }
   }
 
   #telemetry(payload) {
@@ -151,6 +161,11 @@ export class Host {
     [, this.bootId] = ident.match(/boot=(\d+)/);
     [, this.conf] = ident.match(/conf=([0-9a-f]+)/);
     return ident;
+  }
+
+  /** Set parameters; arming then states their new CRC. */
+  set(requests) {
+    for (const text of requests) [, this.conf] = this.must(text).match(/conf=([0-9a-f]+)/);
   }
 
   arm() {

@@ -23,6 +23,7 @@ export function memory(job, tell) {
   const spans = {};
   let heap = null;
   for (const scheme of job.schemes) {
+    host.set(job.inputs ?? []);
     host.arm();
     host.wait(30);
     if (scheme === "open") host.must("scheme open");

@@ -4,6 +4,7 @@ import { figures, rounded } from "./figures.mjs";
 import { figuresOfTrips, Host } from "./host.mjs";
 
 const BEAT_MS = 100;
+const BRIDGE_MS = 12.5; // conversions of a bridge at 80 a second
 const CHANGE_MS = 500;
 let HOLD_US = 0; // valvefw.schemes.scheme.HOLD_US, from the job: a hold, which the scheme renews
 const TICK_US = 1000;
@@ -126,6 +127,7 @@ export function scheme(job, tell) {
   board.onWord = (machine, word) => {
     if (machine === 0) pulses.drive(word);
   };
+  host.set(job.inputs ?? []);
   host.arm();
   host.wait(30);
   host.start(job.scheme);
@@ -135,6 +137,7 @@ export function scheme(job, tell) {
   measuring = true;
   host.trips = [];
   host.gaps = host.samples = 0;
+  host.inputs = {};
   pulses.reset();
   Object.assign(counts, { collections: 0, allocated: 0 });
   const events = host.events.length;
@@ -142,11 +145,19 @@ export function scheme(job, tell) {
   const idle = board.idleNs;
   const wanted = changes(job.scheme);
   let beatAt = from + 1e6;
+  let wordAt = job.inputs ? from + 1e6 : Infinity;
+  let word = 1000;
   let changeAt = from + CHANGE_MS * 1e6;
   let toldAt = Date.now();
   const to = from + job.seconds * 1e9;
   while (board.nanos < to) {
-    board.run(Math.min(to, beatAt, changeAt));
+    board.run(Math.min(to, beatAt, changeAt, wordAt));
+    if (board.nanos >= wordAt) {
+      // What the bridge's state machine would have read: the machines themselves stand still.
+      word = (word * 7 + 3) % 8000000;
+      board.rp.pio[0].machines[2].rxFIFO.push(word);
+      wordAt += BRIDGE_MS * 1e6;
+    }
     if (board.nanos >= beatAt) {
       host.beat();
       beatAt += BEAT_MS * 1e6;
@@ -223,6 +234,7 @@ export function scheme(job, tell) {
     collections: job.symbols ? collections : null,
     allocated_per_tick: job.symbols ? rounded(allocated / conversions.length) : null,
     samples,
+    inputs: job.inputs ? host.inputs : undefined,
     gaps,
     damaged: host.damaged,
     overrun: board.uart.overrun,
