@@ -9,7 +9,8 @@ import typer
 
 from cli.data.import_data import import_data, import_template
 from cli.options import RUNS, JsonOption, OutOption, RunArgument, RunsOption, WarmOption
-from cli.output import print_json, state_findings, working, writing
+from cli.output import print_json, state_findings, writing
+from cli.progress import progress_line
 
 THESIS_TABLES = (
     "Thesis table: c01 (isometric), c02 (c01 plus noise), c03 (isotonic), c04, c05 and c06, c07 "
@@ -31,9 +32,11 @@ def report(
 
     found = find_run(runs, run)
     if as_json:
-        print_json(report_json(found))
+        with progress_line("making the table"):
+            made = report_json(found)
+        print_json(made)
         return
-    with working("making table and report"):
+    with progress_line("making table and report"):
         path = derive_all(found.folder).folder / "derived" / "report.html"
     if out is not None:
         with writing(out):
@@ -95,7 +98,8 @@ def import_thesis(
     from analysis.formats.importer import import_thesis
     from daq.clock import RealClock
 
-    folder = import_thesis(table, out, RealClock(), include_formula=warm)
+    with progress_line(f"importing {table}"):
+        folder = import_thesis(table, out, RealClock(), include_formula=warm)
     _report_import(table, folder, as_json)
 
 
@@ -108,14 +112,17 @@ def import_points(
     from analysis.formats.importer import import_points
     from daq.clock import RealClock
 
-    _report_import(source, import_points(source, out, RealClock()), as_json)
+    with progress_line(f"importing {source}"):
+        folder = import_points(source, out, RealClock())
+    _report_import(source, folder, as_json)
 
 
 def _report_import(source: str, folder: Path, as_json: bool) -> None:
     """Derive table and report of an imported run, and print where they are."""
     from analysis.reporting.derived import derive_all
 
-    run = derive_all(folder)
+    with progress_line("making table and report"):
+        run = derive_all(folder)
     if as_json:
         from analysis.reporting.report import report_json
 
