@@ -39,20 +39,6 @@ def writing(path: Path) -> Iterator[None]:
         raise PamrigError(str(path), f"cannot be written: {error}", "choose another file") from None
 
 
-@contextmanager
-def working(what: str) -> Iterator[None]:
-    """Show on a terminal what takes its time; the line disappears when it is done."""
-    shown = sys.stderr.isatty()
-    if shown:
-        typer.echo(f"{what} ...", nl=False, err=True)
-    try:
-        yield
-    finally:
-        if shown:
-            typer.echo("\r" + " " * (len(what) + 4), nl=False, err=True)
-            typer.echo("\r", nl=False, err=True)
-
-
 def state_findings(findings: Iterable[str], run: str = "") -> None:
     """Print what a check of a record found, if anything, as notes beside a command's result."""
     for text in findings:

@@ -10,6 +10,7 @@ import typer
 
 from cli.options import JsonOption
 from cli.output import print_json
+from cli.progress import progress_line
 
 if TYPE_CHECKING:
     from gap.mapping.cost import Costs
@@ -43,7 +44,8 @@ def import_data(
         raise GapError("--out", "is missing", "name the folder to make, or add --dry-run")
     if picture is not None:
         check_picture(picture)
-    made = import_data(mapping, out or Path(mapping.stem), folder=folder, dry=dry_run)
+    with progress_line(f"importing by {mapping.name}"):
+        made = import_data(mapping, out or Path(mapping.stem), folder=folder, dry=dry_run)
     if picture is not None:
         draw_first_trial(made[0].data, picture)
     if as_json:

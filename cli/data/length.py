@@ -14,6 +14,7 @@ import typer
 
 from cli.data.pictures import METHODS, Box, OwnSettings, own_settings, parse_box
 from cli.options import RUNS, JsonOption, RunsOption, bounded
+from cli.progress import counting
 from daq.errors import ConfigError, PamrigError
 
 if TYPE_CHECKING:
@@ -57,7 +58,11 @@ def length(
         runs=runs,
     )  # fmt: skip
     failed = write_lengths(
-        rows, str(frames), method, as_json, lambda part: typer.echo(part, nl=False)
+        counting(rows, "frames measured"),
+        str(frames),
+        method,
+        as_json,
+        lambda part: typer.echo(part, nl=False),
     )
     if failed:
         typer.echo(f"pamrig: {failed}", err=True)

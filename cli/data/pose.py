@@ -12,6 +12,7 @@ import typer
 
 from cli.data.pictures import recorded_run
 from cli.options import RUNS, JsonOption, RunsOption
+from cli.progress import counting
 from daq.errors import ConfigError, PamrigError
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def pose_report(
     """
     folder, settings = settings_of(frames, marks, runs)
     rows: list[tuple[str, int, MarkPose]] = []
-    for file, frame, found, image in _measured(folder, settings):
+    for file, frame, found, image in counting(_measured(folder, settings), "frames"):
         if preview is not None and image is not None:
             _draw(preview, image, found)
             preview = None

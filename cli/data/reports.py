@@ -12,7 +12,8 @@ import typer
 from cli.completion import run_names
 from cli.data.import_data import import_data, import_template
 from cli.options import RUNS, JsonOption, OutOption, RunArgument, RunsOption, WarmOption
-from cli.output import print_json, state_findings, working, writing
+from cli.output import print_json, state_findings, writing
+from cli.progress import progress_line
 
 if TYPE_CHECKING:
     from daq.store.run import Run
@@ -135,12 +136,12 @@ def _report_several(
     from analysis.reporting.pdf import page_to_pdf
     from analysis.reporting.several import compare_runs, comparison_json, render_comparison
 
-    with working(f"comparing {len(found)} runs"):
+    with progress_line(f"comparing {len(found)} runs"):
         compared = compare_runs(found, at=at, base=base, stated=stated)
     out = wanted.out or (None if wanted.as_json else Path("comparison.html"))
     paths: list[Path] = []
     if out is not None or wanted.pdf is not None:
-        with working("making the report"):
+        with progress_line("making the report"):
             html = render_comparison(compared)
         if out is not None:
             with writing(out):
@@ -148,11 +149,11 @@ def _report_several(
                 out.write_text(html, encoding="utf-8")
             paths.append(out)
         if wanted.pdf is not None:
-            with working("making the PDF"), writing(wanted.pdf):
+            with progress_line("making the PDF"), writing(wanted.pdf):
                 wanted.pdf.write_bytes(page_to_pdf(html))
             paths.append(wanted.pdf)
     if wanted.figures is not None:
-        with working("drawing the figures"), writing(wanted.figures):
+        with progress_line("drawing the figures"), writing(wanted.figures):
             paths += write_figures(comparison_figures(compared, wanted.column), wanted.figures)
     if wanted.as_json:
         print_json(comparison_json(compared))
@@ -173,21 +174,23 @@ def _report_one(found: Run, wanted: Wanted) -> None:
 
     page: bytes | None = None
     if not wanted.as_json or wanted.out is not None or wanted.pdf is not None:
-        with working("making table and report"):
+        with progress_line("making table and report"):
             path = derive_all(found.folder).folder / "derived" / "report.html"
         page = path.read_bytes()
     if wanted.out is not None and page is not None:
         with writing(wanted.out):
             wanted.out.write_bytes(page)
     if wanted.pdf is not None and page is not None:
-        with working("making the PDF"), writing(wanted.pdf):
+        with progress_line("making the PDF"), writing(wanted.pdf):
             wanted.pdf.write_bytes(page_to_pdf(page.decode("utf-8")))
     files: list[Path] = []
     if wanted.figures is not None:
-        with working("drawing the figures"), writing(wanted.figures):
+        with progress_line("drawing the figures"), writing(wanted.figures):
             files = write_figures(run_figures(found, wanted.column), wanted.figures)
     if wanted.as_json:
-        print_json(report_json(found))
+        with progress_line("making the table"):
+            made = report_json(found)
+        print_json(made)
         return
     typer.echo(str(wanted.out or path))
     for other in (wanted.pdf, *files):
@@ -249,7 +252,8 @@ def import_thesis(
     from analysis.formats.importer import import_thesis
     from daq.clock import RealClock
 
-    folder = import_thesis(table, out, RealClock(), include_formula=warm)
+    with progress_line(f"importing {table}"):
+        folder = import_thesis(table, out, RealClock(), include_formula=warm)
     _report_import(table, folder, as_json)
 
 
@@ -262,14 +266,17 @@ def import_points(
     from analysis.formats.importer import import_points
     from daq.clock import RealClock
 
-    _report_import(source, import_points(source, out, RealClock()), as_json)
+    with progress_line(f"importing {source}"):
+        folder = import_points(source, out, RealClock())
+    _report_import(source, folder, as_json)
 
 
 def _report_import(source: str, folder: Path, as_json: bool) -> None:
     """Derive table and report of an imported run, and print where they are."""
     from analysis.reporting.derived import derive_all
 
-    run = derive_all(folder)
+    with progress_line("making table and report"):
+        run = derive_all(folder)
     if as_json:
         from analysis.reporting.report import report_json
 

@@ -11,7 +11,8 @@ import typer
 
 from cli.completion import run_names
 from cli.options import RUNS, JsonOption, RunArgument, RunsOption
-from cli.output import print_json, state_findings, working
+from cli.output import print_json, state_findings
+from cli.progress import progress_line
 from daq.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -126,7 +127,8 @@ def verify(run: RunArgument = "last", runs: RunsOption = RUNS, as_json: JsonOpti
     from daq.store.verify import summary_of, unproven, verify
 
     found = find_run(runs, run)
-    problems = verify(found)
+    with progress_line("checking every byte"):
+        problems = verify(found)
     note = unproven(found)
     if as_json:
         print_json(
@@ -181,7 +183,8 @@ def rebuild(
             state_findings(record_findings(found))
         return
     problems = record_findings(found)
-    made = derive_all(found.folder)
+    with progress_line("making all derived files"):
+        made = derive_all(found.folder)
     names = sorted(p.name for p in (made.folder / "derived").iterdir())
     if as_json:
         print_json({"run_id": made.run_id, "derived": names, "problems": list(problems)})
@@ -276,7 +279,7 @@ def export(
     if what not in EXPORTED:
         raise ConfigError("--what", f"{what!r} is not one of {', '.join(EXPORTED)}")
     found = find_run(runs, run)
-    with working("writing tables"):
+    with progress_line("writing tables"):
         files = [str(path) for path in export_run(found, to, out, what)]
     problems = record_findings(found)
     if as_json:
@@ -319,7 +322,7 @@ def archive(
     authors = tuple(read_author(text) for text in author)
     about = Publication(title, read_licence(licence), authors, description, publisher)
     found = [find_run(runs, name) for name in run]
-    with working("packing"):
+    with progress_line("packing"):
         problems = write_archive(found, about, out, record)
     if as_json:
         print_json({"archive": str(out), "runs": [r.run_id for r in found], "problems": problems})
@@ -350,7 +353,7 @@ def _annotation(action: str, done: str) -> Callable[..., None]:
         from daq.store.store import find_run
 
         found = find_run(runs, run)
-        with working("making table and report"):
+        with progress_line("making table and report"):
             made, not_derived = _annotate(found, action, points, reason, who)
         if as_json:
             print_json({**vars(made), "points": list(made.points), "run_id": found.run_id})

@@ -12,6 +12,7 @@ import typer
 
 from cli.data.pictures import Box, parse_box
 from cli.options import JsonOption, bounded
+from cli.progress import counting
 from daq.errors import ConfigError, PamrigError
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def strain_report(
         if not reference.trusted:
             raise ConfigError("--rest", f"{rest}: {reference.reason}", "take the picture again")
     out, first = [], ""
-    for file, frame, row in _rows(frames, markers, region, camera):
+    for file, frame, row in counting(_rows(frames, markers, region, camera), "frames"):
         reference = reference or (row if row.trusted else None)
         values = _values(row, reference, camera)
         first = first or row.reason

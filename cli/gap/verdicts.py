@@ -9,13 +9,13 @@ from typing import Any
 
 import typer
 
-from cli.gap.progress import progress_line
 from cli.output import print_json, writing
+from cli.progress import progress_line
+from daq.progress import stage
 from gap.data.dataset import DataSet
 from gap.decision.diagnosis import Diagnosis, diagnosis
 from gap.design.config import DESIGN
 from gap.output import check_out, write_text
-from gap.progress import stage
 from gap.reporting.empirical import empirical_lines
 from gap.simulators.open import open_data_with
 from gap.verdict import Experiment, Gap, Status, Verdict, plain
@@ -45,7 +45,7 @@ class Question:
 
     def read(self) -> tuple[DataSet, Diagnosis]:
         """The data set with its simulator, and the diagnosis."""
-        with progress_line():
+        with progress_line("diagnosing"):
             stage(f"reading {self.data.name}")
             data = open_data_with(self.data, self.simulator)
             return data, diagnosis(data, _ids(self.without), self.keep)

@@ -13,6 +13,7 @@ from cli.completion import model_names, run_names
 from cli.model.rotary import rotary
 from cli.options import RUNS, FigureOption, JsonOption, RegionOption, RunsOption, WarmOption
 from cli.output import writing
+from cli.progress import progress_line
 from daq.errors import PamrigError
 
 if TYPE_CHECKING:
@@ -104,7 +105,8 @@ def fit(
         names = tuple(n.strip() for n in free.split(",") if n.strip()) or None
         if least_force is not None:
             chosen = dataclasses.replace(chosen, pulls_only=True)
-        found, sizes = with_misfit(fit(chosen, points, free=names, robust=robust), points)
+        with progress_line(f"fitting {model} to {run}"):
+            found, sizes = with_misfit(fit(chosen, points, free=names, robust=robust), points)
     except PlantError as error:
         raise PamrigError(
             f"fit of {model} to {run}", str(error), "see `pamrig models list`"
@@ -208,11 +210,14 @@ def compare(
         chosen = chosen or [(m.name, m) for m in _suitable(training or points)]
         sized = [_sized(m, name, training or points, geometry) for name, m in chosen]
         starting = _started([m for m, _ in sized], start)
+        doing = f"comparing {len(starting)} models on {len(points.force_n)} points"
         if holdout == "pressure":
             _refuse_for_pressure(nested=nested, train=bool(train), figure=figure is not None)
-            held = compare_pressures(starting, points)
+            with progress_line(doing):
+                held = compare_pressures(starting, points)
         else:
-            found = compare(starting, points, holdout, nested, training)
+            with progress_line(doing):
+                found = compare(starting, points, holdout, nested, training)
     except PlantError as error:
         raise PamrigError(" ".join(data), str(error), "see docs/use/models.md") from None
     notes = start_lines([scaling for _, scaling in sized])

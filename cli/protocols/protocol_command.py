@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from cli.output import print_json
+from cli.progress import progress_line
 from cli.protocols.terminal import ProgressLine, exit_status, print_result
 from daq.errors import ConfigError
 
@@ -116,7 +117,8 @@ def protocol_command(name: str, options: TestOptions) -> int:
             stop=stop, make_live=make_live, watch=line.watch(), on_start=begin, wire=options.wire,
         )  # fmt: skip
     line.close()
-    not_derived = try_derive(result.folder, result.error)
+    with progress_line("making table and report"):
+        not_derived = try_derive(result.folder, result.error)
     status = exit_status(result)
     if options.as_json:
         from analysis.reporting.report import report_json

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from daq.calibration import Calibration
 from daq.errors import RecordError
 from daq.link.clockfit import ClockMap
+from daq.progress import stage
 from daq.record.disk import disk_error
 from daq.record.safe_read import read_inside, sum_inside
 from daq.record.sealed import open_file, write_sealed
@@ -71,8 +72,10 @@ def derive(run: Run, makers: Iterable[Maker] = (), kept: Iterable[str] = ()) -> 
         for stream in run.streams:
             path = fresh / samples_file(stream)
             if not path.exists():
+                stage(f"derived files: {path.name}")
                 write_samples(run, stream, path)
-        for make in makers:
+        for number, make in enumerate(makers, 1):
+            stage(f"derived files: {getattr(make, '__name__', '').strip('_') or number}")
             make(run, fresh)
         seal_folder(run, fresh)
         if target.exists():

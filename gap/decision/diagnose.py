@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
+from daq.progress import stage
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
 from gap.decision.classify import classify
@@ -16,7 +17,6 @@ from gap.effects.candidates import CANDIDATES, Candidate
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.fitness import UnfitPlant, unfit_nominal
-from gap.progress import stage
 from gap.reason import Cause, Reason, reason
 from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2

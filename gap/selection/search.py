@@ -12,13 +12,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from daq.progress import counted, stage
 from gap.effects.candidates import Candidate
 from gap.estimation.agreement import replicate_inflation
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.non_identical import non_identical
 from gap.estimation.null_distribution import held_out_gain, simulated_null
 from gap.estimation.shape_fit import fit_shapes
-from gap.progress import counted, stage
 from gap.selection.backward import drop_needless, one_of_family, swapped
 from gap.selection.candidate_fits import (
     Hypothesis,

@@ -1,0 +1,117 @@
+"""The progress line: on a terminal only, gone when the command prints; Ctrl-C loses nothing."""
+
+from __future__ import annotations
+
+import io
+import os
+import pty
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from cli import progress
+from cli.progress import counting, progress_line
+from daq.progress import counted, stage
+from daq.store.run import open_run
+from daq.store.verify import verify
+from protocol_runs import run_short
+
+
+class Terminal(io.StringIO):
+    """Takes what is written, and says that it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    """A stderr that is a terminal; the line is drawn often."""
+    made = Terminal()
+    monkeypatch.setattr(progress, "sys", SimpleNamespace(stderr=made, stdout=io.StringIO()))
+    monkeypatch.setattr(progress, "AFTER_S", 0.01)
+    monkeypatch.setattr(progress, "EVERY_S", 0.01)
+    monkeypatch.setattr(progress, "SECONDS_FROM_S", 0.0)
+    return made
+
+
+def wait_for(terminal: Terminal, text: str) -> None:
+    end = time.monotonic() + 5.0
+    while text not in terminal.getvalue():
+        assert time.monotonic() < end, terminal.getvalue()
+        time.sleep(0.005)
+
+
+def test_stages_from_deep_inside_stand_on_the_line_and_it_is_cleared(terminal: Terminal) -> None:
+    with progress_line("making the report"):
+        wait_for(terminal, "making the report  0 s")
+        for _ in counted("fit", [1, 2]):
+            pass
+        wait_for(terminal, "fit 2 of 2")
+    last = terminal.getvalue().split("\r")
+    assert last[-1] == ""
+    assert last[-2].strip() == ""
+
+
+def test_an_error_clears_the_line_before_it_is_printed(terminal: Terminal) -> None:
+    def fail() -> None:
+        with progress_line("work"):
+            wait_for(terminal, "work")
+            raise ValueError("bad")
+
+    with pytest.raises(ValueError, match="bad"):
+        fail()
+    assert terminal.getvalue().split("\r")[-2].strip() == ""
+
+
+def test_what_is_quick_or_not_on_a_terminal_shows_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    quick = Terminal()
+    monkeypatch.setattr(sys, "stderr", quick)
+    with progress_line("quick"):
+        stage("done at once")
+    assert quick.getvalue() == ""
+    file = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", file)
+    monkeypatch.setattr(progress, "AFTER_S", 0.0)
+    with progress_line("in a script") as say:
+        say("still")
+        time.sleep(0.02)
+    assert file.getvalue() == ""
+
+
+def test_rows_are_counted_where_they_do_not_appear_themselves(terminal: Terminal) -> None:
+    seen = []
+    for item in counting(range(3), "frames"):
+        seen.append(item)
+        wait_for(terminal, f"frames: {item + 1}")
+    assert seen == [0, 1, 2]
+
+
+def test_a_report_stopped_by_ctrl_c_leaves_record_and_old_report(tmp_path: Path) -> None:
+    _, run, _ = run_short("switching-time", tmp_path, pressures_kpa=(200.0,), repeats=1)
+    derived = run.folder / "derived"
+    shutil.rmtree(derived, ignore_errors=True)
+    derived.mkdir()
+    (derived / "report.html").write_text("the old one")
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-c", "from cli.main import main; main()", "report", str(run.folder)]
+    with subprocess.Popen(command, stderr=theirs, stdout=subprocess.PIPE) as process:
+        os.close(theirs)
+        shown = b""
+        while b"making table" not in shown:
+            shown += os.read(ours, 1000)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60.0) == 130
+        assert process.stdout is not None
+        assert b"Traceback" not in process.stdout.read()
+    os.close(ours)
+    assert (derived / "report.html").read_text() == "the old one"
+    assert [p for p in verify(open_run(run.folder)) if not p.file.startswith("derived")] == []
