@@ -29,6 +29,7 @@ ANALYSES: dict[str, str] = {
     "joint-step": "joint",
     "simulate": "simulation",
     "interactive": "points",
+    "record": "own_controller.recording",
 }  # fmt: skip
 """Protocol to module of ``analysis.findings``; its ``ANALYSES`` has an entry with that name."""
 

@@ -19,17 +19,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from analysis.registry import analysis_of
+from analysis.reporting.derived import derive_all
+from analysis.reporting.report import report_json
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, DeviceError
 from daq.link.transport import memory_pair
+from daq.live.viewfile import build_view
+from daq.store.rowtimes import times
 from daq.store.run import open_run
 from rigs.recording.session import NO_CONTRACT, Recorded, Recording, record
 from rigs.recording.stream import ColumnStream
-from rigs.recording.timefit import times
 from rigs.rigfile.columns import ColumnForm, load_columns
 from rigs.rigfile.toml_reader import find_config
 from rigs.virtual.emulators.columns import SLOW_PPM, VirtualColumns, join_columns
 from rigs.virtual.emulators.injected_fault import INJECTED_FAULTS
+from test_live_viewfile import contents
 
 SKETCH = Path(__file__).resolve().parent.parent / "docs" / "examples" / "own-controller"
 
@@ -97,13 +102,53 @@ def test_no_contract_is_said_in_the_record_and_in_the_report(tmp_path: Path) -> 
     assert json.loads((made.folder / "derived" / "recording.json").read_text())["vented"] is None
 
 
+def test_the_report_states_rate_gaps_and_uncertainty_of_time(tmp_path: Path) -> None:
+    bench = Bench(form_of(tmp_path), tmp_path / "runs")
+    bench.at(3.0, lambda: setattr(bench.device, "mute", True))
+    bench.at(4.2, lambda: setattr(bench.device, "mute", False))
+    made, _ = bench.run(3.0, (100.0, 300.0))
+    derived = made.folder / "derived"
+    before = {p.name: p.read_bytes() for p in derived.iterdir()}
+    run = derive_all(made.folder)
+    # All that the recording made is there again, from the record alone.
+    assert set(before) == {"recording.csv", "recording.md", "recording.json"}
+    assert {name: (derived / name).read_bytes() for name in before} == before
+    found = report_json(run)["results"]
+    assert found["time"]["rate_hz"] == pytest.approx(100.0, rel=1e-3)
+    assert found["time"]["u_between_s"] == made.times.u_between_s
+    (gap,) = found["gaps"]
+    assert (gap["from_s"], gap["seconds"]) == (
+        pytest.approx(3.0, abs=0.05),
+        pytest.approx(1.2, abs=0.03),
+    )
+    assert [(c["channel"], c["unit"]) for c in found["channels"]] == [
+        ("pressure", "kPa"), ("force", "N"),
+    ]  # fmt: skip
+    high = next(c for c in found["channels"] if c["channel"] == "pressure")["high"]
+    assert high == pytest.approx(300.0, abs=0.5)
+    html = (derived / "report.html").read_text()
+    assert NO_CONTRACT in html
+    assert "Set-point 0 at the end: sent." in html
+
+
+def test_the_view_of_a_recording_has_no_empty_panel(tmp_path: Path) -> None:
+    made, table = Bench(form_of(tmp_path), tmp_path / "runs").run(1.0, (100.0,))
+    run = open_run(made.folder)
+    layout = analysis_of("record").layout(run.manifest["parameters"])
+    curves, _ = contents(build_view(run, tmp_path / "view.rrd", layout))
+    assert [p.title for p in layout.panels if p.kind == "series"] == ["Pressure (kPa)", "Force (N)"]
+    assert set(curves) == {c.path for p in layout.panels for c in p.channels}
+    assert curves["force/recorded"][:, 1] == pytest.approx(table.force_n.to_numpy())
+    assert curves["pressure/set_point_kpa"][:2, 1].tolist() == [100.0, 0.0]
+
+
 def test_without_a_time_of_its_own_the_arrival_bounds_it(tmp_path: Path) -> None:
     form = form_of(tmp_path, ('["time", "pressure_kpa"', '["pressure_kpa"'))
     bench = Bench(form, tmp_path / "runs")
     made, table = bench.run(10.0)
     assert made.times.method == "arrival"
     printed = np.arange(1, made.rows + 60) * bench.device._period_ns * 1e-9
-    host_s = np.array(bench.recording._host) * 1e-9
+    host_s = open_run(made.folder).samples("columns")["host_ns"] * 1e-9
     # The true time of each line, within the bound that its row states.
     true_s = np.array([printed[printed <= t + 1e-9][-1] for t in host_s])
     early = host_s - table.earlier_by_s

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import pandas as pd
     from matplotlib.figure import Figure
 
@@ -98,6 +100,7 @@ class Analysis:
         layout: panels of the live view and the view file, from ``parameters`` of run.json.
         findings: results from the table.
         results: columns of the table that are results, and those that repeats have in common.
+        files: makes further derived files of a run in a folder; None for none.
     """
 
     name: str
@@ -106,6 +109,7 @@ class Analysis:
     layout: Callable[[Mapping[str, Any]], LiveLayout]
     findings: Callable[[Run, Reduction], Findings]
     results: ResultColumns = ResultColumns()
+    files: Callable[[Run, Path], None] | None = None
 
 
 def source_table(run: Run) -> str | None:

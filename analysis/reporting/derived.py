@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import PamrigError, RecordError
-from daq.store.derive import derive, samples_file
+from daq.store.derive import Maker, derive, samples_file
 from daq.store.run import Run, open_run
 
 
@@ -24,6 +24,7 @@ def derive_all(folder: Path | str, only_results: bool = False) -> Run:
         RecordError: the record is too damaged for this, or the folder cannot be written.
     """
     from analysis.reduction.points import write_table
+    from analysis.registry import analysis_of
     from analysis.reporting.report import write_report
     from analysis.run_table import contents_of, record_findings, reduce_run
     from daq.live.viewfile import FILE
@@ -39,7 +40,9 @@ def derive_all(folder: Path | str, only_results: bool = False) -> Run:
     def report(run: Run, out: Path) -> None:
         write_report(run, out / "report.html", reduction)
 
-    makers = [table, report]
+    makers: list[Maker] = [table, report]
+    if (files := analysis_of(run.manifest.get("protocol")).files) is not None:
+        makers.append(files)
     kept = [FILE, *map(samples_file, run.streams)] if only_results else []
     if not run.manifest.get("imported"):
         makers.append(_view)

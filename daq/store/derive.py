@@ -37,6 +37,10 @@ CALIBRATED = {
     ("valve_b", "counts"): "pressure_b_kpa",
     ("valve_b", "setpoint_x16"): "pressure_b_kpa",
     ("balance", "grams"): "force_n",
+    **{
+        ("columns", name): name
+        for name in ("pressure_kpa", "force_n", "length_mm", "temperature_c")
+    },
 }
 COMMANDS = {"inlet_u5": "inlet_cmd", "vent_u5": "outlet_cmd"}
 """Names of the valve commands, here as in the dataset format; 1 is open for the whole tick."""

@@ -1,8 +1,7 @@
-"""One recording of a controller of one's own: its lines, its set-points, its times, its report."""
+"""One recording of a controller of one's own: its lines, its set-points, and how it ends."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -10,15 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
+from analysis.findings.own_controller.recording import write_recording
 from daq.clock import Clock, RealClock, VirtualClock
 from daq.errors import DeviceError, DeviceTimeout, LinkLost, PamrigError
 from daq.link.transport import Link, SerialLink, memory_pair
 from daq.record.writer import RecordWriter
+from daq.store.rowtimes import Times, line_s, recorded_rows
+from daq.store.run import open_run
 from rigs.devices.event_loop import EventLoop
 from rigs.recording.stream import ColumnStream
-from rigs.recording.timefit import Times, line_s, times
 from rigs.rigfile.columns import TIME_S, ColumnForm
 from rigs.rigfile.config import VIRTUAL
 
@@ -92,10 +92,8 @@ class Recording:
         self._stream = ColumnStream(link, form)
         self._loop.add(self._stream.poll)
         self._loop.add(self._take)
-        self._host: list[int] = []
-        self._waited: list[int] = []
-        self._own: list[float] = []
-        self._values: list[tuple[float, ...]] = []
+        self._rows = 0
+        self._newest: tuple[float, ...] = ()
         self._last_ns = clock.now_ns()
         self._level_kpa: float | None = None
         self._sent_ns = 0
@@ -103,7 +101,12 @@ class Recording:
             "protocol": "record", "specimen": "muscle", "recorder": form.name,
             "columns": list(form.columns), "description": form.source,
             "calibrations": {k: c.to_dict() for k, c in form.calibrations.items()},
-            "safety": NO_CONTRACT,
+            "safety": NO_CONTRACT, "parameters": {"channels": list(form.channels)},
+            "timing": {
+                "tick_s": TIME_S[form.time_unit] if form.time_unit != "s" else 1e-3,
+                "wire_s": line_s(8.0 * len(form.columns), form.baud),
+                "latency_s": form.latency_ms * 1e-3,
+            },
         }  # fmt: skip
         self._record = RecordWriter(out, manifest, clock, threaded=not clock.virtual)
         schema = {"host_ns": "int64", "waited_ns": "int64", "own_s": "float64"}
@@ -173,11 +176,8 @@ class Recording:
         for k, name in enumerate(self._form.channels):
             columns[name] = np.array([row[3][k] for row in rows])
         self._record.append("columns", columns)
-        for host_ns, waited_ns, own_s, values in rows:
-            self._host.append(host_ns)
-            self._waited.append(waited_ns)
-            self._own.append(own_s)
-            self._values.append(values)
+        self._rows += len(rows)
+        self._newest = rows[-1][3]
 
     def _ends(self, stopped: Callable[[], bool]) -> bool:
         """Whether the operator ends it.
@@ -190,8 +190,8 @@ class Recording:
             raise DeviceError(name, "restarted: its time began anew", "check its supply")
         if self._clock.now_ns() - self._last_ns > STALE_S * 1e9:
             raise DeviceTimeout(name, f"no whole line for {STALE_S:g} s", "check cable and sketch")
-        if self._form.limit_kpa and self._values and "pressure_kpa" in self._form.channels:
-            raw = self._values[-1][self._form.channels.index("pressure_kpa")]
+        if self._form.limit_kpa and self._newest and "pressure_kpa" in self._form.channels:
+            raw = self._newest[self._form.channels.index("pressure_kpa")]
             kpa = float(self._form.calibrations["pressure_kpa"].apply(raw))
             if kpa > self._form.limit_kpa:
                 raise DeviceError(
@@ -259,69 +259,18 @@ class Recording:
 
     def _finish(self, outcome: str, reason: str, vented: bool | None) -> Recorded:
         self._stream.finish()
-        found = self._times()
         faults = dict(self._stream.faults.counts)
-        summary = {"reason": reason, "times": found.as_dict(), "vented": vented}
         self._record.finalize(
-            outcome, counters={"recorder": {"rows": len(self._host), **faults}}, recording=summary
-        )
-        made = Recorded(
-            self._record.folder, outcome, reason, len(self._host), faults, found, vented
-        )
-        derived = made.folder / "derived"
+            outcome, reason=reason, counters={"recorder": {"rows": self._rows, **faults}},
+            recording={"reason": reason, "vented": vented},
+        )  # fmt: skip
+        run = open_run(self._record.folder)
+        derived = run.folder / "derived"
         derived.mkdir(exist_ok=True)
-        self.table(found).to_csv(derived / "recording.csv", index=False, lineterminator="\n")
-        (derived / "recording.md").write_text(report(self._form, made), encoding="utf-8")
-        about = json.dumps({**summary, "safety": NO_CONTRACT}, indent=2) + "\n"
-        (derived / "recording.json").write_text(about, encoding="utf-8")
-        return made
-
-    def _times(self) -> Times:
-        unit = TIME_S[self._form.time_unit]
-        return times(
-            np.array(self._host) * 1e-9,
-            np.array(self._waited) * 1e-9,
-            np.array(self._own, dtype=np.float64),
-            unit if self._form.time_unit != "s" else 1e-3,
-            line_s(8.0 * len(self._form.columns), self._form.baud),
-            self._form.latency_ms * 1e-3,
+        write_recording(run, derived)
+        return Recorded(
+            run.folder, outcome, reason, self._rows, faults, recorded_rows(run).times, vented
         )
-
-    def table(self, found: Times) -> pd.DataFrame:
-        """All rows: time_s from the first, how much earlier each may be, and the quantities."""
-        out: dict[str, Any] = {
-            "time_s": found.time_s - (found.time_s[0] if len(found.time_s) else 0.0),
-            "earlier_by_s": found.bound_s,
-        }
-        values = np.array(self._values, dtype=np.float64).reshape(-1, len(self._form.channels))
-        for k, name in enumerate(self._form.channels):
-            out[name] = self._form.calibrations[name].apply(values[:, k])
-        return pd.DataFrame(out)
-
-
-def report(form: ColumnForm, made: Recorded) -> str:
-    """The report of a recording."""
-    found = made.times
-    how = {
-        "own time": "fitted from the time that the controller prints",
-        "arrival": "arrival of the lines, because the controller prints no time",
-    }[found.method]
-    lines = [
-        f"# Recording of {form.name}", "", f"**{NO_CONTRACT}**", "",
-        f"- outcome: {made.outcome}" + (f" ({made.reason})" if made.reason else ""),
-        f"- rows: {made.rows}; not rows: {made.faults or 'none'}",
-        f"- time: {how}",
-        f"- standard uncertainty of the time between two rows: {found.u_between_s:.2g} s",
-        f"- standard uncertainty of a time on the computer's clock: {found.u_host_s:.2g} s",
-    ]  # fmt: skip
-    if found.drift_ppm == found.drift_ppm:
-        lines.append(
-            f"- its clock runs {found.drift_ppm:+.1f} ppm against the computer's; 99 % of the "
-            f"lines came within {found.delay_s * 1e3:.1f} ms after the fastest"
-        )
-    if made.vented is not None:
-        lines.append(f"- set-point 0 at the end: {'sent' if made.vented else 'NOT TAKEN: vent'}")
-    return "\n".join(lines) + "\n"
 
 
 def record(

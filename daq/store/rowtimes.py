@@ -1,4 +1,6 @@
-"""When was a row measured? By the controller's own time, or by the arrival of its line.
+"""Rows of a controller of one's own (`pamrig record`): their times and quantities.
+
+When was a row measured? By the controller's own time, or by the arrival of its line.
 
 With its own time: delays only make lines later, so that the clock runs along the lower edge of
 arrival against own time. The line below all points with the smallest sum of distances is the edge
@@ -15,9 +17,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from daq.link.loweredge import lower_edge
-from plant.arrays import Array
+from daq.store.run import Run
+
+Array = npt.NDArray[np.float64]
+STREAM = "columns"
 
 BITS = 10
 """Of a byte on a serial line: start, eight, stop."""
@@ -92,3 +98,50 @@ def times(
         "own time", fitted - wire_s - latency_s / 2.0, np.full(len(host_s), latency_s),
         u_between, u_host, (1.0 / slope - 1.0) * 1e6 if span > 0.0 else math.nan, delay,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Rows:
+    """All rows of a recording.
+
+    Attributes:
+        times: when each was measured.
+        time_s: since the first row, s, shape (n,).
+        first_s: time of the first row since the start of the run, on the computer's clock.
+        quantities: in the order of the columns, shape (n,) each, by name with unit.
+    """
+
+    times: Times
+    time_s: Array
+    first_s: float
+    quantities: dict[str, Array]
+
+
+def recorded_rows(run: Run) -> Rows:
+    """The rows of a run that `pamrig record` made, from its record alone.
+
+    A recording of an earlier version states no ``timing``. Its times between rows are the same;
+    the part of the uncertainty that the adapter adds is missing.
+
+    Raises:
+        RecordError: run.json is damaged.
+        KeyError, TypeError, ValueError: another program wrote the record.
+    """
+    raw = run.samples(STREAM)
+    timing = run.manifest.get("timing") or {"tick_s": 1e-3, "wire_s": 0.0, "latency_s": 0.0}
+    own_s = np.asarray(raw.get("own_s", ()), dtype=np.float64)
+    host_s = np.asarray(raw.get("host_ns", ()), dtype=np.float64) * 1e-9
+    waited_s = np.asarray(raw.get("waited_ns", ()), dtype=np.float64) * 1e-9
+    found = times(
+        host_s, waited_s, own_s,
+        float(timing["tick_s"]), float(timing["wire_s"]), float(timing["latency_s"]),
+    )  # fmt: skip
+    first_s = float(found.time_s[0]) if len(found.time_s) else 0.0
+    calibrations = run.calibrations
+    quantities = {
+        name: np.asarray(calibrations[name].apply(np.asarray(raw[name], dtype=np.float64)))
+        for name in run.manifest["columns"]
+        if name in calibrations and name in raw
+    }
+    start_s = int(run.manifest["started"]["monotonic_ns"]) * 1e-9
+    return Rows(found, found.time_s - first_s, first_s - start_s, quantities)

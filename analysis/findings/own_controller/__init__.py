@@ -1,0 +1,1 @@
+"""Findings of recordings of a controller of one's own."""
