@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from analysis.regression.regulator import Regulator
@@ -91,6 +92,14 @@ def test_the_diagnosis_says_what_the_regulator_explains(predicted: tuple[Sheet, 
     (note,) = regulator_notes(run)
     assert note.endswith("regulator, not muscle")
     assert "leaves" in note
+
+
+def test_an_exported_data_set_keeps_the_note(predicted: tuple[Sheet, Run], tmp_path: Path) -> None:
+    _, run = predicted
+    (note,) = regulator_notes(run)
+    export_runs([run], tmp_path / "set")
+    trials = pd.read_csv(tmp_path / "set" / "trials.csv")
+    assert set(trials["note"]) == {note}
 
 
 def test_a_regulator_that_is_not_as_calibrated_is_said(

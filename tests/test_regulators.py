@@ -358,7 +358,10 @@ def test_the_other_protocols_run_with_it(protocol: str, tmp_path: Path) -> None:
         assert {e["scheme"] for e in points} == {"reg"}
 
 
-def test_a_regulator_that_is_unplugged_ends_the_run_vented(tmp_path: Path) -> None:
+@pytest.mark.parametrize("when", ["before a set-point", "at a point"])
+def test_a_regulator_that_is_unplugged_ends_the_run_vented(when: str, tmp_path: Path) -> None:
+    """Noticed when it is read, or first when it is written to and then while the bench vents."""
+
     def begin(runner: Runner) -> None:
         bench = runner.rig.bench
         assert bench is not None
@@ -370,7 +373,10 @@ def test_a_regulator_that_is_unplugged_ends_the_run_vented(tmp_path: Path) -> No
                 bench.unplug("pressure_source")
             return inner(pressure_kpa)
 
-        source.set_pressure = pull  # type: ignore[method-assign]
+        if when == "at a point":
+            runner.watch.point = lambda *_: bench.unplug("pressure_source")
+        else:
+            source.set_pressure = pull  # type: ignore[method-assign]
 
     result, run = run_on(load_rig("virtual-alicat"), tmp_path, begin)
     assert result.outcome == "faulted"

@@ -86,7 +86,8 @@ def export_runs(
     # Whole runs follow each other: on a simulated bench the clock of a run does not go as ours.
     for run in sorted(runs, key=lambda run: int(run.manifest["started"].get("wall_ns", 0))):
         with contents_of(run):
-            notes += regulator_notes(run)
+            of_regulator = regulator_notes(run)
+            notes += of_regulator
             own = list(
                 joint_trials(run, muscle)
                 if is_joint(run)
@@ -95,9 +96,12 @@ def export_runs(
             tared_mm = tares(run, tared_mm)[-1][1]  # a balance keeps its tare from run to run
             for trial in own:
                 trial.row["slot"] += _told_apart(run, known)
+                words = list(of_regulator)
                 if problems[run.run_id]:
                     count = len(problems[run.run_id])
-                    trial.row["note"] = f"{run.run_id}: {count} findings in its record"
+                    words.append(f"{run.run_id}: {count} findings in its record")
+                if words:
+                    trial.row["note"] = "; ".join(words)
             trials += sorted(own, key=lambda trial: float(trial.row["start_s"]))
     made = _write(folder, trials, bench, calibration, tuple(run.run_id for run in runs))
     named = (f"{name}: {text}" for name, found in problems.items() for text in found)

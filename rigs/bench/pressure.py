@@ -61,7 +61,10 @@ def vent(source: PressureSource, event_loop: EventLoop, supply: Supply | None = 
                 supply.safe()
 
     try:
-        source.stop()
+        try:
+            source.stop()
+        except PamrigError:  # of any device, seen while the controller answered: once more
+            source.stop()
     finally:  # a controller that does not hear vents by itself, if it can
         feed()
     return await_vented(source, event_loop, feed)
@@ -74,13 +77,28 @@ def await_vented(
 
     Returns:
         The pressure in kPa when it was confirmed, or when it did not fall any more.
+
+    Raises:
+        PamrigError: a device keeps failing, as a controller whose link is gone does.
     """
     longest, standing = (
         Deadline(event_loop.clock, VENT_LONGEST_S),
         Deadline(event_loop.clock, VENT_S),
     )
     before = source.measured_kpa
-    while not event_loop.until(lambda: source.measured_kpa < SAFE_KPA, VENT_LOOK_S):
+    told: set[str] = set()
+
+    def safe() -> bool:
+        """Look once more; a device that is lost meanwhile says so once and keeps nothing up."""
+        try:
+            return event_loop.until(lambda: source.measured_kpa < SAFE_KPA, VENT_LOOK_S)
+        except PamrigError as error:
+            if error.where in told:
+                raise
+            told.add(error.where)
+            return False
+
+    while not safe():
         now = source.measured_kpa
         if now < before - FALLING_KPA:
             standing = Deadline(event_loop.clock, VENT_S)
