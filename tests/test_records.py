@@ -184,7 +184,7 @@ def test_units_end_the_names() -> None:
     ("words", "said"),
     [
         (("export", "last", "--to", "xlsx"), "--to: 'xlsx' is not one of csv, parquet, mat"),
-        (("find", "--protocol", "isomtric"), "--protocol: 'isomtric' is not one of flow"),
+        (("find", "--protocol", "isomtric"), "--protocol: 'isomtric' is not one of blocked-force"),
         (("find", "--outcome", "good"), "--outcome: 'good' is not one of aborted, clean"),
         (("annotate", "last"), "a remark needs a reason"),
         (("exclude", "last", "--points", "1"), "an exclusion needs a reason"),

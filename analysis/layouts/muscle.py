@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from analysis.layouts.layouts import POINTS, isometric_layout
+from analysis.layouts.layouts import POINTS, STATUS, isometric_layout
 from analysis.layouts.static import isotonic_layout
 from daq.live.layout import Axis, Channel, LiveLayout, Panel
 
@@ -42,7 +42,7 @@ def held_layout(title: str, parameters: Mapping[str, Any], loaded: bool) -> Live
         x_axis=Axis("log10 of the time held in s", _log(low), _log(high)),
         y_axis=Axis(label, *((50.0, 73.0) if loaded else (0.0, 60.0))),
     )
-    right = (points, *base.columns[1][1:])
+    right = (STATUS, points, *base.columns[1][2:])
     return replace(base, title=title, columns=(base.columns[0], right), points=())
 
 
@@ -60,7 +60,7 @@ def dynamic_layout(parameters: Mapping[str, Any]) -> LiveLayout:
         x_axis=Axis("log10 of the frequency in Hz", _log(min(frequencies)), _log(max(frequencies))),
         y_axis=Axis("gain (dB)", -20.0, 3.0),
     )
-    right = (points, *base.columns[1][1:])
+    right = (STATUS, points, *base.columns[1][2:])
     return replace(
         base, title="Dynamic test", columns=(base.columns[0], right), points=(), window_s=20.0
     )
@@ -80,7 +80,7 @@ def fatigue_layout(parameters: Mapping[str, Any]) -> LiveLayout:
         x_axis=Axis("log10 of the cycle", 0.0, _log(float(parameters.get("cycles") or 1000))),
         y_axis=Axis(label, 0.0, 20.0 if loaded else 60.0),
     )
-    right = (points, *base.columns[1][1:])
+    right = (STATUS, points, *base.columns[1][2:])
     return replace(
         base, title="Fatigue test", columns=(base.columns[0], right), points=(), window_s=20.0
     )
