@@ -271,7 +271,7 @@ JOINT_STATIC = Analysis(
     "Static test of a joint",
     reduce_joint_static,
     lambda parameters: joint_layout(
-        "Static test of a joint", parameters, "Angle (degrees) or torque (N m)"
+        "Static test of a joint", parameters, "Angle (degrees)", torques=True
     ),
     joint_static_findings,
     ResultColumns(

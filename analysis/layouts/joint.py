@@ -33,15 +33,19 @@ SET_POINT_B = "pressure/set_point_b_kpa"
 PRESSURE_B = "pressure/measured_b_kpa"
 ANGLE = "angle/measured_deg"
 TORQUE = "torque/measured"
+TORQUES = "torques/result"
 
 
-def joint_layout(title: str, parameters: Mapping[str, Any], result: str) -> LiveLayout:
+def joint_layout(
+    title: str, parameters: Mapping[str, Any], result: str, torques: bool = False
+) -> LiveLayout:
     """Pressures, angle and torque on the left, results against the differential pressure right.
 
     Args:
         title: of the test.
         parameters: of run.json; ``instruments`` names those of angle and torque.
         result: axis label of the results.
+        torques: a second chart for the torques of a locked joint.
     """
     pressures = Panel(
         "Pressures (kPa)",
@@ -76,20 +80,27 @@ def joint_layout(title: str, parameters: Mapping[str, Any], result: str) -> Live
         left.append(Panel(f"{what} ({unit})", "series", "torque", (channel,)))
         feeds.append(Feed(TORQUE, names["torque"], "force_n" if force else "torque_n_m"))
     widest = max((abs(float(d)) for d in parameters.get("difference_kpa") or [100.0]), default=100)
-    results = Panel(
-        f"{result} against differential pressure (kPa)",
-        "points",
-        "points",
-        (Channel(POINTS, result),),
-        share=1.5,
-        x_axis=Axis("differential pressure (kPa)", -widest, widest),
-        y_axis=Axis(result, -1.0, 1.0),
-    )
+    charts = [_chart(POINTS, result, widest)]
+    if torques and names.get("torque"):
+        charts.append(_chart(TORQUES, f"{what} ({unit})", widest))
     return LiveLayout(
         title=title,
-        columns=((*left, STATES, MESSAGES), (STATUS, results, VALUES)),
+        columns=((*left, STATES, MESSAGES), (STATUS, *charts, VALUES)),
         shares=(1.0, 1.0),
         window_s=30.0,
         feeds=tuple(feeds),
         event_feeds=STATE_FEEDS,
+    )
+
+
+def _chart(path: str, result: str, widest_kpa: float) -> Panel:
+    """Results against the differential pressure."""
+    return Panel(
+        f"{result} against differential pressure (kPa)",
+        "points",
+        path.split("/")[0],
+        (Channel(path, result),),
+        share=1.2,
+        x_axis=Axis("difference (kPa)", -widest_kpa, widest_kpa),
+        y_axis=Axis(result, -0.1, 0.1),
     )

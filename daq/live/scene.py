@@ -178,9 +178,10 @@ class Scene:
 
     def _table(self, origin: str) -> None:
         """The newest results of every chart as rows, the newest first."""
+        charts = [panel for panel in self._layout.panels if panel.kind == "points"]
         parts = []
-        for panel in self._layout.panels:
-            if panel.kind != "points" or panel.x_axis is None or panel.y_axis is None:
+        for panel in charts:
+            if panel.x_axis is None or panel.y_axis is None:
                 continue
             rows, count = self._results.get(panel.origin, []), self._counts.get(panel.origin, 0)
             lines = [
@@ -189,7 +190,7 @@ class Scene:
             ]
             lines += [
                 f"| {count - k} | {label} | {x:#.5g} | {y:#.4g} |"
-                for k, (label, x, y) in enumerate(reversed(rows))
+                for k, (label, x, y) in enumerate(rows[: -TABLE_ROWS // len(charts) - 1 : -1])
             ]
             parts.append("\n".join(lines if rows else [*lines, "| | none yet | | |"]))
         body = "\n\n".join(parts)

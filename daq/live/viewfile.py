@@ -288,14 +288,14 @@ def _points(scene: Scene, run: Run, tables: dict[str, Columns], feed: PointFeed)
 
 def _results(scene: Scene, run: Run, layout: LiveLayout) -> None:
     """What the test showed in its points panel as it ran; ``Scene`` ignores it without one."""
-    panel = next((p for p in layout.panels if p.kind == "points" and p.channels), None)
     for event in run.events:
-        if panel is None or event["kind"] != "result":
+        if event["kind"] != "result":
             continue
+        origin = str(event.get("chart") or "points")
         x, y, label = event.get("x"), event.get("y"), str(event.get("label", ""))
         if isinstance(x, (int, float)) and isinstance(y, (int, float)):
             at_s = event["t_ns"] / 1e9
-            scene.points(panel.channels[0].path, at_s, label, np.array([x]), np.array([y]))
+            scene.points(f"{origin}/result", at_s, label, np.array([x]), np.array([y]))
 
 
 def _frame_lengths(run: Run) -> dict[int, float]:

@@ -353,10 +353,14 @@ class Runner:
         self.record.event("state", state=state)
         self.watch.state(state)
 
-    def report_result(self, x: float, y: float, label: str) -> None:
-        """A result of the test as it goes: record and live view, so that the view file has it."""
-        self.record.event("result", x=float(x), y=float(y), label=label)
-        self.watch.result(x, y, label)
+    def report_result(self, x: float, y: float, label: str, chart: str = "points") -> None:
+        """A result of the test as it goes: record and live view, so that the view file has it.
+
+        ``chart`` is the panel's origin, where a test has several charts.
+        """
+        where = {} if chart == "points" else {"chart": chart}
+        self.record.event("result", x=float(x), y=float(y), label=label, **where)
+        self.watch.result(x, y, label, *where.values())
 
     @property
     def vented(self) -> bool:

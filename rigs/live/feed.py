@@ -121,9 +121,9 @@ class LiveFeed:
             if channel == "length" and self._layout.panel_of(paths.SET_LENGTH) is not None:
                 self.view.series(paths.SET_LENGTH, [now_s()], [value])
 
-        def result(x: float, y: float, label: str) -> None:
-            inner.result(x, y, label)
-            self.view.points(paths.POINTS, x, y, label, time_s=now_s())
+        def result(x: float, y: float, label: str, chart: str = "points") -> None:
+            inner.result(x, y, label, chart)
+            self.view.points(f"{chart}/result", x, y, label, time_s=now_s())
 
         watch.state, watch.log, watch.point = state, log, point
         watch.picture, watch.set_point, watch.result = picture, set_point, result

@@ -85,7 +85,7 @@ class StepContext(Protocol):
         """Enter a state: record, live view and terminal."""
         ...
 
-    def report_result(self, x: float, y: float, label: str) -> None:
+    def report_result(self, x: float, y: float, label: str, chart: str = "points") -> None:
         """Show a result of a valve test: record and live view."""
         ...
 

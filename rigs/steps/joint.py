@@ -246,13 +246,14 @@ class JointPoint(CustomStep):
         assert joint is not None
         if self.state == "free":
             y = runner.rig.instruments[joint.angle].mean(5)
-            label = f"free, {self.common_kpa:g} kPa: angle (deg)"
+            label, chart = f"free, {self.common_kpa:g} kPa", "points"
         elif joint.torque:
             y = runner.rig.instruments[joint.torque].mean(5)
-            label = f"at {self.set_angle_deg:g} deg, {self.common_kpa:g} kPa: torque"
+            label = f"{self.set_angle_deg:g}°, {self.common_kpa:g} kPa"
+            chart = "torques"
         else:
             return
-        runner.report_result(self.difference_kpa, y, label)
+        runner.report_result(self.difference_kpa, y, label, chart)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ class Watch:
     picture: Callable[[int, bytes, Any], None] = lambda host_ns, jpeg, gap: None
     set_point: Callable[[str, float], None] = lambda channel, value: None
     log: Callable[[str], None] = lambda text: None
-    result: Callable[[float, float, str], None] = lambda x, y, label: None
+    result: Callable[..., None] = lambda x, y, label, chart="points": None
     taring: Callable[[], None] = lambda: None
     tared: Callable[[], None] = lambda: None
 
