@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from analysis.registry import analysis_of
+from daq.clock import VirtualClock
 from daq.link.causes import CAUSES, cause_of, event_words
 from daq.live.layout import Panel, channel_of
 from daq.live.status import (
@@ -29,8 +30,12 @@ from daq.live.viewfile import _fill
 from daq.store.derive import engineering
 from daq.store.run import Run
 from protocol_runs import run_short
+from rigs.devices.event_loop import EventLoop
+from rigs.devices.operator import Request, put_request
 from rigs.live.feed import LiveFeed
+from rigs.live.status import LiveStatus
 from rigs.protocols.names import PROTOCOLS
+from rigs.steps.watching import Progress
 from valvefw.core import CAUSES as FIRMWARE_CAUSES
 from valvefw.wire import FLAG_ARMED, FLAG_FAULT
 
@@ -128,6 +133,8 @@ def test_progress_and_remedy_stand_below_the_state() -> None:
     fault = Status(FAULT, "trial 2", 12, 48, 130.0, "no air", "open the supply").markdown()
     assert "**What to do: open the supply**" in fault
     assert " left" not in fault
+    turn = Status("ARMED, VENTED", "trial 2", request="Hang 2 kg").markdown()
+    assert turn.splitlines()[:3] == ["# YOUR TURN", "", "**Hang 2 kg**"]
     words = ["about 5 s", "about 40 s", "about 10 min", "about 2 h 00 min"]
     assert [left_words(s) for s in (1.0, 41.0, 600.0, 7200.0)] == words
 
@@ -262,3 +269,24 @@ def test_the_folder_of_the_view_needs_no_more_than_a_record(tmp_path: Path) -> N
     sink = Sink()
     _fill(sink, run, layout, None, 1000)  # type: ignore[arg-type]
     assert headings(sink)[-1] == "DONE"
+
+
+def test_what_a_person_is_asked_for_stands_on_the_screen_until_it_is_done() -> None:
+    class Person:
+        """Answers at the third look."""
+
+        looks = 0
+
+        def begin(self, request: Request) -> None:
+            assert request.text == "Hang 2 kg"
+
+        def answer(self) -> str | None:
+            self.looks += 1
+            return "" if self.looks > 2 else None
+
+    live, loop = Sink(), EventLoop(VirtualClock(), 0.02)
+    status = LiveStatus(live, Progress(4), lambda: 0.0, ["valve"])  # type: ignore[arg-type]
+    loop.on_request.append(status.request)
+    put_request(Person(), loop, Request("mass", 2.0, "kg", "Hang 2 kg"))
+    assert [text.splitlines()[0] for text in live.status_texts] == ["# YOUR TURN", "# STARTING"]
+    assert "**Hang 2 kg**" in live.status_texts[0]

@@ -191,6 +191,7 @@ class Status:
         left_s: time left in s; None if it is not known.
         problem: what went wrong; empty for nothing.
         remedy: what to do about it.
+        request: what a person at the bench is asked for; empty for nothing.
     """
 
     phase: str
@@ -200,10 +201,13 @@ class Status:
     left_s: float | None = None
     problem: str = ""
     remedy: str = ""
+    request: str = ""
 
     def markdown(self) -> str:
         """The text of the panel; the state is its heading."""
         lines = [f"# {self.phase or 'STARTING'}"]
+        if self.request and self.phase not in (FAULT, DONE, STOPPED):
+            lines = ["# YOUR TURN", f"**{self.request}**", f"### {self.phase}"]
         if self.problem:
             lines.append(self.problem)
         if self.remedy:

@@ -28,6 +28,8 @@ class EventLoop:
     Attributes:
         lateness: how much later than planned each round began, on a real clock.
         late_s: that of the present round.
+        on_request: called with each request to a person while it waits, and with "" once it is
+            answered.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class EventLoop:
         self.late_s = 0.0
         self._round_ns = 0
         self._polls: list[Callable[[], None]] = []
+        self.on_request: list[Callable[[str], None]] = []
 
     def add(self, poll: Callable[[], None]) -> None:
         """Call ``poll`` in every round, in order of addition."""

@@ -172,6 +172,8 @@ def put_request(operator: Operator, event_loop: EventLoop, request: Request) -> 
     """Ask and wait, however long a person takes: (answer, waited in s)."""
     start_ns = event_loop.clock.now_ns()
     operator.begin(request)
+    for listener in event_loop.on_request:
+        listener(request.text)
     got: list[str] = []
 
     def answered() -> bool:
@@ -182,6 +184,8 @@ def put_request(operator: Operator, event_loop: EventLoop, request: Request) -> 
 
     while not event_loop.until(answered, 3600.0):
         operator.begin(request)  # an hour later it is still needed
+    for listener in event_loop.on_request:
+        listener("")
     return got[0], (event_loop.clock.now_ns() - start_ns) / NS_PER_S
 
 

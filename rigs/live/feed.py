@@ -63,6 +63,7 @@ class LiveFeed:
 
         names = [side.name for side in rig.sides]
         status = self._status = LiveStatus(self.view, progress, now_s, names)
+        rig.event_loop.on_request.append(status.request)
         for side in rig.sides:
             side.valve.on_batch.append(self._listener(side.name))
             side.valve.on_event = self._event_listener(side.valve, now_s)

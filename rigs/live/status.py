@@ -34,7 +34,7 @@ class LiveStatus:
         self._progress = progress
         self._now_s = now_s
         self._phases = {name: Phases() for name in names}
-        self._step = ""
+        self._step = self._request = ""
         self._problem = self._remedy = ""
         self._ended = ""
         self._shown = ""
@@ -53,6 +53,11 @@ class LiveStatus:
 
     def point(self) -> None:
         """A point was made."""
+        self._show()
+
+    def request(self, text: str) -> None:
+        """A person is asked for something, or ("") has done it."""
+        self._request = text
         self._show()
 
     def event(self, text: str) -> None:
@@ -77,6 +82,7 @@ class LiveStatus:
         status = Status(
             phase=self._ended or joined({n: p.phase for n, p in self._phases.items()}),
             step=self._step,
+            request=self._request,
             done=progress.done,
             planned=progress.points,
             left_s=time_left_s(progress.seconds, progress.spent_s, now_s, False),

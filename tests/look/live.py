@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.layouts.layouts import isometric_layout, measured_edges
-from daq.live.layout import ORANGE, SKY, Colour
+from daq.live.layout import SKY, Colour
 from daq.live.live import LiveView
 from daq.live.viewfile import open_view
 from daq.store.run import open_run
@@ -46,7 +46,7 @@ def photograph(browser: Browser, out: Path, still: int = 3) -> npt.NDArray[np.ui
             raise AssertionError(f"no still picture in {LOAD_S:g} s; see {out}; {said[-3:]}")
         time.sleep(1.5)
         picture = np.asarray(cv2.imread(str(browser.picture(out))), dtype=np.uint8)
-        drawn = all(pixels_of(picture, colour) > DRAWN for colour in (SKY, ORANGE))
+        drawn = pixels_of(picture, SKY) > DRAWN  # the measured pressure; not all have a set-point
         moved = picture.shape != last.shape or np.mean(picture != last) > 1e-4
         same = same + 1 if drawn and not moved else 0
         last = picture
