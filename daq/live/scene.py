@@ -151,7 +151,7 @@ class Scene:
             return
         self._at(time_s)
         chart = self._chart(panel)
-        rows = self._results.setdefault(panel.origin, [])
+        rows = self._results[panel.origin] = self._results.pop(panel.origin, [])  # now the newest
         rows += [(label, float(a), float(b)) for a, b in zip(x, y, strict=True)]
         self._counts[panel.origin] = self._counts.get(panel.origin, 0) + len(x)
         del rows[:-TABLE_ROWS]
@@ -177,8 +177,10 @@ class Scene:
         )
 
     def _table(self, origin: str) -> None:
-        """The newest results of every chart as rows, the newest first."""
+        """The newest results of every chart as rows, the newest first; so are the charts."""
+        order = list(self._results)
         charts = [panel for panel in self._layout.panels if panel.kind == "points"]
+        charts.sort(key=lambda p: order.index(p.origin) if p.origin in order else -1, reverse=True)
         parts = []
         for panel in charts:
             if panel.x_axis is None or panel.y_axis is None:
