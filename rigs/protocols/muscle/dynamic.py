@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from analysis.findings.muscle.dynamic import DYNAMIC
 from rigs.execution.procedure import Parameters, Procedure
-from rigs.protocols.parts.method import Method, MethodParameters, read_method
+from rigs.protocols.parts.method import Method, MethodParameters, read_method, refuse_hand_regulator
 from rigs.protocols.parts.trials import VENTED_KPA, Logbook
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import Table, load_toml
@@ -117,12 +117,7 @@ def read(name: str, config: RigConfig) -> Dynamic:
     """
     t = load_toml(name, "protocols")
     t.text("protocol", choices=("dynamic",))
-    kind = config.pressure_source.kind
-    if kind == "hand-regulator":
-        raise t.fail(
-            "protocol", f"moves the pressure, and on {config.source} a person turns the regulator",
-            "use a rig with solenoid valves or a proportional regulator",
-        )  # fmt: skip
+    refuse_hand_regulator(t, config, "moves")
     top = config.limits.pressure_kpa
     low, high = config.limits.length_min_mm, config.limits.length_max_mm
     heaviest = config.limits.force_n / config.conditions.gravity_m_s2

@@ -10,7 +10,7 @@ from analysis.findings.muscle.fatigue import FATIGUE
 from analysis.reduction.muscle.energy import Air
 from rigs.execution.procedure import Parameters, Procedure
 from rigs.protocols.parts.air import read_air
-from rigs.protocols.parts.method import Method, MethodParameters, read_method
+from rigs.protocols.parts.method import Method, MethodParameters, read_method, refuse_hand_regulator
 from rigs.protocols.parts.trials import VENTED_KPA, Logbook
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.toml_reader import load_toml
@@ -114,11 +114,7 @@ def read(name: str, config: RigConfig) -> Fatigue:
     """
     t = load_toml(name, "protocols")
     t.text("protocol", choices=("fatigue",))
-    if config.pressure_source.kind == "hand-regulator":
-        raise t.fail(
-            "protocol", f"cycles the pressure, and on {config.source} a person turns the regulator",
-            "use a rig with solenoid valves or a proportional regulator",
-        )  # fmt: skip
+    refuse_hand_regulator(t, config, "cycles")
     top = config.limits.pressure_kpa
     low, high = config.limits.length_min_mm, config.limits.length_max_mm
     heaviest = config.limits.force_n / config.conditions.gravity_m_s2

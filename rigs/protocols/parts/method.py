@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from rigs.execution.procedure import Parameters, ProtocolParameters
-from rigs.rigfile.config import Limits
+from rigs.rigfile.config import Limits, RigConfig
 from rigs.rigfile.toml_reader import Table
 from rigs.steps.leak_check import LeakCheck
 from rigs.steps.schedule import ORDERS, Place, T, arrange
@@ -99,6 +99,24 @@ def read_method(
     for table in (pre, settle, measure):
         table.finish()
     return method
+
+
+def refuse_hand_regulator(t: Table, config: RigConfig, does: str) -> None:
+    """Refuse a test that moves the pressure by itself where a person turns the regulator.
+
+    Args:
+        t: the protocol file.
+        config: the rig.
+        does: what the test does with the pressure ("cycles").
+
+    Raises:
+        ConfigError: names the file.
+    """
+    if config.pressure_source.kind == "hand-regulator":
+        raise t.fail(
+            "protocol", f"{does} the pressure, and on {config.source} a person turns the regulator",
+            "use a rig with solenoid valves or a proportional regulator",
+        )  # fmt: skip
 
 
 def _read_leak(root: Table, top_kpa: float) -> LeakCheck | None:
