@@ -33,6 +33,7 @@ import psutil
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from bench_process import BenchProcess, bench_process, worst_late_ms
+from campaign_page import write_page
 from daq.store.run import Run, open_run
 from daq.store.verify import verify
 from rigs.protocols.isometric import load_isometric
@@ -299,7 +300,7 @@ def main(argv: list[str] | None = None) -> int:
     )
     silent = sum(one.silent for one in done)
     if given.page is not None:
-        given.page.write_text(page(done, given, begin), encoding="utf-8")
+        write_page(given.page, page(done, given, begin))
     print(
         f"{len(done)} runs of {min(one.duration_s for one in done):.0f} s and more beside"
         f" {given.busy} busy processes on {os.cpu_count()} processors,"

@@ -23,10 +23,12 @@ WRONG_PX = 0.07
 FULL = bool(os.environ.get("PAMRIG_CAMPAIGN"))
 FRAMES = 300 if FULL else 3
 STRANGE = 300_000 if FULL else 2_000
+SEED = 71 if FULL else 61
+"""The campaign's frames are others than those on which the limits of the flags were chosen."""
 
 
 def measured(kind: str, number: int) -> tuple[Field, GapMeasurement]:
-    field = draw(np.random.default_rng([61, KINDS.index(kind), number]), kind)
+    field = draw(np.random.default_rng([SEED, KINDS.index(kind), number]), kind)
     return field, measure_gap(field.image)
 
 

@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from tests import campaign_page
+
 from .campaign import FINDINGS, bad, versions
 from .kinds import KINDS
 from .places import CLASSES
@@ -50,7 +52,6 @@ EXEMPT = (
     "measures the valve: its results for a valve that is stuck, slow or short of air are not",
     "checked.",
 )
-MARK = "<!-- below this line the page is written by hand -->"
 
 
 def wilson_upper(bad: int, runs: int) -> float:
@@ -65,11 +66,7 @@ def wilson_upper(bad: int, runs: int) -> float:
 
 def write_page(results: Sequence[dict[str, Any]], path: Path) -> None:
     """Write the page; what somebody wrote below the mark stays."""
-    kept = ""
-    if path.exists() and MARK in (old := path.read_text(encoding="utf-8")):
-        kept = old[old.index(MARK) :]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(_lines(results)) + "\n\n" + (kept or MARK + "\n"), encoding="utf-8")
+    campaign_page.write_page(path, "\n".join(_lines(results)))
 
 
 def _lines(results: Sequence[dict[str, Any]]) -> list[str]:

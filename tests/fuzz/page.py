@@ -9,10 +9,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from tests import campaign_page
+
 from .guard import HANG_S, HOUSE, MORE_MB
 from .shares import SHARES
 
-HAND = "<!-- below this line the page is written by hand -->"
 HEAD = """\
 # Fuzzing of inputs
 
@@ -69,9 +70,7 @@ def page(totals: list[dict[str, Any]], seed: int) -> str:
 
 def write_page(totals: list[dict[str, Any]], seed: int, path: Path) -> None:
     """Replace what the command makes; what stands below the mark stays."""
-    old = path.read_text(encoding="utf-8") if path.exists() else ""
-    _, mark, hand = old.partition(HAND)
-    path.write_text(f"{page(totals, seed)}\n{HAND}{hand if mark else chr(10)}", encoding="utf-8")
+    campaign_page.write_page(path, page(totals, seed))
 
 
 def _revision() -> str:
