@@ -27,7 +27,7 @@ from daq.errors import DeviceError
 from daq.link.telemetry import VALVE_COLUMNS, VALVE_UNITS
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig, open_rig
-from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
+from rigs.devices.instruments.balance import BALANCE_SCHEMA, BALANCE_UNITS
 from rigs.execution.manifest import software
 from rigs.rigfile.config import RigConfig, load_rig
 

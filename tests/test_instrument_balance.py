@@ -9,8 +9,8 @@ import pytest
 
 from daq.errors import LinkLost
 from instrument_desk import Desk
-from rigs.devices.balance import Balance
 from rigs.devices.instruments.arrivals import Arrivals
+from rigs.devices.instruments.balance import Balance
 from rigs.virtual.emulators.balance import VirtualBalance
 
 G = 9.80665

@@ -22,10 +22,10 @@ from rigs.bench.ports import (
     open_supply,
 )
 from rigs.bench.pressure import open_pressure_source, vent
-from rigs.devices.balance import Balance, NoBalance
 from rigs.devices.camera import CallCamera, NoCamera, open_camera
 from rigs.devices.event_loop import EventLoop
 from rigs.devices.fresh_camera import FreshCamera
+from rigs.devices.instruments.balance import Balance, NoBalance
 from rigs.devices.instruments.channel import ChannelReader
 from rigs.devices.instruments.load_cell import LoadCell
 from rigs.devices.instruments.supply import Supply

@@ -24,7 +24,7 @@ from rigs.calibration.run import (
     open_record,
     up_and_down,
 )
-from rigs.devices.balance import Balance
+from rigs.devices.instruments.balance import Balance
 from rigs.devices.instruments.load_cell import LoadCell
 from rigs.devices.operator import Request, put_request
 from rigs.execution.runner import Watch

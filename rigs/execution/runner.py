@@ -23,7 +23,7 @@ from rigs.bench.both import Side
 from rigs.bench.computer import REMEDY, Computer, raised_priority
 from rigs.bench.pressure import SAFE_KPA
 from rigs.bench.rig import Rig
-from rigs.devices.balance import Balance, NoBalance
+from rigs.devices.instruments.balance import Balance, NoBalance
 from rigs.devices.instruments.load_cell import LoadCell
 from rigs.devices.interfaces import Actuator
 from rigs.devices.operator import ManualAxis, ManualSetting

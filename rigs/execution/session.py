@@ -18,7 +18,7 @@ from rigs.bench.both import Side, firmware_parameters
 from rigs.bench.due import due_calibrations
 from rigs.bench.locks import vent_request
 from rigs.bench.rig import Rig, open_rig
-from rigs.devices.balance import BALANCE_UNITS, NoBalance
+from rigs.devices.instruments.balance import BALANCE_UNITS, NoBalance
 from rigs.devices.instruments.instrument import PortInstrument
 from rigs.devices.lines import LineDevice
 from rigs.devices.motion.stage import MotorStage

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.store.derive import scaled
-from rigs.devices.balance import BALANCE_UNITS
+from rigs.devices.instruments.balance import BALANCE_UNITS
 from rigs.steps.context import StepContext
 from rigs.steps.custom_step import CustomStep
 from rigs.steps.pictures import take_picture

@@ -15,7 +15,7 @@ from daq.record.writer import RecordWriter
 from plant.physics import layout as at
 from plant.scene import layout as sc
 from plant.scene.scene import Scene
-from rigs.devices.balance import BALANCE_SCHEMA, BALANCE_UNITS
+from rigs.devices.instruments.balance import BALANCE_SCHEMA, BALANCE_UNITS
 from studies.simulation.scenario import Scenario
 
 TRUTH_BATCH = 200

@@ -42,7 +42,7 @@ MARKED = (
     "plant.constants",
     "plant.effects.effects",
     "plant.models",
-    "rigs.devices.balance",
+    "rigs.devices.instruments.balance",
     "rigs.rigfile.config",
     "rigs.rigfile.device",
     "rigs.calibration.frames",

@@ -12,8 +12,8 @@ from daq.link.codec import CodecError, decode_event, decode_reply, encode_reques
 from daq.link.framer import CobsFramer
 from daq.link.telemetry import TelemetryStream
 from daq.link.transport import memory_pair
-from rigs.devices.balance import Balance
 from rigs.devices.event_loop import EventLoop
+from rigs.devices.instruments.balance import Balance
 from rigs.devices.instruments.modbus import ModbusInstrument
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument

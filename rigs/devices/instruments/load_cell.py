@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.errors import ConfigError
-from rigs.devices.balance import BALANCE_SCHEMA
+from rigs.devices.instruments.balance import BALANCE_SCHEMA
 from rigs.devices.instruments.channel import ChannelReader
 from rigs.devices.instruments.readings import Batch
 from rigs.devices.instruments.text import TextInstrument

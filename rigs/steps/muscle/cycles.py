@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from daq.clock import NS_PER_S
 from daq.record.rows import RowWriter
-from rigs.devices.balance import NoBalance
+from rigs.devices.instruments.balance import NoBalance
 from rigs.steps.custom_step import CustomStep
 from rigs.steps.loads import LOWER_STEP_S, LOWEST_KPA
 from rigs.steps.steps import Vent
