@@ -6,6 +6,7 @@ import ast
 import json
 import math
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -323,7 +324,8 @@ class TestNobodyElseMeetsThem:
         asking = set()
         for room in ROOMS:
             for path in (ROOT / room).rglob("*.py"):
-                if asks(ast.parse(path.read_text(encoding="utf-8"))):
+                text = path.read_text(encoding="utf-8")
+                if WORDS.search(text) and asks(ast.parse(text)):
                     asking.add(path.relative_to(ROOT).as_posix())
         assert asking <= allowed
         assert "gap/check/examine.py" in asking  # the search finds what there is
@@ -341,6 +343,10 @@ class TestNobodyElseMeetsThem:
             assert asks(ast.parse(door + text)), text
         assert not asks(ast.parse("found = held_out(problem, fit)"))
         assert not asks(ast.parse(door + "Hidden('creep', 1, 1.0)\nblind_set('practice', 1, True)"))
+
+
+WORDS = re.compile("held.?out|blind.sets|blind.physics.entries|gap.check", re.IGNORECASE)
+"""A source with none of these can ask for nothing: `asks` looks for nothing else."""
 
 
 def asks(tree: ast.AST) -> bool:

@@ -56,6 +56,19 @@ def rebuild(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     return call
 
 
+@pytest.fixture(scope="module")
+def twice(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the run with two derived versions, which verify as sound."""
+    from cli.main import app
+
+    folder = Path(shutil.copytree(recorded, tmp_path_factory.mktemp("two") / recorded.name))
+    for _ in range(2):
+        words = ["runs", "rebuild", str(folder), "--vision", "region=whole", "--json"]
+        app(words, standalone_mode=False)
+    assert verify(open_run(folder)) == []
+    return folder
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*.*")}
 
@@ -149,10 +162,8 @@ def of_another_run(folder: Path) -> None:
         (lambda f: shutil.rmtree(f / "derived-0001"), "a later derived version is there"),
     ],
 )
-def test_verify_covers_each_version(folder: Path, rebuild: Any, change: Any, said: str) -> None:
-    for _ in range(2):
-        rebuild("region=whole")
-    assert verify(open_run(folder)) == []
+def test_verify_covers_each_version(twice: Path, tmp_path: Path, change: Any, said: str) -> None:
+    folder = Path(shutil.copytree(twice, tmp_path / twice.name))
     change(folder)
     found = verify(open_run(folder))
     assert found

@@ -744,10 +744,16 @@ script given to Python. It is no data: no file of a data set, a rig or a record 
 
 def test_nothing_that_is_read_can_be_run() -> None:
     found = set()
+    plain = (*RUNS_TEXT, *LOADS_CODE, "allow_pickle", "shell", "0.0.0.0")
+    words = re.compile(
+        rf"(?<![.\w])({'|'.join(RUNS_CODE)})\b|\b({'|'.join(map(re.escape, plain))})\b|[\"']::[\"']"
+    )
     for package in PACKAGES:
         for path in (HOUSE / package).rglob("*.py"):
-            name = path.relative_to(HOUSE).as_posix()
-            for node in ast.walk(ast.parse(path.read_text())):
+            name, text = path.relative_to(HOUSE).as_posix(), path.read_text()
+            if not words.search(text):
+                continue  # to parse every file takes seconds
+            for node in ast.walk(ast.parse(text)):
                 # Also where it is only handed on: map(sympy.sympify, ...).
                 if isinstance(node, ast.Name) and node.id in RUNS_CODE:
                     found.add((name, node.id))

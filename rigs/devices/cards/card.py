@@ -8,17 +8,16 @@ number of scans (`daq.link.loweredge`).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from daq.clock import NS_PER_S
-from daq.errors import DeviceError, DeviceTimeout, LinkLost
+from daq.errors import DeviceError, LinkLost
 from daq.link.loweredge import lower_edge
 from rigs.devices.event_loop import EventLoop
-from rigs.devices.instruments.readings import Readings
+from rigs.devices.instruments.carried import CarriedReadings
 from rigs.rigfile.form import Parsed
 from rigs.rigfile.instruments import CardChannel, CardDevice
 
@@ -98,27 +97,22 @@ class ScanClock:
         return made
 
 
-class CardReader(Readings):
+class CardReader(CarriedReadings):
     """One channel as an `Instrument` (`rigs.devices.interfaces`); its readings are in V."""
 
     def __init__(self, card: Card, name: str, channel: CardChannel) -> None:
-        super().__init__(channel.form.quantity, "V", channel.calibration)
+        super().__init__(
+            channel.form.quantity, "V", channel.calibration, event_loop=card.event_loop,
+            rate_hz=card.device.rate_hz, advice="check the card's driver and its channel",
+        )  # fmt: skip
         self._card = card
         self._channel = channel
         self.key = name
-        self.rate_hz = card.device.rate_hz
-        self.identity: dict[str, str] = {}
-        self.on_bytes: Callable[[int, bytes], None] | None = None
 
     @property
     def name(self) -> str:
         """Which channel of which card."""
         return f"{self.key} ({self._channel.terminal} of {self._card.name})"
-
-    @property
-    def midway(self) -> bool:
-        """Blocks come whole."""
-        return False
 
     def connect(self, serial: str) -> dict[str, str]:
         """Check that readings come; the card checks its serial number.
@@ -128,19 +122,12 @@ class CardReader(Readings):
         """
         del serial
         self.identity = {**self._card.identity, "terminal": self._channel.terminal}
-        if not self._card.event_loop.until(lambda: self.rows > 0, CONNECT_S):
-            raise DeviceTimeout(
-                self.name, f"no reading within {CONNECT_S:g} s",
-                self.faults.last or "check the card's driver and its channel",
-            )  # fmt: skip
+        self._first(CONNECT_S)
         return self.identity
 
     def poll(self) -> None:
         """The card reads all channels at once."""
         self._card.poll()
-
-    def finish(self) -> None:
-        """Blocks come whole."""
 
     def take(self, ns: npt.NDArray[np.int64], volts: Block, lost: float) -> None:
         """Scans of this channel, each shape (n,); an overload is no row."""
@@ -152,21 +139,6 @@ class CardReader(Readings):
             else:
                 self._take(at_ns, Parsed("", value))
         self._hand_on()
-
-    def next_mean(self, n: int) -> float:
-        """Wait for ``n`` new readings and return their mean in ``quantity``.
-
-        Raises:
-            DeviceTimeout: they did not come.
-        """
-        start = self.rows
-        seconds = 3.0 * n / self.rate_hz + 1.0
-        if not self._card.event_loop.until(lambda: self.rows >= start + n, seconds):
-            raise DeviceTimeout(
-                self.name, f"{self.rows - start} of {n} readings within {seconds:g} s",
-                self.faults.last or "check the card",
-            )  # fmt: skip
-        return self.mean(n)
 
 
 class Card:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from daq.clock import NS_PER_S
-from daq.errors import DeviceError, DeviceTimeout
+from daq.errors import DeviceError
 from daq.link.channels import OK, OVERLOAD, Arrived, ChannelReading, EdgeCount
 from rigs.devices.event_loop import EventLoop
-from rigs.devices.instruments.readings import Batch, Readings
+from rigs.devices.instruments.carried import CarriedReadings
+from rigs.devices.instruments.readings import Batch
 from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.form import Parsed
 from rigs.rigfile.tables.channel import ControllerChannel
@@ -32,7 +31,7 @@ COLUMNS = {
 }
 
 
-class ChannelReader(Readings):
+class ChannelReader(CarriedReadings):
     """One input as an `Instrument` (`rigs.devices.interfaces`); its readings are counts.
 
     A row has the device time of the pressure beside the time at which its frame came, so that the
@@ -44,29 +43,24 @@ class ChannelReader(Readings):
     def __init__(
         self, valve: ValveController, event_loop: EventLoop, name: str, channel: ControllerChannel
     ) -> None:
-        super().__init__(channel.form.quantity, channel.form.unit, channel.calibration)
+        super().__init__(
+            channel.form.quantity, channel.form.unit, channel.calibration,
+            event_loop=event_loop, rate_hz=channel.form.rate_hz,
+            advice=f"check its wires, its power and channels.{name} in the rig file",
+        )  # fmt: skip
         self._valve = valve
-        self._event_loop = event_loop
         self._channel = channel
         self._edges = EdgeCount() if channel.chip == "encoder" else None
         self._stamps: list[tuple[int, int]] = []
         self._heard_ns = event_loop.clock.now_ns()
         self._told = False
         self.key = name
-        self.rate_hz = channel.form.rate_hz
-        self.identity: dict[str, str] = {}
-        self.on_bytes: Callable[[int, bytes], None] | None = None
         valve.channels.listeners[channel.input] = self._frame
 
     @property
     def name(self) -> str:
         """Which chip on which controller."""
         return f"{self.key} ({self._channel.chip} at the {self._valve.name})"
-
-    @property
-    def midway(self) -> bool:
-        """Its frames are the controller's."""
-        return False
 
     def connect(self, serial: str) -> dict[str, str]:
         """Check that readings come; which sensor it is nothing can tell.
@@ -80,13 +74,7 @@ class ChannelReader(Readings):
             "chip": channel.chip,
             "input": channel.input,
         }
-        seconds = CONNECT_S + 10.0 / self.rate_hz
-        if not self._event_loop.until(lambda: self.rows > 0, seconds):
-            raise DeviceTimeout(
-                self.name, f"no reading within {seconds:g} s"
-                + (f" (last: {self.faults.last})" if self.faults.last else ""),
-                f"check its wires, its power and channels.{self.key} in the rig file",
-            )  # fmt: skip
+        self._first(CONNECT_S + 10.0 / self.rate_hz)
         return self.identity
 
     def _frame(self, arrived: Arrived, readings: list[ChannelReading]) -> None:
@@ -130,18 +118,6 @@ class ChannelReader(Readings):
             self._told = True
             self.faults.add("silent", f"for {silent_s:.1f} s, not even a message of its input")
 
-    def finish(self) -> None:
-        """Its frames are the controller's."""
-
-    def next_mean(self, n: int) -> float:
-        """Wait for ``n`` new readings and return their mean in ``quantity``.
-
-        Raises:
-            DeviceTimeout: they did not come.
-        """
-        self._await(n, 3.0 * n / self.rate_hz + 1.0)
-        return self.mean(n)
-
     def check_place(self, stage_mm: float) -> None:
         """An encoder counts from where the controller was switched on; the stage knows better.
 
@@ -168,11 +144,3 @@ class ChannelReader(Readings):
         n = max(3, round(self.rate_hz * 0.5))
         self._await(n, seconds)
         return float(self.recent(n)[0].mean())
-
-    def _await(self, n: int, seconds: float) -> None:
-        start = self.rows
-        if not self._event_loop.until(lambda: self.rows >= start + n, seconds):
-            raise DeviceTimeout(
-                self.name, f"{self.rows - start} of {n} readings within {seconds:g} s",
-                self.faults.last or "check its wires and its power",
-            )  # fmt: skip
