@@ -150,30 +150,46 @@ class WrittenFiles:
                 self.problems.append(Problem(WRITTEN, 0, error.what))
 
     def _read(self, data: bytes) -> None:
+        end = data.find(b"\n") + 1
         try:
-            self.head = open_line(data[: data.find(b"\n") + 1])
+            self.head = open_line(data[:end])
         except ValueError:
             self.problems.append(Problem(WRITTEN, 0, "its first line does not match its CRC"))
+        self._expect_zeros(data, end, HEAD_BYTES)
         for at in range(HEAD_BYTES, min(len(data), TOTAL_BYTES), SLOT_BYTES):
-            slot = data[at : at + SLOT_BYTES]
+            slot = data[at : at + SLOT_BYTES].ljust(SLOT_BYTES, b"\0")
             if not slot.strip(b"\0"):
+                self._expect_zeros(data, at, TOTAL_BYTES)  # slots are taken one after the other
                 break
             key = slot[:LONGEST_NAME].rstrip(b"\0")
-            valid = [
-                copy[:2]
-                for copy in (_COPY.unpack_from(slot.ljust(SLOT_BYTES, b"\0"), c) for c in _COPIES)
-                if copy[2] == _check(key, *copy[:2])
-            ]
+            copies = [_COPY.unpack_from(slot, c) for c in _COPIES]
+            valid = [copy[:2] for copy in copies if copy[2] == _check(key, *copy[:2])]
             named = slot[LONGEST_NAME : LONGEST_NAME + _CRC.size] == _CRC.pack(zlib.crc32(key))
             if not named or not valid:
                 self.problems.append(Problem(WRITTEN, at, "a damaged entry", SLOT_BYTES, not key))
                 continue
+            self._expect_zeros(data, at + LONGEST_NAME + _CRC.size, at + _COPIES[0])
+            self._expect_zeros(data, at + _COPIES[1] + _COPY.size, at + SLOT_BYTES)
+            for copy, begin in zip(copies, _COPIES, strict=True):
+                if any(copy) and copy[:2] not in valid:
+                    # A kill in the middle of a write leaves this too; the other copy holds.
+                    what = "one of the two copies of an entry is damaged"
+                    self.problems.append(Problem(WRITTEN, at + begin, what, _COPY.size, True))
             size, crc = max(valid)
             name = key.decode("utf-8", "replace")
             if size != _GONE and crc == _CONSTANT:
                 self.files[name] = Written(size, "", True)
             elif size != _GONE:
                 self.files[name] = Written(size, f"{crc:08x}", False)
+
+    def _expect_zeros(self, data: bytes, begin: int, end: int) -> None:
+        """Report bytes where nothing was ever written."""
+        part = data[begin:end]
+        rest = part.lstrip(b"\0")
+        if rest:
+            at = begin + len(part) - len(rest)
+            what = "bytes where none were written"
+            self.problems.append(Problem(WRITTEN, at, what, len(rest.rstrip(b"\0"))))
 
 
 def _check(key: bytes, size: int, crc: int) -> int:
