@@ -108,6 +108,7 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from cli.output import plain_output
     from daq.errors import PamrigError, printable
+    from daq.interrupt import Stopped
     from plant.errors import PlantError
 
     with plain_output():
@@ -116,6 +117,9 @@ def main() -> None:
         except (PamrigError, PlantError) as error:
             typer.echo(printable(f"pamrig: {error}"), err=True)
             sys.exit(2)
+        except Stopped as stopped:
+            typer.echo(f"pamrig: {stopped}", err=True)
+            sys.exit(130)
         except BrokenPipeError:
             sys.exit(1)
 

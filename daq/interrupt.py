@@ -8,6 +8,13 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
+REASONS = {
+    "SIGINT": "stopped by Ctrl-C",
+    "SIGTERM": "ended by another program (SIGTERM)",
+    "SIGHUP": "the terminal was closed",
+    "SIGBREAK": "stopped by Ctrl-Break",
+}
+
 
 class Stopped(Exception):
     """The operator or the system requested the end of the run."""
@@ -31,7 +38,7 @@ class StopFlag:
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[StopFlag]:
-    """Convert SIGINT, SIGTERM and SIGHUP into a flag inside the context."""
+    """Convert SIGINT, SIGTERM and SIGHUP into a flag inside the context; its reason is in words."""
     flag = StopFlag()
     if threading.current_thread() is not threading.main_thread():
         yield flag  # signals reach the main thread only
@@ -39,7 +46,8 @@ def stop_on_signals() -> Iterator[StopFlag]:
 
     def handler(number: int, frame: FrameType | None) -> None:
         del frame
-        flag.set(signal.Signals(number).name)
+        name = signal.Signals(number).name
+        flag.set(REASONS.get(name, name))
 
     names = [n for n in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, n)]
     before = {n: signal.signal(getattr(signal, n), handler) for n in names}

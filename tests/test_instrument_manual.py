@@ -8,15 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.regression.calibration_line import Reference
 from analysis.run_table import reduce_run
 from bench_runs import quick, run_isometric
 from daq.clock import VirtualClock
-from daq.errors import DeviceError
+from daq.errors import ConfigError, DeviceError
+from daq.interrupt import StopFlag, Stopped
 from daq.store.run import open_run
+from daq.store.verify import verify
 from rigs.bench.doctor import examine
 from rigs.bench.rig import open_rig
+from rigs.calibration.force import calibrate_force
 from rigs.devices.event_loop import EventLoop
-from rigs.devices.operator import ManualAxis, Request, read_number, request_number
+from rigs.devices.operator import ManualAxis, Request, read_number, request_done, request_number
 from rigs.execution.runner import Runner
 from rigs.execution.session import run_protocol
 from rigs.protocols.isometric import load_isometric
@@ -108,12 +112,68 @@ def test_a_marked_mass_is_typed_with_a_comma_and_a_stray_key_is_asked_again() ->
             asked.append(request.text)
 
     axis = ManualAxis(
-        "mass", "kg", Person("x", "0,714"), EventLoop(VirtualClock(), 0.02),
+        "mass", "kg", Person("x", "0,714", "0.714"), EventLoop(VirtualClock(), 0.02),
         lambda: 0.71, "load_cell", 0.1, marked=True,
     )  # fmt: skip
     assert axis.set(0.5).taken == 0.714
     assert axis.settings[0].tries == 1, "the sensor was asked once"
     assert asked[1].startswith("'x' is neither Enter nor a number in kg. Again: hang 0.5 kg")
+
+
+def test_a_mass_far_from_the_requested_one_is_typed_twice_and_never_above_the_limit() -> None:
+    """5 typed for 1.154 was taken without a question."""
+    asked: list[str] = []
+
+    class Person(Typist):
+        def begin(self, request: Request) -> None:
+            asked.append(request.text)
+
+    axis = ManualAxis(
+        "mass", "kg", Person("60", "5", "1,2"), EventLoop(VirtualClock(), 0.02),
+        marked=True, highest=51.0,
+    )  # fmt: skip
+    assert axis.set(1.154).taken == 1.2
+    assert asked[1].startswith("60 kg is above the limit of this rig, 51 kg. Again: ")
+    assert asked[2].startswith("1.154 kg was requested, not 5: type 5 again if that is what hangs.")
+
+
+@pytest.mark.parametrize("words", [("abc", "-1", ""), ("0.7", "3"), ("7", "2,5 mm")])
+def test_a_catch_is_confirmed_or_its_distance_is_typed(words: tuple[str, ...]) -> None:
+    """Any text was accepted as an answer."""
+    request = Request("catch", 3.0, "mm", "set the catch")
+    person = Typist(*words)
+    done, _ = request_done(person, EventLoop(VirtualClock(), 0.02), request, 0.0, 6.0)
+    assert done == {"": 3.0, "3": 0.7, "2,5 mm": 2.5}[words[-1]]
+
+
+def test_a_mass_in_pounds_is_refused_by_the_rig_file(tmp_path: Path) -> None:
+    """`doctor` said `set by hand in lb` and `ready to run`."""
+    path = tmp_path / "rig.toml"
+    path.write_text(load_rig("virtual-weights").text.replace('unit = "kg"', 'unit = "lb"'))
+    with pytest.raises(ConfigError, match=r"manual.mass.unit.*'lb'.*in kg"):
+        load_rig(str(path))
+
+
+def test_a_calibration_stops_while_it_waits_for_a_person(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C was seen between two weights only: never at the prompt."""
+    config, stop = load_rig("virtual-weights"), StopFlag()
+
+    class Absent:
+        def begin(self, request: Request) -> None:
+            if "take the muscle off" not in request.text:
+                stop.set("stopped by Ctrl-C")
+
+        def answer(self) -> str | None:
+            return None if stop.reason else ""
+
+    monkeypatch.setattr("rigs.bench.rig.default_operator", lambda *_: Absent())
+    with pytest.raises(Stopped, match="Ctrl-C"):
+        calibrate_force(config, [0.0, 1.0, 2.0], tmp_path, weights=Reference("set"), stop=stop)
+    (folder,) = tmp_path.iterdir()
+    run = open_run(folder)
+    assert (run.outcome, verify(run)) == ("stopped", [])
 
 
 def manual_rig(folder: Path) -> str:
@@ -239,7 +299,7 @@ def test_a_weight_that_the_load_cell_does_not_see_is_asked_for_again() -> None:
 def test_another_weight_than_asked_for_is_typed_and_confirmed() -> None:
     event_loop = EventLoop(VirtualClock(), 0.02)
     axis = ManualAxis(
-        "mass", "kg", Typist("1.5"), event_loop, lambda: 1.46, "load_cell", 0.1, marked=True
+        "mass", "kg", Typist("1.5", "1.5"), event_loop, lambda: 1.46, "load_cell", 0.1, marked=True
     )
     setting = axis.set(1.154)
     assert (setting.asked, setting.taken, setting.read) == (1.154, 1.5, 1.46)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
@@ -229,6 +230,11 @@ def manual_stage(
     return ManualStage(axis)
 
 
+def most_kg(config: RigConfig) -> float:
+    """The mass that pulls with the rig's limit of force."""
+    return config.limits.force_n / config.conditions.gravity_m_s2
+
+
 def open_axes(
     config: RigConfig,
     person: Operator,
@@ -245,6 +251,7 @@ def open_axes(
     for name, axis in config.instruments.manual.items():
         check: Callable[[], float] | None = None
         before: Callable[[], None] | None = None
+        highest = most_kg(config) if name == "mass" else math.inf
         if axis.check == "pressure":
             check = pressure_kpa
         elif axis.check in instruments:
@@ -262,7 +269,7 @@ def open_axes(
         out[name] = ManualAxis(
             name, axis.unit, person, event_loop,
             check=check, checked_by=axis.check, tolerance=axis.tolerance,
-            marked=name == "mass", before=before,
+            marked=name == "mass", before=before, highest=highest,
         )  # fmt: skip
     return out
 

@@ -102,7 +102,7 @@ def calibrate_force(
             _hang(rig, 0.0)
             _request(rig, "muscle", 0.0, "mount the muscle again")
 
-        carry_out(rig, record, method)
+        carry_out(rig, record, method, stop)
         if isinstance(rig.balance, LoadCell):
             raw_unit, device = (
                 rig.balance.indicator.unit,

@@ -93,11 +93,12 @@ def calibrate_pressure(
                     rig.operator, rig.event_loop, Request("reference pressure", nan, "kPa", text)
                 )
 
+        stop = stop or StopFlag()
         record = open_record(rig, root, "calibrate-pressure", known, parameters, who)
         points: list[Point] = []
-        runner = Runner(rig, record, stop or StopFlag(), watch or Watch(), camera_values(config))
+        runner = Runner(rig, record, stop, watch or Watch(), camera_values(config))
         steps = _pressure_steps(rig, record, up_and_down(pressures_kpa), seconds, read, points)
-        carry_out(rig, record, lambda: runner.run(steps, 2 * len(pressures_kpa) - 1))
+        carry_out(rig, record, lambda: runner.run(steps, 2 * len(pressures_kpa) - 1), stop)
         serial = rig.identities["valve"].get("serial", "")
         old = config.calibrations["pressure_kpa"]
         return finish(record, rig, old, serial, points, known)

@@ -16,6 +16,7 @@ from analysis.regression.calibration_line import Reference, fit_line
 from daq.calibration import Calibration
 from daq.clock import NS_PER_S
 from daq.errors import PamrigError
+from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig
 from rigs.execution.manifest import software
@@ -89,15 +90,20 @@ def open_record(
     return RecordWriter(root, manifest, rig.clock, durable=not virtual, threaded=not virtual)
 
 
-def carry_out(rig: Rig, record: RecordWriter, method: Callable[[], None]) -> None:
-    """Run the method and close the record however it ends."""
+def carry_out(rig: Rig, record: RecordWriter, method: Callable[[], None], stop: StopFlag) -> None:
+    """Run the method and close the record however it ends.
+
+    A stop request is seen in every wait of the method, also while a person is asked.
+    """
     error: BaseException | None = None
+    rig.event_loop.add(stop.check)
     try:
         method()
     except BaseException as caught:
         error = caught
         raise
     finally:
+        rig.event_loop.remove(stop.check)  # what makes the bench safe is not interrupted
         with contextlib.suppress(PamrigError):
             record.finalize(
                 outcome_of(error),

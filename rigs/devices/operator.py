@@ -17,6 +17,8 @@ from rigs.devices.event_loop import EventLoop
 
 TRIES = 3
 """How often a sensor may contradict what was set before the test ends."""
+SURPRISE = 0.2
+"""A marked value that differs by a larger part from the requested one must be typed twice."""
 ANSWERS = 10
 """How often an answer may be unreadable before the test ends: nobody reads the terminal then."""
 TRUE_WORDS = ("", "y", "yes", "ok", "done")
@@ -224,6 +226,29 @@ def request_number(operator: Operator, event_loop: EventLoop, request: Request) 
     raise _unreadable("operator", text, f"not a number in {request.unit}")
 
 
+def request_done(
+    operator: Operator, event_loop: EventLoop, request: Request, low: float, high: float
+) -> tuple[float, float]:
+    """Put a request until Enter, or a number from ``low`` to ``high``, comes: (value, waited in s).
+
+    Raises:
+        DeviceError: neither came in ``ANSWERS`` answers.
+    """
+    waited, note, answer = 0.0, "", ""
+    for _ in range(ANSWERS):
+        asked = replace(request, text=f"{note}{request.text}")
+        answer, seconds = put_request(operator, event_loop, asked)
+        waited += seconds
+        if answer.lower() in TRUE_WORDS:
+            return request.value, waited
+        number = read_number(answer, request.unit)
+        if number is not None and low <= number <= high:
+            return number, waited
+        what = f"neither Enter nor a number from {low:g} to {high:g} {request.unit}"
+        note = f"{answer!r} is {what}. Again: "
+    raise _unreadable(request.axis, answer, what)
+
+
 def _unreadable(where: str, text: str, what: str) -> DeviceError:
     return DeviceError(
         where, f"{text!r} is {what}, after {ANSWERS} answers", "answer at a terminal"
@@ -268,6 +293,7 @@ class ManualAxis:
         marked: True where what is set bears its value, as a weight does: the sensor then only
             confirms it, and who sets another one types what it bears.
         before: called before any request.
+        highest: no typed value may be above it.
     """
 
     def __init__(  # noqa: PLR0913 - an axis has that many named settings
@@ -282,7 +308,9 @@ class ManualAxis:
         verb: str = "set",
         marked: bool = False,
         before: Callable[[], None] | None = None,
+        highest: float = math.inf,
     ) -> None:
+        self._highest = highest
         self.name = name
         self.unit = unit
         self._operator = operator
@@ -348,6 +376,7 @@ class ManualAxis:
             DeviceError: neither came in ``ANSWERS`` answers.
         """
         waited, note, answer = 0.0, "", ""
+        surprise = math.nan
         for _ in range(ANSWERS):
             asked = replace(request, text=f"{note}{request.text}")
             answer, seconds = put_request(self._operator, self._event_loop, asked)
@@ -355,12 +384,26 @@ class ManualAxis:
             number = read_number(answer, self.unit)
             if answer.lower() in TRUE_WORDS or (number is not None and not self._types):
                 return request.value, waited
-            if number is not None:
+            if number is None:
+                note = f"{answer!r} is neither Enter nor a number in {self.unit}. Again: "
+            elif not number <= self._highest:
+                limit = f"the limit of this rig, {self._highest:.4g} {self.unit}"
+                note = f"{number:g} {self.unit} is above {limit}. Again: "
+            elif self._surprising(number, request.value) and number != surprise:
+                surprise = number
+                note = (
+                    f"{request.value:g} {self.unit} was requested, not {number:g}: type"
+                    f" {number:g} again if that is what hangs. Else: "
+                )
+            else:
                 return number, waited
-            note = f"{answer!r} is neither Enter nor a number in {self.unit}. Again: "
         raise _unreadable(
             f"manual axis {self.name}", answer, f"neither Enter nor a number in {self.unit}"
         )
+
+    def _surprising(self, number: float, requested: float) -> bool:
+        """Whether a marked value may well be a typing error."""
+        return self._marked and abs(number - requested) > SURPRISE * abs(requested)
 
     @property
     def _types(self) -> bool:

@@ -8,6 +8,7 @@ vents; so does a record that can no longer be written.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,6 +22,7 @@ from daq.link.causes import CAUSES, cause_of
 from daq.record.writer import RecordWriter
 from rigs.bench.both import Side
 from rigs.bench.computer import REMEDY, Computer, raised_priority
+from rigs.bench.ports import most_kg
 from rigs.bench.pressure import SAFE_KPA
 from rigs.bench.rig import Rig
 from rigs.devices.instruments.balance import Balance, NoBalance
@@ -371,7 +373,10 @@ class Runner:
         """What a person sets: the rig's axis of that name, or one that nothing looks after."""
         axes = self.rig.axes
         if name not in axes:
-            axes[name] = ManualAxis(name, unit, self.rig.operator, self.rig.event_loop)
+            highest = most_kg(self.rig.config) if name == "mass" else math.inf
+            axes[name] = ManualAxis(
+                name, unit, self.rig.operator, self.rig.event_loop, highest=highest
+            )
             axes[name].on_setting.append(self._was_set)
         return axes[name]
 

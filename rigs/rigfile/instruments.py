@@ -110,6 +110,12 @@ class SupplyDevice(Device):
     form: CommandForm
 
 
+MANUAL_UNITS = {
+    "mass": "kg", "length": "mm", "pressure": "kPa", "temperature": "degC", "angle": "deg",
+}  # fmt: skip
+"""Units of what tests request of a person; another axis may have any."""
+
+
 @dataclass(frozen=True)
 class ManualAxisSettings:
     """Something that a person sets: which sensor looks after it, and how close is close."""
@@ -198,7 +204,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
     manual = {}
     axes = root.table("manual", optional=True)
     for name in axes.keys():  # noqa: SIM118
-        manual[name] = _manual(axes.table(name))
+        manual[name] = _manual(axes.table(name), name)
     axes.finish()
     load = root.table("load", optional=True)
     person = root.table("operator", optional=True)
@@ -414,10 +420,15 @@ def _card_output(t: Table) -> CardOutput:
     return made
 
 
-def _manual(t: Table) -> ManualAxisSettings:
+def _manual(t: Table, name: str) -> ManualAxisSettings:
+    quantity, unit = t.text("quantity"), t.text("unit")
+    want = MANUAL_UNITS.get(name, unit)
+    if unit != want:
+        what = f"is {unit!r}; the program reckons manual.{name} in {want}"
+        raise t.fail("unit", what, f"write {want!r}, and state values in it")
     out = ManualAxisSettings(
-        quantity=t.text("quantity"),
-        unit=t.text("unit"),
+        quantity=quantity,
+        unit=unit,
         check=t.text("check", ""),
         tolerance=t.number("tolerance", 0, 1e6, 0.0),
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from daq.errors import DeviceError, PamrigError
-from rigs.devices.operator import Request, put_request
+from rigs.devices.operator import Request, request_done
 from rigs.steps.custom_step import CustomStep
 from rigs.steps.steps import Vent
 
@@ -18,6 +18,9 @@ LOWEST_KPA = 5.0
 """From here on it vents: no valve holds less."""
 RATED_KPA = 300.0
 SLOWEST_KPA_S = 30.0
+MOST_CATCH = 2.0
+"""A catch may be so many times further below the load than requested; who sets another distance
+types it."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,11 @@ class HangLoad(CustomStep):
         if self.mass_kg and catch_mm:
             text = f"set the catch {catch_mm:g} mm below the load, then press Enter"
             request = Request("catch", catch_mm, "mm", text)
-            remark, seconds = put_request(runner.rig.operator, runner.rig.event_loop, request)
-            runner.record.event("catch", below_mm=catch_mm, waited_s=seconds, remark=remark)
+            rig = runner.rig
+            below_mm, seconds = request_done(
+                rig.operator, rig.event_loop, request, 0.0, MOST_CATCH * catch_mm
+            )
+            runner.record.event("catch", below_mm=below_mm, waited_s=seconds)
         return setting.taken
 
     @staticmethod
