@@ -78,7 +78,9 @@ FINISHED = (
 
 
 def _next_steps(runs: Iterable[RunInfo], folder: Path) -> list[str]:
-    tests = [info for info in runs if info.origin == "bench"]
+    from daq.store.info import TESTS
+
+    tests = [info for info in runs if info.origin in TESTS]
     if not tests:
         return [f"There are no tests in {folder} yet. Begin with", "", *_commands(NO_RUNS)]
     last = tests[-1]

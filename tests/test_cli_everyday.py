@@ -63,10 +63,10 @@ def test_the_short_option_for_help_is_known_everywhere(words: tuple[str, ...]) -
 
 def test_last_is_the_newest_test_and_not_an_import_after_it(run: Run) -> None:
     root = run.folder.parent
-    assert [info.origin for info in list_runs(root)] == ["bench", "import"]
+    assert [info.origin for info in list_runs(root)] == ["virtual", "import"]
     assert find_run(root, "last").run_id == run.run_id
     call("runs", "index", "--runs", str(root))
-    assert [info.origin for info in list_runs(root)] == ["bench", "import"]
+    assert [info.origin for info in list_runs(root)] == ["virtual", "import"]
     assert find_run(root, "last").run_id == run.run_id
 
 

@@ -99,7 +99,7 @@ def test_a_file_that_cannot_be_used_says_where(tmp_path: Path, text: str, words:
     [
         ('protocol = "mine"\nlength_mm = 500', "length_mm: 500 mm is outside 51 to 72.5"),
         ('protocol = "mine"\nlenght_mm = 60', "lenght_mm"),
-        ('protocol = "holding"', "'holding' is not one of mine"),
+        ('protocol = "holding"', "is 'holding', and this command runs 'mine'"),
         ('protocol = "mine"\nlength_mm = "long"', "expected a number in mm, got 'long'"),
     ],
 )

@@ -197,7 +197,7 @@ def test_a_rig_that_lacks_an_instrument_is_refused_with_its_table(
         ('protocol = "flow"\npressures_kpa = [900]\n', "pressures_kpa[0]: 900 kPa is outside"),
         ('protocol = "flow"\npressures_kpa = [90]\nopen_ms = 900\n', "open_ms: 900 is outside"),
         ('protocol = "flow"\npressures_kpa = [90]\nrepeat = 2\n', "did you mean 'repeats'"),
-        ('protocol = "isometric"\n', "'isometric' is not one of flow"),
+        ('protocol = "isometric"\n', "is 'isometric', and this command runs 'flow'"),
     ],
 )
 def test_a_bad_protocol_file_is_refused_with_its_key(tmp_path: Path, text: str, said: str) -> None:

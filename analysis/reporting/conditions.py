@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from analysis.findings.findings import Section
+from daq.store.info import on_virtual_bench
 
 if TYPE_CHECKING:
     from analysis.reduction.points import Reduction
@@ -12,7 +13,6 @@ if TYPE_CHECKING:
 
 SHOWN = ("kind", "name", "serial", "fw", "version", "source", "identity")
 """What a header shows of an instrument; the rest stands under Provenance."""
-SIMULATED_BOARD = "sim"
 
 
 def simulated(run: Run) -> str:
@@ -22,8 +22,7 @@ def simulated(run: Run) -> str:
         return ""
     if manifest.get("simulated"):
         return "a simulation of the whole bench; no muscle was tested"
-    board = ((manifest.get("devices") or {}).get("valve") or {}).get("board")
-    if manifest.get("virtual") or board == SIMULATED_BOARD:
+    if on_virtual_bench(manifest):
         return "a test on the virtual bench; no muscle was tested"
     return ""
 

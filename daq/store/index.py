@@ -21,7 +21,7 @@ from daq.store.info import RunInfo, run_info
 from daq.store.run import Run
 
 INDEX = "index.sqlite"
-LAYOUT = 3
+LAYOUT = 4
 """Version of the columns below; an index of another version is rebuilt."""
 FILES = ("run.json", "final.json", ANNOTATIONS)
 COLUMNS = (

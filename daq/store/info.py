@@ -10,8 +10,11 @@ from daq.errors import RecordError
 from daq.store.annotations import excluded_points
 from daq.store.run import DAMAGED, Run
 
-BENCH = "bench"
-"""Origin of a run that a test on a bench made, real or virtual."""
+BENCH, VIRTUAL = "bench", "virtual"
+"""Origin of a test on a real bench, and of one on the virtual bench."""
+TESTS = (BENCH, VIRTUAL)
+SIMULATED_BOARD = "sim"
+"""What the controller of the virtual bench answers for its board."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class RunInfo:
         folder: path of the folder.
         excluded: number of excluded points; -1 if the annotations are damaged.
         continues: the run that this one continues; empty for none.
-        origin: "bench", "calibration", "simulation" or "import".
+        origin: "bench", "virtual" (bench), "calibration", "simulation" or "import".
     """
 
     run_id: str
@@ -73,8 +76,15 @@ def _origin(manifest: dict[str, Any]) -> str:
         return "import"
     if manifest.get("simulated"):
         return "simulation"
-    calibration = str(manifest.get("protocol", "")).startswith("calibrate-")
-    return "calibration" if calibration else BENCH
+    if str(manifest.get("protocol", "")).startswith("calibrate-"):
+        return "calibration"
+    return VIRTUAL if on_virtual_bench(manifest) else BENCH
+
+
+def on_virtual_bench(manifest: dict[str, Any]) -> bool:
+    """Whether a run was made on the virtual bench, also over ports."""
+    valve = (manifest.get("devices") or {}).get("valve") or {}
+    return bool(manifest.get("virtual")) or valve.get("board") == SIMULATED_BOARD
 
 
 def _excluded(folder: Path) -> int:

@@ -12,7 +12,7 @@ from daq.errors import RecordError
 from daq.record.runname import by_start
 from daq.record.safe_read import names_inside
 from daq.store.index import index_path, update_index
-from daq.store.info import BENCH, RunInfo, run_info
+from daq.store.info import TESTS, RunInfo, run_info
 from daq.store.run import Run, open_run
 from daq.store.versions import version_folders, version_settings
 
@@ -45,7 +45,7 @@ def find_run(root: Path | str, text: str) -> Run:
     listed = list_runs(root)
     runs = [info.run_id for info in listed]
     if text == "last":
-        found = ([info.run_id for info in listed if info.origin == BENCH] or runs)[-1:]
+        found = ([info.run_id for info in listed if info.origin in TESTS] or runs)[-1:]
     else:
         found = [r for r in runs if r == text]
     found = found or [r for r in runs if text in r]

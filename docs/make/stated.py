@@ -138,7 +138,7 @@ def plain_kinds() -> tuple[Plain, ...]:
                 "": {
                     **plain(*(k for k in models._TOP
                               if k not in ("domain", "geometry", "parameters", "covariance"))),
-                    "law": "as `pamrig models` lists", "version": str(models.VERSION),
+                    "law": "as `pamrig models list` lists", "version": str(models.VERSION),
                 },
                 "domain": plain(*models._DOMAIN),
                 "geometry": {k: between(0.1, models.LARGEST_MM) for k in models._GEOMETRY},

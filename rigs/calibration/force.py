@@ -84,22 +84,27 @@ def calibrate_force(
             _request(rig, "muscle off", 0.0, "take the muscle off the force sensor")
             most = max(masses_kg)
             hangs = isinstance(rig.balance, LoadCell)
-            _hang(rig, 0.0 if hangs else most)
+            loads = up_and_down(masses_kg)
+            there = 0.0 if hangs else most
+            _hang(rig, there)
             _at_rest(rig)
             if isinstance(rig.balance, Balance):
                 record.event("tare", grams=rig.balance.tare())
-            for mass in up_and_down(masses_kg):
-                stop.check()
-                watch.state(f"calibrate force: {mass:g} kg")
-                _hang(rig, mass if hangs else most - mass)
+            for number, mass in enumerate(loads, 1):
+                watch.state(f"calibrate force: {mass:g} kg, {number} of {len(loads)}")
+                load = mass if hangs else most - mass
+                if load != there:  # nobody is asked to do what is done
+                    _hang(rig, load)
+                there = load
                 raw, u_raw = _weigh(rig, seconds)
                 add_point(record, points, Point(raw, u_raw, mass * gravity))
+            watch.state(f"calibrate force: {TARES} tares")
             for _ in range(TARES):
-                stop.check()
                 rig.balance.tare()
                 zeros.append(_weigh_net(rig, min(seconds, 1.0)))
                 record.event("tare_left", reading=zeros[-1])
-            _hang(rig, 0.0)
+            if there:
+                _hang(rig, 0.0)
             _request(rig, "muscle", 0.0, "mount the muscle again")
 
         carry_out(rig, record, method, stop)

@@ -85,6 +85,9 @@ class Table:
         if not isinstance(value, str):
             raise self.fail(key, f"expected text in quotes, got {value!r}")
         if choices is not None and value not in choices:
+            if key == "protocol" and len(choices) == 1:
+                what = f"is {value!r}, and this command runs {choices[0]!r}"
+                raise self.fail(key, what, f"`pamrig {value}` runs it, if there is such a test")
             raise self.fail(key, f"{value!r} is not one of {', '.join(choices)}")
         return value
 
