@@ -26,6 +26,7 @@ from daq.errors import RecordError
 from daq.record.safe_read import LARGEST_BULK, names_inside, open_inside
 from daq.store.annotations import ANNOTATIONS, SEAL, read_annotations
 from daq.store.run import PARTIAL
+from daq.wholefile import write_whole
 
 if TYPE_CHECKING:
     from daq.store.run import Run
@@ -151,7 +152,7 @@ def write_report(run: Run, out: Path | None = None, reduction: Reduction | None 
     """
     out = out or Path(run.folder) / "derived" / "report.html"
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(render_report(run, reduction), encoding="utf-8")
+    write_whole(out, render_report(run, reduction))
     return out
 
 

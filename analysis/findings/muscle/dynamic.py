@@ -19,6 +19,7 @@ from analysis.findings.findings import (
     records,
 )
 from analysis.layouts.muscle import dynamic_layout
+from analysis.reduction.muscle.energy import State, cycle_energy, stated_air
 from analysis.reduction.muscle.response import (
     PRESSURE_FORCE,
     PRESSURE_LENGTH,
@@ -46,6 +47,18 @@ METHOD: tuple[str, ...] = (
     " that reads force or length is part of the phase.",
     "A distortion that is the same in every period does not lower the coherence of a sine; the"
     " harmonics show it: root of the power of harmonics 2 to 5 over that of the first.",
+)
+
+
+STROKE_WORDS = (
+    "The stroke is that of the mean period: the counted periods as a sum of harmonics, up to the"
+    " fifth where the readings are fast enough. The air of a cycle is taken between the highest and"
+    " the lowest pressure of that period."
+)
+NO_WORK = "The length is held: no work is done over a cycle."
+NO_LENGTH = (
+    "No length was read while the load moved (that needs a length_source in the rig file), so no"
+    " work is given."
 )
 
 
@@ -103,8 +116,47 @@ def dynamic_findings(run: Run, reduction: Reduction) -> Findings:
         sections.append(
             Section("Bandwidth of the pressure", words, frame, columns_3db, caption=caption)
         )
-    data = {"responses": records(table), "bandwidths": bands, "saturated": stopped}
+    work, energies = _work(run, table)
+    sections.append(work)
+    data = {
+        "responses": records(table), "bandwidths": bands, "saturated": stopped, "energy": energies,
+    }  # fmt: skip
     return Findings(_headline(table, bands, stopped), tuple(sections), data)
+
+
+def _work(run: Run, table: pd.DataFrame) -> tuple[Section, list[dict[str, Any]]]:
+    """Work of the stroke, exergy of the air and efficiency of each sine under a load."""
+    import pandas as pd
+
+    from analysis.findings.muscle.energy import ENERGY_COLUMNS, ENERGY_WORDS, NOT_KNOWN
+
+    title = "Work and efficiency"
+    parameters = run.manifest.get("parameters") or {}
+    if not parameters.get("mass_kg"):
+        return Section(title, (NO_WORK,)), []
+    lifted = table[table["stroke_mm"].notna()]
+    if not len(lifted):
+        return Section(title, (NO_LENGTH,)), []
+    air = stated_air(parameters)
+    pressure, length = run.calibration("pressure_kpa"), run.calibration("length_mm")
+    rows: list[dict[str, Any]] = []
+    for row in lifted.to_dict("records"):
+        high, low = (
+            State(kpa, float(pressure.u(kpa)), mm, float(length.u(mm)))
+            for kpa, mm in (
+                (float(row[f"pressure_{end}_kpa"]), float(row[f"length_{end}_mm"]))
+                for end in ("high", "low")
+            )
+        )
+        made = cycle_energy(float(row["work_j"]), float(row["u_work_j"]), high, low, air)
+        named = {key: row[key] for key in ("slot", "repeat", "stroke_mm", "u_stroke_mm")}
+        rows.append({**named, "frequency_hz": float(f"{row['frequency_hz']:.4g}"), **vars(made)})
+    words = (STROKE_WORDS, *ENERGY_WORDS, *(() if air is not None else (NOT_KNOWN,)))
+    columns = (
+        ("slot", "excitation"), ("repeat", "repeat"), ("frequency_hz", "frequency, Hz"),
+        ("stroke_mm", "stroke, mm"), *ENERGY_COLUMNS,
+    )  # fmt: skip
+    return Section(title, words, pd.DataFrame(rows), columns, caption=f"{EXPANDED}."), rows
 
 
 def _bands(table: pd.DataFrame) -> list[dict[str, Any]]:
