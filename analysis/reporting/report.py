@@ -35,7 +35,7 @@ SCHEMA = "pamrig-report/1"
 NORMAL_EVENTS = (
     "point", "zero", "length", "state", "command", "tare", "clockfit", "armed", "controller",
     "trial", "marker", "manual", "load", "catch", "mounted", "leak", "try", "result",
-    "stretch", "disarmed",
+    "stretch", "disarmed", "kept", "hold",
 )  # fmt: skip
 """Kinds of events of a normal run. All other kinds are listed among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")
@@ -121,6 +121,7 @@ def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
             for event in run.events
             if event.get("kind") not in NORMAL_EVENTS
             and not event.get("confirmed")
+            and not (event.get("kind") == "prediction" and not event.get("stopped"))
             and not (event.get("kind") == "soaked" and event.get("settled"))
             and not (event.get("kind") == "camera_sync" and event.get("found"))
         ],

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 UNITS = {SET_PRESSURE: "kPa/kPa", PRESSURE_FORCE: "N/kPa", PRESSURE_LENGTH: "mm/kPa"}
 NARROW = 5.0
 """A logarithmic axis whose ends differ by less gets evenly spaced labels."""
+FEW_SINES = 6
+"""So many frequencies stand at a short axis, each with its number."""
 HALF_POWER = 10.0 ** (-3.0 / 20.0)
 METHOD: tuple[str, ...] = (
     "Input and output are cut into segments of whole periods (of a chirp: sweeps). The response is"
@@ -205,17 +207,21 @@ def _headline(
     return text + "."
 
 
-def _minor(value: float, _: object) -> str:
-    """Labels between decades: at 2 and 5."""
-    return f"{value:g}" if f"{value:e}"[0] in "25" else ""
-
-
 def _bode(part: pd.DataFrame, unit: str) -> Figure:
-    from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
+    from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
-    from analysis.figures.drawing import COVERAGE, QUIET, marker, new_figure, sequence, style
+    from analysis.figures.drawing import (
+        COVERAGE,
+        QUIET,
+        marker,
+        new_figure,
+        plain_decades,
+        sequence,
+        style,
+    )
 
     groups = list(part.groupby(["slot", "repeat", "shape"], sort=False))
+    sines = sorted(set(part.loc[part["shape"] == "sine", "frequency_hz"]))
     settings = list(dict.fromkeys((slot, repeat) for (slot, repeat, _), _ in groups))
     colours = dict(zip(settings, sequence(len(settings)), strict=True))
     with style():
@@ -244,11 +250,12 @@ def _bode(part: pd.DataFrame, unit: str) -> Figure:
         top.set_yscale("log")
         for axis in (bottom.xaxis, top.yaxis):
             low, high = axis.get_view_interval()
-            if high < NARROW * low:
-                axis.set_major_locator(MaxNLocator(5))
-                axis.set_minor_locator(NullLocator())
-            else:
-                axis.set_minor_formatter(FuncFormatter(_minor))
+            if high >= NARROW * low:
+                plain_decades(axis)
+                continue
+            few = axis is bottom.xaxis and len(sines) <= FEW_SINES
+            axis.set_major_locator(FixedLocator(sines) if few else MaxNLocator(5))
+            axis.set_minor_locator(NullLocator())
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.4g}"))
         middle.axhline(0.0, color=QUIET, linewidth=0.8)
         top.set_ylabel(f"gain ({unit})")
