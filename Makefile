@@ -13,12 +13,20 @@ unexport PYTHONDONTWRITEBYTECODE
 # Every file that is installed has a sum in a lock file; nothing is built from sources.
 HASHED := --quiet --no-compile --no-deps --require-hashes --only-binary :all:
 
+# What the simulated bench is compiled with.
+COMPILED_WITH := numpy,numba,llvmlite,scipy
+INSTALL_PAMRIG = PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet \
+    --disable-pip-version-check --no-deps --no-build-isolation --editable .
+
 # What a user needs; tests need more.
 $(RUNS_HERE): locks/run.lock locks/build.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pamrig needs Python 3.11 or newer")'
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python tests/install.py locks/build.lock locks/run.lock
-	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@$(BIN)/python tests/install.py locks/build.lock locks/run.lock:$(COMPILED_WITH)
+	@echo "compiling the simulated bench (once), while the other packages are installed"
+	@$(BIN)/python -m tests.compiling bench & \
+	    $(BIN)/python tests/install.py locks/run.lock && $(INSTALL_PAMRIG); \
+	    status=$$?; wait; exit $$status
 	@touch $@
 
 $(READY): requirements.lock $(RUNS_HERE)

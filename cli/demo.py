@@ -7,7 +7,6 @@ from pathlib import Path
 
 import typer
 
-from cli.first_compile import compile_first
 from daq.clock import RealClock
 from daq.errors import PamrigError
 
@@ -18,7 +17,6 @@ def demo(root: Path) -> int:
     from analysis.reporting.derived import derive_all
     from cli.protocols.protocol_command import TestOptions, protocol_command
 
-    compile_first()
     typer.echo(
         "1. an isometric test on the virtual bench: 5 lengths, 8 pressures, up and down, twice"
     )

@@ -1,11 +1,10 @@
-"""The first use of the compiled code on a computer: it takes half a minute, and says so."""
+"""The first use of compiled code on a computer: it takes up to a minute and is shown."""
 
 from __future__ import annotations
 
 import importlib
 import subprocess
 import sys
-import threading
 import time
 
 import typer
@@ -18,33 +17,34 @@ from rigs.virtual.emulators.camera import render
 measure_stored(render(60.0, np.random.default_rng(0)), {})
 """
 """Measures one picture: compiles what finds the edges."""
-QUICK_S = 2.0
-"""Loading what is compiled already takes less."""
 
 
 def compile_first() -> None:
-    """Load the compiled code of a virtual test; where it must be compiled, show that.
+    """Load the compiled simulation of a virtual bench; where it must be compiled, show that.
 
     Simulation and picture measurement are compiled side by side. The result is kept on disk, for
-    all later commands.
+    all later commands. What a bench of another kind compiles later is shown too.
     """
-    import numba  # noqa: F401 - takes a second itself, compiled or not
-
-    said = threading.Event()
-
-    def say() -> None:
-        said.set()
-        typer.echo("compiling the simulation for this computer (only the first time) ...", err=True)
+    from numba.core import event
 
     start = time.monotonic()
-    timer = threading.Timer(QUICK_S, say)
-    timer.daemon = True
-    timer.start()
-    try:
-        measuring = subprocess.Popen([sys.executable, "-c", MEASURING])
-        importlib.import_module(SIMULATION)
-        measuring.wait()
-    finally:
-        timer.cancel()
-    if said.is_set():
+    helpers: list[subprocess.Popen[bytes]] = []
+
+    class First(event.Listener):  # type: ignore[misc, unused-ignore]
+        """Hears of each function that is compiled; one that was stored is not."""
+
+        def on_start(self, event: event.Event) -> None:
+            """At the first, say what takes so long, and compile the other part beside it."""
+            del event
+            if not helpers:
+                typer.echo("compiling the simulated bench, once for this computer ...", err=True)
+                helpers.append(subprocess.Popen([sys.executable, "-c", MEASURING]))
+
+        def on_end(self, event: event.Event) -> None:
+            """Nothing: which one is the last is not known here."""
+
+    event.register("numba:compile", First())
+    importlib.import_module(SIMULATION)
+    for helper in helpers:
+        helper.wait()
         typer.echo(f"compiled in {time.monotonic() - start:.0f} s", err=True)

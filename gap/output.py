@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from daq.wholefile import write_whole
 from gap.errors import GapError
 
 
@@ -27,7 +28,7 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file, its folder made if need be. Raises `GapError` where it cannot be."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
     except OSError as error:
         raise GapError(str(path), f"cannot be written: {error.strerror}") from None
 

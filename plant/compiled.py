@@ -15,6 +15,8 @@ from typing import Any, TypeVar, cast
 
 from numba import njit
 
+from plant.inner import inner
+
 F = TypeVar("F", bound=Callable[..., Any])
 Slots = MutableSequence[float]
 """A state or parameter array in compiled code: float64, contiguous."""
@@ -38,12 +40,12 @@ def inlined(function: F) -> F:
     stay plain Python for arrays. A division by zero gives inf as in numpy, without a check at every
     division.
     """
-    return cast(F, njit(forceinline=True, **_LEAN)(_with_callees(function)))
+    return cast(F, inner(_with_callees(function), forceinline=True, **_LEAN))
 
 
 def called(function: F) -> F:
     """Compile a large function once; repeating it at each place would cost seconds to compile."""
-    return cast(F, njit(**_LEAN)(_with_callees(function)))
+    return cast(F, inner(_with_callees(function), **_LEAN))
 
 
 def _with_callees(function: F) -> F:

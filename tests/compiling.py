@@ -1,5 +1,8 @@
 """`python -m tests.compiling`: compile what is compiled once per installation, each part once.
 
+`python -m tests.compiling bench` compiles what a virtual bench needs, in one process; it needs only
+the packages of `COMPILED_WITH` in the Makefile, so that it runs while the others are installed.
+
 A fresh clone has no machine code yet. Left to the tests, every worker of pytest would compile all
 of it for itself, at the same time as the others. What is there already costs a second to look at.
 """
@@ -11,16 +14,17 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-# Longest first. Parts that import each other stand together: what one has compiled is there.
-PARTS = (
-    "import plant.scene.kernel",
-    "import plant.simulator.kernel, plant.finger.kernel",
-    """
+MEASURING = """
 import numpy as np
 from analysis.reduction.pictures import measure_stored
 from rigs.virtual.emulators.camera import render
 measure_stored(render(60.0, np.random.default_rng(0)), {})
-""",
+"""
+# Longest first. Parts that import each other stand together: what one has compiled is there.
+PARTS = (
+    "import plant.scene.kernel",
+    "import plant.simulator.replay, plant.finger.kernel",
+    MEASURING,
     """
 import numpy as np
 from blind.physics.bench import Trial, no_effect, nominal
@@ -41,6 +45,8 @@ def main() -> int:
     def run(part: str) -> int:
         return subprocess.run([sys.executable, "-c", part], check=False).returncode
 
+    if sys.argv[1:] == ["bench"]:
+        return run(f"import plant.simulator.kernel\n{MEASURING}")
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         return max(pool.map(run, PARTS))
 

@@ -1,6 +1,7 @@
 """Install the pinned packages of lock files with one line of progress; needs nothing installed.
 
-`PYTHON tests/install.py LOCK...`: what pip prints is shown only where it fails.
+`PYTHON tests/install.py LOCK...`: what pip prints is shown only where it fails. `LOCK:NAME,NAME`
+installs only these packages of a lock file.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -20,6 +22,20 @@ PIP = (
 def packages(lock: Path) -> int:
     """How many packages a lock file pins."""
     return len(re.findall(r"^[A-Za-z0-9._-]+==", lock.read_text("utf-8"), re.MULTILINE))
+
+
+def part(lock: Path, names: list[str]) -> str:
+    """The entries of some packages of a lock file, with their sums."""
+    entries = re.split(r"^(?=\S)", lock.read_text("utf-8"), flags=re.MULTILINE)
+    return "".join(e for e in entries if e.partition("==")[0] in names)
+
+
+def install_part(lock: Path, names: list[str]) -> int:
+    """Install only some packages of a lock file; the exit status of pip."""
+    with tempfile.TemporaryDirectory() as folder:
+        some = Path(folder) / lock.name
+        some.write_text(part(lock, names), "utf-8")
+        return install(some)
 
 
 def install(lock: Path) -> int:
@@ -55,8 +71,13 @@ def show(text: str) -> None:
 
 
 def main() -> int:
-    """Install every lock file that was named."""
-    return next((status for lock in sys.argv[1:] if (status := install(Path(lock)))), 0)
+    """Install every lock file that was named, or its part."""
+    for argument in sys.argv[1:]:
+        lock, _, names = argument.partition(":")
+        status = install_part(Path(lock), names.split(",")) if names else install(Path(lock))
+        if status:
+            return status
+    return 0
 
 
 if __name__ == "__main__":

@@ -8,9 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.layouts.layouts import isometric_layout
 from bench_runs import quick, run_isometric
 from daq.errors import ConfigError
+from daq.live.scene import Scene
+from daq.live.viewfile import build_view
 from daq.store.run import open_run
+from daq.store.verify import verify
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
 from rigs.execution.runner import Runner
@@ -81,6 +85,25 @@ def test_on_the_bench_s_own_plant_prediction_and_measurement_lie_together(tmp_pa
     assert high.sum() > 20
     assert np.median(np.abs(pulled[here, 1] - read)[high]) < 0.3
     assert not sheet.words
+
+
+def test_what_was_drawn_is_recorded_and_drawn_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sheet, what = watched(tmp_path, plant())
+    run = open_run(what["folder"])
+    assert verify(run) == []
+    again: dict[str, list[tuple[float, float]]] = {}
+
+    def series(self: Scene, path: str, time_s: Any, values: Any) -> None:
+        again.setdefault(path, []).extend(zip(time_s, values, strict=True))
+
+    monkeypatch.setattr(Scene, "series", series)
+    build_view(run, tmp_path / "view.rrd", isometric_layout())
+    for path in (PRESSURE_PATH, FORCE_PATH, *SHARE_PATHS):
+        drawn, replayed = np.array(sheet.curves[path]), np.array(again[path])
+        assert 0 <= len(drawn) - len(replayed) <= 10, "but for the last frames after the test"
+        assert np.allclose(replayed, drawn[: len(replayed)], atol=1e-6)
 
 
 def test_an_effect_that_the_plant_has_and_the_bench_has_not_shows(tmp_path: Path) -> None:

@@ -66,6 +66,16 @@ def test_the_installer_shows_the_reason_where_pip_fails(tmp_path: Path) -> None:
     assert "broken.lock: " not in done.stdout
 
 
+def test_a_part_of_a_lock_file_has_these_packages_with_their_sums() -> None:
+    from tests.install import part
+
+    lock = HOUSE / "locks" / "run.lock"
+    some = part(lock, ["numba", "llvmlite"])
+    assert re.findall(r"^([a-z]+)==", some, re.MULTILINE) == ["llvmlite", "numba"]
+    assert all(entry.count("--hash=sha256:") > 3 for entry in some.split("numba==")[:2])
+    assert all(line in lock.read_text("utf-8") for line in some.splitlines())
+
+
 @pytest.mark.parametrize("name", ["CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md"])
 def test_what_a_visitor_looks_for_is_there(name: str) -> None:
     assert (HOUSE / name).stat().st_size > 200

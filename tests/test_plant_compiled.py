@@ -12,7 +12,7 @@ import pytest
 import plant
 from plant import compiled
 from plant.constants import nominal
-from plant.simulator import kernel
+from plant.simulator import kernel, replay
 from plant.simulator.bench import BenchSim
 from plant.simulator.simulate import pulse_train, run_commands
 
@@ -57,7 +57,7 @@ def test_a_change_in_an_inner_room_changes_the_fingerprint(monkeypatch: pytest.M
 
 
 def test_the_fingerprint_is_part_of_what_the_cache_is_keyed_by() -> None:
-    for entry in (kernel.advance, kernel.run):
+    for entry in (kernel.advance, replay.run):
         cells = [cell.cell_contents for cell in entry.py_func.__closure__]  # type: ignore[attr-defined]
         assert compiled.fingerprint("simulator") in cells
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from analysis.findings.muscle.dynamic import NO_WORK
+from analysis.reduction.muscle.energy import Air
 from analysis.reduction.muscle.response import (
     PRESSURE_FORCE,
     PRESSURE_LENGTH,
@@ -17,6 +19,7 @@ from analysis.reduction.muscle.response import (
     Signal,
     chirp_responses,
     estimate,
+    mean_period,
     sine_response,
     sweep_coefficients,
 )
@@ -125,7 +128,7 @@ def test_pages_of_a_dynamic_test_are_made_again_alike(solenoids: tuple[Run, Trut
 def test_a_regulator_a_load_and_sweeps(tmp_path: Path) -> None:
     run, truth = run_dynamic(
         tmp_path, "virtual-laser", length_mm=0.0, mass_kg=1.154, sines=Sines((1.0,), 4, 0.0, 0.5),
-        chirp=Chirp(0.5, 4.0, 4.0, 3),
+        chirp=Chirp(0.5, 4.0, 4.0, 3), air=AIR,
     )  # fmt: skip
     table = reduce_run(run).table
     row = table[(table["pair"] == PRESSURE_LENGTH) & (table["shape"] == "sine")].iloc[0]
@@ -135,8 +138,55 @@ def test_a_regulator_a_load_and_sweeps(tmp_path: Path) -> None:
     assert abs(row["phase_deg"]) > 150.0  # it shortens as the pressure rises
     sweeps = table[(table["pair"] == SET_PRESSURE) & (table["shape"] == "chirp")]
     assert len(sweeps) >= 6
+    work_is_the_true_one(run, truth, event)
     run, _ = run_dynamic(tmp_path, "virtual-vppm", sines=Sines((1.0,), 4, 0.0, 1.0))
     assert reduce_run(run).table["coherence"].min() > 0.99
+
+
+AIR = Air(600.0, 5.0, 101.3, 0.5, (51.0, 60.0, 72.5), (10.0, 8.0, 5.0), 1.0, 0.3)
+
+
+def work_is_the_true_one(run: Run, truth: Truth, event: dict[str, Any]) -> None:
+    """Stroke, work and efficiency of the sine against the state of the bench."""
+    found = analysis_of("dynamic").findings(run, reduce_run(run))
+    (energy,) = found.data["energy"]
+    start_ns = run.manifest["started"]["monotonic_ns"]
+    t = (np.array([row[0] for row in truth]) - start_ns - event["counted_t_ns"]) * 1e-9
+    use = (t >= 0.0) & (t < event["periods"] * event["period_s"])
+    kpa, mm = (np.array([row[k] for row in truth])[use] for k in (1, 2))
+    stroke = float(np.ptp(mm))
+    assert abs(energy["stroke_mm"] - stroke) < 3.0 * energy["u_stroke_mm"] + 0.01 * stroke
+    weight = 1.154 * run.manifest["conditions"]["gravity_m_s2"]
+    assert energy["work_j"] == pytest.approx(weight * energy["stroke_mm"] * 1e-3)
+    pv = [(p + 101.3) * AIR.volume_ml(length) for p, length in zip(kpa, mm, strict=True)]
+    exergy = float(np.ptp(pv)) * math.log(701.3 / 101.3) * 1e-3
+    assert abs(energy["exergy_j"] - exergy) < 3.0 * energy["u_exergy_j"]
+    assert energy["efficiency"] == pytest.approx(energy["work_j"] / energy["exergy_j"])
+
+
+def test_without_a_moving_load_the_page_says_why_there_is_no_work(
+    solenoids: tuple[Run, Truth],
+) -> None:
+    run = solenoids[0]
+    found = analysis_of("dynamic").findings(run, reduce_run(run))
+    (section,) = [s for s in found.sections if s.title == "Work and efficiency"]
+    assert section.words == (NO_WORK,)
+    assert found.data["energy"] == []
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.2])
+def test_the_stroke_is_as_uncertain_as_stated(noise: float) -> None:
+    rng = np.random.default_rng(7)
+    t = np.arange(0.0, 8.0, 0.02)
+    phase = 2 * math.pi * 0.5 * (t - 0.3)
+    course = 60.0 + 0.01 * t + 2.0 * np.sin(phase) + 0.3 * np.sin(3 * phase)
+    true = np.ptp(2.0 * np.sin(w := np.linspace(0, 2 * math.pi, 5000)) + 0.3 * np.sin(3 * w))
+    inside = 0
+    for _ in range(200):
+        found = mean_period(Signal(t, course + noise * rng.normal(size=len(t))), 0.5, 0.0, 4)
+        assert found is not None
+        inside += abs(np.ptp(found.values) - true) <= 2 * 2.0 * found.u
+    assert 186 <= inside <= 199
 
 
 def test_higher_sines_are_left_out_when_the_pressure_does_not_follow(tmp_path: Path) -> None:

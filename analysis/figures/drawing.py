@@ -15,6 +15,7 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 SINGLE_COLUMN = 88.0 / 25.4
@@ -121,6 +122,17 @@ def new_figure(
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, sharex=sharex)
+
+
+def plain_decades(axis: Axis) -> None:
+    """Plain numbers at a logarithmic axis, between decades at 2 and 5."""
+    from matplotlib.ticker import FuncFormatter
+
+    def label(value: float, between: bool) -> str:
+        return "" if between and f"{value:e}"[0] not in "25" else f"{value:g}"
+
+    axis.set_major_formatter(FuncFormatter(lambda value, _: label(value, False)))
+    axis.set_minor_formatter(FuncFormatter(lambda value, _: label(value, True)))
 
 
 def sequence(count: int) -> list[Any]:

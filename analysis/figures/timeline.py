@@ -49,8 +49,9 @@ def timeline_figure(run: Run) -> Figure | None:
         else:
             figure, top = new_figure(DOUBLE_COLUMN, 2.6)
             bottom = top
-        top.plot(*min_max(time_s, setpoint), color=SET, linewidth=1.4, label="set-point")
-        top.plot(*min_max(time_s, pressure), color=MEASURED, linewidth=0.7, label="measured")
+        top.plot(*broken(*min_max(time_s, setpoint)), color=SET, linewidth=1.4, label="set-point")
+        drawn = broken(*min_max(time_s, pressure))
+        top.plot(*drawn, color=MEASURED, linewidth=0.7, label="measured")
         top.set_ylabel("pressure (kPa)")
         if forces and len(balance.get("grams", ())):
             force = np.asarray(force_cal.apply(balance["grams"].astype(np.float64)))
@@ -59,7 +60,10 @@ def timeline_figure(run: Run) -> Figure | None:
             tared = force_ns >= (zero_ns + tares[0] if tares else 0)
             force_s = (force_ns[tared] - start_ns) / 1e9
             bottom.plot(
-                *min_max(force_s, force[tared]), color=MEASURED, linewidth=0.8, label="force"
+                *broken(*min_max(force_s, force[tared])),
+                color=MEASURED,
+                linewidth=0.8,
+                label="force",
             )
         if forces:
             bottom.set_ylabel("force (N)")
@@ -75,6 +79,16 @@ def timeline_figure(run: Run) -> Figure | None:
 
 
 ENVELOPE_BINS = 1200
+GAP_S = 1.0
+
+
+def broken(x: Array, y: Array) -> tuple[Array, Array]:
+    """A curve with a gap where nothing was recorded for a second and more."""
+    steps = np.diff(x)
+    if not len(steps):
+        return x, y
+    gaps = np.flatnonzero(steps > max(GAP_S, 5.0 * float(np.percentile(steps, 90)))) + 1
+    return np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan)
 
 
 def min_max(x: Array, y: Array) -> tuple[Array, Array]:

@@ -354,7 +354,7 @@ def _headline(rows: list[dict[str, Any]], kind: Kind) -> str:
     known = [row for row in rows if math.isfinite(row["mean"])]
     if not known:
         cycles = "One cycle was" if len(rows) == 1 else f"{len(rows)} cycles were"
-        return f"{cycles} measured, none over the pressures that the mean is taken from."
+        return f"{cycles} measured, over too few pressures for a mean difference."
     unit, what = kind.value_unit, "length" if kind is ISOTONIC else "force"
     if all(abs(row["mean"]) <= 2 * row["u_mean"] for row in known):
         most = max(abs(row["mean"]) + 2 * row["u_mean"] for row in known)
@@ -382,7 +382,7 @@ def _differences(cycles: list[Cycle], kind: Kind) -> Section:
         (f"c{k}", f"{c.name} to {c.top_kpa:g}, {kind.value_unit}") for k, c in enumerate(cycles)
     ]
     return Section(
-        f"Rising minus falling: the form of Table {kind.table}",
+        "Rising minus falling",
         (),
         pd.DataFrame([cells[p] for p in sorted(cells)]),
         (("pressure_kpa", "pressure, kPa"), *heads),

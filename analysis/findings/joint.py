@@ -199,13 +199,14 @@ def joint_step_findings(run: Run, reduction: Reduction) -> Findings:
         ("difference_kpa", "to, kPa"), ("start_deg", "start, °"), ("final_deg", "end, °"),
         ("rise_s", "10 to 90 %, s"), ("peak_s", "peak after, s"),
         ("overshoot_deg", "overshoot, °"), ("settle_s", "settled after, s"),
-        ("skew_s", "b after a, s"), ("settled", "settled"),
+        ("skew_ms", "b after a, ms"), ("settled", "settled"),
     )  # fmt: skip
     words = (
         "Time counts from the sample in which the first of both set-points changed. The reading of"
         " an angle has the time at which its line arrived; a delay that all lines have in common is"
         " in the times as well.",
     )
+    shown = table.assign(skew_ms=(1e3 * table["skew_s"]).round(2))
     sections = (
         Section(
             "Angle",
@@ -217,7 +218,7 @@ def joint_step_findings(run: Run, reduction: Reduction) -> Findings:
             figure=lambda: _pressures(run, table),
             caption="Both pressures through the steps of the first trial.",
         ),
-        Section("Each step", words, table, columns, caption=f"{EXPANDED}."),
+        Section("Each step", words, shown, columns, caption=f"{EXPANDED}."),
     )
     settled = table[table["settled"]]
     text = f"{len(settled)} of {len(table)} steps settled"
@@ -227,6 +228,11 @@ def joint_step_findings(run: Run, reduction: Reduction) -> Findings:
             f" was {settled['overshoot_deg'].max():.2f} degrees"
         )
     return Findings(text + ".", sections, {"steps": records(table)})
+
+
+def _signed(kpa: float) -> str:
+    """A difference of pressures with its sign; none has no sign."""
+    return f"{kpa:+g}".replace("-", "−") if kpa else "0"
 
 
 def _answers(run: Run, table: pd.DataFrame) -> Figure:
@@ -239,8 +245,8 @@ def _answers(run: Run, table: pd.DataFrame) -> Figure:
         answer = angle_answer(record, event) if event["order"] in first else None
         if answer is not None and len(found) < MOST_ANSWERS:
             label = (
-                f"{event['common_kpa']:g} kPa: {event['from_kpa']:+g} to"
-                f" {event['difference_kpa']:+g}"
+                f"{event['common_kpa']:g} kPa: {_signed(event['from_kpa'])} to"
+                f" {_signed(event['difference_kpa'])}"
             )
             found.append((label, answer[0], answer[1]))
     return answers_figure(found)

@@ -183,10 +183,9 @@ def _figure(run: Run, table: pd.DataFrame) -> Figure:
         for ax, name in zip(np.atleast_1d(axes), schemes, strict=False):
             moves.draw_pressure(ax, first[first["scheme"] == name].sort_values("order"))
             ax.set_title(TITLES.get(name, name), loc="left", fontsize=8.5, color=INK)
-            ax.set_ylabel("kPa")
             ax.set_ylim(bottom=0)
         np.atleast_1d(axes)[-1].set_xlabel("time (s)")
-        figure.supylabel("pressure, gauge", fontsize=9)
+        figure.supylabel("pressure (kPa gauge)", fontsize=9)
     return figure
 
 

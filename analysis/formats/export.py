@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -12,6 +13,7 @@ import numpy as np
 from daq.errors import ConfigError, RecordError
 from daq.record.disk import disk_error
 from daq.store.run import Run
+from daq.wholefile import whole_files
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -94,27 +96,36 @@ def export_run(run: Run, kind: str, out: Path | None = None, what: str = "all") 
     folder = out or Path(f"{run.run_id}-{kind}")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        written = _write(run, tables, kind, folder)
-        about = folder / "README.json"
-        about.write_text(json.dumps(_about(run, tables), indent=2) + "\n", encoding="utf-8")
+        with whole_files() as part:
+            written = _write(run, tables, kind, folder, part)
+            about = folder / "README.json"
+            text = json.dumps(_about(run, tables), indent=2) + "\n"
+            part(about).write_text(text, encoding="utf-8")
     except OSError as error:
         raise disk_error(folder, "export cannot be written", error) from error
     return [*written, about]
 
 
-def _write(run: Run, tables: dict[str, pd.DataFrame], kind: str, folder: Path) -> list[Path]:
+def _write(
+    run: Run,
+    tables: dict[str, pd.DataFrame],
+    kind: str,
+    folder: Path,
+    part: Callable[[Path], Path],
+) -> list[Path]:
     if kind == "mat":
         path = folder / f"{run.run_id}.mat"
-        _write_mat(run, tables, path)
+        with part(path).open("wb") as file:
+            _write_mat(run, tables, file)
         return [path]
     written = []
     for name, table in tables.items():
         path = folder / f"{name}.{kind}"
         if kind == "csv":
-            with path.open("wb") as file:
+            with part(path).open("wb") as file:
                 write_csv(table, file)
         else:
-            table.to_parquet(path, index=False)
+            table.to_parquet(part(path), index=False)
         written.append(path)
     return written
 
@@ -136,7 +147,7 @@ def write_csv(table: pd.DataFrame, file: BinaryIO) -> None:
     csv.write_csv(rows, file, csv.WriteOptions(include_header=False))
 
 
-def _write_mat(run: Run, tables: dict[str, pd.DataFrame], path: Path) -> None:
+def _write_mat(run: Run, tables: dict[str, pd.DataFrame], file: BinaryIO) -> None:
     """One struct per table, one field per column; text columns are cell arrays of char."""
     from scipy.io import savemat
 
@@ -157,7 +168,7 @@ def _write_mat(run: Run, tables: dict[str, pd.DataFrame], path: Path) -> None:
             else:
                 struct[field] = values.reshape(-1, 1)
         content[name] = struct
-    savemat(path, content, long_field_names=True, do_compression=True, oned_as="column")
+    savemat(file, content, long_field_names=True, do_compression=True, oned_as="column")
 
 
 def _about(run: Run, tables: dict[str, pd.DataFrame]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from analysis.figures.timeline import timeline_figure
 from analysis.registry import analysis_of
 from analysis.reporting.several import Comparison, chart_data, curves_of
 from analysis.run_table import contents_of, reduce_run
+from daq.wholefile import whole_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,9 +66,10 @@ def write_figures(figures: Iterable[Named], folder: Path) -> list[Path]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for number, (title, figure) in enumerate(figures, start=1):
-        name = f"{number:02d}-{re.sub(r'[^a-z0-9]+', '-', title.lower()).strip('-')[:60]}"
-        for ending, content in (("pdf", as_pdf(figure)), ("svg", as_svg(figure, text=True))):
-            paths.append(folder / f"{name}.{ending}")
-            paths[-1].write_bytes(content)
+    with whole_files() as part:
+        for number, (title, figure) in enumerate(figures, start=1):
+            name = f"{number:02d}-{re.sub(r'[^a-z0-9]+', '-', title.lower()).strip('-')[:60]}"
+            for ending, content in (("pdf", as_pdf(figure)), ("svg", as_svg(figure, text=True))):
+                paths.append(folder / f"{name}.{ending}")
+                part(paths[-1]).write_bytes(content)
     return paths

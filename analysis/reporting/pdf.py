@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from daq.errors import PamrigError
+from daq.wholefile import write_whole
 
 BROWSER = "or print the HTML page to PDF in a browser"
 
@@ -41,4 +42,4 @@ def write_pdf(html: str, out: Path) -> None:
     """Write a page as PDF; errors as for :func:`page_to_pdf`, and `OSError`."""
     document = page_to_pdf(html)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_bytes(document)
+    write_whole(out, document)

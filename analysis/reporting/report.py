@@ -26,6 +26,7 @@ from daq.errors import RecordError
 from daq.record.safe_read import LARGEST_BULK, names_inside, open_inside
 from daq.store.annotations import ANNOTATIONS, SEAL, read_annotations
 from daq.store.run import PARTIAL
+from daq.wholefile import write_whole
 
 if TYPE_CHECKING:
     from daq.store.run import Run
@@ -34,7 +35,7 @@ SCHEMA = "pamrig-report/1"
 NORMAL_EVENTS = (
     "point", "zero", "length", "state", "command", "tare", "clockfit", "armed", "controller",
     "trial", "marker", "manual", "load", "catch", "mounted", "leak", "try", "result",
-    "stretch", "disarmed",
+    "stretch", "disarmed", "kept", "hold",
 )  # fmt: skip
 """Kinds of events of a normal run. All other kinds are listed among faults and gaps."""
 BULKY = ("text", "crc", "files", "notes", "labels", "calibrations", "schema")
@@ -120,6 +121,7 @@ def _common(run: Run, reduction: Reduction) -> dict[str, Any]:
             for event in run.events
             if event.get("kind") not in NORMAL_EVENTS
             and not event.get("confirmed")
+            and not (event.get("kind") == "prediction" and not event.get("stopped"))
             and not (event.get("kind") == "soaked" and event.get("settled"))
             and not (event.get("kind") == "camera_sync" and event.get("found"))
         ],
@@ -151,7 +153,7 @@ def write_report(run: Run, out: Path | None = None, reduction: Reduction | None 
     """
     out = out or Path(run.folder) / "derived" / "report.html"
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(render_report(run, reduction), encoding="utf-8")
+    write_whole(out, render_report(run, reduction))
     return out
 
 

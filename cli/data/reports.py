@@ -14,6 +14,7 @@ from cli.data.import_data import import_data, import_template
 from cli.options import RUNS, JsonOption, OutOption, RunArgument, RunsOption, WarmOption
 from cli.output import print_json, state_findings, writing
 from cli.progress import progress_line
+from daq.wholefile import write_whole
 
 if TYPE_CHECKING:
     from daq.store.run import Run
@@ -146,11 +147,11 @@ def _report_several(
         if out is not None:
             with writing(out):
                 out.parent.mkdir(parents=True, exist_ok=True)
-                out.write_text(html, encoding="utf-8")
+                write_whole(out, html)
             paths.append(out)
         if wanted.pdf is not None:
             with progress_line("making the PDF"), writing(wanted.pdf):
-                wanted.pdf.write_bytes(page_to_pdf(html))
+                write_whole(wanted.pdf, page_to_pdf(html))
             paths.append(wanted.pdf)
     if wanted.figures is not None:
         with progress_line("drawing the figures"), writing(wanted.figures):
@@ -179,10 +180,10 @@ def _report_one(found: Run, wanted: Wanted) -> None:
         page = path.read_bytes()
     if wanted.out is not None and page is not None:
         with writing(wanted.out):
-            wanted.out.write_bytes(page)
+            write_whole(wanted.out, page)
     if wanted.pdf is not None and page is not None:
         with progress_line("making the PDF"), writing(wanted.pdf):
-            wanted.pdf.write_bytes(page_to_pdf(page.decode("utf-8")))
+            write_whole(wanted.pdf, page_to_pdf(page.decode("utf-8")))
     files: list[Path] = []
     if wanted.figures is not None:
         with progress_line("drawing the figures"), writing(wanted.figures):

@@ -12,6 +12,7 @@ import typer
 from cli.output import print_json, writing
 from cli.progress import progress_line
 from daq.progress import stage
+from daq.wholefile import write_whole
 from gap.data.dataset import DataSet
 from gap.decision.diagnosis import Diagnosis, diagnosis
 from gap.design.config import DESIGN
@@ -208,7 +209,7 @@ def report_command(
     page = write_report(examined, out)
     if pdf is not None:
         with writing(pdf):
-            pdf.write_bytes(page_to_pdf(page))
+            write_whole(pdf, page_to_pdf(page))
     files: list[Path] = []
     if figures is not None:
         with writing(figures):

@@ -15,6 +15,7 @@ from cli.options import RUNS, FigureOption, JsonOption, RegionOption, RunsOption
 from cli.output import writing
 from cli.progress import progress_line
 from daq.errors import PamrigError
+from daq.wholefile import write_whole
 
 if TYPE_CHECKING:
     from plant.fitting.data import Points
@@ -114,7 +115,7 @@ def fit(
     if out is not None:
         note = f"Fitted by pamrig fit to {found.model.data}."
         with writing(out):
-            out.write_text(catalogue.to_toml(found.model, note), encoding="utf-8")
+            write_whole(out, catalogue.to_toml(found.model, note))
     if figure is not None:
         from analysis.models.figures import fit_figure
 
@@ -426,4 +427,4 @@ def _save(figure: Any, path: Path) -> None:
     from analysis.figures.drawing import as_png, as_svg
 
     with writing(path):
-        path.write_bytes(as_svg(figure) if path.suffix == ".svg" else as_png(figure))
+        write_whole(path, as_svg(figure) if path.suffix == ".svg" else as_png(figure))

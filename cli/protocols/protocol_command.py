@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from cli.first_compile import compile_first
 from cli.output import print_json
 from cli.progress import progress_line
 from cli.protocols.terminal import ProgressLine, exit_status, print_result
@@ -98,6 +99,8 @@ def protocol_command(name: str, options: TestOptions) -> int:
     if kind.on_joint and options.predict is not None:
         raise ConfigError("--predict", "is for tests of one muscle", "leave it out")
     plan = kind.read(options.protocol or name, config)
+    if config.is_virtual:
+        compile_first()
     line = ProgressLine(quiet=options.as_json)
     make_live = None
     begin: Callable[[Runner, Any], None] = line.start

@@ -139,6 +139,32 @@ class Feed:
     scale: float = 1.0
 
 
+PREDICTION = "prediction"
+"""Stream of what a plant predicted while the test ran, as it was drawn."""
+PREDICTION_COLUMNS = {
+    "row": "int64",
+    "host_ns": "int64",
+    "predicted_pressure_kpa": "float64",
+    "predicted_force_n": "float64",
+    "gap_share_valve_percent": "float64",
+    "gap_share_muscle_percent": "float64",
+}
+PREDICTION_UNITS = {
+    "host_ns": "ns",
+    "predicted_pressure_kpa": "kPa",
+    "predicted_force_n": "N",
+    "gap_share_valve_percent": "%",
+    "gap_share_muscle_percent": "%",
+}
+PREDICTION_FEEDS = (
+    Feed("pressure/predicted_kpa", PREDICTION, "predicted_pressure_kpa"),
+    Feed("force/predicted_n", PREDICTION, "predicted_force_n"),
+    Feed("share of the gap/valve_and_chamber_percent", PREDICTION, "gap_share_valve_percent"),
+    Feed("share of the gap/muscle_percent", PREDICTION, "gap_share_muscle_percent"),
+)
+"""Its curves; a row that has no value of a column has NaN there."""
+
+
 @dataclass(frozen=True)
 class EventFeed:
     """Source of a channel's values or states in the record: events.

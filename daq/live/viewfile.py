@@ -22,7 +22,16 @@ from daq.link.causes import CAUSES, cause_of, event_words
 from daq.live.decimate import decimate
 from daq.live.door import Door
 from daq.live.history import ViewFile
-from daq.live.layout import Channel, EventFeed, Feed, LiveLayout, Panel, PointFeed
+from daq.live.layout import (
+    PREDICTION,
+    PREDICTION_FEEDS,
+    Channel,
+    EventFeed,
+    Feed,
+    LiveLayout,
+    Panel,
+    PointFeed,
+)
 from daq.live.page import PageFile, page_files
 from daq.live.scene import APPLICATION, Line, Scene
 from daq.live.status import (
@@ -140,6 +149,8 @@ def _fill(scene: Scene, run: Run, layout: LiveLayout, edges: Edges | None, most_
     frame_ns = {int(f["frame"]): int(f["host_ns"]) for f in run.frames}
     for feed in layout.feeds:
         _series(scene, tables.get(feed.stream, {}), feed, layout, most_rows)
+    for feed in PREDICTION_FEEDS:
+        _series(scene, _stated(tables.get(PREDICTION, {}), feed.column), feed, layout, most_rows)
     source = str(run.manifest.get("length_source") or "")
     for events in layout.event_feeds:
         if source in tables and events.quantity == "length_mm":
@@ -175,6 +186,14 @@ def _add_live_columns(run: Run, tables: dict[str, Columns]) -> None:
         force = np.asarray(balance["force_n"], dtype=np.float64)
         times = np.asarray(balance["time_s"], dtype=np.float64)
         tables["balance"] = {**balance, "zeroed_n": from_zero(times, force, tare_s)}
+
+
+def _stated(table: Columns, column: str) -> Columns:
+    """The rows of a table that have a value in a column."""
+    if column not in table:
+        return {}
+    use = ~np.isnan(table[column])
+    return {name: values[use] for name, values in table.items()}
 
 
 def _status(scene: Scene, run: Run, tables: dict[str, Columns]) -> None:
@@ -360,6 +379,9 @@ def _frames(
 def _summary(event: dict[str, Any]) -> str:
     if event["kind"] in ("controller", "fault"):
         return event_words(str(event.get("text", "")))
+    if event["kind"] == "prediction":
+        stopped = event.get("stopped")
+        return f"prediction stopped: {stopped}" if stopped else f"prediction by {event.get('file')}"
     skip = ("n", "t_ns", "kind", "crc")
     rest = ", ".join(
         f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}"

@@ -20,6 +20,7 @@ from analysis.run_table import contents_of
 from daq.errors import RecordError
 from daq.store.run import Run, open_run
 from daq.store.verify import findings
+from daq.wholefile import whole_files
 from gap.data.dataset import DataSet
 from gap.data.joint_trials import MUSCLES, is_joint, joint_calibration, joint_trials
 from gap.data.reader import read_bench, read_dataset
@@ -174,11 +175,13 @@ def _write(
         frames.append(frame)
     samples = pd.concat(frames, ignore_index=True)
     try:
-        pd.DataFrame(rows, columns=list(COLUMNS)).to_csv(folder / "trials.csv", index=False)
-        samples.to_parquet(folder / "samples.parquet", index=False)
-        for name, table in (("bench.toml", bench), ("calibration.toml", calibration)):
-            if table:
-                (folder / name).write_text(_toml_text(table), encoding="utf-8")
+        with whole_files() as part:
+            table = pd.DataFrame(rows, columns=list(COLUMNS))
+            table.to_csv(part(folder / "trials.csv"), index=False)
+            samples.to_parquet(part(folder / "samples.parquet"), index=False)
+            for name, values in (("bench.toml", bench), ("calibration.toml", calibration)):
+                if values:
+                    part(folder / name).write_text(_toml_text(values), encoding="utf-8")
     except OSError as error:
         raise GapError(str(folder), f"cannot be written: {error.strerror}") from None
     slots = len({row["slot"] for row in rows})

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daq.wholefile import whole_files
 from gap.errors import GapError
 from gap.output import check_out
 from gap.validation.maps import AXES, Course
@@ -96,6 +97,7 @@ def write_courses(courses: Sequence[Course], named: bool, path: Path) -> None:
         raise GapError(str(path), "there is no residual to draw")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=150)
+        with whole_files() as part:
+            figure.savefig(part(path), dpi=150, format=path.suffix.lstrip(".").lower())
     except (OSError, ValueError) as error:
         raise GapError(str(path), f"cannot be written: {error}") from None

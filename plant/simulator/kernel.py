@@ -6,7 +6,6 @@ Importing this module loads numba and, the first time after an installation, com
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from plant.compiled import Slots, called, entry_point, fingerprint, inlined
 from plant.physics import layout as at
@@ -14,11 +13,11 @@ from plant.simulator.rates import tension
 from plant.simulator.stepping import integrate
 from plant.simulator.valves import SAME_INSTANT_S, act, command, due_at
 
-_STATE = "float64[::1]"
+STATE = "float64[::1]"
 
 
 @called
-def _run_until(state: Slots, params: Slots, end: float) -> None:
+def run_until(state: Slots, params: Slots, end: float) -> None:
     """Advance to time `end` with no new command; pending valve edges act exactly when due."""
     while True:
         inlet_due = due_at(state, 0)
@@ -37,7 +36,8 @@ def _run_until(state: Slots, params: Slots, end: float) -> None:
 
 
 @inlined
-def _measure(state: Slots, params: Slots) -> None:
+def measure(state: Slots, params: Slots) -> None:
+    """Put the force of the present state into it."""
     p, length, rate = state[at.PRESSURE], state[at.LENGTH], state[at.LENGTH_RATE]
     state[at.FORCE] = tension(state, params, p, length, rate)
 
@@ -51,66 +51,26 @@ def _tick(state: Slots, params: Slots, dt_s: float, inlet_on_s: float, vent_on_s
     for turn in range(2):
         on_s = min(inlet_on_s, vent_on_s) if turn == 0 else max(inlet_on_s, vent_on_s)
         if 0.0 < on_s < dt_s - SAME_INSTANT_S:
-            _run_until(state, params, begin + on_s)
+            run_until(state, params, begin + on_s)
             if inlet_on_s == on_s:
                 command(state, params, 0, 0.0)
             if vent_on_s == on_s:
                 command(state, params, 1, 0.0)
-    _run_until(state, params, begin + dt_s)
-    _measure(state, params)
+    run_until(state, params, begin + dt_s)
+    measure(state, params)
 
 
-@inlined
-def _replay(
-    state: Slots, params: Slots, event_s: Any, channel: Any, value: Any, sample_s: Any, traces: Any
-) -> None:
-    """Apply timed inputs and fill one row of `traces` per sample time; both times ascending."""
-    event = 0
-    for row in range(sample_s.shape[0]):
-        while event < event_s.shape[0] and event_s[event] <= sample_s[row]:
-            _run_until(state, params, event_s[event])
-            if channel[event] <= at.CHANNEL_OUTLET:
-                command(state, params, channel[event], value[event])
-            elif channel[event] == at.CHANNEL_LENGTH_RATE:
-                state[at.LENGTH_RATE] = value[event]
-            elif channel[event] == at.CHANNEL_REGULATOR:
-                state[at.REGULATOR_SET] = value[event]
-            else:
-                state[at.SUPPLY] = value[event]
-            event += 1
-        _run_until(state, params, sample_s[row])
-        _measure(state, params)
-        for column in range(traces.shape[1]):
-            traces[row, column] = state[column]
-
-
-def _build(sources: int) -> tuple[Callable[..., None], Callable[..., None]]:
+def _build(sources: int) -> Callable[..., None]:
     # `sources` is used so that it becomes a closure variable; it is never negative.
-    @entry_point(f"void({_STATE}, {_STATE}, float64, float64, float64)")
+    @entry_point(f"void({STATE}, {STATE}, float64, float64, float64)")
     def advance(
         state: Slots, params: Slots, dt_s: float, inlet_on_s: float, vent_on_s: float
     ) -> None:
         if sources >= 0:
             _tick(state, params, dt_s, inlet_on_s, vent_on_s)
 
-    @entry_point(
-        f"void({_STATE}, {_STATE}, {_STATE}, int64[::1], {_STATE}, {_STATE}, float64[:, ::1])"
-    )
-    def run(
-        state: Slots,
-        params: Slots,
-        event_s: Any,
-        channel: Any,
-        value: Any,
-        sample_s: Any,
-        traces: Any,
-    ) -> None:
-        if sources >= 0:
-            _replay(state, params, event_s, channel, value, sample_s, traces)
-
-    return advance, run
+    return advance
 
 
-advance, run = _build(fingerprint("simulator"))
-"""The two compiled entry points: one control tick, and a whole recording (see
-`plant.simulator.simulate`)."""
+advance = _build(fingerprint("simulator"))
+"""Compiled entry point: one control tick. `plant.simulator.replay` has that for a recording."""

@@ -20,7 +20,6 @@ from plant.effects.effects import NONE, Effects
 from plant.effects.reference import TEMPERATURE_C as REFERENCE_TEMPERATURE_C
 from plant.errors import PlantError
 from plant.physics import layout
-from plant.simulator import kernel
 from plant.simulator.bench import Load, Source, build_params, build_state
 
 Channel = Literal["inlet", "outlet", "length_rate_mm_s", "regulator_kpa", "supply_kpa"]
@@ -142,7 +141,9 @@ def run_commands(  # noqa: PLR0913 - a recording has that many named conditions
     sample_s = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
     lagging = params[layout.PRESSURE_LAG] > 0.0
     out = np.empty((len(sample_s), (layout.PRESSURE_READ if lagging else layout.MASS_OUT) + 1))
-    kernel.run(state, params, np.ascontiguousarray(inputs.time_s), channel, value, sample_s, out)
+    from plant.simulator import replay  # compiled only where a recording is simulated
+
+    replay.run(state, params, np.ascontiguousarray(inputs.time_s), channel, value, sample_s, out)
     return Traces(
         time_s=sample_s,
         pressure_kpa=out[:, layout.PRESSURE] * 1e-3,

@@ -4,13 +4,15 @@ Pressure is predicted from the valve commands alone, free-running from one vente
 next, or from the set-points where a regulator makes it whose dynamics the rig file names; force
 from the measured pressure and the length. Both are curves of their own in the panels of the live
 view, which knows nothing of where they come from. Beside them run the shares of the gap in force by
-stage (`rigs.live.stage_share`). A prediction that fails says so once and is silent from then on:
-nothing on the acquisition path can notice.
+stage (`rigs.live.stage_share`). What is drawn is recorded too, a row for each frame of telemetry,
+so that a replay shows it. A prediction that fails says so once and is silent from then on: nothing
+on the acquisition path can notice.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -20,8 +22,12 @@ import numpy.typing as npt
 
 from analysis.regression.regulator import Regulator, respond
 from daq.clock import NS_PER_S
+from daq.errors import RecordError
+from daq.live.layout import PREDICTION, PREDICTION_COLUMNS, PREDICTION_FEEDS, PREDICTION_UNITS
+from daq.record.rows import RowWriter
 from daq.record.writer import RecordWriter
-from daq.store.derive import scaled
+from daq.store.derive import VALVE_STREAM, scaled
+from plant import tomlfile
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
 from plant.physics.layout import PRESSURE
@@ -35,9 +41,7 @@ from rigs.steps.steps import Measure
 if TYPE_CHECKING:
     from rigs.live.feed import LiveFeed
 
-PRESSURE_PATH = "pressure/predicted_kpa"
-FORCE_PATH = "force/predicted_n"
-SHARE_PATHS = ("share of the gap/valve_and_chamber_percent", "share of the gap/muscle_percent")
+PRESSURE_PATH, FORCE_PATH, *SHARE_PATHS = (feed.path for feed in PREDICTION_FEEDS)
 TICK_S = 1e-3
 PULSE_S = 5e-6
 VENTED_KPA = 10.0
@@ -99,6 +103,7 @@ class LivePrediction:
         def doing(text: str) -> None:
             state(text)
             self._compares = False
+            self._kept(self._rows.flush)
 
         def pointed(step: Measure, pressure_kpa: float, force_n: float, length_mm: float) -> None:
             point(step, pressure_kpa, force_n, length_mm)
@@ -115,6 +120,8 @@ class LivePrediction:
         self._calibrations = rig.config.calibrations
         rig.balance.on_rows.append(self._force)
         self._start_ns = record.start_ns
+        self._record = record
+        self._rows = RowWriter(record, rig.clock, PREDICTION, PREDICTION_COLUMNS, PREDICTION_UNITS)
         self._pressure = rig.config.calibrations["pressure_kpa"]
         self._regulated = rig.config.valve.static_scheme == "reg"
         dynamics = rig.config.pressure_source.dynamics
@@ -130,23 +137,20 @@ class LivePrediction:
             self._stopped(error)
 
     def _force(self, batch: Batch) -> None:
-        """Measured pulls: shares of the gap are drawn as they change."""
+        """Measured pulls, for the shares of the gap."""
         if self._failed or self._regulated:
             return
         try:
             columns, _ = scaled("balance", batch, self._calibrations, {})
             time_s = (batch["host_ns"].astype(np.float64) - self._start_ns) / NS_PER_S
             self._share.measured(time_s, np.asarray(columns["force_n"], dtype=np.float64))
-            shares = self._share.shares
-            if shares is not None and self._compares:
-                for path, share in zip(SHARE_PATHS, shares, strict=True):
-                    self.view.series(path, [float(time_s[-1])], [100.0 * share])
         except Exception as error:
             self._stopped(error)
 
     def _stopped(self, error: Exception) -> None:
         self._failed = True
         with contextlib.suppress(Exception):
+            self._record.event("prediction", stopped=str(error))
             self.view.text(0.0, f"prediction stopped: {error}", "WARN")
 
     def _follow(self, batch: Batch) -> None:
@@ -155,19 +159,40 @@ class LivePrediction:
         time_s = (host_ns - self._start_ns) / NS_PER_S - (device_us[-1] - device_us) * 1e-6
         seen = np.asarray(self._pressure.apply(batch["counts"].astype(np.float64)))
         self._move(self._length_mm)
+        pressure: list[float] = []
         if not self._regulated:
-            predicted = self._replay(batch, seen)
-            self.view.series(PRESSURE_PATH, time_s, predicted)
+            pressure = self._replay(batch, seen)
         elif self._regulator is not None and self._sets:
-            self.view.series(PRESSURE_PATH, time_s, self._respond(self._regulator, time_s))
+            pressure = self._respond(self._regulator, time_s)
         self._muscle.set_pressure(max(float(seen.mean()), -50.0))
         self._muscle.advance(len(seen) * TICK_S)
         force_n = self._muscle.force_n - self._zero_n
-        self.view.series(FORCE_PATH, [float(time_s.mean())], [force_n])
+        at_s = float(time_s.mean())
+        shares = None
         if not self._regulated and self._compares:
-            self._share.predicted(
-                float(time_s.mean()), force_n, float(self._gas.force_n) - self._zero_n
-            )
+            shares = self._share.shares
+            self._share.predicted(at_s, force_n, float(self._gas.force_n) - self._zero_n)
+        self._show(
+            at_s,
+            float(np.mean(pressure)) if pressure else math.nan,
+            force_n,
+            *(100.0 * share for share in shares or (math.nan, math.nan)),
+        )
+
+    def _show(self, at_s: float, *values: float) -> None:
+        """Draw and record one row: pressure, force and the two shares; NaN is no value."""
+        for feed, value in zip(PREDICTION_FEEDS, values, strict=True):
+            if not math.isnan(value):
+                self.view.series(feed.path, [at_s], [value])
+        if VALVE_STREAM in self._record.withheld:  # nor is what it is compared with
+            return
+        at_ns = self._start_ns + round(at_s * NS_PER_S)
+        self._kept(lambda: self._rows.add((self._rows.rows, at_ns, *values)))
+
+    def _kept(self, write: Callable[[], object]) -> None:
+        """Write into the record; what a failed disk means, the runner says."""
+        with contextlib.suppress(RecordError):
+            write()
 
     def _set_to(self, now_ns: int, pressure_kpa: float) -> None:
         """A set-point of the regulator; one of 0 vents, and each filling stands alone."""
@@ -220,11 +245,13 @@ def predicting(
         ConfigError: see `rigs.rigfile.plant_file.load_plant`.
     """
     constants, effects = load_plant(path)
+    text = tomlfile.read_text(path)
 
     def start(runner: Runner, record: RecordWriter) -> None:
         begin(runner, record)
         for feed in feeds:
             prediction = LivePrediction(feed.view, constants, effects)
             prediction.attach(runner.rig, record, runner.watch)
+            record.event("prediction", file=path.name, text=text)
 
     return start

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from daq.calibration import MOST_DAYS, Calibration
 from daq.errors import ConfigError
+from daq.wholefile import write_whole
 from rigs.rigfile.toml_reader import Table, load_toml
 
 
@@ -142,7 +143,7 @@ points = [
 ]
 """
     try:
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
     except OSError as error:
         raise ConfigError(
             str(path), f"cannot be written: {error.strerror}", "choose another --to"

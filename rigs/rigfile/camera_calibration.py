@@ -10,6 +10,7 @@ from typing import Any
 
 from daq.calibration import Calibration
 from daq.errors import ConfigError
+from daq.wholefile import write_whole
 from plant import tomlfile
 from vision.marker.gap import GapMeasurement
 from vision.marker.lens import Lens
@@ -120,14 +121,14 @@ def save_camera_calibration(path: Path, camera: CameraCalibration) -> None:
     """Write a calibration file; .json writes JSON, anything else TOML."""
     data = camera.to_dict()
     if path.suffix.lower() == ".json":
-        path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        write_whole(path, json.dumps(data, indent=1) + "\n")
         return
     lines: list[str] = []
     for table, values in data.items():
         lines.append(f"[{table}]")
         lines += [f"{key} = {_toml(value)}" for key, value in values.items()]
         lines.append("")
-    path.write_text("\n".join(lines), encoding="utf-8")
+    write_whole(path, "\n".join(lines))
 
 
 def _toml(value: Any) -> str:

@@ -2,6 +2,7 @@
 
 python -m tests.look.live --out docs/images/live-isometric.png   (a test on the virtual bench)
 python -m tests.look.live --protocol isotonic --points 100 --out docs/images/live-isotonic.png
+python -m tests.look.live --protocol creep --at end --out out/end.png      (or at a state: zero)
 python -m tests.look.live --run runs/<run> --out out/view.png
 """
 
@@ -84,8 +85,21 @@ def look_at_bench(
     points: int = 130,
     width: int = 1600,
     height: int = 1000,
+    at: str = "",
+    template: str = "",
+    rig: str = "",
 ) -> npt.NDArray[np.uint8]:
-    """Photograph the live view of a real run on the virtual bench, held after some points."""
+    """Photograph the live view of a real run on the virtual bench, held after some points.
+
+    Args:
+        root: folder of runs.
+        out: the picture.
+        protocol: the test.
+        points: so many results are made before the picture.
+        width, height: of the page.
+        at: a state of the test, or "end": the picture is taken there and not after some points.
+        template, rig: the protocol file and the rig; by default those of the protocol.
+    """
     from daq.interrupt import StopFlag
     from rigs.execution.session import run_protocol
     from rigs.live.feed import LiveFeed
@@ -93,9 +107,9 @@ def look_at_bench(
     from rigs.protocols.registry import procedure
     from rigs.rigfile.config import load_rig
 
-    config = load_rig(default_rig(protocol))
+    config = load_rig(rig or default_rig(protocol))
     kind = procedure(protocol)
-    plan = kind.read(protocol, config)
+    plan = kind.read(template or protocol, config)
     layout = kind.analysis.layout(plan.as_dict())
     stop, done = StopFlag(), []
     taken: list[npt.NDArray[np.uint8]] = []
@@ -106,9 +120,22 @@ def look_at_bench(
         def points(self, *args: object, **kwargs: object) -> None:
             super().points(*args, **kwargs)
             done.append(args)
-            if len(done) == points:
+            if not at and len(done) == points:
+                self.take()
+
+        def state(self, path: str, time_s: float, text: str) -> None:
+            super().state(path, time_s, text)
+            if text == at and not taken:
+                self.take()
+
+        def close(self) -> None:
+            if at == "end" and not taken:
                 taken.append(photograph(browser, out))
-                stop.set("the picture is taken")
+            super().close()
+
+        def take(self) -> None:
+            taken.append(photograph(browser, out))
+            stop.set("the picture is taken")
 
     def make_live(run_id: str) -> LiveFeed:
         view = HeldView(run_id, layout, port=0)
@@ -127,8 +154,11 @@ def look_at_run(
     folder: Path, out: Path, width: int = 1600, height: int = 1000
 ) -> npt.NDArray[np.uint8]:
     """Photograph the view of a recorded run."""
+    from analysis.registry import analysis_of
+
     run = open_run(folder)
-    viewer = open_view(run, isometric_layout(), measured_edges(run), port=0)
+    layout = analysis_of(run.manifest.get("protocol")).layout(run.manifest.get("parameters") or {})
+    viewer = open_view(run, layout, measured_edges(run), port=0)
     try:
         with Browser(width, height) as browser:
             browser.open(viewer.url)
@@ -143,6 +173,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/images/live-isometric.png"))
     parser.add_argument("--protocol", default="isometric")
     parser.add_argument("--points", type=int, default=130, help="settled points before the picture")
+    parser.add_argument("--at", default="", help="a state of the test, or end")
+    parser.add_argument("--template", default="", help="protocol file; default: of the protocol")
+    parser.add_argument("--rig", default="", help="default: of the protocol")
     parser.add_argument("--run", type=Path, help="a run folder instead of a live test")
     parser.add_argument("--synthetic", action="store_true", help="no bench, made-up curves")
     parser.add_argument("--width", type=int, default=1600)
@@ -152,8 +185,10 @@ def main() -> None:
         look_at_run(given.run, given.out, given.width, given.height)
     elif not given.synthetic:
         with tempfile.TemporaryDirectory() as root:
-            size = {"width": given.width, "height": given.height}
-            look_at_bench(Path(root), given.out, given.protocol, given.points, **size)
+            look_at_bench(
+                Path(root), given.out, given.protocol, given.points, given.width, given.height,
+                given.at, given.template, given.rig,
+            )  # fmt: skip
     else:
         look_at_live(given.out, given.width, given.height)
     print(f"{given.out}: {given.out.stat().st_size / 1000:.0f} kB")

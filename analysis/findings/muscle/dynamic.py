@@ -19,6 +19,7 @@ from analysis.findings.findings import (
     records,
 )
 from analysis.layouts.muscle import dynamic_layout
+from analysis.reduction.muscle.energy import State, cycle_energy, stated_air
 from analysis.reduction.muscle.response import (
     PRESSURE_FORCE,
     PRESSURE_LENGTH,
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 UNITS = {SET_PRESSURE: "kPa/kPa", PRESSURE_FORCE: "N/kPa", PRESSURE_LENGTH: "mm/kPa"}
 NARROW = 5.0
 """A logarithmic axis whose ends differ by less gets evenly spaced labels."""
+FEW_SINES = 6
+"""So many frequencies stand at a short axis, each with its number."""
 HALF_POWER = 10.0 ** (-3.0 / 20.0)
 METHOD: tuple[str, ...] = (
     "Input and output are cut into segments of whole periods (of a chirp: sweeps). The response is"
@@ -46,6 +49,18 @@ METHOD: tuple[str, ...] = (
     " that reads force or length is part of the phase.",
     "A distortion that is the same in every period does not lower the coherence of a sine; the"
     " harmonics show it: root of the power of harmonics 2 to 5 over that of the first.",
+)
+
+
+STROKE_WORDS = (
+    "The stroke is that of the mean period: the counted periods as a sum of harmonics, up to the"
+    " fifth where the readings are fast enough. The air of a cycle is taken between the highest and"
+    " the lowest pressure of that period."
+)
+NO_WORK = "The length is held: no work is done over a cycle."
+NO_LENGTH = (
+    "No length was read while the load moved (that needs a length_source in the rig file), so no"
+    " work is given."
 )
 
 
@@ -103,8 +118,47 @@ def dynamic_findings(run: Run, reduction: Reduction) -> Findings:
         sections.append(
             Section("Bandwidth of the pressure", words, frame, columns_3db, caption=caption)
         )
-    data = {"responses": records(table), "bandwidths": bands, "saturated": stopped}
+    work, energies = _work(run, table)
+    sections.append(work)
+    data = {
+        "responses": records(table), "bandwidths": bands, "saturated": stopped, "energy": energies,
+    }  # fmt: skip
     return Findings(_headline(table, bands, stopped), tuple(sections), data)
+
+
+def _work(run: Run, table: pd.DataFrame) -> tuple[Section, list[dict[str, Any]]]:
+    """Work of the stroke, exergy of the air and efficiency of each sine under a load."""
+    import pandas as pd
+
+    from analysis.findings.muscle.energy import ENERGY_COLUMNS, ENERGY_WORDS, NOT_KNOWN
+
+    title = "Work and efficiency"
+    parameters = run.manifest.get("parameters") or {}
+    if not parameters.get("mass_kg"):
+        return Section(title, (NO_WORK,)), []
+    lifted = table[table["stroke_mm"].notna()]
+    if not len(lifted):
+        return Section(title, (NO_LENGTH,)), []
+    air = stated_air(parameters)
+    pressure, length = run.calibration("pressure_kpa"), run.calibration("length_mm")
+    rows: list[dict[str, Any]] = []
+    for row in lifted.to_dict("records"):
+        high, low = (
+            State(kpa, float(pressure.u(kpa)), mm, float(length.u(mm)))
+            for kpa, mm in (
+                (float(row[f"pressure_{end}_kpa"]), float(row[f"length_{end}_mm"]))
+                for end in ("high", "low")
+            )
+        )
+        made = cycle_energy(float(row["work_j"]), float(row["u_work_j"]), high, low, air)
+        named = {key: row[key] for key in ("slot", "repeat", "stroke_mm", "u_stroke_mm")}
+        rows.append({**named, "frequency_hz": float(f"{row['frequency_hz']:.4g}"), **vars(made)})
+    words = (STROKE_WORDS, *ENERGY_WORDS, *(() if air is not None else (NOT_KNOWN,)))
+    columns = (
+        ("slot", "excitation"), ("repeat", "repeat"), ("frequency_hz", "frequency, Hz"),
+        ("stroke_mm", "stroke, mm"), *ENERGY_COLUMNS,
+    )  # fmt: skip
+    return Section(title, words, pd.DataFrame(rows), columns, caption=f"{EXPANDED}."), rows
 
 
 def _bands(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -153,17 +207,21 @@ def _headline(
     return text + "."
 
 
-def _minor(value: float, _: object) -> str:
-    """Labels between decades: at 2 and 5."""
-    return f"{value:g}" if f"{value:e}"[0] in "25" else ""
-
-
 def _bode(part: pd.DataFrame, unit: str) -> Figure:
-    from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
+    from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
-    from analysis.figures.drawing import COVERAGE, QUIET, marker, new_figure, sequence, style
+    from analysis.figures.drawing import (
+        COVERAGE,
+        QUIET,
+        marker,
+        new_figure,
+        plain_decades,
+        sequence,
+        style,
+    )
 
     groups = list(part.groupby(["slot", "repeat", "shape"], sort=False))
+    sines = sorted(set(part.loc[part["shape"] == "sine", "frequency_hz"]))
     settings = list(dict.fromkeys((slot, repeat) for (slot, repeat, _), _ in groups))
     colours = dict(zip(settings, sequence(len(settings)), strict=True))
     with style():
@@ -192,11 +250,12 @@ def _bode(part: pd.DataFrame, unit: str) -> Figure:
         top.set_yscale("log")
         for axis in (bottom.xaxis, top.yaxis):
             low, high = axis.get_view_interval()
-            if high < NARROW * low:
-                axis.set_major_locator(MaxNLocator(5))
-                axis.set_minor_locator(NullLocator())
-            else:
-                axis.set_minor_formatter(FuncFormatter(_minor))
+            if high >= NARROW * low:
+                plain_decades(axis)
+                continue
+            few = axis is bottom.xaxis and len(sines) <= FEW_SINES
+            axis.set_major_locator(FixedLocator(sines) if few else MaxNLocator(5))
+            axis.set_minor_locator(NullLocator())
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.4g}"))
         middle.axhline(0.0, color=QUIET, linewidth=0.8)
         top.set_ylabel(f"gain ({unit})")

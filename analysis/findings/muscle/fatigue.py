@@ -244,8 +244,10 @@ def _headline(
     if not math.isfinite(u):
         return f"{text}; too few for a drift."
     return (
-        f"{text}; the {quantity.name} changed by {change:+z.2f} ± {2 * u:.2g} % (k = 2)."
-    ).replace("-", "−")
+        (f"{text}; the {quantity.name} changed by {change:+z.2f} ± {2 * u:.2g} % (k = 2).")
+        .replace("+0.00", "0.00")
+        .replace("-", "−")
+    )
 
 
 def _log_rows(n: int, per_decade: int = 8) -> list[int]:
@@ -257,7 +259,14 @@ def _log_rows(n: int, per_decade: int = 8) -> list[int]:
 
 
 def _figure(table: pd.DataFrame, quantity: Quantity, law: TimeLaw | None) -> Figure:
-    from analysis.figures.drawing import INK, MEASURED, QUIET, new_figure, style
+    from analysis.figures.drawing import (
+        INK,
+        MEASURED,
+        QUIET,
+        new_figure,
+        plain_decades,
+        style,
+    )
 
     wanted = [(quantity.column, f"{quantity.name}\n({quantity.unit})"),
               ("pressure_high_kpa", "high pressure\n(kPa)"), ("leak_kpa_s", "leak\n(kPa/s)"),
@@ -282,6 +291,7 @@ def _figure(table: pd.DataFrame, quantity: Quantity, law: TimeLaw | None) -> Fig
             axis.axvline(1.0, color=QUIET, linewidth=0.5)
         last = np.atleast_1d(axes)[-1]
         last.set_xscale("log")
+        plain_decades(last.xaxis)
         last.set_xlabel("cycle")
         figure.align_ylabels(np.atleast_1d(axes))
     return figure

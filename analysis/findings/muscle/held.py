@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.figures.wording import with_u
 from analysis.findings.findings import (
     BARS,
     EXPANDED,
@@ -210,14 +211,22 @@ def _headline(rows: list[dict[str, Any]], quantity: Quantity) -> str:
         return f"No change of the {what} was found: below {most:.2g} {quantity.unit} per decade."
     largest = max(moved, key=lambda row: abs(row["rate"]))
     return (
-        f"The {what} {quantity.verb} by up to {largest['rate']:.3g} ± {2 * largest['u_rate']:.2g}"
+        f"The {what} {quantity.verb} by up to {with_u(largest['rate'], largest['u_rate'])}"
         f" {quantity.unit} per decade of time (k = 2; {largest['slot']}), found in"
         f" {len(moved)} of {len(known)} trials."
-    ).replace(" -", " −")
+    )
 
 
 def _figure(trials: list[HeldTrial], quantity: Quantity) -> Figure:
-    from analysis.figures.drawing import COVERAGE, QUIET, marker, new_figure, sequence, style
+    from analysis.figures.drawing import (
+        COVERAGE,
+        QUIET,
+        marker,
+        new_figure,
+        plain_decades,
+        sequence,
+        style,
+    )
 
     colours = sequence(len(trials))
     with style():
@@ -236,6 +245,7 @@ def _figure(trials: list[HeldTrial], quantity: Quantity) -> Figure:
                 bottom.errorbar(best.time_s, y - best.at(best.time_s), yerr=bars, **look)
         bottom.axhline(0.0, color=QUIET, linewidth=0.8)
         bottom.set_xscale("log")
+        plain_decades(bottom.xaxis)
         bottom.set_xlabel("time held (s)")
         top.set_ylabel(quantity.label)
         bottom.set_ylabel(f"measured − law ({quantity.unit})")

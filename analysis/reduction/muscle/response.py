@@ -39,7 +39,14 @@ FIGURES = (
     "frequency_hz", "gain", "u_gain", "phase_deg", "u_phase_deg", "coherence", "segments",
     "input_amplitude", "harmonics_percent",
 )  # fmt: skip
-COLUMNS = (*LABELS, *FIGURES)
+STROKE = (
+    "stroke_mm", "u_stroke_mm", "work_j", "u_work_j", "pressure_high_kpa", "pressure_low_kpa",
+    "length_high_mm", "length_low_mm",
+)  # fmt: skip
+"""Of a sine under a load; NaN elsewhere."""
+COLUMNS = (*LABELS, *FIGURES, *STROKE)
+HARMONICS = 5
+"""A mean period is the sum of so many harmonics, or of fewer where the readings are too slow."""
 READINGS_A_SEGMENT = 8
 """A segment holds so many readings of the slower signal or more."""
 HIGHEST_SHARE = 0.4
@@ -87,6 +94,44 @@ class Response:
     coherence: float
     segments: int
     input_amplitude: float
+
+
+@dataclass(frozen=True)
+class Period:
+    """The mean period of a signal: its values at equal phases, without a trend, shape (n,).
+
+    Attributes:
+        u: standard uncertainty of each value by noise.
+    """
+
+    values: Array
+    u: float
+
+
+def mean_period(
+    signal: Signal, frequency_hz: float, begin_s: float, periods: int, count: int = 360
+) -> Period | None:
+    """The mean of whole periods as a sum of harmonics; None where the readings are too few."""
+    harmonics = min(HARMONICS, int(HIGHEST_SHARE * signal.rate_hz / frequency_hz))
+    use = (signal.time_s >= begin_s) & (signal.time_s < begin_s + periods / frequency_hz)
+    t, y = signal.time_s[use], signal.values[use]
+    unknown = 2 + 2 * harmonics
+    if harmonics < 1 or len(t) < 2 * unknown:
+        return None
+
+    def columns(time_s: Array) -> list[Array]:
+        angles = [2.0 * math.pi * (k + 1) * frequency_hz * time_s for k in range(harmonics)]
+        return [wave(angle) for angle in angles for wave in (np.cos, np.sin)]
+
+    middle = float(t.mean())
+    matrix = np.column_stack([np.ones(len(t)), t - middle, *columns(t)])
+    found = np.linalg.lstsq(matrix, y, rcond=None)[0]
+    free = len(t) - unknown
+    noise = math.sqrt(float(np.sum((y - matrix @ found) ** 2)) / free)
+    phases_s = begin_s + np.arange(count) / (count * frequency_hz)
+    values = found[0] + np.column_stack(columns(phases_s)) @ found[2:]
+    u = noise * math.sqrt((unknown - 1) / len(t)) * student_ratio(free)
+    return Period(np.asarray(values), u)
 
 
 def sine_coefficients(signal: Signal, frequency_hz: float, edges_s: Array) -> npt.NDArray[Any]:
@@ -293,7 +338,8 @@ def reduce_dynamic(run: Run) -> Reduction:
 
     ``u_gain`` holds the random error and the gains of both calibrations, which are common to all
     frequencies (none for set-point to pressure, which is in the transducer's own scale).
-    ``u_phase_deg`` holds the random error and, between streams, 3 ms.
+    ``u_phase_deg`` holds the random error and, between streams, 3 ms. Of a sine under a load the
+    row of pressure to length has the stroke and its work, see :func:`_stroke`.
     """
     record = DynamicRecord(run)
     rows: list[dict[str, Any]] = []
@@ -356,6 +402,43 @@ def _row(
         "phase_deg": r.phase_deg, "u_phase_deg": math.hypot(r.u_phase_deg, across),
         "coherence": r.coherence, "segments": r.segments, "input_amplitude": r.input_amplitude,
         "harmonics_percent": harmonics,
+        **(_stroke(record, event, signals) if name == PRESSURE_LENGTH else {}),
+    }  # fmt: skip
+
+
+def _stroke(
+    record: DynamicRecord, event: Mapping[str, Any], signals: Mapping[str, Signal]
+) -> dict[str, float]:
+    """Stroke and work of a sine under a load, and pressure and length at both ends of the pressure.
+
+    The stroke is that of the mean period; its uncertainty is noise and the gain of the calibration,
+    since the zero cancels. The work is weight times stroke.
+    """
+    mass_kg = event.get("mass_kg")
+    if event["shape"] != "sine" or not mass_kg:
+        return {}
+    f, periods = float(event["low_hz"]), int(event["periods"])
+    begin_s = (int(event["counted_t_ns"]) - int(event["start_t_ns"])) * 1e-9
+    pressure, length = (
+        mean_period(signals[name], f, begin_s, periods) for name in ("pressure", "length")
+    )
+    if pressure is None or length is None:
+        return {}
+    manifest = record.run.manifest
+    weight = float(mass_kg) * float(manifest["conditions"]["gravity_m_s2"])
+    u_mass = float((manifest.get("load") or {}).get("u_mass", math.nan))
+    stroke = float(np.ptp(length.values))
+    u_gain = record.calibrations["length_mm"].u_gain
+    # At opposite phases the odd harmonics err against each other: the ends are not independent.
+    u_stroke = math.hypot(2.0 * length.u, u_gain * stroke)
+    work = weight * stroke * 1e-3
+    high, low = int(np.argmax(pressure.values)), int(np.argmin(pressure.values))
+    return {
+        "stroke_mm": stroke, "u_stroke_mm": u_stroke, "work_j": work,
+        "u_work_j": math.hypot(weight * u_stroke * 1e-3, u_mass * work),
+        "pressure_high_kpa": float(pressure.values[high]),
+        "pressure_low_kpa": float(pressure.values[low]),
+        "length_high_mm": float(length.values[high]), "length_low_mm": float(length.values[low]),
     }  # fmt: skip
 
 

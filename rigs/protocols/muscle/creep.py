@@ -39,7 +39,7 @@ class Creep(MethodParameters):
         settings = [(mass, p) for mass in self.masses_kg for p in self.pressures_kpa]
         for place, (mass, pressure) in self.method.trials(settings):
             yield from book.remount(place)
-            slot = f"M{mass:g} P{pressure:g}"
+            slot = f"{mass:g} kg, {pressure:g} kPa"
             held = (("load_kg", mass), ("held_pressure_kpa", pressure))
             yield from book.begin(place, slot, "creep", held)
             hung = yield HangLoad(mass)

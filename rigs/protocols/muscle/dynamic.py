@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from analysis.findings.muscle.dynamic import DYNAMIC
+from analysis.reduction.muscle.energy import Air
 from rigs.execution.procedure import Parameters, Procedure
+from rigs.protocols.parts.air import read_air
 from rigs.protocols.parts.method import Method, MethodParameters, read_method, refuse_hand_regulator
 from rigs.protocols.parts.trials import VENTED_KPA, Logbook
 from rigs.rigfile.config import RigConfig
@@ -55,7 +58,12 @@ class Dynamic(MethodParameters):
     chirp: Chirp | None
     slack_length_mm: float
     method: Method
+    air: Air | None = None
     source: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for run.json, without a table that the file does not have."""
+        return {k: v for k, v in super().as_dict().items() if k != "air" or v is not None}
 
     def steps(self) -> Steps:
         """The method: at each mean and amplitude the sines, then the sweeps."""
@@ -134,6 +142,7 @@ def read(name: str, config: RigConfig) -> Dynamic:
         chirp=_read_chirp(t),
         slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
         method=read_method(t, config.limits, drift_n=None if mass else 0.1),
+        air=read_air(t),
         source=t.source,
     )
     for mean in out.means_kpa:

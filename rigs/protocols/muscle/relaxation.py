@@ -41,7 +41,7 @@ class Relaxation(MethodParameters):
         settings = [(length, p) for length in self.lengths_mm for p in self.pressures_kpa]
         for place, (length, pressure) in self.method.trials(settings):
             yield from book.remount(place)
-            slot = f"L{length:g} P{pressure:g}"
+            slot = f"{length:g} mm, {pressure:g} kPa"
             held = (("held_length_mm", length), ("held_pressure_kpa", pressure))
             yield from book.begin(place, slot, "relaxation", held)
             yield from book.tared()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import ConfigError
+from daq.wholefile import write_whole
 from plant import tomlfile
 from rigs.rigfile.toml_reader import Table
 from vision.pose.camera import PoseCamera
@@ -85,7 +86,7 @@ def save_pose_camera(path: Path, camera: PoseCamera) -> None:
     if plane is not None:
         lines += ["", "[pose_camera.plane]"]
         lines += [f"{key} = {_text(value)}" for key, value in plane.items()]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_whole(path, "\n".join(lines) + "\n")
 
 
 def _text(value: Any) -> str:

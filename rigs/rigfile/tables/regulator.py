@@ -15,6 +15,7 @@ from typing import Any
 from analysis.regression.regulator import Regulator
 from daq.calibration import MOST_DAYS, Calibration
 from daq.errors import ConfigError
+from daq.wholefile import write_whole
 from rigs.rigfile.toml_reader import Table, load_toml
 
 SIGNALS = {"0-10 V": (0.0, 10.0), "0-5 V": (0.0, 5.0), "4-20 mA": (4.0, 20.0)}
@@ -220,6 +221,6 @@ def write_dynamics(
         *(f"{k} = {v:.3g}" for k, v in u.items() if math.isfinite(v)),
     ]
     try:
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_whole(path, "\n".join(lines) + "\n")
     except OSError as error:
         raise ConfigError(str(path), f"cannot be written: {error.strerror}") from None
