@@ -18,7 +18,7 @@ PARTS = (
     """
 import numpy as np
 from analysis.reduction.pictures import measure_stored
-from rigs.virtual.emulators.camera import render
+from rigs.virtual.emulators.pictures.camera import render
 measure_stored(render(60.0, np.random.default_rng(0)), {})
 """,
     """
