@@ -13,7 +13,7 @@ import json
 import socket
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from daq.errors import PortError
@@ -107,7 +107,7 @@ class RemoteCard:
 
     def __init__(self, device: CardDevice) -> None:
         self.device = device
-        self.sleep = time.sleep
+        self.sleep: Callable[[float], None] = time.sleep
         self.terminals: list[str] = []
         self.ranges: dict[str, float] = {}
         self.skip = 0
