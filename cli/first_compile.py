@@ -13,7 +13,7 @@ SIMULATION = "plant.simulator.kernel"
 MEASURING = """
 import numpy as np
 from analysis.reduction.pictures import measure_stored
-from rigs.virtual.emulators.camera import render
+from rigs.virtual.emulators.pictures.camera import render
 measure_stored(render(60.0, np.random.default_rng(0)), {})
 """
 """Measures one picture: compiles what finds the edges."""

@@ -12,7 +12,7 @@ import numpy as np
 from daq.calibration import Calibration
 from daq.clock import VirtualClock
 from daq.record.writer import RecordWriter
-from rigs.virtual.emulators.camera import render
+from rigs.virtual.emulators.pictures.camera import render
 
 GRAVITY = 9.80665
 CALIBRATIONS = {

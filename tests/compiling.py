@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 MEASURING = """
 import numpy as np
 from analysis.reduction.pictures import measure_stored
-from rigs.virtual.emulators.camera import render
+from rigs.virtual.emulators.pictures.camera import render
 measure_stored(render(60.0, np.random.default_rng(0)), {})
 """
 # Longest first. Parts that import each other stand together: what one has compiled is there.

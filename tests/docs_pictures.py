@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rigs.virtual.emulators.camera import CameraModel, render
-from rigs.virtual.emulators.marks import Drawn, MarkCamera, draw_marks
+from rigs.virtual.emulators.pictures.camera import CameraModel, render
+from rigs.virtual.emulators.pictures.marks import Drawn, MarkCamera, draw_marks
 
 
 def main(folder: Path) -> None:

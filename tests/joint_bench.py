@@ -24,9 +24,9 @@ HAND_S = 0.2
 """A person who is quicker than any: the lock takes no bench time worth simulating."""
 
 
-def joint_rig(seed: int | None = None, **joint: Any) -> RigConfig:
-    """The shipped rig; ``joint`` changes keys of [virtual.joint]."""
-    config = load_rig("virtual-joint", seed)
+def joint_rig(seed: int | None = None, rig: str = "virtual-joint", **joint: Any) -> RigConfig:
+    """A shipped rig; ``joint`` changes keys of [virtual.joint]."""
+    config = load_rig(rig, seed)
     assert config.virtual is not None
     virtual = dataclasses.replace(config.virtual, joint={**config.virtual.joint, **joint})
     return dataclasses.replace(config, virtual=virtual)

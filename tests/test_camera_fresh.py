@@ -20,7 +20,7 @@ from rigs.devices.event_loop import EventLoop
 from rigs.devices.fresh_camera import AGAIN_S, FreshCamera
 from rigs.devices.uvc import UvcCamera, UvcFrame
 from rigs.execution.settling import _Length
-from rigs.virtual.emulators.camera import render
+from rigs.virtual.emulators.pictures.camera import render
 
 SHAPE = (8, 8)
 

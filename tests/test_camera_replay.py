@@ -21,7 +21,7 @@ from rigs.devices.event_loop import EventLoop
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig, load_rig
-from rigs.virtual.emulators.camera import render
+from rigs.virtual.emulators.pictures.camera import render
 
 LENGTHS = {"lengths_mm": (57.0, 63.0), "pressures_kpa": (150.0, 300.0)}
 

@@ -18,7 +18,7 @@ from rigs.devices.camera import ReplayVideo, TriggeredGenicam
 from rigs.devices.cameras.genicam import GenicamCamera
 from rigs.devices.event_loop import EventLoop
 from rigs.rigfile.config import load_rig
-from rigs.virtual.emulators.camera import render
+from rigs.virtual.emulators.pictures.camera import render
 from vision.marker.edge import measure_gap
 
 LENGTHS = (57.0, 58.0, 59.0)

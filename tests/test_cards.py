@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import socket
+import threading
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from daq.errors import ConfigError, DeviceError
+from daq.clock import RealClock
+from daq.errors import ConfigError, DeviceError, LinkLost, PortError
 from daq.store.derive import engineering
 from protocol_runs import run_short
 from rigs.bench.rig import open_rig
@@ -17,6 +23,8 @@ from rigs.devices.cards import opened
 from rigs.devices.cards.card import Card, ScanClock
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
+from rigs.virtual.card_port import CardPort, RemoteCard
+from rigs.virtual.emulators.cards import VirtualCard, library_of
 from rigs.virtual.server import BenchServer
 
 RIGS = ("virtual-labjack", "virtual-ni")
@@ -168,7 +176,8 @@ def test_a_package_that_is_not_installed_is_named(
      ('quantity = "force_n"', 'quantity = "torque"', "torque"),
      ('static_scheme = "reg"', 'static_scheme = "pwm"', "static_scheme"),
      ('sensor = "transducer"', 'sensor = "cell"', "reads no pressure"),
-     ("[card.channels.cell]", "[card.channels.valve]", "not a valid name")],
+     ("[card.channels.cell]", "[card.channels.valve]", "not a valid name"),
+     ("[card.output]", "[card.valves]\ninlet = 0\n[card.output]", "does not vent by itself")],
 )  # fmt: skip
 def test_a_rig_file_that_cannot_work_names_the_key(
     old: str, new: str, words: str, tmp_path: Path
@@ -177,7 +186,103 @@ def test_a_rig_file_that_cannot_work_names_the_key(
         changed("virtual-labjack", tmp_path, (old, new))
 
 
-def test_a_card_cannot_be_offered_to_another_program(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no port that another program could open"):
-        BenchServer(load_rig("virtual-ni"), tmp_path / "bench")
-    assert not (tmp_path / "bench").exists()
+class Served:
+    """A simulated card behind its port, in a thread of its own."""
+
+    def __init__(self, kind: str) -> None:
+        config = load_rig("virtual-labjack" if kind == "labjack" else "virtual-ni")
+        assert config.instruments.card is not None
+        device = config.instruments.card
+        self.volts: list[tuple[str, float]] = []
+        read = {channel.terminal: (lambda: 1.5) for channel in device.channels.values()}
+        self.card = VirtualCard(device, read, lambda *out: self.volts.append(out), lambda s: None)
+        self.port = CardPort(self.card)
+        self.device = dataclasses.replace(device, port=self.port.address)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        now_ns = 0
+        while not self._stop.is_set():
+            now_ns += 1_000_000
+            while self.card.next_ns is not None and self.card.next_ns <= now_ns:
+                self.card.advance(now_ns)
+            self.card.advance(now_ns)
+            self.port.step()
+            time.sleep(0.0002)
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self.port.close()
+
+
+@pytest.fixture(params=["labjack", "nidaqmx"])
+def served(request: pytest.FixtureRequest) -> Iterator[Served]:
+    made = Served(request.param)
+    yield made
+    made.close()
+
+
+def test_a_card_behind_a_port_is_read_and_set_by_its_package(served: Served) -> None:
+    remote = RemoteCard(served.device)
+    driver = opened.backend(served.device, RealClock(), library_of(remote))
+    try:
+        driver.open()
+        channels = list(served.device.channels.values())
+        driver.start(channels, served.device.rate_hz)
+        seen, end = 0, time.monotonic() + 5.0
+        while seen < 100 and time.monotonic() < end:
+            block = driver.read()
+            assert block.shape[1] == len(channels)
+            assert (block == 1.5).all()
+            seen += len(block)
+        assert seen >= 100
+        output = served.device.output
+        assert output is not None
+        driver.write(output.terminal, 2.5)
+        assert served.volts == [(output.terminal, 2.5)]
+        served.card.gone = True
+        time.sleep(0.1)  # the next block is due
+        with pytest.raises(LinkLost):
+            _read_on(driver)
+    finally:
+        driver.close()
+        remote.close()
+
+
+def _read_on(driver: Any) -> None:
+    for _ in range(100):
+        driver.read()
+        time.sleep(0.02)
+
+
+def test_a_client_that_says_nonsense_is_hung_up_on(served: Served) -> None:
+    where = served.device.port.removeprefix("tcp://").split(":")
+    for words in (b"nonsense\n", b"[]\n", b'{"do": "write"}\n', b"x" * 100_000):
+        with socket.create_connection((where[0], int(where[1])), 2.0) as client:
+            with contextlib.suppress(OSError):
+                client.sendall(words)
+            client.settimeout(2.0)
+            with contextlib.suppress(ConnectionError):
+                assert client.recv(100) == b""
+    assert served.volts == []
+
+
+def test_nobody_at_the_address_is_said(served: Served) -> None:
+    device = dataclasses.replace(served.device, port="tcp://127.0.0.1:1")
+    with pytest.raises(PortError, match="pamrig virtual"):
+        RemoteCard(device)
+
+
+def test_the_rig_file_of_a_served_bench_names_the_port(tmp_path: Path) -> None:
+    server = BenchServer(load_rig("virtual-ni"), tmp_path / "bench")
+    try:
+        assert server.card is not None
+        mine = load_rig(str(server.rig_file))
+        assert mine.instruments.card is not None
+        assert mine.instruments.card.port == server.card.address
+        assert "card" not in server.ports
+    finally:
+        server.close()

@@ -54,7 +54,7 @@ def test_on_the_virtual_clock(rig: str, protocol: str, tmp_path: Path) -> None:
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-@pytest.mark.parametrize("rig", SERIAL)
+@pytest.mark.parametrize("rig", RIGS)
 def test_in_real_time_over_ports(rig: str, protocol: str, tmp_path: Path) -> None:
     """`pamrig virtual` and the command of the test, two processes with ports between them."""
     for attempt in range(ATTEMPTS):

@@ -177,7 +177,7 @@ def test_venting_by_hand_reaches_both(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ("[valve_b", "[valve_c", "valve_b: .joint. needs it as well"),
         ("[joint]", "[joints]", "joint: .valve_b. needs it as well"),
-        ('angle = "encoder"', 'angle = "marks"', "does not read marks yet"),
+        ('angle = "encoder"', 'angle = "marks"', "marks. is no instrument of this rig"),
         ('angle = "encoder"', 'angle = "torque_gauge"', "reads torque_n_m .*: encoder"),
         ('torque = "torque_gauge"', 'torque = "gauge"', "is no instrument of this rig"),
         ("range_deg = [-45.0, 45.0]", "range_deg = [45.0, -45.0]", "expected .lowest, highest"),

@@ -19,7 +19,7 @@ from cli.main import app
 from daq.errors import ConfigError
 from rigs.rigfile.config import camera_values, load_rig
 from rigs.rigfile.tables.marks import load_marks, load_pose_camera, save_pose_camera
-from rigs.virtual.emulators.marks import Drawn, MarkCamera, draw_marks, seen_at
+from rigs.virtual.emulators.pictures.marks import Drawn, MarkCamera, draw_marks, seen_at
 from vision.pose.calibrate import CalibrationError, calibrate
 from vision.pose.camera import PoseCamera
 from vision.pose.detect import Board, find_board

@@ -23,7 +23,7 @@ from rigs.rigfile.camera_calibration import (
     load_camera_calibration,
     save_camera_calibration,
 )
-from rigs.virtual.emulators.camera import CameraModel, render
+from rigs.virtual.emulators.pictures.camera import CameraModel, render
 from vision.marker.edge import measure_gap
 from vision.marker.lens import Lens
 from vision_truth import Scene, picture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rigs.virtual.emulators.camera import CameraModel, led_exposure, render
+from rigs.virtual.emulators.pictures.camera import CameraModel, led_exposure, render
 from vision.syncled import (
     SyncError,
     count_dropped,

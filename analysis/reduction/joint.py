@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -108,9 +109,21 @@ class JointRecord:
         return window_mean(calibration.apply(counts), abs(calibration.scale))
 
     def angle_mean(self, event: Mapping[str, Any]) -> WindowMean:
-        """Mean angle in degrees."""
+        """Mean angle in degrees; of marks with the uncertainty of a picture in quadrature."""
         readings = self.values(event, self.angle, "reading")
-        return window_mean(self.angles.apply(readings))
+        mean = window_mean(self.angles.apply(readings))
+        return replace(mean, u=math.hypot(mean.u, self.u_picture_deg(event)))
+
+    def u_picture_deg(self, event: Mapping[str, Any]) -> float:
+        """Standard uncertainty of the angle in one picture; 0 where no marks give it.
+
+        Pictures of a link at rest err in the same way, so that a mean is not better than one of
+        them; at another angle they err in another way.
+        """
+        if "u_deg" not in self.stream(self.angle):
+            return 0.0
+        each = self.values(event, self.angle, "u_deg")
+        return float(np.mean(each)) if len(each) else 0.0
 
     def torque_mean(self, event: Mapping[str, Any]) -> WindowMean:
         """Mean torque in N m; of a load cell its force times the lever."""
@@ -210,7 +223,8 @@ def reduce_joint_step(run: Run) -> Reduction:
             record.notes.append(f"point {event['order']}: no change of a set-point, or no angle")
         else:
             time_s, angle_deg, row["skew_s"] = answer
-            made = angle_figures(time_s, angle_deg, last_s, band)
+            u_picture = record.u_picture_deg(event)
+            made = angle_figures(time_s, angle_deg, last_s, band, u_picture)
             row |= made
             u_zero, u_gain = record.angles.u_offset, record.angles.u_gain
             for name in ("start_deg", "final_deg"):
@@ -252,7 +266,9 @@ def angle_answer(
     return time_s, record.angles.apply(encoder["reading"][use]), skew_s
 
 
-def angle_figures(time_s: Array, angle_deg: Array, last_s: float, band: float) -> dict[str, float]:
+def angle_figures(
+    time_s: Array, angle_deg: Array, last_s: float, band: float, u_reading_deg: float = 0.0
+) -> dict[str, float]:
     """Figures of the answer of an angle to a step, with their uncertainties by noise and sampling.
 
     Args:
@@ -260,6 +276,7 @@ def angle_figures(time_s: Array, angle_deg: Array, last_s: float, band: float) -
         angle_deg: shape (n,).
         last_s: the end of the stretch gives the final angle.
         band: half-width of the tolerance band, as a share of the step.
+        u_reading_deg: standard uncertainty of one reading at rest that its scatter does not show.
 
     Returns:
         ``start_deg`` and ``final_deg``; ``rise_s``: from 10 to 90 % of the step; ``peak_s``: until
@@ -273,17 +290,20 @@ def angle_figures(time_s: Array, angle_deg: Array, last_s: float, band: float) -
     size = abs(final.mean - start.mean)
     after, progress = time_s[~before], sign * (angle_deg[~before] - start.mean)
     noise = 1.4826 * float(np.median(np.abs(np.diff(angle_deg, 2)))) / math.sqrt(6.0)
+    noise = math.hypot(noise, u_reading_deg)
     period_s = float(np.median(np.diff(time_s)))
     low, u_low = _crossing(after, progress, 0.1 * size, noise)
     high, u_high = _crossing(after, progress, 0.9 * size, noise)
     peak = int(np.argmax(progress))
     over = float(progress[peak]) - size
     out = {
-        "start_deg": start.mean, "u_start_deg": start.u if start.n > 1 else noise,
-        "final_deg": final.mean, "u_final_deg": final.u,
+        "start_deg": start.mean,
+        "u_start_deg": math.hypot(start.u, u_reading_deg) if start.n > 1 else noise,
+        "final_deg": final.mean, "u_final_deg": math.hypot(final.u, u_reading_deg),
         "rise_s": high - low, "u_rise_s": math.hypot(u_low, u_high, CLOCK_S),
         "peak_s": float(after[peak]), "u_peak_s": math.hypot(period_s, CLOCK_S),
-        "overshoot_deg": max(0.0, over), "u_overshoot_deg": math.hypot(2.0 * noise, final.u),
+        "overshoot_deg": max(0.0, over),
+        "u_overshoot_deg": math.hypot(2.0 * noise, final.u, _between(progress, peak)),
     }  # fmt: skip
     outside = np.flatnonzero(np.abs(progress - size) > band * size)
     settled = not len(outside) or after[outside[-1]] <= time_s[-1] - last_s
@@ -299,14 +319,27 @@ def angle_figures(time_s: Array, angle_deg: Array, last_s: float, band: float) -
 def _crossing(time_s: Array, values: Array, level: float, noise: float) -> tuple[float, float]:
     """First time above a level, between two readings, and its uncertainty by noise and sampling."""
     above = np.flatnonzero(values >= level)
-    if not len(above) or above[0] == 0:
-        return (float(time_s[0]) if len(above) else math.nan), math.nan
+    if not len(above):
+        return math.nan, math.nan
+    if above[0] == 0:  # between the step, where it is 0, and the first reading after it
+        first_s = float(time_s[0])
+        return first_s * level / float(values[0]), first_s / math.sqrt(12.0)
     k = int(above[0])
     rise = float(values[k] - values[k - 1])
     step_s = float(time_s[k] - time_s[k - 1])
     at = float(time_s[k - 1]) + step_s * (level - float(values[k - 1])) / rise
     slope = _slope(time_s, values, at)
-    return at, noise / slope if slope else step_s
+    bend = float(np.abs(np.diff(values[max(k - 2, 0) : k + 2], 2)).max(initial=0.0)) / 8.0
+    return at, math.hypot(noise, bend) / slope if slope else step_s
+
+
+def _between(values: Array, peak: int) -> float:
+    """How much higher a peak may be than the highest reading, by the parabola through three."""
+    if not 0 < peak < len(values) - 1:
+        return 0.0
+    low, top, high = (float(v) for v in values[peak - 1 : peak + 2])
+    bend = 2.0 * top - low - high
+    return (high - low) ** 2 / (8.0 * bend) if bend > 0.0 else 0.0
 
 
 def _slope(time_s: Array, values: Array, at_s: float, readings: int = 3) -> float:

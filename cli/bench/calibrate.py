@@ -1,4 +1,4 @@
-"""`pamrig calibrate camera|pressure|force|regulator`."""
+"""`pamrig calibrate camera|pose|pressure|force|length|regulator`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ RECORDS = Path("calibrations")
 
 def add_calibration(app: typer.Typer) -> None:
     """Add the commands of `pamrig calibrate`."""
-    for command in (camera, pose, pressure, force, regulator):
+    for command in (camera, pose, pressure, force, length, regulator):
         app.command()(command)
 
 
@@ -227,6 +227,55 @@ def force(
         done = calibrate_force(
             load_rig(rig), _numbers(masses, "--masses-kg"), records, weights=reference,
             who=operator, stop=stop, watch=_watch(as_json),
+        )  # fmt: skip
+    _write(done, out, replace, valid_days, as_json)
+
+
+def length(
+    out: CalibrationOption,
+    rig: RigOption = "virtual-laser",
+    lengths: Annotated[
+        str, typer.Option("--lengths-mm", help="Gauge blocks, or positions of the stage, in mm.")
+    ] = "52,57,62,67,72",
+    instrument: Annotated[
+        str, typer.Option(help="The instrument; default: length_source of the rig.")
+    ] = "",
+    blocks: Annotated[
+        str, typer.Option(help="Name of the blocks, or of the certificate of the stage.")
+    ] = "",
+    by_stage: Annotated[
+        bool, typer.Option("--by-stage", help="The motor stage instead of gauge blocks.")
+    ] = False,
+    u_each: Annotated[float, typer.Option(help="u of a single length, in mm.")] = 0.0,
+    u_zero: Annotated[
+        float, typer.Option(help="u common to all lengths (seat, zero of the stage), in mm.")
+    ] = 0.0,
+    u_gain: Annotated[float, typer.Option(help="u common to all lengths, relative.")] = 0.0,
+    records: RecordsOption = RECORDS,
+    operator: OperatorOption = "",
+    replace: ReplaceOption = False,
+    valid_days: ValidOption = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Reading of a laser, gauge, LVDT or encoder to mm: gauge blocks or the stage, up and down."""
+    from analysis.regression.calibration_line import Reference
+    from daq.interrupt import stop_on_signals
+    from rigs.calibration.length import calibrate_length
+    from rigs.rigfile.config import load_rig
+
+    reference = Reference(
+        blocks or ("stage" if by_stage else "gauge blocks"),
+        _uncertainty(u_each, "--u-each"),
+        _uncertainty(u_zero, "--u-zero"),
+        _uncertainty(u_gain, "--u-gain", relative=True),
+    )
+    _valid_days(valid_days)
+    _check(out, replace)
+    with stop_on_signals() as stop:
+        done = calibrate_length(
+            load_rig(rig), _numbers(lengths, "--lengths-mm"), records, blocks=reference,
+            instrument=instrument, by_stage=by_stage, who=operator, stop=stop,
+            watch=_watch(as_json),
         )  # fmt: skip
     _write(done, out, replace, valid_days, as_json)
 

@@ -96,8 +96,6 @@ def protocol_command(name: str, options: TestOptions) -> int:
     if options.seed is not None and config.virtual is None:
         raise ConfigError(config.source, "--seed is for virtual benches", "leave it out")
     kind.check(config)
-    if kind.on_joint and options.predict is not None:
-        raise ConfigError("--predict", "is for tests of one muscle", "leave it out")
     plan = kind.read(options.protocol or name, config)
     if config.is_virtual:
         compile_first()
@@ -106,7 +104,11 @@ def protocol_command(name: str, options: TestOptions) -> int:
     begin: Callable[[Runner, Any], None] = line.start
     if options.live:
         feeds: list[LiveFeed] = []
-        if options.predict is not None:
+        if options.predict is not None and kind.on_joint:
+            from rigs.live.joint_prediction import predicting_joint
+
+            begin = predicting_joint(options.predict, config, feeds, line.start)
+        elif options.predict is not None:
             from rigs.live.prediction import predicting
 
             begin = predicting(options.predict, feeds, line.start)

@@ -17,6 +17,7 @@ from plant.effects.empirical import UNCORRECTED, Corrections
 CALIBRATION = (
     "pressure_zero_kpa", "pressure_gain_percent", "force_zero_n", "force_gain_percent",
     "length_zero_mm", "length_gain_percent",
+    "pressure_clock_ms", "force_clock_ms", "length_clock_ms",
 )  # fmt: skip
 """Keys of `calibration.toml`."""
 
@@ -31,8 +32,8 @@ class DataSet:
         constants: the nominal plant with what `bench.toml` states.
         effects: effects that `bench.toml` switches on, so that they are no gap.
         notes: what a reader of the verdict should know (columns ignored, trials left out).
-        calibration: standard uncertainty of what all trials share of a sensor's zero or gain, by
-            `CALIBRATION`'s names; what is not stated is taken as exact.
+        calibration: standard uncertainty of what all trials share of a sensor's zero, gain or
+            clock, by `CALIBRATION`'s names; what is not stated is taken as exact.
         corrections: empirical terms that `bench.toml` states, so that they are no gap.
         simulator: takes the place of the built-in stages that it stands for; None for none.
     """

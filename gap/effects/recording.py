@@ -42,7 +42,7 @@ def _pressure_late(p: Array, points: Points, amount: float) -> Array:
 
 
 def _pressure_clock(params: Params, amount: float, option: str, shape: Shape) -> None:
-    params[stage.CLOCK] = amount * 1e-3
+    params[stage.CLOCK] += amount * 1e-3
 
 
 def _smoothed(values: Array, points: Points, amount: float) -> Array:
@@ -69,12 +69,14 @@ RECORDING: tuple[RecordingError, ...] = (
         "force_n is out of time with the other channels",
         InDiagnosis(force_shown=_force_late),
         Search(step=4.0, sign=0, blocks=("force", "load"), scan="clock"),
+        calibration="force_clock_ms",
     ),
     RecordingError(
         "pressure_clock",
         "pressure_kpa is out of time with the other channels",
         InDiagnosis(pressure=_pressure_late, gas=_pressure_clock),
         Search(step=2.0, sign=0, blocks=("pressure", "force", "load"), scan="clock"),
+        calibration="pressure_clock_ms",
     ),
     RecordingError(
         "force_smoothed",

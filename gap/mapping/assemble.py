@@ -50,6 +50,19 @@ class MuscleSet:
     recordings: list[Recording] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
+    @property
+    def clock_errors_ms(self) -> dict[str, float]:
+        """What the joined clocks of its recordings leave open, by key of `calibration.toml`.
+
+        Of several recordings the largest.
+        """
+        found: dict[str, float] = {}
+        for recording in self.recordings:
+            for key in recording.clocks if recording.offset is not None else ():
+                assert recording.offset is not None
+                found[key] = max(found.get(key, 0.0), 1e3 * recording.offset.u_s)
+        return found
+
 
 def assemble(mapping: Mapping, folder: Path) -> list[MuscleSet]:
     """Read all files of a mapping and cut them into trials.
@@ -206,6 +219,8 @@ def _finish(own: MuscleSet, mapping: Mapping) -> None:
     if twice is not None:
         what = f"two trials are called {twice!r}"
         raise GapError(f"{mapping.path}: cut.by", what, 'cut by "file" as well, or rename a file')
+    for key, u_ms in own.clock_errors_ms.items():
+        own.notes.append(f"calibration.toml: {key} contains {u_ms:.3g} ms of the joined clocks")
     order = _order(own, mapping)
     if order is None:
         for row in own.trials:

@@ -9,6 +9,7 @@ how well the shapes of both agree.
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,12 @@ WINDOW_S = 0.5
 LEVELS = (0.25, 0.5, 0.75)
 RIVAL = 0.5
 """Refused as ambiguous: another offset that fits at least this part as many steps."""
+CLOCK_KEYS = {
+    "pressure_kpa": "pressure_clock_ms", "force_n": "force_clock_ms",
+    "length_mm": "length_clock_ms",
+}  # fmt: skip
+"""Channel to the key of `calibration.toml` for the time of it."""
+COMMANDS = frozenset({"inlet_cmd", "outlet_cmd"})
 FEWEST_SPREAD = 3
 """From so many steps on, their spread is an estimate of its own."""
 
@@ -163,6 +170,20 @@ def offset_of(
                 'make a step that both see, change smallest or window_s, or use by = "stated"',
             )  # fmt: skip
     return _matched(join, where, *seen)
+
+
+def clock_keys(one: Set[str], other: Set[str]) -> tuple[str, ...]:
+    """Keys of `calibration.toml` that take up the uncertainty of a join.
+
+    Only the difference of both clocks matters, so that the channels of either file may carry it.
+    Commands have no such key: the file without them does, and of two the one with fewer channels.
+
+    Args:
+        one, other: names of the channels and commands of both files.
+    """
+    sides = [side for side in (one, other) if not side & COMMANDS] or [one]
+    names = min(sides, key=lambda side: len(side & CLOCK_KEYS.keys()))
+    return tuple(key for name, key in CLOCK_KEYS.items() if name in names)
 
 
 def find_steps(time_s: Array, value: Array, window_s: float, smallest: float) -> Steps:

@@ -13,7 +13,7 @@ import pandas as pd
 from gap.errors import GapError
 from gap.mapping.formats.opened import open_source
 from gap.mapping.formats.source import Column, Source, Whole
-from gap.mapping.join import Offset, offset_of
+from gap.mapping.join import Offset, clock_keys, offset_of
 from gap.mapping.mapping import (
     LONGEST_S,
     Fact,
@@ -106,6 +106,7 @@ class Recording:
         direction: +1 up, -1 down, 0 unknown; settled points only.
         dated: whether its times count from 1970, so that files share one clock.
         offset: by how much the clock of a companion file was shifted.
+        clocks: keys of `calibration.toml` that state how uncertain that is.
     """
 
     found: Found
@@ -116,6 +117,7 @@ class Recording:
     direction: npt.NDArray[np.int64] | None = None
     dated: bool = False
     offset: Offset | None = None
+    clocks: tuple[str, ...] = ()
     _sources: dict[Path, Source] = field(default_factory=dict)
     _columns: dict[tuple[Path, str], Column] = field(default_factory=dict)
     _words: dict[tuple[Path, str], list[str]] = field(default_factory=dict)
@@ -299,6 +301,8 @@ def _joined(recording: Recording) -> None:
         for name, series in named.items():
             if streams[name].file == file and series.ns is not None:
                 named[name] = replace(series, ns=series.ns + shift_ns)
+    shifted = {name for name, stream in streams.items() if stream.file == file}
+    recording.clocks = clock_keys(shifted, streams.keys() - shifted)
 
 
 def _check_unit(column: Column, unit: str, where: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 import shutil
 import tempfile
@@ -133,17 +134,17 @@ def _scratch(out: Path, dry: bool) -> Iterator[Path]:
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _stated(mapping: Mapping, name: str) -> Muscle:
-    """What holds for a muscle: its own values over the common ones."""
-    own = mapping.muscles.get(name, Muscle())
-    return Muscle(
-        {**mapping.common.bench, **own.bench},
-        {**mapping.common.calibration, **own.calibration},
-    )
+def _stated(mapping: Mapping, one: MuscleSet) -> Muscle:
+    """What holds for a muscle: its own values over the common ones, and what its clocks leave."""
+    own = mapping.muscles.get(one.name, Muscle())
+    calibration = {**mapping.common.calibration, **own.calibration}
+    for key, u_ms in one.clock_errors_ms.items():
+        calibration[key] = float(f"{math.hypot(calibration.get(key, 0.0), u_ms):.6g}")
+    return Muscle({**mapping.common.bench, **own.bench}, calibration)
 
 
 def _write(folder: Path, mapping: Mapping, one: MuscleSet) -> None:
-    stated = _stated(mapping, one.name)
+    stated = _stated(mapping, one)
     samples = pd.concat(one.samples, ignore_index=True)
     columns = [name for name in SAMPLE_COLUMNS if name in samples]
     try:

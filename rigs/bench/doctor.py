@@ -116,7 +116,7 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         yield _pressure(side, rig.clock.virtual)
     yield from _readings(rig)
     yield from _clocks(rig)
-    if config.camera.source:
+    if config.camera.source and config.joint is None:  # marks are an instrument of the joint
         yield _camera(rig)
     for side in rig.sides:
         if side.valve.fault_latched:

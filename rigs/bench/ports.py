@@ -18,8 +18,10 @@ from rigs.devices.camera import Camera
 from rigs.devices.cards.card import Card
 from rigs.devices.cards.opened import backend
 from rigs.devices.event_loop import EventLoop
+from rigs.devices.fresh_camera import FreshCamera
 from rigs.devices.hung_mass import HungMass
 from rigs.devices.instruments.channel import ChannelReader
+from rigs.devices.instruments.marks import MarkReader
 from rigs.devices.instruments.modbus import ModbusInstrument
 from rigs.devices.instruments.supply import Supply
 from rigs.devices.instruments.text import TextInstrument
@@ -30,6 +32,7 @@ from rigs.devices.valve_controller import ValveController
 from rigs.rigfile.config import Device, RigConfig, camera_values
 from rigs.rigfile.instruments import CardChannel, TextDevice
 from rigs.rigfile.tables.channel import ControllerChannel
+from rigs.rigfile.tables.marks import MarkDevice
 
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench
@@ -76,6 +79,13 @@ class Ports:
         if device is None:
             return None
         library = self._bench.extras.card_library if self._bench is not None else None
+        if library is None and device.port.startswith("tcp:"):  # that of `pamrig virtual`
+            from rigs.virtual.card_port import RemoteCard
+            from rigs.virtual.emulators.cards import library_of
+
+            remote = RemoteCard(device)
+            self._stack.callback(remote.close)
+            library = library_of(remote)
         self.card = Card(backend(device, self._clock, library), device, event_loop)
         self._stack.callback(self.card.close)
         return self.card
@@ -142,7 +152,7 @@ def open_supply(
 
 
 def open_readers(
-    ports: Ports, event_loop: EventLoop, valve: ValveController
+    ports: Ports, event_loop: EventLoop, valve: ValveController, camera: FreshCamera
 ) -> dict[str, Instrument]:
     """Every instrument that gives readings, opened but not yet checked.
 
@@ -161,6 +171,13 @@ def open_readers(
         if isinstance(device, ControllerChannel):
             out[name] = reader = ChannelReader(valve, event_loop, name, device)
             event_loop.add(reader.poll)
+            continue
+        if isinstance(device, MarkDevice):
+            out[name] = marks = MarkReader(
+                camera, event_loop, name, device, camera_values(config),
+                config.camera.jpeg_quality,
+            )  # fmt: skip
+            event_loop.add(marks.poll)
             continue
         link = ports.open(name, device)
         sources = (config.force_source, config.length_source, config.pressure_source.sensor)

@@ -201,14 +201,14 @@ def open_rig(
             camera = FreshCamera(NoCamera(), clock, False)
         elif bench is not None and not config.camera.replayed:
             eye = CallCamera(bench.expose, config.camera.serial)
-            camera = FreshCamera(eye, clock, bench.camera_model.noise > 0.0)
+            camera = FreshCamera(eye, clock, bench.camera_noise > 0.0)
         else:
             # Recorded pictures may be alike: of a single one, or of a drawing without noise.
             noisy = not config.camera.replayed
             camera = FreshCamera(open_camera(config.camera, event_loop), clock, noisy)
             stack.callback(camera.close)
         person = operator or default_operator(ports, bench)
-        instruments = open_readers(ports, event_loop, valve)
+        instruments = open_readers(ports, event_loop, valve, camera)
         balance = _force_source(ports, event_loop, instruments, identities)
         for name, reader in instruments.items():
             identities[name] = reader.connect(config.instruments.readers()[name].serial)

@@ -187,7 +187,7 @@ def _run(path: Path) -> Iterator[SourceFrame]:
 
 
 def _virtual(text: str) -> Iterator[SourceFrame]:
-    from rigs.virtual.emulators.camera import render
+    from rigs.virtual.emulators.pictures.camera import render
 
     try:
         lengths = [float(part) for part in text.split(",") if part.strip()] or [55.0]

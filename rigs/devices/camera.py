@@ -52,6 +52,22 @@ def is_lit(gray: npt.NDArray[np.uint8]) -> bool:
     return int(gray.max()) > int(gray.min())
 
 
+def as_jpeg(frame: Frame, quality: int) -> bytes:
+    """The JPEG that is stored of a picture: as it came, or encoded.
+
+    Raises:
+        DeviceError: it cannot be encoded.
+    """
+    import cv2
+
+    if frame.jpeg:
+        return frame.jpeg
+    ok, data = cv2.imencode(".jpg", frame.gray, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not ok:
+        raise DeviceError("camera", f"frame {frame.seq} cannot be encoded as JPEG")
+    return data.tobytes()
+
+
 class Camera(Protocol):
     """What a protocol needs of a camera."""
 

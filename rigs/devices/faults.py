@@ -29,6 +29,7 @@ KINDS = {
     "outside": "reading outside the calibrated range (kept and reported)",
     "repeated": "the same picture twice",
     "size": "a picture of another size",
+    "no_pose": "a picture in which the pose of the mark is not certain",
 }
 """Every kind of fault and its meaning; none of them ever becomes a value."""
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from daq.errors import RecordError
 from rigs.devices.instruments import supply
 from rigs.devices.instruments.instrument import PortInstrument
+from rigs.devices.instruments.marks import NOT_STORED, MarkReader
 from rigs.devices.instruments.readings import COLUMNS, Batch
 from rigs.devices.operator import ManualSetting
 from rigs.rigfile.config import NONE
@@ -16,6 +17,7 @@ from rigs.rigfile.config import NONE
 if TYPE_CHECKING:
     from daq.record.writer import RecordWriter
     from rigs.bench.rig import Rig
+    from rigs.devices.camera import Frame
 
 REGULATOR = "regulator"
 """Stream of a proportional regulator's own reading."""
@@ -80,6 +82,9 @@ def record_instruments(rig: Rig, record: RecordWriter) -> None:
     for name, instrument in rig.instruments.items():
         columns = instrument.columns
         units = {n: u for n, u in TIMES.items() if n in columns}
+        if isinstance(instrument, MarkReader):
+            units["u_deg"] = "deg"
+            instrument.keep = _keeper(record)
         record.stream(name, columns, {**units, "reading": instrument.unit})
         instrument.on_rows.append(recorder(record, name))
         instrument.faults.on_fault.append(_teller(record, name, instrument.faults.counts))
@@ -124,6 +129,17 @@ def recorder(record: RecordWriter, stream: str) -> Callable[[Batch], None]:
             record.append(stream, batch)
 
     return append
+
+
+def _keeper(record: RecordWriter) -> Callable[[Frame, bytes], int]:
+    """Stores a picture; a disk that fails ends the run as for readings."""
+
+    def keep(frame: Frame, jpeg: bytes) -> int:
+        with contextlib.suppress(RecordError):
+            return record.frame(jpeg, frame.host_ns, seq=frame.seq)
+        return NOT_STORED
+
+    return keep
 
 
 def _teller(record: RecordWriter, name: str, counts: dict[str, int]) -> Callable[[str, str], None]:

@@ -18,10 +18,11 @@ from rigs.rigfile.instruments import InstrumentSettings, read_instruments
 from rigs.rigfile.pressure_source import PressureSourceSettings, read_pressure_source
 from rigs.rigfile.tables.channel import net_grams
 from rigs.rigfile.tables.joint import JointSettings, read_joint
-from rigs.rigfile.tables.marks import load_marks
+from rigs.rigfile.tables.marks import load_marks, marks_file
 from rigs.rigfile.tables.stage import MANUAL, read_stage
 from rigs.rigfile.tables.stage import StageDevice as StageDevice
 from rigs.rigfile.toml_reader import Table, find_config, load_toml
+from vision.pose.measure import MarkSettings
 
 SENSORS = {"pressure_kpa": "valve", "pressure_b_kpa": "valve_b", "force_n": "balance"}
 """Whose serial number a calibration file of this quantity must be of."""
@@ -105,7 +106,8 @@ class CameraSync:
 class CameraDevice:
     """The camera: "virtual", "uvc:INDEX", "genicam:SERIAL", "tcp://host:port", "replay:PATH".
 
-    A rig with a joint, or with an instrument for the length, has none: its ``source`` is "".
+    A rig with an instrument for the length, or a joint whose angle no marks give, has none: its
+    ``source`` is "".
     ``gentl`` is the file of the GenTL producer of a GenICam camera.
     ``repeat`` lets the pictures of a replay begin anew after the last one.
     ``region`` is where the marks are looked for (None: the whole picture); ``lens`` the
@@ -164,8 +166,8 @@ class RigConfig:
     ``instruments.channels``); ``balance`` is meaningless when there is none.
     ``length_source`` is "camera", or the instrument whose reading is the length of a test; a rig
     with such an instrument needs no camera, whose ``source`` is then "".
-    A rig with a ``joint`` has a second controller, ``valve_b``, and neither balance, stage nor
-    camera; its ``force_source`` is "none".
+    A rig with a ``joint`` has a second controller, ``valve_b``, and neither balance nor stage,
+    and a camera only for marks; its ``force_source`` is "none".
     """
 
     name: str
@@ -251,6 +253,12 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
     joint = read_joint(root, instruments)
     if joint is not None:
         return _finished(_joint_rig(root, text, instruments, joint, seed), root)
+    if instruments.marks:
+        which = next(iter(instruments.marks))
+        raise root.fail(
+            f"instruments.{which}.protocol", "marks are for a rig with [joint]",
+            "see docs/use/pose.md for marks in the pictures of other tests",
+        )  # fmt: skip
     limits = _limits(root.table("limits"))
     length_source = root.text("length_source", CAMERA)
     if length_source == CAMERA:
@@ -326,7 +334,7 @@ def _joint_rig(
         valve=valve,
         balance=Device("", 9600, ""),
         stage=StageDevice("", 0, "", 0.0, "manual"),
-        camera=CameraDevice("", "", 95),
+        camera=_joint_camera(root, instruments),
         calibrations=_two_pressures(root),
         virtual=_virtual(root, seed, "joint"),
         instruments=instruments,
@@ -335,6 +343,33 @@ def _joint_rig(
         joint=joint,
         valve_b=valve_b,
     )
+
+
+def _joint_camera(root: Table, instruments: InstrumentSettings) -> CameraDevice:
+    """The camera of a joint whose angle marks give; none otherwise."""
+    if not instruments.marks:
+        return CameraDevice("", "", 95)
+    if len(instruments.marks) > 1:
+        which = sorted(instruments.marks)[1]
+        what = "is a second instrument of marks; a picture gives one angle"
+        raise root.fail(f"instruments.{which}", what, "remove it")
+    t = root.table("camera")
+    for key in ("calibration", "region", "sync"):
+        if key in t:
+            raise t.fail(key, "is for the length of one muscle", "remove it")
+    camera, _ = _camera(t)
+    if camera.replayed:
+        raise t.fail("source", "recorded pictures show no joint of this bench", "use a camera")
+    if camera.marks is None:
+        raise t.fail("marks", "is missing: which marks the camera sees", "see docs/use/pose.md")
+    measured = MarkSettings.from_dict(camera.marks).measured
+    for name, device in instruments.marks.items():
+        if device.mark not in measured:
+            raise root.fail(
+                f"instruments.{name}.mark", f"{device.mark!r} is no measured mark of camera.marks",
+                f"one of: {', '.join(measured)}",
+            )  # fmt: skip
+    return camera
 
 
 def _two_pressures(root: Table) -> dict[str, Calibration]:
@@ -514,9 +549,7 @@ def _camera(t: Table) -> tuple[CameraDevice, Calibration | None]:
         lens=lens,
         settings=_settings(t.table("settings")) if "settings" in t else None,
         gentl=t.text("gentl", ""),
-        marks=load_marks(Path(t.source).parent / t.text("marks")).to_dict()
-        if "marks" in t
-        else None,
+        marks=load_marks(marks_file(t.text("marks"), t.source)).to_dict() if "marks" in t else None,
     )
     scheme = out.source.split(":")[0]
     known = (VIRTUAL, "uvc", "genicam", "tcp", REPLAY[:-1])

@@ -12,6 +12,7 @@ from rigs.rigfile.device import Device
 from rigs.rigfile.form import TextForm, load_form, read_form
 from rigs.rigfile.modbus_form import KINDS, MOST_REGISTERS, ORDERS, ModbusForm
 from rigs.rigfile.tables.channel import ControllerChannel, read_channels
+from rigs.rigfile.tables.marks import MarkDevice, read_mark_device
 from rigs.rigfile.toml_reader import Table
 
 NAMED = ("thermometer", "load_cell", "flow")
@@ -76,6 +77,10 @@ class CardChannel(Device):
     calibration: Calibration
     terminal: str
     range_v: float
+
+
+Reader = TextDevice | ModbusDevice | CardChannel | ControllerChannel | MarkDevice
+"""Whatever gives readings by itself."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +160,7 @@ class InstrumentSettings:
     manual: dict[str, ManualAxisSettings] = field(default_factory=dict)
     load: LoadSettings = field(default_factory=LoadSettings)
     operator: str = ""
+    marks: dict[str, MarkDevice] = field(default_factory=dict)
 
     def ports(self) -> dict[str, Device]:
         """Every device that has a port, by name."""
@@ -165,10 +171,10 @@ class InstrumentSettings:
             out["card"] = self.card
         return out
 
-    def readers(self) -> dict[str, TextDevice | ModbusDevice | CardChannel | ControllerChannel]:
+    def readers(self) -> dict[str, Reader]:
         """Every device that gives readings by itself, by name."""
         of_card = self.card.channels if self.card is not None else {}
-        return {**self.text, **self.modbus, **of_card, **self.channels}
+        return {**self.text, **self.modbus, **of_card, **self.channels, **self.marks}
 
 
 def read_instruments(root: Table) -> InstrumentSettings:
@@ -179,6 +185,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
     """
     text: dict[str, TextDevice] = {}
     modbus: dict[str, ModbusDevice] = {}
+    marks: dict[str, MarkDevice] = {}
     for name in NAMED:
         if name in root:
             text[name] = _text(root.table(name), name)
@@ -189,8 +196,11 @@ def read_instruments(root: Table) -> InstrumentSettings:
         if not name.isidentifier():
             raise group.fail(name, "is not a valid name for a stream", "use letters, digits and _")
         table = group.table(name)
-        if table.text("protocol", "text", choices=("text", "modbus")) == "modbus":
+        protocol = table.text("protocol", "text", choices=("text", "modbus", "marks"))
+        if protocol == "modbus":
             modbus[name] = _modbus(table, name)
+        elif protocol == "marks":
+            marks[name] = read_mark_device(table)
         else:
             text[name] = _text(table, name)
     group.finish()
@@ -198,9 +208,9 @@ def read_instruments(root: Table) -> InstrumentSettings:
         t = root.table("pressure_transmitter")
         modbus["pressure_transmitter"] = _modbus(t, "pressure_transmitter")
     supply = _supply(root.table("supply")) if "supply" in root else None
-    card = _card(root.table("card"), (*text, *modbus)) if "card" in root else None
+    card = _card(root.table("card"), (*text, *modbus, *marks)) if "card" in root else None
     of_card = card.channels if card is not None else {}
-    channels = read_channels(root, (*text, *modbus, *of_card))
+    channels = read_channels(root, (*text, *modbus, *marks, *of_card))
     manual = {}
     axes = root.table("manual", optional=True)
     for name in axes.keys():  # noqa: SIM118
@@ -216,6 +226,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
             catch_mm=load.number("catch_mm", 0, 500, 0.0, unit="mm"),
         ),
         person.text("port", ""),
+        marks,
     )  # fmt: skip
     load.finish()
     person.finish()
@@ -382,32 +393,44 @@ def _card(t: Table, taken: tuple[str, ...]) -> CardDevice:
         quantity = c.text("quantity", choices=("pressure_kpa", "force_n", "length_mm",
                                                "temperature_c"))  # fmt: skip
         range_v = c.number("range_v", 0.01, 10, 10.0, unit="V")
-        scale, offset = c.number("scale", -1e6, 1e6), c.number("offset", -1e6, 1e6, 0.0)
-        if scale == 0:
-            raise c.fail("scale", "a scale of 0 makes every reading the same")
-        ends = sorted((offset - abs(scale) * range_v, offset + abs(scale) * range_v))
-        calibration = Calibration(
-            quantity=quantity,
-            unit=UNITS[quantity],
-            raw_unit="V",
-            offset=offset,
-            scale=scale,
-            u_offset=c.number("u_offset", 0, 1e6, 0.0),
-            u_gain=c.number("u_gain", 0, 1, 0.0),
-            domain=(c.number("low", -1e9, 1e9, ends[0]), c.number("high", -1e9, 1e9, ends[1])),
-            id=c.text("id", "as stated in the rig file"),
-            date=c.text("date", ""),
-            valid_days=c.integer("valid_days", 0, MOST_DAYS, 0),
-        )
+        calibration = _channel_calibration(c, quantity, range_v)
         form = CardForm(quantity, "V", rate_hz)
         channels[name] = CardChannel(port, 9600, "", form, calibration, c.text("terminal"), range_v)
         c.finish()
     group.finish()
     if not channels:
         raise t.fail("channels", "has no channel", "add [card.channels.NAME]")
+    if "valves" in t:
+        raise t.fail(
+            "valves", "valves are not connected to a card: it does not vent by itself in 0.3 s",
+            "leave them on the valve controller; see docs/reference/cards.md",
+        )  # fmt: skip
     output = _card_output(t.table("output")) if "output" in t else None
     t.finish()
     return CardDevice(port, 9600, serial, kind, rate_hz, channels, output)
+
+
+def _channel_calibration(c: Table, quantity: str, range_v: float) -> Calibration:
+    """Of a file, or as stated in the table of the channel."""
+    if "calibration" in c:
+        return load_calibration(c.text("calibration"), c.source, quantity, "V").calibration
+    scale, offset = c.number("scale", -1e6, 1e6), c.number("offset", -1e6, 1e6, 0.0)
+    if scale == 0:
+        raise c.fail("scale", "a scale of 0 makes every reading the same")
+    ends = sorted((offset - abs(scale) * range_v, offset + abs(scale) * range_v))
+    return Calibration(
+        quantity=quantity,
+        unit=UNITS[quantity],
+        raw_unit="V",
+        offset=offset,
+        scale=scale,
+        u_offset=c.number("u_offset", 0, 1e6, 0.0),
+        u_gain=c.number("u_gain", 0, 1, 0.0),
+        domain=(c.number("low", -1e9, 1e9, ends[0]), c.number("high", -1e9, 1e9, ends[1])),
+        id=c.text("id", "as stated in the rig file"),
+        date=c.text("date", ""),
+        valid_days=c.integer("valid_days", 0, MOST_DAYS, 0),
+    )
 
 
 def _card_output(t: Table) -> CardOutput:

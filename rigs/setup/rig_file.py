@@ -445,7 +445,7 @@ def _length(ask: Interview, parts: Parts, registers: dict[str, ModbusForm]) -> s
         reads = f'protocol = "modbus"\n{link}{_written(registers["laser"])}{what}'
     else:
         reads = _link(ask, parts, "gauge", "gauge", 9600) + 'form = "gauge-text"\n'
-    return f"""[instruments.{parts.length}]          # {NOT_CALIBRATED}: compare with gauge blocks
+    return f"""[instruments.{parts.length}]          # {NOT_CALIBRATED}: `pamrig calibrate length`
 {reads}zero_mm = {zero:g}              # length of the muscle at a reading of 0
 direction = {direction}              # -1: it reads less when the muscle grows
 u_offset = 1.0              # mm

@@ -28,6 +28,9 @@ NEAR_S = 3.0
 """Muscles vent together when both are so near to one pressure, and after so long in any case."""
 LOCK_S = 20.0
 """About how long a person takes with the lock."""
+READINGS_BEFORE = 3
+"""So many readings of the angle before a step give where it began, with those until it takes
+effect."""
 
 Pressures = tuple[float, float]
 """Set-points of muscle a and muscle b in kPa."""
@@ -124,6 +127,7 @@ class LockJoint(CustomStep):
         """Vent, then ask; the encoder says whether it is there."""
         runner.do(Vent())
         runner.axis("angle", "deg").set(self.angle_deg)
+        runner.watch.locked(True)
 
 
 @dataclass(frozen=True)
@@ -138,6 +142,7 @@ class FreeJoint(CustomStep):
         request = Request("lock off", 0.0, "", "take the lock off the joint, then press Enter")
         answer, seconds = put_request(runner.rig.operator, runner.rig.event_loop, request)
         runner.record.event("manual", axis="lock off", waited_s=seconds, remark=answer)
+        runner.watch.locked(False)
 
 
 @dataclass(frozen=True)
@@ -286,7 +291,8 @@ class JointResponse(CustomStep):
             runner.do(SetPressures(*pressures_of(self.common_kpa, self.from_kpa)))
             rig.event_loop.for_seconds(self.step_s)
         encoder = rig.instruments[joint.angle]
-        first, row = {side.name: side.valve.seq_end for side in rig.sides}, encoder.rows
+        first = {side.name: side.valve.seq_end for side in rig.sides}
+        row = max(0, encoder.rows - READINGS_BEFORE)
         runner.do(SetPressures(*pressures_of(self.common_kpa, self.difference_kpa)))
         rig.event_loop.for_seconds(self.step_s)
         more = {"take": take} if take > 1 else {}

@@ -11,10 +11,9 @@ import cv2
 import numpy as np
 
 from analysis.reduction.pictures import decode, measure_stored, pose_of
-from daq.errors import DeviceError
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig
-from rigs.devices.camera import Frame
+from rigs.devices.camera import Frame, as_jpeg
 from vision.marker.gap import GapMeasurement
 from vision.pose.measure import PoseMeasurement
 
@@ -54,13 +53,7 @@ def load_measuring(quality: int) -> None:
 
 def store(rig: Rig, record: RecordWriter, frame: Frame, **meta: Any) -> tuple[int, bytes]:
     """Encode a frame and append it to the record; its number and its bytes."""
-    if frame.jpeg:
-        return record.frame(frame.jpeg, frame.host_ns, seq=frame.seq, **meta), frame.jpeg
-    quality = [cv2.IMWRITE_JPEG_QUALITY, rig.config.camera.jpeg_quality]
-    ok, data = cv2.imencode(".jpg", frame.gray, quality)
-    if not ok:
-        raise DeviceError("camera", f"frame {frame.seq} cannot be encoded as JPEG")
-    jpeg = data.tobytes()
+    jpeg = as_jpeg(frame, rig.config.camera.jpeg_quality)
     return record.frame(jpeg, frame.host_ns, seq=frame.seq, **meta), jpeg
 
 

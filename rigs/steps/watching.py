@@ -25,6 +25,7 @@ class Watch:
     result: Callable[..., None] = lambda x, y, label, chart="points": None
     taring: Callable[[], None] = lambda: None
     tared: Callable[[], None] = lambda: None
+    locked: Callable[[bool], None] = lambda on: None
 
 
 @dataclass

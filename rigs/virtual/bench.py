@@ -24,8 +24,9 @@ from rigs.virtual.board.joint_load import JointBoard, JointLoad, Pair, read_join
 from rigs.virtual.board.ram_load import RamLoad
 from rigs.virtual.board.solenoids import Solenoids
 from rigs.virtual.emulators.balance import VirtualBalance
-from rigs.virtual.emulators.camera import CameraModel, led_exposure, render
 from rigs.virtual.emulators.emulator import Emulator
+from rigs.virtual.emulators.pictures.camera import CameraModel, led_exposure, render
+from rigs.virtual.emulators.pictures.joint_eye import EXPOSURE_S, JointEye
 from rigs.virtual.emulators.sensor_error import SensorError
 from rigs.virtual.extras import Extras
 
@@ -387,6 +388,8 @@ class VirtualBench:
         It takes as long as exposure and read-out do, and its stamp is late by the camera's
         delay, as that of a real one is.
         """
+        if self.extras.eye is not None:
+            return self._expose_marks(self.extras.eye)
         if "length_mm" not in self.config.calibrations:
             raise PortError("camera", "this bench has none")
         late_s = self.sensor_error.camera_delay_s
@@ -414,3 +417,17 @@ class VirtualBench:
         gray = render(apparent_mm, self._camera_rng, model, led=led)
         self._frames += 1
         return self._frames, begin_ns + round(delay_s * 1e9), gray
+
+    def _expose_marks(self, eye: JointEye) -> tuple[int, int, npt.NDArray[np.uint8]]:
+        """The marks of a joint; the stamp is late as that of the other pictures."""
+        begin_ns, gray = self._host_now_ns(), eye.picture()
+        delay_s = self._v.camera_delay_ms * 1e-3
+        sleep = self._clock.sleep if self._clock is not None else time.sleep
+        sleep(max(delay_s, EXPOSURE_S) + 2e-3)
+        self._frames += 1
+        return self._frames, begin_ns + round(delay_s * 1e9), gray
+
+    @property
+    def camera_noise(self) -> float:
+        """Noise of its pictures, in grey levels."""
+        return self._v.frame_noise_levels if self.extras.eye else self.camera_model.noise

@@ -20,12 +20,14 @@ from rigs.rigfile.config import RigConfig
 from rigs.rigfile.instruments import CardDevice, TextDevice
 from rigs.rigfile.pressure_source import source_module
 from rigs.rigfile.tables.channel import ControllerChannel
+from rigs.rigfile.tables.marks import MarkDevice
 from rigs.virtual.board.inputs import VirtualInputs
 from rigs.virtual.board.joint_load import JointLoad
 from rigs.virtual.emulators.cards import VirtualCard, library_of
 from rigs.virtual.emulators.emulator import Emulator
 from rigs.virtual.emulators.modbus import VirtualModbus
 from rigs.virtual.emulators.operator import VirtualOperator
+from rigs.virtual.emulators.pictures.joint_eye import JointEye
 from rigs.virtual.emulators.proportional.outlet import RegulatorOutlet, draw
 from rigs.virtual.emulators.sensor_error import SensorError
 from rigs.virtual.emulators.supply import VirtualSupply
@@ -128,6 +130,10 @@ class Extras:
         self.card: VirtualCard | None = None
         if settings.card is not None:
             self.devices["card"] = self.card = self._card(settings.card)
+        self.eye: JointEye | None = None
+        """What the camera of a joint sees."""
+        for name, marks in settings.marks.items():
+            self.eye = self._eye(name, marks)
         self.regulator: RegulatorOutlet | None = None
         self.without_port: dict[str, Emulator] = {}
         source = self._config.pressure_source
@@ -144,6 +150,24 @@ class Extras:
             for name, c in channels.items()
         }
         return VirtualInputs(channels, truth, self._rng("inputs"))
+
+    def _eye(self, name: str, device: MarkDevice) -> JointEye:
+        plant, virtual = self._bench.plant, self._config.virtual
+        camera = self._config.camera
+        assert isinstance(plant, JointLoad)
+        assert virtual is not None
+        assert camera.marks is not None
+        truth = self._truth(name, device.form.quantity)
+        return JointEye(
+            camera.marks,
+            device.mark,
+            self._sensor(name, truth, device.calibration, noisy=False),
+            lambda: plant.rate_deg_s * device.calibration.scale,
+            self._rng("camera"),
+            virtual.blur_px,
+            virtual.frame_noise_levels,
+            self._config.source,
+        )
 
     @property
     def card_library(self) -> Any:
@@ -368,6 +392,7 @@ class Extras:
                 "mass": lambda kg: hang(plant, kg),
                 "angle": turn,
                 "lock off": free,
+                "block": plant.set_length,
             },
             reads={
                 "reference pressure": lambda: float(plant.state[PRESSURE]) * 1e-3,

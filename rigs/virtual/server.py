@@ -27,6 +27,7 @@ from daq.interrupt import stop_on_signals
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
 from rigs.virtual.byte_ports import LOOPBACK, Port, PtyPort, TcpPort
+from rigs.virtual.card_port import CardPort
 from rigs.virtual.operator_port import OperatorPort
 
 TICK_NS = 1_000_000
@@ -92,12 +93,6 @@ class BenchServer:
         truth: Path | None = None,
         make: Callable[[RigConfig, int], VirtualBench] | None = None,
     ) -> None:
-        if config.instruments.card is not None:
-            raise ConfigError(
-                config.source,
-                "a data acquisition card has no port that another program could open",
-                "run the test on this rig itself",
-            )
         folder.mkdir(parents=True, exist_ok=True)
         self.config = config
         self.lateness_ns = array("q")  # a list takes five times as much
@@ -110,7 +105,11 @@ class BenchServer:
         self.bench.board.forget_truth()  # it would grow for as long as the bench is up
         use_tcp = tcp or not hasattr(os, "openpty")
         self.ports: dict[str, Port] = {}
+        card = self.bench.extras.card
+        self.card = CardPort(card) if card is not None else None
         for name in self.bench.devices:
+            if name == "card":
+                continue
             port: Port = TcpPort() if use_tcp else PtyPort(folder / name)
             self.ports[name] = port
             self.bench.send[name] = lambda _, data, port=port: port.write(data)  # type: ignore[misc]
@@ -135,9 +134,11 @@ class BenchServer:
                 continue
             key = word.split("=")[0].strip()
             device = table.removeprefix("instruments.")
-            if key == "port" and device in self.ports:
+            if key == "port" and device == "card" and self.card is not None:
+                line = f"port = {json.dumps(self.card.address)}"
+            elif key == "port" and device in self.ports:
                 line = f"port = {json.dumps(self.ports[device].address)}"
-            elif key in ("calibration", "form", "dynamics"):
+            elif key in ("calibration", "form", "dynamics", "marks"):
                 line = self._from_here(key, word)
             elif key == "source" and table == "camera":
                 line = f"source = {json.dumps(self.camera.address)}"
@@ -171,6 +172,8 @@ class BenchServer:
             else:
                 self.bench.feed(name, data)
         self.person.step()
+        if self.card is not None:
+            self.card.step()
         before = self.bench.board.bench_us
         begin_ns = self.bench.host_ns(before * 1000)
         stretches = max(1, -(-(now_ns - begin_ns) // STRETCH_NS))
@@ -244,6 +247,8 @@ class BenchServer:
             port.close()
         self.camera.close()
         self.person.close()
+        if self.card is not None:
+            self.card.close()
         if self._truth is not None:
             self._truth.close()
 
@@ -298,6 +303,8 @@ def serve_bench(
     with open_server(config, folder, tcp, truth) as server, stop_on_signals() as stop:
         for name, port in server.ports.items():
             typer.echo(f"{name:8} {port.address}")
+        if server.card is not None:
+            typer.echo(f"{'card':8} {server.card.address}")
         if config.camera.source:
             typer.echo(f"{'camera':8} {server.camera.address}")
         typer.echo(f"rig file {server.rig_file}")

@@ -31,6 +31,7 @@ CAMERA_DELAY = Effect(
     equation="read(t) = true(t - delay)",
     source="none needed",
     standard="the sync light in the picture",
+    calibration="length_clock_ms",
     reference=(LAMP, 0.5),
     sensors=InSensors(camera_delay=_delay),
     diagnosis=InDiagnosis(length=_length),

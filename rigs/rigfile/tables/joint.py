@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from rigs.rigfile.instruments import InstrumentSettings
 from rigs.rigfile.toml_reader import Table
 
-MARKS = "marks"
 LOAD_CELL = "load_cell"
 ANGLE, TORQUE = "angle_deg", "torque_n_m"
 STALE_S = 0.5
 TORQUE_STALE_S = 2.0
 """A gauge that is asked for its readings is left alone for a while after a late answer."""
-NOT_HERE = ("balance", "stage", "camera", "force_source")
+NOT_HERE = ("balance", "stage", "force_source")
 """Tables and keys of a bench with one muscle."""
 
 
@@ -78,6 +77,11 @@ def read_joint(root: Table, instruments: InstrumentSettings) -> JointSettings | 
     for key in NOT_HERE:
         if key in root:
             raise root.fail(key, "does not belong to a rig with [joint]", "remove it")
+    if "camera" in root and not instruments.marks:
+        raise root.fail(
+            "camera", "does not belong to a rig with [joint] whose angle no marks give",
+            'remove it, or add an instrument with protocol = "marks"',
+        )  # fmt: skip
     t = root.table("joint")
     units = {name: d.form.quantity for name, d in instruments.readers().items()}
     angle = _reads(t, "angle", units, ANGLE)
@@ -118,8 +122,6 @@ def read_joint(root: Table, instruments: InstrumentSettings) -> JointSettings | 
 def _reads(t: Table, key: str, units: Mapping[str, str], quantity: str) -> str:
     """The instrument that a key names, which must read this quantity."""
     name = t.text(key)
-    if name == MARKS:
-        raise t.fail(key, "a joint test does not read marks yet", "name an instrument of the rig")
     if units.get(name) != quantity:
         fit = ", ".join(n for n, found in units.items() if found == quantity) or "none"
         what = f"reads {units[name]}" if name in units else "is no instrument of this rig"

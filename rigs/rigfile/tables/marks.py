@@ -2,20 +2,99 @@
 
 from __future__ import annotations
 
+import importlib.resources
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from daq.calibration import MOST_DAYS, Calibration
 from daq.errors import ConfigError
 from daq.wholefile import write_whole
 from plant import tomlfile
+from rigs.rigfile.device import Device
 from rigs.rigfile.toml_reader import Table
 from vision.pose.camera import PoseCamera
 from vision.pose.detect import DICTIONARIES, Board
 from vision.pose.measure import Mark, MarkSettings
 
 MARK_NAME = "letters, digits and _"
+SHIPPED = "marks"
+"""Folder of `configs` with files of marks."""
+
+
+@dataclass(frozen=True)
+class MarkForm:
+    """What a mark in pictures measures: the angle of its link, so many pictures a second."""
+
+    rate_hz: float
+    quantity: str = "angle_deg"
+    unit: str = "deg"
+
+
+@dataclass(frozen=True)
+class MarkDevice(Device):
+    """The angle of one mark in the pictures of the camera of the rig, as an instrument.
+
+    Attributes:
+        mark: its name in the file of marks.
+        form, calibration: from the angle of the mark to that of the joint, in degrees.
+    """
+
+    mark: str
+    form: MarkForm
+    calibration: Calibration
+
+
+def read_mark_device(t: Table) -> MarkDevice:
+    """A table ``[instruments.NAME]`` with ``protocol = "marks"``.
+
+    Raises:
+        ConfigError: names file and key.
+    """
+    zero_deg = t.number("zero_deg", -360, 360, 0.0, unit="degree")
+    direction = t.integer("direction", -1, 1, 1)
+    if direction == 0:
+        raise t.fail("direction", "is 1 or -1")
+    out = MarkDevice(
+        "", 0, "",
+        mark=t.text("mark"),
+        form=MarkForm(t.number("rate_hz", 4, 200, 10.0, unit="1/s")),
+        calibration=Calibration(
+            quantity="angle_deg",
+            unit="deg",
+            raw_unit="deg",
+            offset=zero_deg,
+            scale=float(direction),
+            u_offset=t.number("u_offset", 0, 360, 0.0, unit="degree"),
+            u_gain=t.number("u_gain", 0, 1, 0.0),
+            domain=(-720.0, 720.0),
+            id=t.text("id", "as stated in the rig file"),
+            date=t.text("date", ""),
+            valid_days=t.integer("valid_days", 0, MOST_DAYS, 0),
+        ),
+    )  # fmt: skip
+    t.finish()
+    return out
+
+
+def marks_file(name: str, source: str) -> Path:
+    """The file of marks that a rig file names: one beside it, or a shipped one by its name.
+
+    Raises:
+        ConfigError: there is no shipped one of that name.
+    """
+    if name.endswith(".toml"):
+        return Path(source).parent / name
+    shipped = importlib.resources.files("configs") / SHIPPED
+    path = Path(str(shipped)) / f"{name}.toml"
+    if not path.is_file():
+        raise ConfigError(
+            f"{source}: camera.marks", f"there is no shipped file of marks {name!r}",
+            "name a file beside the rig file: marks.toml",
+        )  # fmt: skip
+    return path
 
 
 def load_marks(path: Path) -> MarkSettings:

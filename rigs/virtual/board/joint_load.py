@@ -152,6 +152,11 @@ class JointLoad(BenchSim):
         return math.degrees(float(self.scene.world.motion[sc.PLACE, 0]))
 
     @property
+    def rate_deg_s(self) -> float:
+        """How fast the joint turns."""
+        return math.degrees(float(self.scene.world.motion[sc.RATE, 0]))
+
+    @property
     def lock_torque_n_m(self) -> float:
         """Torque of the joint on its lock, positive towards larger angles; 0 without the lock."""
         coords = self.scene.world.coords

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Protocol
 
 from rigs.rigfile.instruments import CardDevice
 
@@ -93,6 +93,38 @@ class VirtualCard:
         return max(-most, min(most, self._read[terminal]()))
 
 
+class SimulatedCard(Protocol):
+    """What the mocks need of a card: that of this process, or one behind a port."""
+
+    device: CardDevice
+    terminals: list[str]
+    ranges: dict[str, float]
+    skip: int
+    sleep: Callable[[float], None]
+
+    @property
+    def gone(self) -> bool:
+        """The cable is pulled."""
+        ...
+
+    @property
+    def scans(self) -> deque[list[float]]:
+        """Scans that can be read."""
+        ...
+
+    def start(self, rate_hz: float) -> None:
+        """Begin to scan."""
+        ...
+
+    def stop(self) -> None:
+        """Scan no more."""
+        ...
+
+    def write(self, terminal: str, volts: float) -> None:
+        """An analogue output."""
+        ...
+
+
 class LJMError(Exception):
     """As the package's."""
 
@@ -102,7 +134,7 @@ class VirtualLjm:
 
     LJMError = LJMError
 
-    def __init__(self, card: VirtualCard) -> None:
+    def __init__(self, card: SimulatedCard) -> None:
         self._card = card
         self._per_read = 1
 
@@ -147,21 +179,23 @@ class VirtualLjm:
         """Interleaved data and the scans left in both buffers; waits for a whole block."""
         self._check()
         card = self._card
+        scans = card.scans
         for _ in range(WAITS):
-            if len(card.scans) >= self._per_read or card.gone:
+            if len(scans) >= self._per_read or card.gone:
                 break
             card.sleep(WAIT_S)
+            scans = card.scans
         self._check()
-        if len(card.scans) < self._per_read:
+        if len(scans) < self._per_read:
             raise LJMError("LJM library error code 1301 LJME_NO_SCANS_RETURNED")
         data: list[float] = []
         for _ in range(self._per_read):
-            scan = card.scans.popleft()
+            scan = scans.popleft()
             if card.skip:
                 card.skip -= 1
                 scan = [-9999.0] * len(scan)
             data += scan
-        return data, 0, len(card.scans)
+        return data, 0, len(scans)
 
     def eStreamStop(self, handle: int) -> None:
         """Stop."""
@@ -176,7 +210,7 @@ class DaqError(Exception):
 
 
 class _InStream:
-    def __init__(self, card: VirtualCard) -> None:
+    def __init__(self, card: SimulatedCard) -> None:
         self._card = card
 
     @property
@@ -190,7 +224,7 @@ class _InStream:
 class VirtualTask:
     """``nidaqmx.Task`` as far as the driver uses it."""
 
-    def __init__(self, card: VirtualCard) -> None:
+    def __init__(self, card: SimulatedCard) -> None:
         self._card = card
         self._rate = 0.0
         self._output = ""
@@ -201,13 +235,13 @@ class VirtualTask:
 
     def _input(self, physical: str, *, min_val: float, max_val: float) -> None:
         del min_val
-        terminal = physical.partition("/")[2]
+        terminal = physical.rpartition("/")[2]
         self._card.terminals.append(terminal)
         self._card.ranges[terminal] = max_val
 
     def _out(self, physical: str, *, min_val: float, max_val: float) -> None:
         del min_val, max_val
-        self._output = physical.partition("/")[2]
+        self._output = physical.rpartition("/")[2]
 
     def _clocked(self, rate: float, *, sample_mode: Any, samps_per_chan: int) -> None:
         del sample_mode, samps_per_chan
@@ -219,7 +253,8 @@ class VirtualTask:
 
     def read(self, number_of_samples_per_channel: int) -> list[float] | list[list[float]]:
         """A list of samples for one channel, a list of lists for several."""
-        rows = [self._card.scans.popleft() for _ in range(number_of_samples_per_channel)]
+        scans = self._card.scans
+        rows = [scans.popleft() for _ in range(number_of_samples_per_channel)]
         columns = [list(column) for column in zip(*rows, strict=True)]
         return columns[0] if len(columns) == 1 else columns
 
@@ -236,7 +271,7 @@ class VirtualTask:
             self._card.stop()
 
 
-def nidaqmx_of(card: VirtualCard) -> Any:
+def nidaqmx_of(card: SimulatedCard) -> Any:
     """The module ``nidaqmx`` as far as the driver uses it."""
     serial = int(card.device.serial or "0", 16)
     device = SimpleNamespace(serial_num=serial, product_type="USB-6211")
@@ -248,6 +283,6 @@ def nidaqmx_of(card: VirtualCard) -> Any:
     )
 
 
-def library_of(card: VirtualCard) -> Any:
+def library_of(card: SimulatedCard) -> Any:
     """The stand-in of the package that the rig file's card needs."""
     return VirtualLjm(card) if card.device.kind == "labjack" else nidaqmx_of(card)

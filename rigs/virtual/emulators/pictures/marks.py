@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -81,24 +82,78 @@ def draw_marks(
         rng: of the sensor's noise.
         camera: how it looks.
     """
-    from scipy.ndimage import gaussian_filter
+    return draw_moving([bodies], rng, camera)
 
+
+def draw_moving(
+    instants: Sequence[Sequence[Drawn]],
+    rng: np.random.Generator,
+    camera: MarkCamera | None = None,
+) -> npt.NDArray[np.uint8]:
+    """One picture of marks that move: the mean of what is seen at some instants of the exposure.
+
+    Args:
+        instants: the bodies at each.
+        rng: of the noise of the sensor.
+        camera: how it looks.
+    """
     m = camera or MarkCamera()
-    fine = np.full((m.height * PARTS, m.width * PARTS), m.light, dtype=np.float32)
-    for body in bodies:
-        _draw(fine, body, m)
-    dark = fine < m.light
-    rows, columns = np.flatnonzero(dark.any(axis=1)), np.flatnonzero(dark.any(axis=0))
-    if m.blur_px > 0.0 and len(rows):  # the rest is even
-        reach = round(5.0 * m.blur_px * PARTS) + 1
-        part = (
-            slice(max(0, rows[0] - reach), rows[-1] + reach + 1),
-            slice(max(0, columns[0] - reach), columns[-1] + reach + 1),
-        )
-        fine[part] = gaussian_filter(fine[part], m.blur_px * PARTS, mode="nearest", truncate=4.0)
-    pixels = fine.reshape(m.height, PARTS, m.width, PARTS).mean(axis=(1, 3))
+    pixels = np.mean([_light(bodies, m) for bodies in instants], axis=0)
     noisy = pixels + rng.normal(0.0, m.noise, pixels.shape)
     return np.asarray(np.clip(np.rint(noisy), 0, 255), dtype=np.uint8)
+
+
+Box = tuple[int, int, int, int]
+"""Left, top, right, bottom in pixels, the last two not included."""
+
+
+def _light(bodies: Sequence[Drawn], m: MarkCamera) -> Array:
+    """Grey levels (height, width) without noise; only the surroundings of marks are worked out."""
+    pixels = np.full((m.height, m.width), m.light)
+    margin = 2 + math.ceil(5.0 * m.blur_px)
+    for box, members in _groups([_box(b, m, margin) for b in bodies]):
+        left, top, right, bottom = box
+        pixels[top:bottom, left:right] = _part(box, tuple(bodies[k] for k in members), m)
+    return pixels
+
+
+@lru_cache(maxsize=8)
+def _part(box: Box, bodies: tuple[Drawn, ...], m: MarkCamera) -> npt.NDArray[np.float32]:
+    """Grey levels of a part of the picture; kept, because a mark beside the axis stays as it is."""
+    from scipy.ndimage import gaussian_filter
+
+    left, top, right, bottom = box
+    fine = np.full(((bottom - top) * PARTS, (right - left) * PARTS), m.light, dtype=np.float32)
+    for body in bodies:
+        _draw(fine, body, m, left, top)
+    if m.blur_px > 0.0:
+        fine = gaussian_filter(fine, m.blur_px * PARTS, mode="nearest", truncate=4.0)
+    parts = fine.reshape(bottom - top, PARTS, right - left, PARTS)
+    made: npt.NDArray[np.float32] = parts.mean(axis=(1, 3))
+    return made
+
+
+def _groups(boxes: Sequence[Box]) -> list[tuple[Box, list[int]]]:
+    """Boxes that overlap, together in one; which of the given ones are in each."""
+    groups: list[tuple[Box, list[int]]] = []
+    for k, box in enumerate(boxes):
+        left, top, right, bottom = box
+        if right <= left or bottom <= top:  # outside of the picture
+            continue
+        members = [k]
+        while near := [g for g in groups if _overlap(g[0], (left, top, right, bottom))]:
+            for group in near:
+                groups.remove(group)
+                members += group[1]
+                other = group[0]
+                left, top = min(left, other[0]), min(top, other[1])
+                right, bottom = max(right, other[2]), max(bottom, other[3])
+        groups.append(((left, top, right, bottom), sorted(members)))
+    return groups
+
+
+def _overlap(one: Box, other: Box) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
 
 
 def seen_at(camera: MarkCamera, x_mm: float, y_mm: float, height_mm: float = 0.0) -> Array:
@@ -130,9 +185,9 @@ def _plane(m: MarkCamera) -> tuple[Array, Array]:
     return flip @ about_x @ about_y @ about_z, m.distance_mm * np.array([u, v, 1.0])
 
 
-def _draw(fine: npt.NDArray[np.float32], body: Drawn, m: MarkCamera) -> None:
-    wide = body.columns * body.side_mm if body.columns else body.side_mm
-    tall = body.rows * body.side_mm if body.columns else body.side_mm
+def _box(body: Drawn, m: MarkCamera, margin: int) -> Box:
+    """Where a body is seen, with a margin, as far as it is in the picture."""
+    wide, tall = _size(body)
     c, s = math.cos(math.radians(body.angle_deg)), math.sin(math.radians(body.angle_deg))
     edge = np.linspace(-0.5, 0.5, 9)
     rim = [(wide * a, tall * b) for a in edge for b in edge]
@@ -142,12 +197,26 @@ def _draw(fine: npt.NDArray[np.float32], body: Drawn, m: MarkCamera) -> None:
             for x, y in rim
         ]
     )
-    low = np.maximum(np.floor((seen.min(axis=0) - 2.0) * PARTS).astype(int), 0)
-    high = np.ceil((seen.max(axis=0) + 3.0) * PARTS).astype(int)
-    high = np.minimum(high, [fine.shape[1], fine.shape[0]])
-    if (high <= low).any():
-        return
-    across_px, down_px = np.arange(low[0], high[0])[None, :], np.arange(low[1], high[1])[:, None]
+    low = np.maximum(np.floor(seen.min(axis=0)).astype(int) - margin, 0)
+    high = np.ceil(seen.max(axis=0)).astype(int) + 1 + margin
+    high = np.minimum(high, [m.width, m.height])
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+
+def _size(body: Drawn) -> tuple[float, float]:
+    """Width and height in mm."""
+    if body.columns:
+        return body.columns * body.side_mm, body.rows * body.side_mm
+    return body.side_mm, body.side_mm
+
+
+def _draw(fine: npt.NDArray[np.float32], body: Drawn, m: MarkCamera, left: int, top: int) -> None:
+    """One body into a part of the picture, whose first pixel is given."""
+    wide, tall = _size(body)
+    c, s = math.cos(math.radians(body.angle_deg)), math.sin(math.radians(body.angle_deg))
+    rows_px, columns_px = fine.shape
+    across_px = (left * PARTS + np.arange(columns_px))[None, :]
+    down_px = (top * PARTS + np.arange(rows_px))[:, None]
     # Shifted within a sample, so that a side along the rows meets 16 places of a pixel, not 4.
     columns = (across_px + (down_px % PARTS + 0.5) / PARTS) / PARTS - 0.5
     rows = (down_px + (across_px % PARTS + 0.5) / PARTS) / PARTS - 0.5
@@ -156,8 +225,7 @@ def _draw(fine: npt.NDArray[np.float32], body: Drawn, m: MarkCamera) -> None:
     right, up = c * dx + s * dy, c * dy - s * dx
     across, down = right + wide / 2.0, tall / 2.0 - up
     dark, inside = (_board if body.columns else _mark)(body, across, down)
-    part = fine[low[1] : high[1], low[0] : high[0]]
-    part[inside] = np.where(dark, m.dark, m.light)[inside]
+    fine[inside] = np.where(dark, m.dark, m.light)[inside]
 
 
 def _on_plane(m: MarkCamera, column: Array, row: Array, height_mm: float) -> tuple[Array, Array]:

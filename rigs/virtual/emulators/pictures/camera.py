@@ -97,7 +97,7 @@ def render(
         frame[part] += (m.led_light * _led_spot(m) * lit[part[0], None]).astype(np.float32)
     if exposure_gain != 1.0:
         frame = frame * np.float32(exposure_gain)
-    from rigs.virtual.emulators.pixels import digitise  # numba stays out of start-up
+    from rigs.virtual.emulators.pictures.pixels import digitise  # numba stays out of start-up
 
     return digitise(frame, m.noise, rng)
 

@@ -1,0 +1,1 @@
+"""What the cameras of the virtual bench see."""
