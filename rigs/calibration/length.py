@@ -106,7 +106,6 @@ def calibrate_length(  # noqa: PLR0913 - reference, instrument and hooks, each b
             if not by_stage:
                 _request(rig, "muscle off", 0.0, "take the muscle out")
             for length in up_and_down(lengths_mm):
-                stop.check()
                 watch.state(f"calibrate length: {length:g} mm")
                 at_mm = length
                 if by_stage:
@@ -122,7 +121,7 @@ def calibrate_length(  # noqa: PLR0913 - reference, instrument and hooks, each b
             if not by_stage:
                 _request(rig, "muscle", 0.0, "mount the muscle again")
 
-        carry_out(rig, record, method)
+        carry_out(rig, record, method, stop)
         old = reader.calibration
         assert old is not None
         serial = config.instruments.readers()[name].serial
