@@ -609,7 +609,10 @@ def _cell(instruments: InstrumentSettings, force_source: str) -> Calibration | N
     if cell is None or cell.form.unit not in GRAMS or not cell.calibration.date:
         return None
     scale = cell.calibration.scale / GRAMS[cell.form.unit]
-    return replace(cell.calibration, raw_unit="g", offset=0.0, scale=scale)
+    note = f"{cell.calibration.note}; every test tares the cell, so that its offset is 0".lstrip(
+        "; "
+    )
+    return replace(cell.calibration, raw_unit="g", offset=0.0, scale=scale, note=note)
 
 
 def _calibrations(
