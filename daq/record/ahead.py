@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.record.chunks import Problem
+from daq.record.chunks import Problem, unwritten
 from daq.record.safe_read import LARGEST_TEXT, read_inside
 from daq.record.sealed import open_line, seal_line, write_all
 from daq.record.segments import Columns, StreamSchema
@@ -163,8 +163,10 @@ class AheadRows:
 
     def _own(self, data: bytes, run_id: str, stream: str) -> bool:
         """Whether the file is this stream's and not that of another run or stream."""
+        end = data.find(b"\n") + 1
+        self.problems += unwritten(self.name, data, end, HEAD_BYTES)
         try:
-            head = open_line(data[: data.find(b"\n") + 1])
+            head = open_line(data[:end])
         except ValueError:
             what = "its first line does not match its CRC, not read"
             self.problems.append(Problem(self.name, 0, what, len(data)))

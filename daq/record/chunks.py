@@ -69,6 +69,15 @@ class Problem:
         return f"{self.file}, byte {self.offset}: {self.what}"
 
 
+def unwritten(file: str, data: bytes, begin: int, end: int) -> list[Problem]:
+    """Damage in a part of a file that holds nothing but zeros."""
+    rest = data[begin:end].lstrip(b"\0")
+    if not rest:
+        return []
+    at = min(end, len(data)) - len(rest)
+    return [Problem(file, at, "bytes where none were written", len(rest.rstrip(b"\0")))]
+
+
 class ChunkIndex:
     """An index file and the bulk files it lists; every value is checked before use.
 

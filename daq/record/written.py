@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import RecordError
-from daq.record.chunks import Problem
+from daq.record.chunks import Problem, unwritten
 from daq.record.safe_read import read_inside, size_inside
 from daq.record.sealed import open_line, seal_line, write_all
 
@@ -155,11 +155,13 @@ class WrittenFiles:
             self.head = open_line(data[:end])
         except ValueError:
             self.problems.append(Problem(WRITTEN, 0, "its first line does not match its CRC"))
-        self._expect_zeros(data, end, HEAD_BYTES)
+        self.problems += unwritten(WRITTEN, data, end, HEAD_BYTES)
         for at in range(HEAD_BYTES, min(len(data), TOTAL_BYTES), SLOT_BYTES):
             slot = data[at : at + SLOT_BYTES].ljust(SLOT_BYTES, b"\0")
             if not slot.strip(b"\0"):
-                self._expect_zeros(data, at, TOTAL_BYTES)  # slots are taken one after the other
+                self.problems += unwritten(
+                    WRITTEN, data, at, TOTAL_BYTES
+                )  # slots are taken one after the other
                 break
             key = slot[:LONGEST_NAME].rstrip(b"\0")
             copies = [_COPY.unpack_from(slot, c) for c in _COPIES]
@@ -168,8 +170,10 @@ class WrittenFiles:
             if not named or not valid:
                 self.problems.append(Problem(WRITTEN, at, "a damaged entry", SLOT_BYTES, not key))
                 continue
-            self._expect_zeros(data, at + LONGEST_NAME + _CRC.size, at + _COPIES[0])
-            self._expect_zeros(data, at + _COPIES[1] + _COPY.size, at + SLOT_BYTES)
+            self.problems += unwritten(
+                WRITTEN, data, at + LONGEST_NAME + _CRC.size, at + _COPIES[0]
+            )
+            self.problems += unwritten(WRITTEN, data, at + _COPIES[1] + _COPY.size, at + SLOT_BYTES)
             for copy, begin in zip(copies, _COPIES, strict=True):
                 if any(copy) and copy[:2] not in valid:
                     # A kill in the middle of a write leaves this too; the other copy holds.
@@ -181,15 +185,6 @@ class WrittenFiles:
                 self.files[name] = Written(size, "", True)
             elif size != _GONE:
                 self.files[name] = Written(size, f"{crc:08x}", False)
-
-    def _expect_zeros(self, data: bytes, begin: int, end: int) -> None:
-        """Report bytes where nothing was ever written."""
-        part = data[begin:end]
-        rest = part.lstrip(b"\0")
-        if rest:
-            at = begin + len(part) - len(rest)
-            what = "bytes where none were written"
-            self.problems.append(Problem(WRITTEN, at, what, len(rest.rstrip(b"\0"))))
 
 
 def _check(key: bytes, size: int, crc: int) -> int:
