@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -11,9 +12,14 @@ import numpy as np
 import pytest
 
 from cli.data.import_data import import_template
+from gap.data.reader import read_dataset
+from gap.data.trial import Channel
 from gap.errors import GapError
-from gap.mapping.join import Join, offset_of
+from gap.estimation.fit_problem import FitProblem
+from gap.mapping.join import Join, clock_keys, offset_of
 from gap.mapping.write import import_data
+from gap_bench import write_set
+from gap_sets import settled_set
 from import_sets import FORCE_N, HOUSE, KINDS, machine, staircase
 
 TEMPLATES = HOUSE / "configs" / "mappings"
@@ -183,3 +189,76 @@ def test_templates_are_written_once(tmp_path: Path) -> None:
     for name, words in (("zwick", "there already"), ("shimadzu", "instron, mts, zwick")):
         with pytest.raises(GapError, match=words):
             import_template(name, path)
+
+
+# ---- what is uncertain about the joined time goes on ------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "keys"),
+    [
+        ({"pressure_kpa"}, {"force_n", "length_mm"}, ("pressure_clock_ms",)),
+        ({"pressure_kpa", "length_mm"}, {"force_n"}, ("force_clock_ms",)),
+        ({"pressure_kpa", "inlet_cmd"}, {"force_n", "length_mm"},
+         ("force_clock_ms", "length_clock_ms")),
+        ({"pressure_kpa", "inlet_cmd"}, {"force_n", "outlet_cmd"}, ("pressure_clock_ms",)),
+        ({"temperature_c"}, {"force_n", "pressure_kpa"}, ()),
+    ],
+)  # fmt: skip
+def test_the_file_that_has_fewer_channels_and_no_commands_carries_the_error(
+    one: set[str], other: set[str], keys: tuple[str, ...]
+) -> None:
+    assert clock_keys(one, other) == keys
+
+
+def test_the_data_set_states_the_uncertainty_of_its_joined_clock(tmp_path: Path) -> None:
+    machine(tmp_path)
+    path = template(tmp_path, "instron")
+    (plain,) = import_data(path, tmp_path / "out")
+    (join,) = json.loads((tmp_path / "out" / "import.json").read_text())["joins"]
+    u_ms = plain.data.calibration["pressure_clock_ms"]
+    assert u_ms == pytest.approx(1e3 * join["u_s"], rel=1e-5)
+    assert any("pressure_clock_ms" in note for note in plain.notes)
+    text = path.read_text()
+    path.write_text("calibration = { pressure_clock_ms = 30.0 }\n" + text)
+    (both,) = import_data(path, tmp_path / "both")
+    assert both.data.calibration["pressure_clock_ms"] == pytest.approx(math.hypot(30.0, u_ms))
+
+
+@pytest.mark.parametrize(
+    ("channel", "key"), [("pressure_kpa", "pressure_clock_ms"), ("force_n", "force_clock_ms")]
+)
+def test_the_diagnosis_fits_a_joined_clock_that_is_off(
+    channel: str, key: str, tmp_path: Path
+) -> None:
+    """The simulated truth is off by one standard uncertainty; without it the gap is large."""
+    late_ms = 4.0
+    data = read_dataset(write_set(tmp_path / "set", seed=21, replicates=2, rate_hz=100.0))
+    trials = []
+    for trial in data.trials:
+        channels = dict(trial.channels)
+        if channel in channels:
+            late = channels[channel]
+            channels[channel] = Channel(late.time_s + 1e-3 * late_ms, late.value)
+        trials.append(dataclasses.replace(trial, channels=channels))
+    off = dataclasses.replace(data, trials=tuple(trials))
+    left = {}
+    for u_ms in (0.0, late_ms):
+        stated = {key: u_ms} if u_ms else {}
+        problem = FitProblem.of(dataclasses.replace(off, calibration=stated))
+        fit = problem.fit([], [])
+        left[u_ms] = fit.cost / len(problem.rows)
+        if u_ms:
+            shift = float(fit.shift[problem.names.index(f"calibration {key}")])
+            assert shift == pytest.approx(1.0, abs=0.15)
+    assert left[late_ms] < 0.25 * left[0.0]
+
+
+def test_settled_points_do_not_depend_on_a_clock(tmp_path: Path) -> None:
+    data = read_dataset(settled_set(tmp_path / "table", {}, replicates=2))
+    stated = dataclasses.replace(
+        data,
+        calibration={"pressure_clock_ms": 9.0, "force_clock_ms": 9.0, "length_clock_ms": 9.0},
+    )
+    plain, clocked = (FitProblem.of(d).fit([], []) for d in (data, stated))
+    assert clocked.cost == pytest.approx(plain.cost, rel=1e-6)
