@@ -30,7 +30,7 @@ _LEAN: dict[str, Any] = {
     "no_cfunc_wrapper": True,
 }
 
-_ALWAYS = ("compiled.py", "constants.py", "effects", "physics")
+_ALWAYS = ("compiled.py", "inner.py", "constants.py", "effects", "physics")
 
 
 def inlined(function: F) -> F:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import plant
-from plant import compiled
+from plant import compiled, inner
 from plant.constants import nominal
 from plant.simulator import kernel, replay
 from plant.simulator.bench import BenchSim
@@ -35,7 +36,7 @@ def test_the_cache_is_renewed_by_every_source_that_is_compiled_in() -> None:
     carried = {
         name for name in seen if name not in ("plant.arrays", "plant.errors", "plant.tomlfile")
     }
-    rooms = ("compiled", "constants", "effects", "physics", "simulator")
+    rooms = ("compiled", "constants", "effects", "inner", "physics", "simulator")
     assert {name.split(".")[1] for name in carried} == set(rooms)
     assert len(carried) > 40
 
@@ -77,3 +78,27 @@ def test_an_hour_of_ticks_fits_a_minute_many_times_over() -> None:
     for k in range(20_000):
         kernel.advance(state, params, 1e-3, 1e-3 if k % 40 < 13 else 0.0, 0.0)
     assert (time.process_time() - began) / 20_000 < 10e-6
+
+
+def test_what_is_only_compiled_into_others_refuses_a_call() -> None:
+    """There is no machine code of it: the process would end."""
+    with pytest.raises(TypeError, match="only compiled into other functions"):
+        kernel.measure(np.zeros(8), np.zeros(8))
+    plain = compiled.inlined(lambda x: x + 1.0)
+    made = compiled.entry_point("float64(float64)")(_calling(plain))
+    assert made(2.0) == 6.0
+
+
+def _calling(function: Any) -> Any:
+    def twice(x: float) -> float:
+        return 2.0 * float(function(x))
+
+    return twice
+
+
+def test_another_version_of_numba_compiles_in_its_ordinary_way(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(inner, "KNOWN", ("0.0",))
+    plain = compiled.inlined(lambda x: x + 1.0)
+    assert plain(1.0) == 2.0

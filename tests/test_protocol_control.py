@@ -20,6 +20,7 @@ from protocol_runs import run_short
 from rigs.execution.control import RunControl, control_file
 from rigs.execution.runner import Runner, Watch
 from rigs.protocols.isometric import Isometric
+from rigs.protocols.parts.trials import in_words
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig
 from rigs.steps.schedule import arrange, outline, path
@@ -190,3 +191,14 @@ def test_every_point_is_put_into_the_live_view(
         assert label in (event.get("scheme"), event["slot"])
         assert 0.0 < y < most
         assert 0.0 <= x <= 700.0
+
+
+@pytest.mark.parametrize(
+    ("slot", "words"),
+    [
+        ("M1.154 to 400 kPa", "1.154 kg to 400 kPa"), ("P300 swept", "300 kPa swept"),
+        ("L64", "64 mm"), ("300 ± 40 kPa", "300 ± 40 kPa"), ("Lower", "Lower"),
+    ],
+)  # fmt: skip
+def test_a_trial_is_shown_with_its_unit(slot: str, words: str) -> None:
+    assert in_words(slot) == words

@@ -164,7 +164,7 @@ class Logbook:
         if self.temperature_c is not None:
             held = (*held, ("temperature_c", self.temperature_c))
             warm = f" at {self.temperature_c:g} degC"
-        yield State(f"trial {self.trial}: {slot}{warm}, replicate {place.replicate}")
+        yield State(f"trial {self.trial}: {in_words(slot)}{warm}, replicate {place.replicate}")
         yield Trial(
             self.trial, slot + warm, place.replicate, self.trial, place.mounting, protocol, held
         )
@@ -223,3 +223,12 @@ class Logbook:
         """Vented: the zero again, and the trial is whole."""
         yield Zero(self.trial, "after", self.method.zero_s)
         yield EndTrial(self.trial)
+
+
+def in_words(slot: str) -> str:
+    """A slot as a person reads it: ``M1.154 to 400 kPa`` is ``1.154 kg to 400 kPa``."""
+    unit = {"L": "mm", "P": "kPa", "M": "kg"}.get(slot[:1])
+    number, space, rest = slot[1:].partition(" ")
+    if unit is None or not number.replace(".", "", 1).isdigit():
+        return slot
+    return f"{number} {unit}{space}{rest}"
