@@ -9,8 +9,8 @@ a product of powers, and their logarithm is a sum. Its weights (`presence.toml`)
 (`python -m gap.check.presence`) from sets of one to five effects and from sets whose effect is not
 in the catalogue.
 
-Which explanation is the best one is asked with an unknown smooth error of the form of each stage
-beside all of them (`gap.estimation.discrepancy`).
+Explanations of as many effects are also compared with an unknown smooth error of the form of each
+stage beside them (`gap.estimation.discrepancy`).
 """
 
 from __future__ import annotations
@@ -123,16 +123,17 @@ def evidence_of(
     """The evidence for each effect of the best explanation, and the search with that one first.
 
     The search compares explanations by chi-square, and it may have stopped in a poor one. Where
-    another explanation of as many effects has the greater log evidence by `SURER`, it takes the
-    place of the best; the one that was becomes a rival.
+    another explanation of as many effects leaves less and has the greater log evidence by `SURER`,
+    it takes the place of the best; the one that was becomes a rival. Evidence alone is not enough:
+    the discrepancy takes the pattern of some effects, of frictions above all, as its own.
     """
     discrepancy = Discrepancy(problem)
     for _ in range(_EXCHANGES):
         found, others = _weighed(problem, search, discrepancy)
-        better = max(others, key=lambda other: other[1], default=None)
-        if better is None or better[1] < SURER or len(search.best.keys) < 2:
+        better = [(h, ahead) for h, ahead in others if h.cost < search.best.cost and ahead >= SURER]
+        if not better or len(search.best.keys) < 2:
             break
-        search = _exchanged(problem, search, better[0])
+        search = _exchanged(problem, search, max(better, key=lambda one: one[1])[0])
     return search, found
 
 
