@@ -160,7 +160,8 @@ def _weighed(
         all_others += [(h, -ahead) for h, ahead in zip(others, leads, strict=True)]
         made.append(
             Evidence(
-                name, _left_where(problem, less, fit), search.gap + chance, lost,
+                name, min(_left_where(problem, less, fit), search.left + chance), search.gap + chance,
+                lost,
                 max(min([lost, *(h.cost - fit.cost for h in others)]), 0.0),
                 lead, min([lead, *leads]), _over_slots(problem, less, fit),
                 visibility(problem, less, fit),
@@ -207,7 +208,8 @@ def _white_squares(problem: FitProblem, residual: Array) -> Array:
     for trial, rows in enumerate(problem.noise.trial_rows):
         if len(rows):
             white[rows] = problem.noise.whiten(trial, residual[rows][:, None])[:, 0]
-    return np.bincount(problem.rows.block, weights=white**2, minlength=len(BLOCKS))
+    made = np.bincount(problem.rows.block, weights=white**2, minlength=len(BLOCKS))
+    return np.asarray(made, dtype=np.float64)
 
 
 def _against_end(problem: FitProblem, fit: FitResult, at: int, left: float) -> bool:
