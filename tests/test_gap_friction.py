@@ -63,6 +63,11 @@ def test_coulomb_friction_that_grows_with_pressure_is_found_with_its_size(tmp_pa
     assert verdict.effects[0].ids == ("braid_friction",)
     friction = verdict.effects[0].parameters["friction_n"]
     assert friction.value == pytest.approx(5.2, rel=0.03)  # at 300 kPa
+    growth = verdict.effects[0].parameters["growth_n_kpa"]
+    assert growth.value == pytest.approx(0.004, rel=0.1)
+    assert growth.low is not None
+    assert growth.high is not None
+    assert 0.0 < growth.low < 0.004 < growth.high < 5.2 / 300.0
     assert verdict.gap is not None
     assert verdict.gap.closed is not None
     assert verdict.gap.closed > 0.95

@@ -19,7 +19,7 @@ from gap.effects.candidates import DEFECTS
 from gap.estimation.agreement import shared_chi2
 from gap.estimation.cross_validation import HeldOut, gap_of, held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.intervals import detection_limits, headline_estimates
+from gap.estimation.intervals import detection_limits, growth_estimates, headline_estimates
 from gap.reason import Cause, Reason, reason
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.config import SELECTION
@@ -69,6 +69,13 @@ class _Case:
         return 1.0 - left / max(self.search.gap, 1.0)
 
     @property
+    def rest_floors(self) -> float:
+        """Most that the explanation leaves in a block beyond its floor, in units of the floor."""
+        parts = [(h.rms("after"), max(h.rms("floor"), 1e-6)) for h in self.held.values()]
+        squares = ((after / floor) ** 2 - 1.0 for after, floor in parts)
+        return float(np.sqrt(max(0.0, *squares)))
+
+    @property
     def floor_source(self) -> str | None:
         """Where the floor comes from; None where there are too few replicates for one."""
         noise = self.problem.noise
@@ -114,6 +121,8 @@ class _Finding:
     confounders: list[Confounder] = field(default_factory=list)
     evidence: dict[str, object] = field(default_factory=dict)
     sure: tuple[str, ...] = ()
+    beside: FitResult | None = None
+    """The fit that states the parameters, where it also holds effects that are not named."""
 
 
 def classify(
@@ -127,7 +136,9 @@ def classify(
     elif outcome.uncertain_defect:
         finding = _unknown(case, case.search.best.fit, 1.0, Reason(Cause.UNCERTAIN_DEFECT))
     elif case.search.best.keys:
-        evidence = evidence_of(problem, case.search)
+        weighed, evidence = evidence_of(problem, case.search)
+        if weighed is not case.search:
+            case = replace(case, search=with_per_stroke_delays(problem, weighed))
         odds = {one.id: shipped_presence().of(one) for one in evidence}
         case, finding = _by_presence(case, _explained(case), odds)
         presence = [one.as_dict() for one in evidence]
@@ -275,7 +286,7 @@ def _by_presence(
 
     Where an explanation of several effects is refused as a whole, those that are there in any case
     are named, and the rest of the gap stays unknown. Where it is accepted, it goes without effects
-    that are rather not there. Where several fit, those on which they agree are sure.
+    that are rather not there. Where several fit, those that none of them can do without are sure.
 
     Args:
         odds: probability of each effect of the best explanation.
@@ -292,12 +303,10 @@ def _by_presence(
         if kept and len(kept) < len(ids):
             return _partly(case, finding, kept, odds)
         return case, replace(finding, sure=ids)
-    if finding.status is Status.INDISTINGUISHABLE and len(case.search.best.fit.ids) > 1:
-        agreed = [n for n in sure if all(n in h.fit.ids for h, _ in finding.entries)]
-        if agreed:
-            names = " and ".join(agreed)
-            why = reason(Cause.SURE_BESIDE, sure=names, rest=str(finding.reason))
-            return case, replace(finding, sure=tuple(agreed), reason=why)
+    open_ = (Status.INDISTINGUISHABLE, Status.MIMICABLE)
+    if finding.status in open_ and len(case.search.best.fit.ids) > 1 and sure:
+        why = reason(Cause.SURE_BESIDE, sure=" and ".join(sure), rest=str(finding.reason))
+        return case, replace(finding, sure=sure, reason=why)
     return case, finding
 
 
@@ -306,21 +315,25 @@ def _partly(
 ) -> tuple[_Case, _Finding]:
     """Some effects named, all others taken out, and the rest of the gap left unknown.
 
-    The finding as it was where nothing is named, or where the data do not determine it.
+    Amounts, and whether the data determine them, are those beside all effects of the explanation:
+    alone, an effect would also take what belongs to the others. The finding as it was where nothing
+    is left to name.
     """
+    search = case.search
+    open_ = _undetermined(case, search.best.fit)
+    named = tuple(name for name in named if name not in open_)
     if not named:
         return case, finding
-    search = case.search
-    if len(named) < len(search.best.fit.ids):
+    beside = search.best.fit
+    if len(named) < len(beside.ids):
         search = only_effects(case.problem, search, named)
     part = replace(case, search=search)
-    if not _determined(part, search.best.fit):
-        return case, finding
     probability = float(np.prod([odds[name] for name in named]))
     several = Cause.PARTLY_SEVERAL if len(named) > 1 else Cause.PARTLY
     why = reason(
-        several, names=" and ".join(named), percent=100 * probability, share=100 * part.share
-    )
+        several, names=" and ".join(named), percent=100 * probability, share=100 * part.share,
+        rest=part.rest_floors,
+    )  # fmt: skip
     return part, replace(
         finding,
         status=Status.NAMED_FORM_INADEQUATE,
@@ -330,11 +343,17 @@ def _partly(
         unknown=(1.0 - probability) * (1.0 - finding.none),
         confounders=[],
         sure=named,
+        beside=beside,
     )
 
 
 def _determined(case: _Case, fit: FitResult) -> bool:
-    """Whether the data determine the amounts of an entry.
+    """Whether the data determine the amounts of all effects of an entry."""
+    return not _undetermined(case, fit)
+
+
+def _undetermined(case: _Case, fit: FitResult) -> tuple[str, ...]:
+    """Effects of an entry whose amounts the data do not determine.
 
     They do not where an interval holds the whole range of the catalogue, and no effect with it; nor
     where an amount stands at the end of its range, unless the entry explains the gap nonetheless.
@@ -342,6 +361,7 @@ def _determined(case: _Case, fit: FitResult) -> bool:
     problem, config = case.problem, case.config
     estimates = headline_estimates(problem, fit, shipped_reliability().form)
     explains = fit is case.search.best.fit and case.share >= config.form_share
+    made = []
     for name in fit.ids:
         entry = CATALOGUE[name]
         if entry.headline is None:
@@ -352,14 +372,13 @@ def _determined(case: _Case, fit: FitResult) -> bool:
             continue
         low, high = entry.parameters[0].low, entry.parameters[0].high
         neutral = entry.neutral_in(problem.data.constants)
-        if estimate.low < min(low, neutral) and estimate.high > high:
-            return False
+        open_ = estimate.low < min(low, neutral) and estimate.high > high
         near = config.end_of_range * (high - low)
         ends = [end for end in (low, high) if end != neutral]
         at_end = min(abs(float(estimate.value) - end) for end in ends) < near
-        if at_end and not explains:
-            return False
-    return True
+        if open_ or (at_end and not explains):
+            made.append(name)
+    return tuple(made)
 
 
 def _confounders(case: _Case) -> tuple[Confounder | None, Confounder | None]:
@@ -541,7 +560,10 @@ def _explanations(
         if kept is not None:
             made[frozenset(ids)] = replace(kept, probability=kept.probability + p)
             continue
-        estimates = headline_estimates(problem, hypothesis.fit, shipped_reliability().form)
+        form = shipped_reliability().form
+        fit = finding.beside or hypothesis.fit
+        estimates = headline_estimates(problem, fit, form, ids=ids)
+        estimates |= growth_estimates(problem, fit, form, ids)
         made[frozenset(ids)] = Explanation(ids, _families(ids), p, estimates)
     # On these data nothing tells a confounder from the best entry.
     for confounder in finding.confounders:

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 import numpy as np
+from scipy.stats import t as student
 
 from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import covariance, damped_step, projected
 from gap.verdict import Estimate
+from plant.arrays import Array
 from plant.effects.catalogue import CATALOGUE
+from plant.effects.reference import MIDDLE_PRESSURE_PA
 
 _Z95 = 1.96
+_LEAST_SLOTS = 4
+_MOST_CONDITION = 1e4
+"""Condition of the two parts of a growth from which pressures differ too little to tell them."""
 
 
 def undamped_step(problem: FitProblem, fit: FitResult) -> FitResult:
@@ -44,6 +51,7 @@ def headline_estimates(
     fit: FitResult,
     form_error: Mapping[str, float] | None = None,
     whole: bool = True,
+    ids: Collection[str] | None = None,
 ) -> dict[str, Estimate]:
     """Headline parameters of all effects in force, keyed by parameter name.
 
@@ -51,14 +59,15 @@ def headline_estimates(
     id in front. With `whole`, what a constant of the same meaning took over beyond its tolerance
     counts to the effect, and the fit is settled first; without it the parameters go with the
     constants of the fit as it stands. `form_error` is the error (1 sd, of the logarithm) that
-    the true form of an effect brings into its headline parameter, by catalogue id.
+    the true form of an effect brings into its headline parameter, by catalogue id. `ids` are the
+    effects that are stated, by default all.
     """
     made: dict[str, Estimate] = {}
     n = len(problem.names)
     if whole:
         fit = undamped_step(problem, fit)
     spread = max(1.0, np.sqrt(fit.cost / max(len(problem.rows), 1)))
-    for name in fit.ids:
+    for name in fit.ids if ids is None else [name for name in fit.ids if name in ids]:
         entry = CATALOGUE[name]
         at = [j for j, candidate in enumerate(fit.candidates) if candidate.id == name]
         if entry.headline is None:
@@ -86,6 +95,73 @@ def headline_estimates(
             word = entry.option_name or "where"
             made[word if word not in made else f"{name}_{word}"] = Estimate(option)
     return made
+
+
+def growth_estimates(
+    problem: FitProblem,
+    fit: FitResult,
+    form_error: Mapping[str, float] | None = None,
+    ids: Collection[str] | None = None,
+) -> dict[str, Estimate]:
+    """How the size of each effect in force grows with pressure, where the data hold it.
+
+    The residual without the effect is fitted by the part that is in proportion to the pressure and
+    the part that is constant, all rows by their time alone: by the noise a misfit of the form in
+    few rows, as after a turn, would decide. The error is that by the jackknife over slots. Not
+    stated with fewer than four slots, nor where the interval holds all from constant to
+    proportional.
+    """
+    made: dict[str, Estimate] = {}
+    middle_kpa = MIDDLE_PRESSURE_PA * 1e-3
+    for name in fit.ids if ids is None else [name for name in fit.ids if name in ids]:
+        growth = CATALOGUE[name].search.growth if name in CATALOGUE else None
+        own = [j for j, candidate in enumerate(fit.candidates) if candidate.id == name]
+        if growth is None or growth.key not in fit.candidates[own[0]].shape:
+            continue
+        parts = _parts_by_slot(problem, fit, own, growth.key)
+        slots = len(parts)
+        whole = parts.sum(axis=0)
+        if slots < _LEAST_SLOTS or np.linalg.cond(whole[:2, :2]) > _MOST_CONDITION:
+            continue
+        left_out_one = [np.linalg.solve(x[:2, :2], x[:2, 2])[0] for x in whole - parts]
+        spread = float(np.sum((left_out_one - np.mean(left_out_one)) ** 2))
+        sd = float(np.sqrt((slots - 1) / slots * spread)) / middle_kpa
+        proportional, constant = np.linalg.solve(whole[:2, :2], whole[:2, 2])
+        form = (form_error or {}).get(name, ESTIMATION.form_error)
+        reach = float(student.ppf(0.975, slots - 2)) * sd
+        value = float(proportional) / middle_kpa
+        low, high = interval(value, reach, _Z95 * form)
+        if low > 0.0 or high < float(proportional + constant) / middle_kpa:
+            made[growth.name] = Estimate(value, low, high)
+    return made
+
+
+def _parts_by_slot(problem: FitProblem, fit: FitResult, own: list[int], key: str) -> Array:
+    """Inner products of an effect's two parts and what it has to explain, by slot.
+
+    In proportion to the pressure, constant, and the residual without the effect, weighted by time
+    over the floor of the block; shape (slots, 3, 3). The shape is that of the largest amount.
+    """
+    largest = max(own, key=lambda j: abs(float(fit.amounts[j])))
+    candidate = fit.candidates[largest]
+    others, amounts = fit.kept(lambda one: one.id != candidate.id)
+    pair = [replace(candidate, shape={**candidate.shape, key: on}) for on in (1.0, 0.0)]
+    without = problem.at(fit.shift, others, np.array(amounts), fit)
+    total = float(fit.amounts[own].sum())
+    there = np.array([*amounts, 0.5 * total, 0.5 * total])
+    columns = problem.slopes(fit.shift, [*others, *pair], there)[:, -2:]
+    rows = problem.rows
+    weight = np.zeros(len(rows))
+    for number in np.unique(rows.block).tolist():
+        here = rows.block == number
+        weight[here] = rows.span_s[here] / np.mean(problem.floor_variance[here])
+    values = np.hstack([columns, without.residual[:, None]])
+    units = problem.units[rows.trial]
+    made = np.zeros((int(units.max()) + 1, 3, 3))
+    for unit in range(len(made)):
+        part = values[units == unit]
+        made[unit] = part.T @ (part * weight[units == unit][:, None])
+    return made[made[:, 1, 1] > 0.0]
 
 
 def interval(amount: float, noise: float, form: float) -> tuple[float, float]:

@@ -97,6 +97,8 @@ def sentence(text: str) -> str:
 def parameter_text(name: str, estimate: Estimate) -> str:
     """A parameter as text: threshold 33 kPa (29.2 to 36.7)."""
     units = {p.name: p.unit for entry in CATALOGUE.values() for p in entry.parameters}
+    growths = (entry.search.growth for entry in CATALOGUE.values())
+    units |= {growth.name: growth.unit for growth in growths if growth is not None}
     base = next((known for known in units if name == known or name.endswith(f"_{known}")), name)
     unit = units.get(base, "")
     tail = "_" + unit.lower().replace("/", "_").replace(" ", "_")

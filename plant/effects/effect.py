@@ -171,6 +171,21 @@ class InDiagnosis:
 
 
 @dataclass(frozen=True)
+class Growth:
+    """A size that may grow with pressure: one shape is in proportion to it, another constant.
+
+    Attributes:
+        key: number of the shape that is 1 where the size is in proportion to the pressure, else 0.
+        name: of the parameter that a diagnosis states, with its unit.
+        unit: of the headline parameter by kPa.
+    """
+
+    key: str
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True)
 class Search:
     """How the diagnosis tries an effect.
 
@@ -195,6 +210,7 @@ class Search:
             settled points do not show it.
         each_label: whether, in tables of settled points, each written length alone may have it:
             shapes with `only_mm`.
+        growth: how its size may grow with pressure, where shapes with and without it exist.
     """
 
     step: float
@@ -211,6 +227,7 @@ class Search:
     scan: str = ""
     settled: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     each_label: bool = False
+    growth: Growth | None = None
 
 
 def same_numbers(**parameters: str) -> Callable[[Shape, PlantConstants], Mapping[str, float]]:

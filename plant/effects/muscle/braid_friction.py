@@ -6,7 +6,15 @@ import numpy as np
 
 from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
-from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search, same_numbers
+from plant.effects.effect import (
+    Effect,
+    Growth,
+    InDiagnosis,
+    InPlant,
+    Parameter,
+    Search,
+    same_numbers,
+)
 from plant.effects.reference import MIDDLE_PRESSURE_PA
 from plant.effects.trials import without_noise_turns
 from plant.physics.friction import element_slip
@@ -102,6 +110,7 @@ BRAID_FRICTION = Effect(
         ),
         free={"kpa": (3.0, 300.0), "mm": (0.03, 5.0)},
         plant_misfit=0.15,
+        growth=Growth("pressure", "growth_n_kpa", "N/kPa"),
         as_plant=same_numbers(kpa="travel_kpa", mm="travel_mm"),
         settled={"friction_n": (0.5, 0.0, 20.0)},
     ),
