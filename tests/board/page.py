@@ -8,7 +8,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from valvefw import wire
+
 from . import judge
+from .parts import FULL_SECONDS, FULL_TRIALS, INPUTS
 
 HOUSE = Path(__file__).resolve().parent.parent.parent
 HEAD = """\
@@ -17,10 +20,13 @@ HEAD = """\
 `make board IMAGE=RPI_PICO.uf2 BOOTROM=bootrom.bin` (`python -m tests.board`) writes this page. It
 starts MicroPython's image for the board on an emulated RP2040. The file system holds the files that
 `pamrig firmware install` copies. The test is the host on the other end of the UART, the pressure
-sensor and a chamber with two valves. Times are emulated times, measured from outside the firmware.
+sensor and a chamber with two valves. Its commands name a session, as those of `pamrig` do. Times
+are emulated times, measured from outside the firmware.
 
 **{verdict}**; {date}, revision {revision}; MicroPython {micropython} (`{image}`), boot ROM
 {bootrom}, processor at {mhz:g} MHz, flash at {flash:g} MHz, {emulator}.
+
+Size: {size}.
 
 What the emulation cannot show: it models one chip; the second core, the USB port and a reset by
 the watchdog are missing; supply voltage, temperature and noise have no effect. Its flash cache is
@@ -54,9 +60,11 @@ def _lines(whole: dict[str, Any]) -> Iterator[str]:
         revision=_revision(),
         mhz=hertz / 1e6,
         flash=hertz / (chip["flash_divider"] if chip else 2) / 1e6,
+        size=_size(whole["about"]),
     )
     yield from _schemes([p for name, p in parts.items() if name.startswith("schemes:")])
     yield from _requests([p for name, p in parts.items() if name.startswith("schemes:")])
+    yield from _inputs([p for name, p in parts.items() if name.startswith("inputs:")])
     yield from _trials([p for name, p in parts.items() if name.startswith("trials:")])
     if "pulses" in parts:
         yield from _pulses(parts["pulses"])
@@ -76,6 +84,19 @@ def _schemes(rows: list[dict[str, Any]]) -> Iterator[str]:
         f"## Schemes\n\n{rows[0]['seconds']:g} s each, with a heartbeat every 100 ms, a change of "
         "the set-point (`open`: of the pulse train) every 500 ms, and 10 samples a frame.\n"
     )
+    yield from _scheme_table(rows)
+    yield (
+        "\nLimits: sampling p99.9 within "
+        f"{judge.SAMPLING_US:g} us of 1 ms and none lost, safety core {judge.STEP_US:g} us, busy "
+        f"{judge.BUSY:.0%}, no pulse cut, no gap. *Safety core*: from entry to return of its "
+        "interrupt. *Busy*: time in which the processor does not wait. *Loop late*: from a step to "
+        "the pass of the loop that uses it. *Cut*: inlet pulses that ended before the scheme or "
+        "the host ended them. *Gaps*: in the numbers of the samples at the host. *Heartbeat*: from "
+        "the first byte of the request to the last byte of its reply.\n"
+    )
+
+
+def _scheme_table(rows: list[dict[str, Any]]) -> Iterator[str]:
     yield (
         "| Scheme | Sampling off 1 ms, us: p99.9 | max | Lost | Safety core, us: mean | p99 | max "
         "| Busy | Loop late, us: p99 | max | Inlet pulses | Cut | Gaps | Heartbeat, ms: mean "
@@ -91,15 +112,38 @@ def _schemes(rows: list[dict[str, Any]]) -> Iterator[str]:
             f"{loop['p99']:.0f} | {loop['max']:.0f} | {r['pulses']} | {r['cut']} | {r['gaps']} | "
             f"{beat['mean']:.1f} | {beat['max']:.1f} |"
         )
-    yield (
-        "\nLimits: sampling p99.9 within "
-        f"{judge.SAMPLING_US:g} us of 1 ms and none lost, safety core {judge.STEP_US:g} us, busy "
-        f"{judge.BUSY:.0%}, no pulse cut, no gap. *Safety core*: from entry to return of its "
-        "interrupt. *Busy*: time in which the processor does not wait. *Loop late*: from a step to "
-        "the pass of the loop that uses it. *Cut*: inlet pulses that ended before the scheme or "
-        "the host ended them. *Gaps*: in the numbers of the samples at the host. *Heartbeat*: from "
-        "the first byte of the request to the last byte of its reply.\n"
-    )
+
+
+def _inputs(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """The schemes with the further inputs switched on; memory with them is one of the rows."""
+    schemes = [r for r in rows if "spans" not in r]
+    if schemes:
+        yield (
+            f"## With further inputs\n\n{schemes[0]['seconds']:g} s each. On are the bridge at 80 "
+            "conversions a second, the encoder every 20 ms and both analogue inputs every 100 ms "
+            f"({', '.join(f'`{text}`' for text in INPUTS)}). The bridge's words are put where its "
+            "state machine would have read them. The ADS1115 is missing: the emulation has no "
+            "device on the I2C bus.\n"
+        )
+        yield from _scheme_table(schemes)
+        readings = "; ".join(
+            f"{r['scheme']}: {_readings(r['inputs'])}, beside {r['samples']:,} samples of pressure"
+            for r in schemes
+        )
+        yield f"\nThe same limits. Readings at the host: {readings}.\n"
+    for r in rows:
+        if "spans" in r:
+            yield f"Bytes allocated per tick with them: {_spans(r)}.\n"
+
+
+def _readings(inputs: dict[str, int]) -> str:
+    """Readings by input and state; the host names them `input:state`, both as numbers."""
+    out = []
+    for name, number in sorted(inputs.items()):
+        which, state = (int(part) for part in name.split(":"))
+        text = wire.INPUTS[which]
+        out.append(f"{number:,} {text}" + (f" ({wire.STATES[state]})" if state else ""))
+    return ", ".join(out) or "none"
 
 
 def _requests(rows: list[dict[str, Any]]) -> Iterator[str]:
@@ -162,12 +206,15 @@ def _pulses(r: dict[str, Any]) -> Iterator[str]:
 
 
 def _memory(r: dict[str, Any]) -> Iterator[str]:
-    spans = ", ".join(f"{name} {span['per_tick']:g}" for name, span in r["spans"].items())
     yield (
         "## Memory\n\nBytes allocated per tick while armed, with heartbeats, set-points and "
-        f"telemetry (`gc.mem_alloc()` around spans of the loop): {spans}. {r['heap_used']} bytes "
-        "of the heap are in use.\n"
+        f"telemetry (`gc.mem_alloc()` around spans of the loop): {_spans(r)}. {r['heap_used']} "
+        "bytes of the heap are in use.\n"
     )
+
+
+def _spans(r: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {span['per_tick']:g}" for name, span in r["spans"].items())
 
 
 def _conformance(rows: list[dict[str, Any]]) -> Iterator[str]:
@@ -181,6 +228,14 @@ def _conformance(rows: list[dict[str, Any]]) -> Iterator[str]:
         f"({total['ticks']:,} ticks): {total['bytes']:,} bytes compared with those of CPython, "
         f"{wrong} conversations differ.\n"
     )
+
+
+def _size(about: dict[str, Any]) -> str:
+    seconds, trials = about["seconds"], about["trials"]
+    text = f"{seconds:g} s a scheme and {trials} trials of each frequent cause of a vent"
+    if (seconds, trials) == (FULL_SECONDS, FULL_TRIALS):
+        return f"{text} (the full size)"
+    return f"{text}; the full size is {FULL_SECONDS:g} s and {FULL_TRIALS} trials"
 
 
 def _revision() -> str:
