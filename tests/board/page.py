@@ -13,6 +13,7 @@ from valvefw import wire
 from . import judge
 from .parts import FULL_SECONDS, FULL_TRIALS, INPUTS
 
+LAST_FULL = "2026-11-23 with revision d23b4954"  # set anew after a run of the full size
 HOUSE = Path(__file__).resolve().parent.parent.parent
 HEAD = """\
 # Firmware on an emulated RP2040
@@ -90,27 +91,29 @@ def _schemes(rows: list[dict[str, Any]]) -> Iterator[str]:
         f"{judge.SAMPLING_US:g} us of 1 ms and none lost, safety core {judge.STEP_US:g} us, busy "
         f"{judge.BUSY:.0%}, no pulse cut, no gap. *Safety core*: from entry to return of its "
         "interrupt. *Busy*: time in which the processor does not wait. *Loop late*: from a step to "
-        "the pass of the loop that uses it. *Cut*: inlet pulses that ended before the scheme or "
-        "the host ended them. *Gaps*: in the numbers of the samples at the host. *Heartbeat*: from "
-        "the first byte of the request to the last byte of its reply.\n"
+        "the pass of the loop that uses it. *Missed*: steps whose reading the scheme does not see, "
+        "because the pass before took longer than 1 ms; the core checks every one. *Cut*: inlet "
+        "pulses that ended before the scheme or the host ended them. *Gaps*: in the numbers of the "
+        "samples at the host. *Heartbeat*: from the first byte of the request to the last byte of "
+        "its reply.\n"
     )
 
 
 def _scheme_table(rows: list[dict[str, Any]]) -> Iterator[str]:
     yield (
         "| Scheme | Sampling off 1 ms, us: p99.9 | max | Lost | Safety core, us: mean | p99 | max "
-        "| Busy | Loop late, us: p99 | max | Inlet pulses | Cut | Gaps | Heartbeat, ms: mean "
-        "| max |"
+        "| Busy | Loop late, us: p99 | max | Missed | Inlet pulses | Cut | Gaps "
+        "| Heartbeat, ms: mean | max |"
     )
-    yield "|--|" + "--:|" * 14
+    yield "|--|" + "--:|" * 15
     for r in rows:
         off, step, loop, beat = (r[k] for k in ("deviation_us", "step_us", "loop_us", "trips"))
         beat = beat["hb"]
         yield (
             f"| {r['scheme']} | {off['p999']:.0f} | {off['max']:.0f} | {r['lost']} | "
             f"{step['mean']:.0f} | {step['p99']:.0f} | {step['max']:.0f} | {r['busy']:.0%} | "
-            f"{loop['p99']:.0f} | {loop['max']:.0f} | {r['pulses']} | {r['cut']} | {r['gaps']} | "
-            f"{beat['mean']:.1f} | {beat['max']:.1f} |"
+            f"{loop['p99']:.0f} | {loop['max']:.0f} | {1 - loop['n'] / step['n']:.1%} | "
+            f"{r['pulses']} | {r['cut']} | {r['gaps']} | {beat['mean']:.1f} | {beat['max']:.1f} |"
         )
 
 
@@ -122,7 +125,8 @@ def _inputs(rows: list[dict[str, Any]]) -> Iterator[str]:
             f"## With further inputs\n\n{schemes[0]['seconds']:g} s each. On are the bridge at 80 "
             "conversions a second, the encoder every 20 ms and both analogue inputs every 100 ms "
             f"({', '.join(f'`{text}`' for text in INPUTS)}). The bridge's words are put where its "
-            "state machine would have read them. The ADS1115 is missing: the emulation has no "
+            "state machine would have read them, from the start of the measurement on; before, it "
+            "is silent. The ADS1115 is missing: the emulation has no "
             "device on the I2C bus.\n"
         )
         yield from _scheme_table(schemes)
@@ -206,10 +210,11 @@ def _pulses(r: dict[str, Any]) -> Iterator[str]:
 
 
 def _memory(r: dict[str, Any]) -> Iterator[str]:
+    spans = max(len(span["bytes"]) for span in r["spans"].values())
     yield (
         "## Memory\n\nBytes allocated per tick while armed, with heartbeats, set-points and "
-        f"telemetry (`gc.mem_alloc()` around spans of the loop): {_spans(r)}. {r['heap_used']} "
-        "bytes of the heap are in use.\n"
+        f"telemetry (`gc.mem_alloc()` around {spans} spans of 0.2 s): {_spans(r)}. "
+        f"{r['heap_used']} bytes of the heap are in use.\n"
     )
 
 
@@ -235,7 +240,10 @@ def _size(about: dict[str, Any]) -> str:
     text = f"{seconds:g} s a scheme and {trials} trials of each frequent cause of a vent"
     if (seconds, trials) == (FULL_SECONDS, FULL_TRIALS):
         return f"{text} (the full size)"
-    return f"{text}; the full size is {FULL_SECONDS:g} s and {FULL_TRIALS} trials"
+    return (
+        f"{text}, smaller than the full size of {FULL_SECONDS:g} s and {FULL_TRIALS} trials, which "
+        f"last ran on {LAST_FULL}"
+    )
 
 
 def _revision() -> str:
