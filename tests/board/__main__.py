@@ -10,7 +10,7 @@ from pathlib import Path
 from . import node
 from .image import Unusable, read_bootrom, read_image
 from .judge import misses
-from .parts import Setting, run
+from .parts import FULL_SECONDS, FULL_TRIALS, Setting, run
 
 NEEDED = (
     "board: skipped, needs IMAGE=RPI_PICO.uf2 (MicroPython for the Pico) and "
@@ -24,8 +24,8 @@ def main() -> int:
     parser.add_argument("--image", type=_path, help="MicroPython's image, .uf2 or .bin")
     parser.add_argument("--bootrom", type=_path, help="boot ROM of the RP2040, .bin")
     parser.add_argument("--elf", type=Path, help="the image's ELF: counts collections as well")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each scheme (default 60)")
-    parser.add_argument("--trials", type=int, default=1000, help="of each kind (default 1000)")
+    parser.add_argument("--seconds", type=float, default=FULL_SECONDS, help="of each scheme (60)")
+    parser.add_argument("--trials", type=int, default=FULL_TRIALS, help="of each kind (1000)")
     parser.add_argument("--parts", default="", help="schemes[:name],trials[:kind],pulses,...")
     parser.add_argument("--processes", type=int, default=1, help="at a time (default 1)")
     parser.add_argument("--again", action="store_true", help="parts with a result once more")

@@ -8,8 +8,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from . import judge
+from valvefw import wire
 
+from . import judge
+from .parts import FULL_SECONDS, FULL_TRIALS, INPUTS
+
+LAST_FULL = "2026-11-23 with revision d23b4954"  # set anew after a run of the full size
 HOUSE = Path(__file__).resolve().parent.parent.parent
 HEAD = """\
 # Firmware on an emulated RP2040
@@ -17,10 +21,13 @@ HEAD = """\
 `make board IMAGE=RPI_PICO.uf2 BOOTROM=bootrom.bin` (`python -m tests.board`) writes this page. It
 starts MicroPython's image for the board on an emulated RP2040. The file system holds the files that
 `pamrig firmware install` copies. The test is the host on the other end of the UART, the pressure
-sensor and a chamber with two valves. Times are emulated times, measured from outside the firmware.
+sensor and a chamber with two valves. Its commands name a session, as those of `pamrig` do. Times
+are emulated times, measured from outside the firmware.
 
 **{verdict}**; {date}, revision {revision}; MicroPython {micropython} (`{image}`), boot ROM
 {bootrom}, processor at {mhz:g} MHz, flash at {flash:g} MHz, {emulator}.
+
+Size: {size}.
 
 What the emulation cannot show: it models one chip; the second core, the USB port and a reset by
 the watchdog are missing; supply voltage, temperature and noise have no effect. Its flash cache is
@@ -54,9 +61,11 @@ def _lines(whole: dict[str, Any]) -> Iterator[str]:
         revision=_revision(),
         mhz=hertz / 1e6,
         flash=hertz / (chip["flash_divider"] if chip else 2) / 1e6,
+        size=_size(whole["about"]),
     )
     yield from _schemes([p for name, p in parts.items() if name.startswith("schemes:")])
     yield from _requests([p for name, p in parts.items() if name.startswith("schemes:")])
+    yield from _inputs([p for name, p in parts.items() if name.startswith("inputs:")])
     yield from _trials([p for name, p in parts.items() if name.startswith("trials:")])
     if "pulses" in parts:
         yield from _pulses(parts["pulses"])
@@ -76,30 +85,69 @@ def _schemes(rows: list[dict[str, Any]]) -> Iterator[str]:
         f"## Schemes\n\n{rows[0]['seconds']:g} s each, with a heartbeat every 100 ms, a change of "
         "the set-point (`open`: of the pulse train) every 500 ms, and 10 samples a frame.\n"
     )
+    yield from _scheme_table(rows)
+    yield (
+        "\nLimits: sampling p99.9 within "
+        f"{judge.SAMPLING_US:g} us of 1 ms and none lost, safety core {judge.STEP_US:g} us, busy "
+        f"{judge.BUSY:.0%}, no pulse cut, no gap. *Safety core*: from entry to return of its "
+        "interrupt. *Busy*: time in which the processor does not wait. *Loop late*: from a step to "
+        "the pass of the loop that uses it. *Missed*: steps whose reading the scheme does not see, "
+        "because the pass before took longer than 1 ms; the core checks every one. *Cut*: inlet "
+        "pulses that ended before the scheme or the host ended them. *Gaps*: in the numbers of the "
+        "samples at the host. *Heartbeat*: from the first byte of the request to the last byte of "
+        "its reply.\n"
+    )
+
+
+def _scheme_table(rows: list[dict[str, Any]]) -> Iterator[str]:
     yield (
         "| Scheme | Sampling off 1 ms, us: p99.9 | max | Lost | Safety core, us: mean | p99 | max "
-        "| Busy | Loop late, us: p99 | max | Inlet pulses | Cut | Gaps | Heartbeat, ms: mean "
-        "| max |"
+        "| Busy | Loop late, us: p99 | max | Missed | Inlet pulses | Cut | Gaps "
+        "| Heartbeat, ms: mean | max |"
     )
-    yield "|--|" + "--:|" * 14
+    yield "|--|" + "--:|" * 15
     for r in rows:
         off, step, loop, beat = (r[k] for k in ("deviation_us", "step_us", "loop_us", "trips"))
         beat = beat["hb"]
         yield (
             f"| {r['scheme']} | {off['p999']:.0f} | {off['max']:.0f} | {r['lost']} | "
             f"{step['mean']:.0f} | {step['p99']:.0f} | {step['max']:.0f} | {r['busy']:.0%} | "
-            f"{loop['p99']:.0f} | {loop['max']:.0f} | {r['pulses']} | {r['cut']} | {r['gaps']} | "
-            f"{beat['mean']:.1f} | {beat['max']:.1f} |"
+            f"{loop['p99']:.0f} | {loop['max']:.0f} | {1 - loop['n'] / step['n']:.1%} | "
+            f"{r['pulses']} | {r['cut']} | {r['gaps']} | {beat['mean']:.1f} | {beat['max']:.1f} |"
         )
-    yield (
-        "\nLimits: sampling p99.9 within "
-        f"{judge.SAMPLING_US:g} us of 1 ms and none lost, safety core {judge.STEP_US:g} us, busy "
-        f"{judge.BUSY:.0%}, no pulse cut, no gap. *Safety core*: from entry to return of its "
-        "interrupt. *Busy*: time in which the processor does not wait. *Loop late*: from a step to "
-        "the pass of the loop that uses it. *Cut*: inlet pulses that ended before the scheme or "
-        "the host ended them. *Gaps*: in the numbers of the samples at the host. *Heartbeat*: from "
-        "the first byte of the request to the last byte of its reply.\n"
-    )
+
+
+def _inputs(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """The schemes with the further inputs switched on; memory with them is one of the rows."""
+    schemes = [r for r in rows if "spans" not in r]
+    if schemes:
+        yield (
+            f"## With further inputs\n\n{schemes[0]['seconds']:g} s each. On are the bridge at 80 "
+            "conversions a second, the encoder every 20 ms and both analogue inputs every 100 ms "
+            f"({', '.join(f'`{text}`' for text in INPUTS)}). The bridge's words are put where its "
+            "state machine would have read them, from the start of the measurement on; before, it "
+            "is silent. The ADS1115 is missing: the emulation has no "
+            "device on the I2C bus.\n"
+        )
+        yield from _scheme_table(schemes)
+        readings = "; ".join(
+            f"{r['scheme']}: {_readings(r['inputs'])}, beside {r['samples']:,} samples of pressure"
+            for r in schemes
+        )
+        yield f"\nThe same limits. Readings at the host: {readings}.\n"
+    for r in rows:
+        if "spans" in r:
+            yield f"Bytes allocated per tick with them: {_spans(r)}.\n"
+
+
+def _readings(inputs: dict[str, int]) -> str:
+    """Readings by input and state; the host names them `input:state`, both as numbers."""
+    out = []
+    for name, number in sorted(inputs.items()):
+        which, state = (int(part) for part in name.split(":"))
+        text = wire.INPUTS[which]
+        out.append(f"{number:,} {text}" + (f" ({wire.STATES[state]})" if state else ""))
+    return ", ".join(out) or "none"
 
 
 def _requests(rows: list[dict[str, Any]]) -> Iterator[str]:
@@ -162,12 +210,16 @@ def _pulses(r: dict[str, Any]) -> Iterator[str]:
 
 
 def _memory(r: dict[str, Any]) -> Iterator[str]:
-    spans = ", ".join(f"{name} {span['per_tick']:g}" for name, span in r["spans"].items())
+    spans = max(len(span["bytes"]) for span in r["spans"].values())
     yield (
         "## Memory\n\nBytes allocated per tick while armed, with heartbeats, set-points and "
-        f"telemetry (`gc.mem_alloc()` around spans of the loop): {spans}. {r['heap_used']} bytes "
-        "of the heap are in use.\n"
+        f"telemetry (`gc.mem_alloc()` around {spans} spans of 0.2 s): {_spans(r)}. "
+        f"{r['heap_used']} bytes of the heap are in use.\n"
     )
+
+
+def _spans(r: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {span['per_tick']:g}" for name, span in r["spans"].items())
 
 
 def _conformance(rows: list[dict[str, Any]]) -> Iterator[str]:
@@ -180,6 +232,17 @@ def _conformance(rows: list[dict[str, Any]]) -> Iterator[str]:
         f"repeated {total['conversations']} conversations of the conformance tests "
         f"({total['ticks']:,} ticks): {total['bytes']:,} bytes compared with those of CPython, "
         f"{wrong} conversations differ.\n"
+    )
+
+
+def _size(about: dict[str, Any]) -> str:
+    seconds, trials = about["seconds"], about["trials"]
+    text = f"{seconds:g} s a scheme and {trials} trials of each frequent cause of a vent"
+    if (seconds, trials) == (FULL_SECONDS, FULL_TRIALS):
+        return f"{text} (the full size)"
+    return (
+        f"{text}, smaller than the full size of {FULL_SECONDS:g} s and {FULL_TRIALS} trials, which "
+        f"last ran on {LAST_FULL}"
     )
 
 

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from valvefw import config, core
+from valvefw import config, core, wire
 from valvefw.safety import _LIMITS
 from valvefw.schemes.scheme import HOLD_US
 
 from . import image, node
 
+FULL_SECONDS = 60.0  # of each scheme
+FULL_TRIALS = 1000  # of each kind
 SCHEMES = ("two", "duty_in", "duty", "slide", "ram", "pwm", "burst", "open", "idle")
 INPUTS = ("set bridge 5", "set encoder_ms 20", "set second_ms 100", "set third_ms 100")
 TRIALS = {  # kind: share of the trials asked for
@@ -157,6 +159,7 @@ def common(setting: Setting, board: image.Image) -> dict[str, Any]:
         "words": core.WORDS,
         "places": {name: getattr(core, name) for name in PLACES},
         "hold_us": HOLD_US,
+        "guarded": wire.GUARDED,
     }
     if setting.elf is not None:
         words["symbols"] = image.symbols(setting.elf, HOOKS)

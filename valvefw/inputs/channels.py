@@ -110,28 +110,32 @@ def put(w: ptr32, ring: ptr8, tag: int, value: int, low: int, high: int):
 
 @micropython.viper
 def pass_time(w: ptr32, dt: int) -> int:
-    """Let ``dt`` us pass. Bits: 0 on, the input is due to be read; 8 on, it is on; 16 on, it has
-    been silent for too long, unless a conversion is there now."""
+    """Let ``dt`` us pass. Bits: 0 on, the input is to be looked at; 12 on, it is due to be read;
+    20 on, it has been silent for too long, unless a conversion is there now. Only a converter is
+    looked at in between."""
     mask = 0
     bit = 1
     at = 0
     while at < INPUTS * PLACES:
         if w[at + ON]:
-            mask = mask | bit << 8
+            look = 0
+            if at < ENCODER * PLACES:
+                look = bit
             since = w[at + SINCE]
             if since < 0x10000000:
                 w[at + SINCE] = since + dt
             left = w[at + SILENT_LEFT] - dt
             w[at + SILENT_LEFT] = left
             if left <= 0:
-                mask = mask | bit << 16
+                look = bit | bit << 20
             due = w[at + DUE] - dt
             if due <= 0:
-                mask = mask | bit
+                look = look | bit | bit << 12
                 due += w[at + PERIOD]
                 if due <= 0:
                     due = w[at + PERIOD]
             w[at + DUE] = due
+            mask = mask | look
         bit = bit << 1
         at += PLACES
     return mask
@@ -317,16 +321,16 @@ class Channels:
         self._now = now
         mask = pass_time(w, dt)
         which = 0
-        while which < INPUTS:
-            if mask & 0x100:
+        while mask & 31:
+            if mask & 1:
                 raw = -1
                 if which == BRIDGE:
                     raw = board.bridge()
                 elif which == ADC16:
-                    raw = self._adc16.step(mask & 1)
-                elif mask & 1:
+                    raw = self._adc16.step(mask & 0x1000)
+                elif mask & 0x1000:
                     raw = board.encoder() if which == ENCODER else board.analogue(which - ENCODER)
-                if raw >= 0 or mask & 0x10000:
+                if raw >= 0 or mask & 0x100000:
                     board.stamp(s)
                     low = s[REPLY_LOW]
                     high = s[REPLY_HIGH]

@@ -297,6 +297,15 @@ export class Board {
         this.missCycles = MISS_FLASH_CLOCKS * (this.flashClock.baudr || 2) + MISS_CLOCKS;
         if (stop()) return;
       }
+      // Without: an interrupt that became due after the mask was set and before `wfi` does not end
+      // the sleep, which then lasts until the next other interrupt, up to some ms.
+      if (core.waiting && core.pendingInterrupts & core.enabledInterrupts) {
+        if (core.checkForInterrupts()) {
+          core.waiting = false;
+          clock.tick(15 * this.cycleNs);
+          continue;
+        }
+      }
       const stands = this.hung && core.IPSR === 0 && !core.PM;
       if (core.waiting || (stands && !core.interruptsUpdated)) {
         let ns = clock.nanosToNextAlarm;

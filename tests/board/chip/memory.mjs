@@ -6,7 +6,7 @@ import { Host } from "./host.mjs";
 
 export function memory(job, tell) {
   const board = new Board(job);
-  const host = new Host(board);
+  const host = new Host(board, job.guarded);
   let answer = -1;
   board.onScratch = (register, value) => {
     if (register === 0) answer = value;

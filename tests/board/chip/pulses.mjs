@@ -10,7 +10,7 @@ const HELD_MS = 200;
 
 export function pulses(job, tell) {
   const board = new Board({ ...job, realPio: true });
-  const host = new Host(board);
+  const host = new Host(board, job.guarded);
   const random = randomNumbers(job.seed + 1);
   const edges = []; // [ns, pin, level]
   board.onPin = (pin, level) => edges.push([board.nanos, pin, level]);

@@ -90,7 +90,7 @@ class Pulses {
 export function scheme(job, tell) {
   HOLD_US = job.hold_us;
   const board = new Board(job);
-  const host = new Host(board);
+  const host = new Host(board, job.guarded);
   const counts = { collections: 0, allocated: 0 };
   if (job.symbols) {
     board.hookAt(job.symbols.gc_collect, () => counts.collections++);

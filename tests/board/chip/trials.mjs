@@ -28,7 +28,7 @@ class Bench {
     this.job = job;
     this.tell = tell;
     this.board = new Board(job);
-    this.host = new Host(this.board);
+    this.host = new Host(this.board, job.guarded);
     this.random = randomNumbers(job.seed + 1);
     this.host.boot();
     this.state = this.board.findState(job);
