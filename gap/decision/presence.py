@@ -160,8 +160,8 @@ def _weighed(
         all_others += [(h, -ahead) for h, ahead in zip(others, leads, strict=True)]
         made.append(
             Evidence(
-                name, min(_left_where(problem, less, fit), search.left + chance), search.gap + chance,
-                lost,
+                name, min(_left_where(problem, less, fit), search.left + chance),
+                search.gap + chance, lost,
                 max(min([lost, *(h.cost - fit.cost for h in others)]), 0.0),
                 lead, min([lead, *leads]), _over_slots(problem, less, fit),
                 visibility(problem, less, fit),
