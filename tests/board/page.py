@@ -56,7 +56,7 @@ def _lines(whole: dict[str, Any]) -> Iterator[str]:
     hertz = chip["clock_hz"] if chip else 125e6
     yield HEAD.format(
         **whole["about"],
-        verdict=f"{len(missed)} figures outside their limits" if missed else "All limits are met",
+        verdict=_verdict(len(missed)),
         date=f"{datetime.now(UTC):%Y-%m-%d}",
         revision=_revision(),
         mhz=hertz / 1e6,
@@ -224,6 +224,10 @@ def _spans(r: dict[str, Any]) -> str:
 
 def _conformance(rows: list[dict[str, Any]]) -> Iterator[str]:
     if not rows:
+        yield (
+            "## Conformance\n\nNot part of this run (`--parts conformance`); last run on "
+            f"{LAST_FULL}.\n"
+        )
         return
     total = {key: sum(r[key] for r in rows) for key in ("conversations", "bytes", "ticks")}
     wrong = sum(len(r["wrong"]) for r in rows)
@@ -232,6 +236,16 @@ def _conformance(rows: list[dict[str, Any]]) -> Iterator[str]:
         f"repeated {total['conversations']} conversations of the conformance tests "
         f"({total['ticks']:,} ticks): {total['bytes']:,} bytes compared with those of CPython, "
         f"{wrong} conversations differ.\n"
+    )
+
+
+def _verdict(missed: int) -> str:
+    if not missed:
+        return "All limits are met"
+    return (
+        f"{missed} figures are outside their limits"
+        if missed > 1
+        else "One figure is outside its limit"
     )
 
 
