@@ -243,9 +243,9 @@ def _verdict(missed: int) -> str:
     if not missed:
         return "All limits are met"
     return (
-        f"{missed} figures are outside their limits"
+        f"{missed} figures are outside their limits (at the end)"
         if missed > 1
-        else "One figure is outside its limit"
+        else "One figure is outside its limit (at the end)"
     )
 
 
