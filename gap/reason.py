@@ -54,11 +54,11 @@ class Cause(StrEnum):
     )
     PARTLY = (
         "{names} is there ({percent:.0f} %), whatever else acts: it explains {share:.0f} % of the "
-        "gap; {rest:.1f} floors are left, and what explains the rest is not known"
+        "gap, and what explains the rest is not known"
     )
     PARTLY_SEVERAL = (
         "{names} are there ({percent:.0f} %), whatever else acts: they explain {share:.0f} % of "
-        "the gap; {rest:.1f} floors are left, and what explains the rest is not known"
+        "the gap, and what explains the rest is not known"
     )
     SURE_BESIDE = "{sure} in any case; {rest}"
     UNDETERMINED = (

@@ -70,7 +70,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", default="0-19", help="set numbers: 0-19, or 3,5,8")
     parser.add_argument("--most", type=int, default=SELECTION.most_effects)
-    parser.add_argument("--small", action="store_true", help="sets of 16 trials, to learn from")
     parser.add_argument("--out", type=Path, default=Path("out/several.jsonl"))
     options = parser.parse_args()
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -78,7 +77,7 @@ def main() -> int:
     scores = {s["number"]: s for s in map(json.loads, lines)}
     for number in numbers_of(options.sets):
         if number not in scores:
-            scores[number] = score(number, options.most, options.small)
+            scores[number] = score(number, options.most)
             with options.out.open("a") as file:
                 file.write(json.dumps(scores[number]) + "\n")
             print(json.dumps(scores[number]), file=sys.stderr, flush=True)

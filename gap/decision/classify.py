@@ -69,13 +69,6 @@ class _Case:
         return 1.0 - left / max(self.search.gap, 1.0)
 
     @property
-    def rest_floors(self) -> float:
-        """Most that the explanation leaves in a block beyond its floor, in units of the floor."""
-        parts = [(h.rms("after"), max(h.rms("floor"), 1e-6)) for h in self.held.values()]
-        squares = ((after / floor) ** 2 - 1.0 for after, floor in parts)
-        return float(np.sqrt(max(0.0, *squares)))
-
-    @property
     def floor_source(self) -> str | None:
         """Where the floor comes from; None where there are too few replicates for one."""
         noise = self.problem.noise
@@ -121,8 +114,6 @@ class _Finding:
     confounders: list[Confounder] = field(default_factory=list)
     evidence: dict[str, object] = field(default_factory=dict)
     sure: tuple[str, ...] = ()
-    beside: FitResult | None = None
-    """The fit that states the parameters, where it also holds effects that are not named."""
 
 
 def classify(
@@ -136,9 +127,7 @@ def classify(
     elif outcome.uncertain_defect:
         finding = _unknown(case, case.search.best.fit, 1.0, Reason(Cause.UNCERTAIN_DEFECT))
     elif case.search.best.keys:
-        weighed, evidence = evidence_of(problem, case.search)
-        if weighed is not case.search:
-            case = replace(case, search=with_per_stroke_delays(problem, weighed))
+        evidence = evidence_of(problem, case.search)
         odds = {one.id: shipped_presence().of(one) for one in evidence}
         case, finding = _by_presence(case, _explained(case), odds)
         presence = [one.as_dict() for one in evidence]
@@ -286,7 +275,7 @@ def _by_presence(
 
     Where an explanation of several effects is refused as a whole, those that are there in any case
     are named, and the rest of the gap stays unknown. Where it is accepted, it goes without effects
-    that are rather not there. Where several fit, those that none of them can do without are sure.
+    that are rather not there. Where several fit, those on which they agree are sure.
 
     Args:
         odds: probability of each effect of the best explanation.
@@ -303,10 +292,12 @@ def _by_presence(
         if kept and len(kept) < len(ids):
             return _partly(case, finding, kept, odds)
         return case, replace(finding, sure=ids)
-    open_ = (Status.INDISTINGUISHABLE, Status.MIMICABLE)
-    if finding.status in open_ and len(case.search.best.fit.ids) > 1 and sure:
-        why = reason(Cause.SURE_BESIDE, sure=" and ".join(sure), rest=str(finding.reason))
-        return case, replace(finding, sure=sure, reason=why)
+    if finding.status is Status.INDISTINGUISHABLE and len(case.search.best.fit.ids) > 1:
+        agreed = [n for n in sure if all(n in h.fit.ids for h, _ in finding.entries)]
+        if agreed:
+            names = " and ".join(agreed)
+            why = reason(Cause.SURE_BESIDE, sure=names, rest=str(finding.reason))
+            return case, replace(finding, sure=tuple(agreed), reason=why)
     return case, finding
 
 
@@ -315,25 +306,21 @@ def _partly(
 ) -> tuple[_Case, _Finding]:
     """Some effects named, all others taken out, and the rest of the gap left unknown.
 
-    Amounts, and whether the data determine them, are those beside all effects of the explanation:
-    alone, an effect would also take what belongs to the others. The finding as it was where nothing
-    is left to name.
+    The finding as it was where nothing is named, or where the data do not determine it.
     """
-    search = case.search
-    open_ = _undetermined(case, search.best.fit)
-    named = tuple(name for name in named if name not in open_)
     if not named:
         return case, finding
-    beside = search.best.fit
-    if len(named) < len(beside.ids):
+    search = case.search
+    if len(named) < len(search.best.fit.ids):
         search = only_effects(case.problem, search, named)
     part = replace(case, search=search)
+    if not _determined(part, search.best.fit):
+        return case, finding
     probability = float(np.prod([odds[name] for name in named]))
     several = Cause.PARTLY_SEVERAL if len(named) > 1 else Cause.PARTLY
     why = reason(
-        several, names=" and ".join(named), percent=100 * probability, share=100 * part.share,
-        rest=part.rest_floors,
-    )  # fmt: skip
+        several, names=" and ".join(named), percent=100 * probability, share=100 * part.share
+    )
     return part, replace(
         finding,
         status=Status.NAMED_FORM_INADEQUATE,
@@ -343,17 +330,11 @@ def _partly(
         unknown=(1.0 - probability) * (1.0 - finding.none),
         confounders=[],
         sure=named,
-        beside=beside,
     )
 
 
 def _determined(case: _Case, fit: FitResult) -> bool:
-    """Whether the data determine the amounts of all effects of an entry."""
-    return not _undetermined(case, fit)
-
-
-def _undetermined(case: _Case, fit: FitResult) -> tuple[str, ...]:
-    """Effects of an entry whose amounts the data do not determine.
+    """Whether the data determine the amounts of an entry.
 
     They do not where an interval holds the whole range of the catalogue, and no effect with it; nor
     where an amount stands at the end of its range, unless the entry explains the gap nonetheless.
@@ -361,7 +342,6 @@ def _undetermined(case: _Case, fit: FitResult) -> tuple[str, ...]:
     problem, config = case.problem, case.config
     estimates = headline_estimates(problem, fit, shipped_reliability().form)
     explains = fit is case.search.best.fit and case.share >= config.form_share
-    made = []
     for name in fit.ids:
         entry = CATALOGUE[name]
         if entry.headline is None:
@@ -372,13 +352,14 @@ def _undetermined(case: _Case, fit: FitResult) -> tuple[str, ...]:
             continue
         low, high = entry.parameters[0].low, entry.parameters[0].high
         neutral = entry.neutral_in(problem.data.constants)
-        open_ = estimate.low < min(low, neutral) and estimate.high > high
+        if estimate.low < min(low, neutral) and estimate.high > high:
+            return False
         near = config.end_of_range * (high - low)
         ends = [end for end in (low, high) if end != neutral]
         at_end = min(abs(float(estimate.value) - end) for end in ends) < near
-        if open_ or (at_end and not explains):
-            made.append(name)
-    return tuple(made)
+        if at_end and not explains:
+            return False
+    return True
 
 
 def _confounders(case: _Case) -> tuple[Confounder | None, Confounder | None]:
@@ -561,9 +542,8 @@ def _explanations(
             made[frozenset(ids)] = replace(kept, probability=kept.probability + p)
             continue
         form = shipped_reliability().form
-        fit = finding.beside or hypothesis.fit
-        estimates = headline_estimates(problem, fit, form, ids=ids)
-        estimates |= growth_estimates(problem, fit, form, ids)
+        estimates = headline_estimates(problem, hypothesis.fit, form)
+        estimates |= growth_estimates(problem, hypothesis.fit, form)
         made[frozenset(ids)] = Explanation(ids, _families(ids), p, estimates)
     # On these data nothing tells a confounder from the best entry.
     for confounder in finding.confounders:

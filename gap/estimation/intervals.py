@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -51,7 +51,6 @@ def headline_estimates(
     fit: FitResult,
     form_error: Mapping[str, float] | None = None,
     whole: bool = True,
-    ids: Collection[str] | None = None,
 ) -> dict[str, Estimate]:
     """Headline parameters of all effects in force, keyed by parameter name.
 
@@ -59,15 +58,14 @@ def headline_estimates(
     id in front. With `whole`, what a constant of the same meaning took over beyond its tolerance
     counts to the effect, and the fit is settled first; without it the parameters go with the
     constants of the fit as it stands. `form_error` is the error (1 sd, of the logarithm) that
-    the true form of an effect brings into its headline parameter, by catalogue id. `ids` are the
-    effects that are stated, by default all.
+    the true form of an effect brings into its headline parameter, by catalogue id.
     """
     made: dict[str, Estimate] = {}
     n = len(problem.names)
     if whole:
         fit = undamped_step(problem, fit)
     spread = max(1.0, np.sqrt(fit.cost / max(len(problem.rows), 1)))
-    for name in fit.ids if ids is None else [name for name in fit.ids if name in ids]:
+    for name in fit.ids:
         entry = CATALOGUE[name]
         at = [j for j, candidate in enumerate(fit.candidates) if candidate.id == name]
         if entry.headline is None:
@@ -101,7 +99,6 @@ def growth_estimates(
     problem: FitProblem,
     fit: FitResult,
     form_error: Mapping[str, float] | None = None,
-    ids: Collection[str] | None = None,
 ) -> dict[str, Estimate]:
     """How the size of each effect in force grows with pressure, where the data hold it.
 
@@ -113,7 +110,7 @@ def growth_estimates(
     """
     made: dict[str, Estimate] = {}
     middle_kpa = MIDDLE_PRESSURE_PA * 1e-3
-    for name in fit.ids if ids is None else [name for name in fit.ids if name in ids]:
+    for name in fit.ids:
         growth = CATALOGUE[name].search.growth if name in CATALOGUE else None
         own = [j for j, candidate in enumerate(fit.candidates) if candidate.id == name]
         if growth is None or growth.key not in fit.candidates[own[0]].shape:

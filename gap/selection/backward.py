@@ -114,13 +114,13 @@ def swapped(
                 problem, fit_further(problem, rest, other, linear, None, config).fit
             )
             keys = tuple(other if k == key else k for k in hypothesis.keys)
-            fit = in_order(problem, fitted, keys)
+            fit = _in_order(problem, fitted, keys)
             if excess_chi2(problem, fit) < chance:
                 made.append(Hypothesis(keys, fit))
     return sorted(made, key=lambda other: other.cost)
 
 
-def in_order(problem: FitProblem, fit: FitResult, keys: tuple[str, ...]) -> FitResult:
+def _in_order(problem: FitProblem, fit: FitResult, keys: tuple[str, ...]) -> FitResult:
     """The fit polished, its effects in the order of `keys`."""
     order = sorted(range(len(fit.candidates)), key=lambda k: keys.index(fit.candidates[k].key))
     candidates = [fit.candidates[k] for k in order]

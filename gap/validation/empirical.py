@@ -228,27 +228,21 @@ def empirical_term(
 ) -> EmpiricalTerm | None:  # fmt: skip
     """The term for what `fit` leaves; None where none closes a part of the gap for sure.
 
-    What a gap in one stage does to the constants shows in the others. So of the terms of all blocks
-    that one is taken which, with the constants fitted anew beside it, takes most from all blocks
-    together: the cause and not what follows from it.
-
     Args:
         nearest: ids of entries of the catalogue to compare the term with.
-        block: of features; by default that of the term which takes most.
+        block: of features; by default the one with the largest gap of which a part closes.
     """
-    found = [
-        one
-        for name in ([block] if block else blocks_with_gap(problem, fit))
-        if (one := _term_of(problem, fit, name, nearest, config)) is not None
-    ]
-    return max(found, key=lambda one: one[1])[0] if found else None
+    for name in [block] if block else blocks_with_gap(problem, fit):
+        found = _term_of(problem, fit, name, nearest, config)
+        if found is not None:
+            return found
+    return None
 
 
 def _term_of(
     problem: FitProblem, fit: FitResult, block: str, nearest: Sequence[str],
     config: ValidationConfig,
-) -> tuple[EmpiricalTerm, float] | None:  # fmt: skip
-    """The term of one block, and the chi-square that it takes from all blocks."""
+) -> EmpiricalTerm | None:  # fmt: skip
     search = search_of(problem, fit, block, config)
     if search is None:
         return None
@@ -262,7 +256,7 @@ def _term_of(
     shares = search.shares(chosen)
     terms = tuple(_spline_term(p, search.terms.coefficients(search.columns(chosen)), chosen)
                   for p in chosen)  # fmt: skip
-    term = EmpiricalTerm(
+    return EmpiricalTerm(
         unit=UNITS[block],
         correction=Correction(block, terms),
         shares=shares,
@@ -278,7 +272,6 @@ def _term_of(
                                       Correction(block, terms), config),
         nearest=_nearest(problem, fit, search, chosen, shares, tuple(nearest)),
     )  # fmt: skip
-    return term, search.terms.explained(search.columns(chosen), frozenset())
 
 
 def search_of(

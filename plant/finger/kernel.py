@@ -18,7 +18,7 @@ import numpy as np
 from plant.arrays import Array
 from plant.compiled import called, entry_point, fingerprint
 from plant.finger.stepping import integrate, pull_of
-from plant.links.kernel import WORK
+from plant.links.layout import WORK
 from plant.physics import layout as at
 from plant.simulator.rates import chamber, power
 from plant.simulator.valves import SAME_INSTANT_S, act, command, due_at

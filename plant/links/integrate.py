@@ -9,7 +9,8 @@ import numpy as np
 
 from plant.arrays import Array
 from plant.compiled import called, entry_point, fingerprint
-from plant.links.kernel import WORK, forward
+from plant.links.kernel import forward
+from plant.links.layout import WORK
 
 METHODS = ("gauss6", "rk4")
 

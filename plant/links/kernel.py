@@ -18,12 +18,11 @@ import numpy as np
 
 from plant.arrays import Array
 from plant.compiled import called, entry_point
+from plant.links.layout import WORK
 
 CA, SA, A, D, OFFSET, MASS, COM, INERTIA, DAMPING = 0, 1, 2, 3, 4, 5, 6, 9, 15
 """Columns of an arm's table."""
 COLUMNS = 16
-WORK = 8
-"""Columns of the work space, one row per link: cosine, sine, force F (3), moment N (3)."""
 
 
 @called

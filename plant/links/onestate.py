@@ -12,6 +12,7 @@ from plant.arrays import Array
 from plant.errors import LinkError
 from plant.links import kernel
 from plant.links.arm import Arm
+from plant.links.layout import WORK
 
 
 class OneState:
@@ -30,7 +31,7 @@ class OneState:
         n = arm.degrees
         self._arm = arm
         self._call = kernel.inverse_one
-        room = np.zeros((kernel.WORK + 1) * n)
+        room = np.zeros((WORK + 1) * n)
         self._pad = np.concatenate([arm.gravity, arm.table.ravel(), room])
         self.torque: Array = self._pad[-n:]
 

@@ -24,10 +24,9 @@ from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
 from plant.errors import PlantError
 from plant.links.arm import Arm
-from plant.links.kernel import WORK
+from plant.links.layout import WORK
 from plant.models.model import Model
 from plant.physics import layout as at
-from plant.scene import kernel as scene_kernel
 from plant.scene import layout as sc
 from plant.scene.model_table import ModelTable, model_table
 from plant.simulator.bench import STEP_MAX_S, STEP_SAFETY, Source, build_params, build_state
@@ -269,9 +268,13 @@ class Scene:
         As in `plant.simulator.bench.advance`, `dt_s` or more keeps a command on at the end of the
         tick.
         """
+        from plant.scene.kernel import (
+            advance,  # compiled where a scene is used, not where it may be
+        )
+
         fill = np.asarray(inlet_on_s, dtype=np.float64)
         vent = np.asarray(vent_on_s, dtype=np.float64)
-        scene_kernel.advance(self.world, dt_s, fill, vent)
+        advance(self.world, dt_s, fill, vent)
         if self.world.clock[sc.TROUBLE]:
             raise PlantError("scene: a joint moves no inertia; give the links mass")
 

@@ -20,7 +20,6 @@ from plant.constants import PlantConstants
 from plant.effects.effects import Effects
 from plant.errors import LinkError
 from plant.links.arm import Arm
-from plant.links.dynamics import inertia_matrix
 from plant.links.reader import load_arm
 from plant.scene import layout as sc
 from plant.scene.scene import (
@@ -38,6 +37,13 @@ from valvefw.wire import TICK_US
 
 LOCK_DAMPING = 0.7
 """Of the locked joint, as a share of the critical damping."""
+
+
+def _inertia(arm: Arm) -> float:
+    """Moment of inertia of a joint, in kg m^2."""
+    from plant.links.dynamics import inertia_matrix  # compiles; only a bench with a joint needs it
+
+    return float(inertia_matrix(arm, np.zeros(1))[0, 0])
 
 
 @dataclass(frozen=True)
@@ -113,7 +119,7 @@ class JointLoad(BenchSim):
             for which, way in (("a", -1.0), ("b", 1.0))
         ]  # fmt: skip
         if joint.friction_n_m:
-            inertia = float(inertia_matrix(joint.arm, np.zeros(1))[0, 0])
+            inertia = _inertia(joint.arm)
             turned = Coordinate(
                 name, mass=inertia, damping=link.damping_n_m_s, low=link.low_rad,
                 high=link.high_rad, stop_stiffness=JOINT_STOP_N_M_RAD,
@@ -124,7 +130,7 @@ class JointLoad(BenchSim):
             self.scene = Scene(units, arm=joint.arm)
         self.state, self.params = self.scene.world.units[0], self.scene.world.params[0]
         self._free_damping = float(self.scene.world.coords[0, sc.DAMPING])
-        self._inertia = float(inertia_matrix(joint.arm, np.zeros(1))[0, 0])
+        self._inertia = _inertia(joint.arm)
 
     def lock(self, angle_deg: float) -> None:
         """Turn the joint to an angle and hold it there. No time passes."""
