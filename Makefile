@@ -15,8 +15,8 @@ HASHED := --quiet --no-compile --no-deps --require-hashes --only-binary :all:
 
 # What the simulated bench is compiled with.
 COMPILED_WITH := numpy,numba,llvmlite,scipy
-INSTALL_PAMRIG = PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet \
-    --disable-pip-version-check --no-deps --no-build-isolation --editable .
+INSTALL_PAMRIG = PYTHONWARNINGS=ignore $(BIN)/python -m pip install --no-deps --no-build-isolation \
+    --quiet --disable-pip-version-check --editable .
 
 # What a user needs; tests need more.
 $(RUNS_HERE): locks/run.lock locks/build.lock pyproject.toml

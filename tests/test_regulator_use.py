@@ -81,7 +81,7 @@ def test_the_live_view_draws_the_pressure_that_the_regulator_makes(
     at_s, drawn = np.array(sheet.rows).T
     measured = np.interp(at_s, columns["time_s"], columns["pressure_kpa"])
     high = drawn > 150.0
-    assert high.sum() > 2000
+    assert high.sum() > 200  # one for each frame of ten samples
     apart = np.abs(measured - drawn)[high]
     assert np.median(apart) < 3.0  # the transducer's own error, 2 u at 500 kPa
     assert np.quantile(apart, 0.9) < 40.0  # on its way it moves by 300 kPa/s
