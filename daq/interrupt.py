@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
+import stat
 import threading
 from collections.abc import Iterator
 from types import FrameType
@@ -36,6 +38,18 @@ class StopFlag:
             raise Stopped(self.reason)
 
 
+def _leave_terminal() -> None:
+    """Send what is still printed nowhere: to write to a closed terminal is an error, which would
+    end the program before table and report are made.
+    """
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for fd in (1, 2):
+        with contextlib.suppress(OSError):
+            if stat.S_ISCHR(os.fstat(fd).st_mode):  # isatty says no once the terminal is gone
+                os.dup2(nowhere, fd)
+    os.close(nowhere)
+
+
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[StopFlag]:
     """Convert SIGINT, SIGTERM and SIGHUP into a flag inside the context; its reason is in words."""
@@ -47,6 +61,8 @@ def stop_on_signals() -> Iterator[StopFlag]:
     def handler(number: int, frame: FrameType | None) -> None:
         del frame
         name = signal.Signals(number).name
+        if name == "SIGHUP":
+            _leave_terminal()
         flag.set(REASONS.get(name, name))
 
     names = [n for n in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, n)]
