@@ -159,9 +159,8 @@ class WrittenFiles:
         for at in range(HEAD_BYTES, min(len(data), TOTAL_BYTES), SLOT_BYTES):
             slot = data[at : at + SLOT_BYTES].ljust(SLOT_BYTES, b"\0")
             if not slot.strip(b"\0"):
-                self.problems += unwritten(
-                    WRITTEN, data, at, TOTAL_BYTES
-                )  # slots are taken one after the other
+                # Slots are taken one after the other: all that follow are unused.
+                self.problems += unwritten(WRITTEN, data, at, TOTAL_BYTES)
                 break
             key = slot[:LONGEST_NAME].rstrip(b"\0")
             copies = [_COPY.unpack_from(slot, c) for c in _COPIES]

@@ -609,9 +609,8 @@ def _cell(instruments: InstrumentSettings, force_source: str) -> Calibration | N
     if cell is None or cell.form.unit not in GRAMS or not cell.calibration.date:
         return None
     scale = cell.calibration.scale / GRAMS[cell.form.unit]
-    note = f"{cell.calibration.note}; every test tares the cell, so that its offset is 0".lstrip(
-        "; "
-    )
+    tared = "every test tares the cell, so that its offset is 0"
+    note = "; ".join(filter(None, (cell.calibration.note, tared)))
     return replace(cell.calibration, raw_unit="g", offset=0.0, scale=scale, note=note)
 
 
