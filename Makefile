@@ -8,7 +8,7 @@ RUNS_HERE := $(VENV)/.runs
 # The tests start many programs, each of which would translate all libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test golden lint types bench campaign faults fuzz soak load real audit look docs board wheel lock clean
+.PHONY: demo test slow golden lint types bench campaign faults fuzz soak load real audit look docs board wheel lock clean
 
 # Every file that is installed has a sum in a lock file; nothing is built from sources.
 HASHED := --quiet --no-compile --no-deps --require-hashes --only-binary :all:
@@ -40,6 +40,10 @@ demo: $(RUNS_HERE)   ## an isometric test on the virtual bench, then the thesis'
 test: export OPENBLAS_NUM_THREADS = 1
 test: $(READY)   ## all tests at their small sizes
 	@$(BIN)/python -m tests.suite
+
+slow: export OPENBLAS_NUM_THREADS = 1
+slow: $(READY)   ## the tests of tests/slow.txt at their small sizes, before what is published
+	$(BIN)/python -m pytest -n logical --dist worksteal -m slow
 
 golden: $(READY)   ## golden outputs compared with tests/golden.json.gz; stopped, it goes on
 	$(BIN)/python -m tests.golden make out/golden

@@ -280,9 +280,8 @@ def test_stages_are_shown_on_a_terminal_and_nowhere_else(settled: Path) -> None:
         found = json.loads(process.stdout.read())
     os.close(ours)
     assert process.returncode == 0
-    assert b"noise and recalibration of 15 trials" in shown
-    assert b"effect 1: fit 1 of" in shown
     lines = [part.strip() for part in shown.split(b"\r")]
+    # A stage shorter than a look of the line is passed over; the last one is long enough.
     assert lines[-3:] == [b"confounders, stages and the next experiment", b"", b""]  # cleared
     quiet = subprocess.run(words, capture_output=True, check=True)
     assert quiet.stderr == b""

@@ -114,7 +114,7 @@ def test_what_came_from_data_is_escaped(liner: Examination) -> None:
         ("data_unfit", "Mend the recording"),
         ("below_resolution", "at least three trials"),
         ("no_gap_above_floor", "Nothing that these data ask for"),
-        ("unknown", "does not hold"),
+        ("unknown", "A gap whose cause is not known"),
     ],
 )
 def test_every_kind_of_verdict_has_its_letter(liner: Examination, status: str, told: str) -> None:

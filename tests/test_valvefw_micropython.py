@@ -19,7 +19,6 @@ FIRMWARE = Path(__file__).parent.parent / "valvefw"
 ALLOCATION = """
 import gc
 from valvefw.core import HEARTBEAT_LEFT, LOOP_LEFT, READING, decide, note
-from rigs.bench import firmware
 from valvefw.deskboard import DeskBoard
 from valvefw.schemes.valves import Valves
 board = DeskBoard()
