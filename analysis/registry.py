@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from analysis.findings.findings import Analysis
 from daq.errors import ConfigError
+
+if TYPE_CHECKING:
+    from daq.live.layout import LiveLayout
+    from daq.store.run import Run
 
 GROUP = "pamrig.analyses"
 """Entry points of installed packages: protocol name to an ``Analysis``."""
@@ -46,6 +51,19 @@ def analysis_of(protocol: object) -> Analysis:
     found = {a.name: a for a in import_module(f"analysis.findings.{ANALYSES[name]}").ANALYSES}[name]
     assert isinstance(found, Analysis)
     return found
+
+
+def layout_of(run: Run) -> LiveLayout:
+    """The live layout of a recorded run; without the camera where it has no pictures.
+
+    Raises:
+        ConfigError: its protocol's analysis cannot be loaded.
+    """
+    from analysis.layouts.layouts import without_camera
+
+    kind = analysis_of(run.manifest.get("protocol"))
+    layout = kind.layout(run.manifest.get("parameters") or {})
+    return layout if run.frames else without_camera(layout)
 
 
 def _own(name: str) -> Analysis:

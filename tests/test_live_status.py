@@ -13,9 +13,11 @@ import pytest
 from analysis.registry import analysis_of
 from daq.clock import VirtualClock
 from daq.link.causes import CAUSES, cause_of, event_words
-from daq.live.layout import Panel, channel_of
+from daq.live.chart import Chart
+from daq.live.layout import Axis, Panel, channel_of
 from daq.live.status import (
     FAULT,
+    FOLLOWING,
     ForceZero,
     Phases,
     Status,
@@ -290,3 +292,33 @@ def test_what_a_person_is_asked_for_stands_on_the_screen_until_it_is_done() -> N
     put_request(Person(), loop, Request("mass", 2.0, "kg", "Hang 2 kg"))
     assert [text.splitlines()[0] for text in live.status_texts] == ["# YOUR TURN", "# STARTING"]
     assert "**Hang 2 kg**" in live.status_texts[0]
+
+
+def test_a_sine_or_a_ramp_of_the_set_point_is_not_said_to_be_held() -> None:
+    phases = Phases()
+    time_s = np.arange(2000) * 1e-3
+    columns = telemetry(2000)
+    columns["setpoint_kpa"] = 300.0 + 20.0 * np.sin(2 * np.pi * np.floor(time_s * 50) / 50)
+    columns["pressure_kpa"] = columns["setpoint_kpa"]
+    assert [text for _, text in phases.feed(time_s, columns)][-1] == FOLLOWING
+    held = [text for _, text in phases.feed(time_s + 2.0, telemetry(2000))]
+    assert held == ["HOLDING 300 kPa"]  # one second after the last step
+    one_step = telemetry(2000)
+    one_step["setpoint_kpa"][:1000] = 200.0
+    stepped = [text for _, text in phases.feed(time_s + 4.0, one_step)]
+    assert FOLLOWING not in stepped
+
+
+def test_logarithmic_axes_show_the_quantity_and_units_keep_their_letters() -> None:
+    chart = Chart(
+        Axis("time held (s)", math.log10(0.6), math.log10(6.0), log10=True), Axis("y", 0, 1)
+    )
+    assert chart.drawing().tick_text[:5] == ["0.5", "1", "2", "5", "10"]
+    for name, parameters in (("relaxation", {"times": {"frames": 0}}), ("dynamic", {})):
+        panels = analysis_of(name).layout(parameters).panels
+        assert all(panel.kind != "camera" for panel in panels)  # no pictures, no empty panel
+        points = next(panel for panel in panels if panel.kind == "points")
+        assert points.x_axis is not None
+        assert points.x_axis.log10
+        assert "log10" not in points.title
+        assert "(n)" not in points.title

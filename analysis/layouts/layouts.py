@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -157,6 +158,27 @@ def isometric_layout(pressure_max_kpa: float = 500.0, force_max_n: float = 100.0
         points=(PointFeed(POINTS, x=("valve", "pressure_kpa"), y=("balance", "force_n")),),
         camera=CAMERA,
     )
+
+
+def without_camera(layout: LiveLayout) -> LiveLayout:
+    """The layout of a test that takes no pictures: no picture, no length from one.
+
+    A length that an instrument reads is drawn all the same, as a series that was not foreseen.
+    """
+
+    def kept(panel: Panel) -> Panel:
+        return replace(panel, channels=tuple(c for c in panel.channels if c.path != LENGTH))
+
+    columns: list[tuple[Panel | tuple[Panel, ...], ...]] = []
+    for column in layout.columns:
+        rows: list[Panel | tuple[Panel, ...]] = []
+        for entry in column:
+            row = (entry,) if isinstance(entry, Panel) else entry
+            row = tuple(kept(panel) for panel in row if panel.kind != "camera")
+            if row:
+                rows.append(row[0] if len(row) == 1 else row)
+        columns.append(tuple(rows))
+    return replace(layout, columns=tuple(columns))
 
 
 def edge_lines(gap: GapMeasurement, length_mm: float | None = None) -> list[Line]:

@@ -116,11 +116,9 @@ def try_derive(
 
 def _view(run: Run, out: Path) -> None:
     from analysis.layouts.layouts import measured_edges
-    from analysis.registry import analysis_of
+    from analysis.registry import layout_of
     from daq.live.viewfile import FILE, view_maker
 
     if (out / FILE).exists():  # taken over
         return
-    kind = analysis_of(run.manifest.get("protocol"))
-    layout = kind.layout(run.manifest.get("parameters") or {})
-    view_maker(layout, measured_edges(run))(run, out)
+    view_maker(layout_of(run), measured_edges(run))(run, out)

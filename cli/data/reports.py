@@ -206,7 +206,7 @@ def view(run: RunArgument = "last", runs: RunsOption = RUNS) -> None:
     import sys
 
     from analysis.layouts.layouts import measured_edges
-    from analysis.registry import analysis_of
+    from analysis.registry import layout_of
     from analysis.run_table import contents_of
     from daq.live.page import has_screen
     from daq.live.viewfile import open_view
@@ -214,8 +214,7 @@ def view(run: RunArgument = "last", runs: RunsOption = RUNS) -> None:
 
     found = find_run(runs, run)
     with contents_of(found):
-        kind = analysis_of(found.manifest.get("protocol"))
-        layout = kind.layout(found.manifest.get("parameters") or {})
+        layout = layout_of(found)
     # On SIGTERM, exit normally, so that `finally` also deletes a temporary view.
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     with contents_of(found):

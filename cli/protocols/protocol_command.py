@@ -54,10 +54,14 @@ def live_maker(
         browser: open the page in a browser, if there is a screen.
         feeds: gets what was opened.
     """
+    from analysis.layouts.layouts import without_camera
     from rigs.live.feed import open_live
 
     def make_live(run_id: str) -> LiveFeed:
-        feed = open_live(run_id, kind.analysis.layout(plan.as_dict()), open_browser=browser)
+        layout = kind.analysis.layout(plan.as_dict())
+        if not config.camera.source:
+            layout = without_camera(layout)
+        feed = open_live(run_id, layout, open_browser=browser)
         feeds.append(feed)
         view = feed.view
         if view.error:

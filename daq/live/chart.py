@@ -18,6 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 WIDTH, HEIGHT = 1000.0, 440.0
 LABEL_GAP = 34.0  # minimum vertical distance between curve labels
+LABEL_LEFT = 22.0  # distance of a curve's label from its end
 POINTS_PER_CURVE = 5_000  # limit for one curve
 LETTER = 10.5  # approximate width of a letter of a centred title
 TITLE_LEFT = -85.0  # left limit of the y axis title
@@ -34,6 +35,23 @@ def nice_ticks(low: float, high: float, about: int = 6) -> Floats:
     step = next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * 0.999)
     first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
     return np.arange(first, last + 1, dtype=np.float64) * step
+
+
+def log_ticks(low: float, high: float) -> Floats:
+    """Ticks in log10 that cover [low, high]: decades; below three decades also 2 and 5 times."""
+    if not (math.isfinite(high - low) and high > low):
+        return nice_ticks(low, high)
+    between = [0.0] if high - low > 3.0 else [0.0, math.log10(2.0), math.log10(5.0)]
+    decades = range(math.floor(low) - 1, math.ceil(high) + 2)
+    every = np.array([k + part for k in decades for part in between])
+    first = np.flatnonzero(every <= low + 1e-9)[-1]
+    last = np.flatnonzero(every >= high - 1e-9)[0]
+    return np.asarray(every[first : last + 1], dtype=np.float64)
+
+
+def ticks_of(axis: Axis, low: float, high: float) -> Floats:
+    """Ticks of an axis that cover [low, high]."""
+    return log_ticks(low, high) if axis.log10 else nice_ticks(low, high)
 
 
 @dataclass
@@ -62,7 +80,7 @@ class Chart:
     def __init__(self, x_axis: Axis, y_axis: Axis) -> None:
         self.axes = (x_axis, y_axis)
         self.curves: dict[str, Curve] = {}
-        self._ticks = [nice_ticks(a.low, a.high) for a in self.axes]
+        self._ticks = [ticks_of(a, a.low, a.high) for a in self.axes]
 
     def add(self, label: str, x: Floats, y: Floats) -> bool:
         """Add points; True if an axis has grown, so that everything must be drawn again."""
@@ -81,7 +99,7 @@ class Chart:
                 values.min() < ticks[0] - slack or values.max() > ticks[-1] + slack
             ):
                 low, high = min(ticks[0], values.min()), max(ticks[-1], values.max())
-                self._ticks[k] = nice_ticks(low, high)
+                self._ticks[k] = ticks_of(self.axes[k], low, high)
                 grown = True
         return grown
 
@@ -104,10 +122,12 @@ class Chart:
         return self.place(mean_x, mean_y)
 
     def label_positions(self) -> tuple[list[str], Floats]:
-        """Labels and their positions: right of each curve's end, with a minimum distance."""
+        """Labels and the positions of their centres: right of each curve's end, at a distance."""
         ends = {name: self.line(name)[-1] for name, c in self.curves.items() if c.x}
         names = sorted(ends, key=lambda name: float(ends[name][1]))
-        at = np.array([[ends[n][0] + 50.0, ends[n][1] - 15.0] for n in names]).reshape(-1, 2)
+        at = np.array(
+            [[ends[n][0] + LABEL_LEFT + LETTER * len(n) / 2, ends[n][1] - 15.0] for n in names]
+        ).reshape(-1, 2)
         for k in range(1, len(at)):
             at[k, 1] = max(at[k, 1], at[k - 1, 1] + LABEL_GAP)
         return names, at
@@ -126,7 +146,11 @@ class Chart:
         return Drawing(
             strips=strips,
             tick_at=tick_at,
-            tick_text=[f"{v:g}" for v in np.concatenate((tx, ty)).round(9)],
+            tick_text=[
+                f"{float(axis.quantity(v)):.6g}"
+                for axis, ticks in zip(self.axes, (tx, ty), strict=True)
+                for v in ticks.round(9)
+            ],
             title_at=np.array([[WIDTH / 2, HEIGHT + 56.0], [title_x, -62.0]]),
             title_text=[a.title for a in self.axes],
         )

@@ -81,11 +81,21 @@ def channel_of(path: str, colour: Colour | None = None) -> Channel:
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of a points panel: title with unit, and the minimum range."""
+    """An axis of a points panel: title with unit, and the minimum range.
+
+    Attributes:
+        log10: the values of the points, low and high are log10 of the quantity that the title
+            names; ticks and the table of results show the quantity itself.
+    """
 
     title: str
     low: float
     high: float
+    log10: bool = False
+
+    def quantity(self, value: float) -> float:
+        """The quantity that a value of a point stands for."""
+        return 10.0**value if self.log10 else value
 
 
 @dataclass(frozen=True)

@@ -191,7 +191,8 @@ class Scene:
                 "|--:|:--|--:|--:|",
             ]
             lines += [
-                f"| {count - k} | {label} | {x:#.5g} | {y:#.4g} |"
+                f"| {count - k} | {label} | {panel.x_axis.quantity(x):#.5g} |"
+                f" {panel.y_axis.quantity(y):#.4g} |"
                 for k, (label, x, y) in enumerate(rows[: -TABLE_ROWS // len(charts) - 1 : -1])
             ]
             parts.append("\n".join(lines if rows else [*lines, "| | none yet | | |"]))

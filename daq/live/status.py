@@ -7,6 +7,8 @@ commands.
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +31,10 @@ VENTED_KPA = 10.0
 NEAR_KPA = 5.0
 NEAR_SHARE = 0.02
 """The pressure is held where it is this near its set-point: 5 kPa and 2 % of it."""
+FOLLOW_S = 1.0
+FOLLOW_LOOKS = 4
+"""In so many looks of the last second the set-point differed from the look before: it moves."""
+FOLLOWING = "FOLLOWING A MOVING SET-POINT"
 BAR = 24
 FAULT, STOPPED, DONE = "FAULT", "STOPPED", "DONE"
 
@@ -131,6 +137,8 @@ class Phases:
         self.phase = ""
         self._next = ""
         self._agree = 0
+        self._target = math.nan
+        self._moved: deque[float] = deque(maxlen=FOLLOW_LOOKS)
 
     def feed(self, time_s: Any, columns: Mapping[str, Any]) -> Iterator[tuple[float, str]]:
         """Changes of the state in a batch: time in s, state.
@@ -157,8 +165,19 @@ class Phases:
             phase = phase_of(
                 int(flags[end]), float(target[end]), *(float(mean[k]) for mean in means)
             )
+            if self._follows(float(time_s[end]), float(target[end])) and phase != FAULT:
+                phase = FOLLOWING
             if self._steady(phase):
                 yield float(time_s[end]), phase
+
+    def _follows(self, time_s: float, target_kpa: float) -> bool:
+        """Whether a sine, a sweep or a ramp leads the set-point: it is another in most looks."""
+        if not target_kpa > 0.0:  # vented, or nothing is regulated
+            self._moved.clear()
+        elif target_kpa != self._target and self._target > 0.0:
+            self._moved.append(time_s)
+        self._target = target_kpa
+        return len(self._moved) == FOLLOW_LOOKS and time_s - self._moved[0] < FOLLOW_S
 
     def _steady(self, phase: str) -> bool:
         self._agree = self._agree + 1 if phase == self._next else 1

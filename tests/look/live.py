@@ -154,11 +154,10 @@ def look_at_run(
     folder: Path, out: Path, width: int = 1600, height: int = 1000
 ) -> npt.NDArray[np.uint8]:
     """Photograph the view of a recorded run."""
-    from analysis.registry import analysis_of
+    from analysis.registry import layout_of
 
     run = open_run(folder)
-    layout = analysis_of(run.manifest.get("protocol")).layout(run.manifest.get("parameters") or {})
-    viewer = open_view(run, layout, measured_edges(run), port=0)
+    viewer = open_view(run, layout_of(run), measured_edges(run), port=0)
     try:
         with Browser(width, height) as browser:
             browser.open(viewer.url)
