@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from analysis.models.points import load_points
+from analysis.models.text import fit_text, to_interval
 from cli.main import app
 from daq.errors import PamrigError
+from plant.fitting.fit import fit
+from plant.models import catalogue
 
 runner = CliRunner()
 
@@ -24,7 +29,29 @@ def test_fit_prints_values_with_intervals() -> None:
     text = call("fit", "c01", "--model", "chou-hannaford")
     assert "braid_length" in text
     assert "88.37" in text
-    assert "rmse 4.111 N" in text
+    assert "rms 4.11 N" in text
+
+
+def test_values_of_a_fit_have_the_digits_of_their_interval() -> None:
+    """84.3459 mm stood beside an interval of 81.9422 to 86.7496 mm."""
+    assert to_interval((84.3459, 81.9422, 86.7496)) == ("84.3", "81.9", "86.7")
+    assert to_interval((1.85557, 1.8539, 1.85723)) == ("1.8556", "1.8539", "1.8572")
+    assert to_interval((65.78, -1305.49, 1437.05)) == ("100", "-1300", "1400")
+    assert to_interval((9.92819e-07, 3.18605e-07, 1.66703e-06)) == (
+        "0.99e-06", "0.32e-06", "1.67e-06"
+    )  # fmt: skip
+    assert to_interval((2.0, 2.0, 2.0)) == ("2", "2", "2")
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"),
+    [(1.0, "are not larger than the stated noise"), (2.5, "was multiplied by 2.5")],
+)
+def test_a_fit_within_the_stated_noise_is_not_compared_by_a_factor(scale: float, said: str) -> None:
+    """The factor has 1 as its lower limit, so "1.00 times" was printed for smaller residuals."""
+    points = load_points("c01", Path("runs"), False)
+    found = fit(catalogue.get("quasi-static"), points)
+    assert said in fit_text(dataclasses.replace(found, noise_scale=scale), points)
 
 
 def test_fit_as_json_is_one_value_without_infinities() -> None:
@@ -42,7 +69,7 @@ def test_fit_writes_a_model_file_that_can_be_fitted_again(tmp_path: Path) -> Non
     out = tmp_path / "mine.toml"
     call("fit", "c01", "--model", "liner-braid", "--out", str(out))
     text = call("fit", "c01", "--model", str(out))
-    assert "1.571 N" in text
+    assert "1.57 N" in text
     assert "data_sha256" in out.read_text(encoding="utf-8")
 
 

@@ -437,14 +437,14 @@ def test_fit_of_a_large_muscle_from_import_to_model_file(desk: Path) -> None:
         "--rest-length-mm", "250", "--diameter-mm", "10", "--out", "big.toml",
     )  # fmt: skip
     assert "3.73 times as long" in text
-    assert "rest length 250 mm (stated)" in text
-    assert "a fit to force gives no gas volume" in text
-    assert "gas volume 19.63 ml at 250 mm" in text
+    assert "Rest length: 250 mm (as stated)." in text
+    assert "A fit to force does not give the gas volume" in text
+    assert "Gas volume: 19.63 ml at 250 mm" in text
     model = catalogue.load(desk / "big.toml")
     assert model.values["elastic_force"] == pytest.approx(150.0, rel=0.05)
     assert model.noise_n == pytest.approx(0.5, rel=0.3)
     assert model.pulls_only
-    assert "its force is 0 where the law is negative" in text
+    assert "where the law gives a negative force, the force is 0" in text
     again = call("fit", "last", "--model", "big.toml", "--least-force-n", "5")
     assert "times as long" not in again
 

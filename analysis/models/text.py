@@ -13,42 +13,94 @@ import typer
 if TYPE_CHECKING:
     from plant.fitting.compare import Comparison, PressureComparison
     from plant.fitting.data import Points
-    from plant.fitting.fit import Fit
+    from plant.fitting.fit import Estimate, Fit
     from plant.fitting.misfit import Misfit
     from plant.fitting.scale import Scaling
     from plant.models.model import Model
 
 
+WITHOUT_INTERVAL = {
+    "fixed": "held at this value",
+    "dead": "none: no point depends on it",
+    "flat": "none: the data do not determine it",
+}
+"""What stands in place of an interval; see `plant.fitting.fit.Estimate`."""
+DIGITS = 2
+"""Significant digits of half an interval; value and limits have the same last decimal place."""
+UNCERTAIN_DIGITS = 4
+"""Significant digits of a value without an interval."""
+
+
 def fit_text(found: Fit, points: Points) -> str:
-    """The result of a fit as text."""
-    lines = [f"{found.model.name} on {points.source}, {len(points)} points"]
-    lines.append(f"{'parameter':22}{'value':>13}  {'unit':18}{'95 % interval':>28}")
-    for e in found.estimates:
-        interval = (
-            e.state if e.state in ("fixed", "dead", "flat") else f"{e.low:.6g} to {e.high:.6g}"
-        )
-        mark = "  at its bound" if e.state == "at bound" else ""
-        lines.append(f"{e.name:22}{e.value:>13.6g}  {e.unit:18}{interval:>28}{mark}")
-    lines.append(f"rmse {found.rmse_n:.4g} N, s {found.sd_n:.4g} N")
+    """The result of a fit as text: every value rounded to the digits of its interval."""
+    lines = [f"{found.model.name} fitted to {points.source}, {len(points)} points", ""]
+    rows = [("parameter", "value", "unit", "95 % interval")]
+    rows += [_estimate_row(e) for e in found.estimates]
+    wide, value, unit = (max(len(row[k]) for row in rows) for k in range(3))
+    lines += [f"{n:{wide}}  {v:>{value}}  {u:{unit}}  {i}" for n, v, u, i in rows]
+    lines += ["", f"Residuals (measured less model): rms {found.rmse_n:.3g} N."]
     if math.isfinite(found.noise_scale):
         lines.append(
-            f"scatter is {found.noise_scale:.2f} times the stated noise; the intervals include "
-            "zero and gain of the sensors"
+            "The residuals are larger than the stated noise of the sensors: for the intervals, "
+            f"that noise was multiplied by {found.noise_scale:.3g}."
+            if found.noise_scale > 1.0
+            else "The residuals are not larger than the stated noise of the sensors."
         )
+        lines.append("The intervals contain noise, zero error and gain error of the sensors.")
     else:
-        lines.append("no sensor errors are stated: the intervals are from the scatter only")
+        lines.append(
+            "The data state no sensor errors. The intervals come from the residuals alone, so "
+            "they are too narrow."
+        )
     lines += found.identifiability.lines()
     return "\n".join(lines)
 
 
+def _estimate_row(estimate: Estimate) -> tuple[str, str, str, str]:
+    """Name, value, unit and interval of a parameter as text."""
+    e = estimate
+    unit = "" if e.unit == "1" else e.unit
+    if e.state in WITHOUT_INTERVAL:
+        return e.name, f"{e.value:.{UNCERTAIN_DIGITS}g}", unit, WITHOUT_INTERVAL[e.state]
+    value, low, high = to_interval((e.value, e.low, e.high))
+    mark = ", at the limit of its range" if e.state == "at bound" else ""
+    return e.name, value, unit, f"{low} to {high}{mark}"
+
+
+def to_interval(numbers: tuple[float, float, float]) -> tuple[str, str, str]:
+    """Value and limits with the same last decimal place, that of two digits of half the interval.
+
+    Args:
+        numbers: value, lower and upper limit, in one unit. An interval without width or without
+            an end gives `UNCERTAIN_DIGITS` digits.
+    """
+    half = (numbers[2] - numbers[1]) / 2.0
+    if not (math.isfinite(half) and half > 0.0):
+        value, low, high = (f"{x:.{UNCERTAIN_DIGITS}g}" for x in numbers)
+        return value, low, high
+    place = math.floor(math.log10(half)) - (DIGITS - 1)
+    largest = max(abs(x) for x in numbers)
+    exponent = math.floor(math.log10(largest))
+    if LEAST_EXPONENT <= exponent <= MOST_EXPONENT:
+        decimals = max(-place, 0)
+        value, low, high = (f"{round(x, -place):z.{decimals}f}" for x in numbers)
+        return value, low, high
+    decimals = max(exponent - place, 0)
+    value, low, high = (f"{x / 10.0**exponent:z.{decimals}f}e{exponent:+03d}" for x in numbers)
+    return value, low, high
+
+
+LEAST_EXPONENT, MOST_EXPONENT = -4, 5
+"""Powers of ten that are written out; beyond them numbers have an exponent."""
+
 NOISE_FROM = {
-    "repeats": "scatter of repeated points",
-    "roughness": "roughness of the residuals along the pressure",
-    "scatter": "scatter of the fit, an upper limit",
+    "repeats": "from the scatter of repeated points",
+    "roughness": "from the roughness of the residuals along the pressure",
+    "scatter": "from the residuals of the fit; this is an upper limit",
 }
 ERROR_FROM = {
-    "held-out pressures": "error at held-out pressures",
-    "residuals": "residuals",
+    "held-out pressures": "from the errors at pressures that were left out of the fit",
+    "residuals": "from the residuals",
 }
 ACROSS = ("turns", "radius", "diameter", "diameter_at_90")
 """Parameters that look like dimensions across the muscle."""
@@ -57,23 +109,34 @@ ACROSS = ("turns", "radius", "diameter", "diameter_at_90")
 def misfit_text(sizes: Misfit, model: Model) -> str:
     """Noise, systematic error, and what the fit says about the gas volume."""
     apart = sizes.noise_from != "scatter"
+    less = "; the noise is subtracted" if apart else "; this is an upper limit"
+    below = sizes.model_error_n < NEGLIGIBLE * sizes.noise_n
+    size = "not larger than the noise" if below and apart else f"{sizes.model_error_n:.2g} N"
     lines = [
-        f"noise {sizes.noise_n:.3g} N ({NOISE_FROM[sizes.noise_from]})",
-        f"systematic error of the law {sizes.model_error_n:.3g} N ("
-        f"{ERROR_FROM[sizes.error_from]}{', less the noise' if apart else ', an upper limit'})",
+        f"Noise of one force reading (1 standard deviation): {sizes.noise_n:.2g} N, "
+        f"{NOISE_FROM[sizes.noise_from]}.",
+        f"Systematic error of the model (rms): {size}, {ERROR_FROM[sizes.error_from]}{less}.",
     ]
     across = [p.name for p in model.parameters if p.name in ACROSS]
     if across:
-        lines.append(f"{', '.join(across)}: of the force; a fit to force gives no gas volume")
+        state = "" if model.geometry else " State --rest-length-mm and --diameter-mm for it."
+        lines.append(
+            f"A fit to force does not give the gas volume: {' and '.join(across)} must not be used "
+            f"for it.{state}"
+        )
     if model.pulls_only:
-        lines.append("the model pulls only: its force is 0 where the law is negative")
+        lines.append("The model only pulls: where the law gives a negative force, the force is 0.")
     if model.geometry is not None:
         g = model.geometry
         lines.append(
-            f"gas volume {g.volume_m3 * 1e6:.4g} ml at {g.rest_length_mm:g} mm, from the stated "
-            f"diameter of {g.diameter_mm:g} mm"
+            f"Gas volume: {g.volume_m3 * 1e6:.4g} ml at {g.rest_length_mm:g} mm, from the stated "
+            f"diameter of {g.diameter_mm:g} mm."
         )
     return "\n".join(lines)
+
+
+NEGLIGIBLE = 0.05
+"""A systematic error below this share of the noise is not given as a number."""
 
 
 def start_lines(scalings: Iterable[Scaling]) -> list[str]:
@@ -84,14 +147,15 @@ def start_lines(scalings: Iterable[Scaling]) -> list[str]:
     s = changed[0]
     low, high = (f(s.force for s in changed) for f in (min, max))
     force = f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
-    rest = ""
-    if s.rest_length_mm is not None:
-        why = "stated" if s.stated else "longest length of the data; see --rest-length-mm"
-        rest = f"; rest length {s.rest_length_mm:g} mm ({why})"
-    return [
-        f"start values and bounds of a muscle {s.length:.3g} times as long and {force} times as "
-        f"strong as that of the shipped values{rest}"
+    lines = [
+        "Start values and bounds were scaled to this muscle: it is "
+        f"{s.length:.3g} times as long and {force} times as strong as the muscle of the shipped "
+        "values."
     ]
+    if s.rest_length_mm is not None:
+        why = "as stated" if s.stated else "the longest length of the data; see --rest-length-mm"
+        lines.append(f"Rest length: {s.rest_length_mm:g} mm ({why}).")
+    return lines
 
 
 def pressures_text(found: PressureComparison) -> str:

@@ -26,12 +26,10 @@ class Direction:
     changes: tuple[tuple[str, float], ...]
 
     def words(self) -> str:
-        """For example "gain +1 % with diameter -0.5 % leaves the force unchanged"."""
+        """For example "gain +1 % with diameter -0.5 % does not change the force"."""
         parts = [f"{name} {100 * share:+.3g} %" for name, share in self.changes]
         effect = (
-            "leaves the force unchanged"
-            if self.strength < FLAT
-            else "has little effect on the force"
+            "does not change the force" if self.strength < FLAT else "changes the force very little"
         )
         return f"{' with '.join(parts)} {effect}"
 
@@ -60,11 +58,12 @@ class Identifiability:
 
     def lines(self) -> list[str]:
         """Warnings for the user; empty if all parameters are determined."""
-        lines = [f"{name}: dead, no point responds to it" for name in self.dead]
-        lines += [f"flat direction: {d.words()}" for d in self.flat]
-        lines += [f"weak direction: {d.words()}" for d in self.weak]
+        lines = [f"Without effect: {name}; no point depends on it." for name in self.dead]
+        lines += [f"Not determined: {d.words()}." for d in self.flat]
+        lines += [f"Poorly determined: {d.words()}." for d in self.weak]
         lines += [
-            f"{name}: at its bound; its interval is not valid beyond it" for name in self.at_bound
+            f"At the limit of its range: {name}; its interval is not valid beyond the limit."
+            for name in self.at_bound
         ]
         return lines
 
