@@ -126,7 +126,12 @@ def setting_text(name: str, value: Setting) -> str:
 def results_of(reduction: Reduction, columns: ResultColumns) -> list[Result]:
     """The results of a run: one for each quantity and setting, in order of both."""
     found = [
-        Result(quantity, at, _mean(part, quantity), part["mounting"].nunique())
+        Result(
+            quantity,
+            at,
+            _mean(part, quantity, quantity in reduction.rounding_only),
+            part["mounting"].nunique(),
+        )
         for (quantity, at), part in point_groups(reduction, columns).items()
     ]
     return _in_order(found, columns)
@@ -174,7 +179,7 @@ def _in_order(results: list[Result], columns: ResultColumns) -> list[Result]:
     return sorted(results, key=key)
 
 
-def _mean(part: pd.DataFrame, quantity: str) -> RepeatMean:
+def _mean(part: pd.DataFrame, quantity: str, rounding_only: bool) -> RepeatMean:
     values = part[quantity].to_numpy(dtype=np.float64)
     unknown = np.full(len(values), math.nan)
     noise, common, whole = (
@@ -183,6 +188,8 @@ def _mean(part: pd.DataFrame, quantity: str) -> RepeatMean:
     )
     if not np.isfinite(noise).any() and not np.isfinite(common).any():
         common = whole  # not split into parts: it may be common to all
+    if rounding_only and len(values) == 1:
+        noise, common = unknown, unknown  # rounding is no estimate of the uncertainty of a test
     return repeat_mean(values, noise, common, list(part["mounting"]))
 
 
