@@ -21,8 +21,9 @@ from analysis.registry import analysis_of
 from analysis.reporting.figure_files import run_figures, write_figures
 from analysis.reporting.pdf import page_to_pdf
 from analysis.reporting.report import render_report, report_json, write_report
-from analysis.reporting.results import chosen, judge, results_of
+from analysis.reporting.results import chosen, judge, results_of, rounded
 from analysis.run_table import reduce_run
+from analysis.statistics.repeats import RepeatMean
 from analysis_bench import write_run
 from cli.main import app
 from daq.clock import VirtualClock
@@ -258,3 +259,21 @@ def test_repeats_of_printed_numbers_have_the_uncertainty_of_their_scatter(tmp_pa
     assert repeated
     for one in repeated:
         assert one.mean.expanded >= 2.0 * one.mean.sd / math.sqrt(one.mean.n)
+
+
+@pytest.mark.parametrize(
+    ("mean", "sd", "n", "expanded", "shown"),
+    [
+        (1234.56, 7.89, 4, 12.6, ("1235", "7.9", "13")),
+        (1234.56, 45.6, 4, 123.0, ("1230", "46", "120")),
+        (1.23456, 0.05, 4, 0.0996, ("1.23", "0.050", "0.10")),
+        (-3.202, math.nan, 1, math.nan, ("−3.202", "–", "–")),
+        (1234.56, 0.0321, 3, math.nan, ("1235", "0.032", "–")),
+        (0.0, 0.0, 3, math.nan, ("0.000", "0.000", "–")),
+    ],
+)
+def test_results_have_two_digits_of_their_uncertainty_and_four_without(
+    mean: float, sd: float, n: int, expanded: float, shown: tuple[str, str, str]
+) -> None:
+    text = rounded(RepeatMean(mean, sd, n, expanded / 2.0, 3.0, 2.0, expanded))
+    assert (text["mean"], text["sd"], text["expanded"]) == shown

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.figures.wording import decimals_of, fixed, significant
 from analysis.findings.findings import ResultColumns
 from analysis.statistics.conformity import NOT_MEASURED, decide, overall
 from analysis.statistics.repeats import RepeatMean, repeat_mean
@@ -325,23 +326,25 @@ def rule_text(guard: float) -> str:
 
 
 def rounded(mean: RepeatMean) -> dict[str, str]:
-    """Mean, standard deviation and expanded uncertainty as text, to the uncertainty's digits."""
-    known = math.isfinite(mean.expanded) and mean.expanded > 0.0
-    spread = mean.expanded if known else mean.sd if _positive(mean.sd) else abs(mean.mean) / 100
-    decimals = min(max(1 - math.floor(math.log10(spread)), 0), 6) if spread > 0.0 else 3
-    number = number_text
+    """Mean, standard deviation and expanded uncertainty as text.
+
+    Mean and expanded uncertainty have two significant digits of the latter (GUM, 7.2.6). Without
+    one the mean has those of the standard deviation, and at most four significant digits.
+    """
+    known = _positive(mean.expanded)
+    four = decimals_of(abs(mean.mean), 4) if mean.mean else 3
+    own = decimals_of(mean.sd) if _positive(mean.sd) else four
+    decimals = decimals_of(mean.expanded) if known else min(own, four)
+    text = fixed(mean.mean, decimals) if known or mean.n > 1 else significant(mean.mean)
     return {
-        "mean": number(mean.mean, decimals),
-        "sd": number(mean.sd, min(decimals + 1, 6)) if math.isfinite(mean.sd) else "–",
+        "mean": text,
+        "sd": fixed(mean.sd, min(own, decimals + 1) if known else own)
+        if math.isfinite(mean.sd)
+        else "–",
         "n": str(mean.n),
-        "expanded": number(mean.expanded, decimals) if known else "–",
+        "expanded": fixed(mean.expanded, decimals) if known else "–",
         "k": f"{mean.k:.2f}" if known else "–",
     }
-
-
-def number_text(value: float, decimals: int) -> str:
-    """A number with this many decimals and a true minus; zero has no sign."""
-    return f"{value:z.{min(decimals, 6)}f}".replace("-", "−")
 
 
 def _positive(value: float) -> bool:
