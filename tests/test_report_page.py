@@ -277,3 +277,11 @@ def test_results_have_two_digits_of_their_uncertainty_and_four_without(
 ) -> None:
     text = rounded(RepeatMean(mean, sd, n, expanded / 2.0, 3.0, 2.0, expanded))
     assert (text["mean"], text["sd"], text["expanded"]) == shown
+
+
+def test_words_on_page_one_wrap_and_dates_do_not(page: str) -> None:
+    assert ".page-one td.text:not(.whole) { white-space: normal; }" in page
+    instruments = page.partition("<h2>Instruments</h2>")[2].partition("</table>")[0]
+    dates = re.findall(r'<td class="([^"]*)">(?:\d{4}-\d\d-\d\d|no date stated)</td>', instruments)
+    assert dates
+    assert set(dates) == {"text whole"}
