@@ -16,7 +16,7 @@ import pytest
 
 from analysis.figures.drawing import spread
 from analysis.figures.timeline import min_max
-from analysis.figures.wording import with_u
+from analysis.figures.wording import significant, with_u
 from analysis.findings.hysteresis import hysteresis_findings
 from analysis.findings.isobaric import isobaric_findings
 from analysis.findings.isometric import isometric_findings
@@ -386,3 +386,20 @@ def test_a_value_is_cut_where_its_uncertainty_says() -> None:
     assert with_u(-7.4335, 0.27) == "−7.43 ± 0.54"
     assert with_u(412.3, 6.0) == "412 ± 12"
     assert with_u(None, 1.0) == "–"
+
+
+def test_uncertainty_and_value_have_two_significant_digits_of_the_uncertainty() -> None:
+    assert with_u(41_234.5, 61.7) == "41230 ± 120"
+    assert with_u(-41_234.5, 617.0) == "−41200 ± 1200"
+    assert with_u(3.14159, 0.0498) == "3.14 ± 0.10", "0.0996 is rounded up to 0.10"
+    assert with_u(3.14159, 4.98) == "3 ± 10"
+
+
+def test_a_value_without_an_uncertainty_has_at_most_four_digits() -> None:
+    assert with_u(0.123456, None) == "0.1235"
+    assert with_u(-103.2468, None) == "−103.2"
+    assert with_u(51.45, math.nan) == "51.45"
+    assert with_u(12_345.0, None) == "12345", "a number of cycles stays whole"
+    assert with_u(0.0, None) == "0"
+    assert significant(123_456.7) == "123500"
+    assert significant(math.nan) == "–"

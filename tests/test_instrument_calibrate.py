@@ -13,11 +13,12 @@ from analysis.reduction.points import reduce_isometric
 from analysis.regression.calibration_line import Reference, fit_line
 from bench_runs import quick, run_isometric
 from cli.main import app
+from daq.calibration import Calibration
 from daq.errors import ConfigError
 from daq.interrupt import StopFlag, Stopped
 from daq.store.run import Run, open_run
 from rigs.calibration.force import calibrate_force
-from rigs.calibration.pressure import calibrate_pressure
+from rigs.calibration.pressure import calibrate_pressure, reference_name
 from rigs.calibration.run import Calibrated, middle, up_and_down
 from rigs.rigfile.calibration_file import load_calibration, write_calibration
 from rigs.rigfile.config import RigConfig, load_rig
@@ -281,3 +282,19 @@ def test_a_file_is_not_overwritten_unasked(calibrated: Calibrated, tmp_path: Pat
         write_calibration(path, file, calibrated.points)
     back = load_calibration(str(path), "rig", "pressure_kpa", file.calibration.raw_unit)
     assert back.reference == file.reference
+
+
+@pytest.mark.parametrize(
+    ("serial", "certificate", "date", "name"),
+    [
+        ("PT-1", "P-7", "2026-01-12", "pressure_transmitter PT-1 (P-7 2026-01-12)"),
+        ("PT-1", "as the manufacturer states", "",
+         "pressure_transmitter PT-1 (as the manufacturer states)"),
+        ("", "", "", "pressure_transmitter"),
+    ],
+)  # fmt: skip
+def test_a_transmitter_as_reference_is_named_without_stray_blanks(
+    serial: str, certificate: str, date: str, name: str
+) -> None:
+    line = Calibration("pressure_kpa", "kPa", "kPa", 0.0, 1.0, id=certificate, date=date)
+    assert reference_name(serial, line) == name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import re
 import sys
 from html import unescape
@@ -15,14 +16,17 @@ import pytest
 from pypdf import PdfReader
 from typer.testing import CliRunner
 
+from analysis.formats.importer import import_thesis
 from analysis.registry import analysis_of
 from analysis.reporting.figure_files import run_figures, write_figures
 from analysis.reporting.pdf import page_to_pdf
-from analysis.reporting.report import report_json, write_report
-from analysis.reporting.results import chosen, judge, results_of
+from analysis.reporting.report import render_report, report_json, write_report
+from analysis.reporting.results import chosen, judge, results_of, rounded
 from analysis.run_table import reduce_run
+from analysis.statistics.repeats import RepeatMean
 from analysis_bench import write_run
 from cli.main import app
+from daq.clock import VirtualClock
 from daq.errors import ConfigError, PamrigError
 from daq.store.run import open_run
 from rigs.protocols.registry import procedure
@@ -233,3 +237,51 @@ def test_a_column_that_no_paper_has_is_refused(tested: Path) -> None:
     done = run("report", tested, "--column", "triple")
     assert isinstance(done.exception, ConfigError)
     assert "'triple' is neither double nor single" in str(done.exception)
+
+
+def test_the_rounding_of_printed_numbers_is_not_shown_as_an_uncertainty(tmp_path: Path) -> None:
+    run = open_run(import_thesis("c01", tmp_path, VirtualClock()))
+    reduction = reduce_run(run)
+    assert reduction.rounding_only == ("force_n",)
+    assert reduction.table["u_force_n"].gt(0.0).all(), "the table still states the rounding"
+    results = results_of(reduction, analysis_of("isometric").results)
+    assert len(results) == 224
+    assert not any(math.isfinite(one.mean.expanded) for one in results)
+    text = render_report(run, reduction)
+    assert "0.00058" not in text
+    assert "only the rounding of the printed numbers is stated" in text
+
+
+def test_repeats_of_printed_numbers_have_the_uncertainty_of_their_scatter(tmp_path: Path) -> None:
+    run = open_run(import_thesis("d01", tmp_path, VirtualClock()))
+    results = results_of(reduce_run(run), analysis_of("switching-time").results)
+    repeated = [one for one in results if one.mean.n > 1]
+    assert repeated
+    for one in repeated:
+        assert one.mean.expanded >= 2.0 * one.mean.sd / math.sqrt(one.mean.n)
+
+
+@pytest.mark.parametrize(
+    ("mean", "sd", "n", "expanded", "shown"),
+    [
+        (1234.56, 7.89, 4, 12.6, ("1235", "7.9", "13")),
+        (1234.56, 45.6, 4, 123.0, ("1230", "46", "120")),
+        (1.23456, 0.05, 4, 0.0996, ("1.23", "0.050", "0.10")),
+        (-3.202, math.nan, 1, math.nan, ("−3.202", "–", "–")),
+        (1234.56, 0.0321, 3, math.nan, ("1235", "0.032", "–")),
+        (0.0, 0.0, 3, math.nan, ("0.000", "0.000", "–")),
+    ],
+)
+def test_results_have_two_digits_of_their_uncertainty_and_four_without(
+    mean: float, sd: float, n: int, expanded: float, shown: tuple[str, str, str]
+) -> None:
+    text = rounded(RepeatMean(mean, sd, n, expanded / 2.0, 3.0, 2.0, expanded))
+    assert (text["mean"], text["sd"], text["expanded"]) == shown
+
+
+def test_words_on_page_one_wrap_and_dates_do_not(page: str) -> None:
+    assert ".page-one td.text:not(.whole) { white-space: normal; }" in page
+    instruments = page.partition("<h2>Instruments</h2>")[2].partition("</table>")[0]
+    dates = re.findall(r'<td class="([^"]*)">(?:\d{4}-\d\d-\d\d|no date stated)</td>', instruments)
+    assert dates
+    assert set(dates) == {"text whole"}

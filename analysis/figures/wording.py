@@ -14,6 +14,9 @@ _OUTCOMES = {
     " crash); all data until then are in the record.",
 }
 
+MOST_DECIMALS = 9
+"""Decimals of any number in a report; smaller parts are noise of the computation."""
+
 
 def outcome_sentence(outcome: str, reason: str) -> str:
     """How the run ended, in one or two sentences."""
@@ -30,19 +33,41 @@ def signed(value: float | None, digits: int | str) -> str:
 
 
 def with_u(value: float | None, u: float | None) -> str:
-    """A value with its expanded uncertainty (k = 2), both rounded to digits of the uncertainty."""
+    """A value with its expanded uncertainty (k = 2).
+
+    Both are rounded to two significant digits of the uncertainty (GUM, 7.2.6). Without one the
+    value has four significant digits; a whole number stays whole.
+    """
     if value is None:
         return "–"
     if u is None or not math.isfinite(u) or u <= 0.0:
-        return f"{value + 0.0:.5g}".replace("-", "−")
+        return fixed(value, 0) if float(value).is_integer() else significant(value)
     expanded = 2.0 * u
-    decimals = min(max(1 - math.floor(math.log10(expanded)), 0), 6)
-    return f"{fixed(value, decimals)} ± {expanded:.{decimals}f}"
+    decimals = decimals_of(expanded)
+    return f"{fixed(value, decimals)} ± {fixed(expanded, decimals)}"
+
+
+def decimals_of(u: float, digits: int = 2) -> int:
+    """Decimals that show ``digits`` significant digits of ``u`` > 0; −1 stands for tens."""
+    rounded = float(f"{u:.{digits - 1}e}")  # 0.0996 is 0.10, with two decimals
+    return min(digits - 1 - math.floor(math.log10(rounded)), MOST_DECIMALS)
+
+
+def significant(value: float, digits: int = 4) -> str:
+    """A number with at most this many significant digits, never with an exponent of ten."""
+    if not math.isfinite(value):
+        return "–"
+    decimals = decimals_of(abs(value), digits) if value else 0
+    text = fixed(value, decimals)
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def fixed(value: float | None, decimals: int) -> str:
-    """A number with this many decimals; zero has no sign."""
-    return "–" if value is None else f"{value:z.{decimals}f}".replace("-", "−")
+    """A number with this many decimals; −1 rounds to tens. Zero has no sign."""
+    if value is None:
+        return "–"
+    rounded = round(value, decimals) if decimals < 0 else value
+    return f"{rounded:z.{max(decimals, 0)}f}".replace("-", "−")
 
 
 def value_cell(value: Any) -> str:

@@ -75,6 +75,7 @@ def import_thesis(
             "title": found.title,
             "origin": ORIGIN[key[0]],
             "rows": len(rows),
+            "rounding_only": list(found.rounding_only),
         },
         "labels": labels,
         "notes": notes,

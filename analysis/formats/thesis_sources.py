@@ -55,6 +55,8 @@ class Source:
         title: its contents.
         protocol: the test whose reduction and report are used.
         stated: standard uncertainties by column (``u_<column>``).
+        rounding_only: columns whose stated uncertainty is only the rounding of the printed numbers:
+            no result of a single point has an expanded uncertainty from it.
         rows: returns its points, one dict each, with ``columns`` and labels.
         columns: numbers of a point, in order.
         labels, notes: for the report.
@@ -68,6 +70,7 @@ class Source:
     columns: tuple[str, ...]
     labels: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
+    rounding_only: tuple[str, ...] = ()
 
 
 def source(name: str) -> tuple[str, Source]:
@@ -162,12 +165,12 @@ SOURCES = {
     "c01": Source(
         "C-1", "isometric test, force at 14 lengths and 16 pressures", "isometric",
         {**_HELD, "u_force_n": 0.001 / STEP}, lambda: _muscle("c01"), _MUSCLE,
-        notes=(STATED_NOTE,),
+        notes=(STATED_NOTE,), rounding_only=("force_n",),
     ),
     "c02": Source(
         "C-2", "isobaric test, force at 16 pressures and 14 lengths", "isobaric",
         {**_HELD, "u_force_n": 0.01 / STEP}, _isobaric, _MUSCLE,
-        labels=("C-1 plus noise",), notes=(NOISE, STATED_NOTE),
+        labels=("C-1 plus noise",), notes=(NOISE, STATED_NOTE), rounding_only=("force_n",),
     ),
     "c03": Source(
         "C-3", "isotonic test, length at 7 loads and 23 pressures", "isotonic",
@@ -181,7 +184,7 @@ SOURCES = {
     "c04": Source(
         "C-4", "isometric hysteresis, pressure up and down to 400 and 600 kPa", "hysteresis",
         {**_HELD, "u_force_n": 0.01 / STEP}, lambda: _muscle("c04"), _MUSCLE,
-        notes=(STATED_NOTE,),
+        notes=(STATED_NOTE,), rounding_only=("force_n",),
     ),
     "c06": Source(
         "C-6", "isotonic hysteresis, length with pressure up and down to 400 and 600 kPa",
@@ -207,12 +210,14 @@ SOURCES = {
             "times are also printed at 0 kPa, where no air flows: a strain gauge on the line cannot"
             " have measured them",
         ),
+        rounding_only=("on_ms", "off_ms"),
     ),
     "d04": Source(
         "D-4", "lowest voltages at which the valves switch", "switching-voltage",
         {**_GAUGE, "u_on_v": 0.05 / STEP, "u_off_v": 0.05 / STEP},
         lambda: _by_valve("d04", "v"), ("pressure_kpa", "on_v", "off_v"),
         notes=(VALVE_NOTE, "outlet off at 0 kPa: 0.7 V here, 0.75 V in section 5.11.1"),
+        rounding_only=("on_v", "off_v"),
     ),
     "d05": Source(
         "D-5", "air velocity behind the valve against pressure", "flow",
@@ -222,6 +227,7 @@ SOURCES = {
             "the table has no units: kPa and, from the text, m/s; the bore of the meter and the"
             " valve are not stated",
         ),
+        rounding_only=("velocity_m_s",),
     ),
 }  # fmt: skip
 

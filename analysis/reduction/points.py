@@ -53,6 +53,7 @@ class Reduction:
         zeros: vented readings, one dict each: trial, when, pressure_kpa, u_pressure_kpa.
         excluded: points that were excluded after the run: order, reason and readings.
         unknown_exclusions: orders that were excluded but are not points of this run.
+        rounding_only: columns whose uncertainty is only the rounding of printed numbers.
     """
 
     table: pd.DataFrame
@@ -61,6 +62,7 @@ class Reduction:
     zeros: tuple[dict[str, Any], ...] = ()
     excluded: tuple[dict[str, Any], ...] = ()
     unknown_exclusions: tuple[int, ...] = ()
+    rounding_only: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -80,6 +82,13 @@ def point_events(run: Run) -> list[dict[str, Any]]:
 def is_imported(run: Run) -> bool:
     """True if the points of the run were imported from other data."""
     return any(e.get("kind") == "point" and e.get("row") is not None for e in run.events)
+
+
+def rounding_only(run: Run) -> tuple[str, ...]:
+    """Columns whose uncertainty is only the rounding of printed numbers, as the import states."""
+    source = run.manifest.get("source")
+    named = source.get("rounding_only") if isinstance(source, dict) else None
+    return tuple(str(name) for name in named) if isinstance(named, list) else ()
 
 
 def reduce_isometric(run: Run, measure: MeasureGap | None = None) -> Reduction:
@@ -531,7 +540,7 @@ def _imported(run: Run, extra: Mapping[str, str]) -> Reduction:
         " so they do not include errors that are common to all points"
     )
     listed = tuple({"reason": SLACK_REASON, **row} for row in slack)
-    return Reduction(table, tuple(notes), {}, excluded=listed)
+    return Reduction(table, tuple(notes), {}, excluded=listed, rounding_only=rounding_only(run))
 
 
 def _applied(calibration: Calibration, raw: npt.NDArray[Any]) -> npt.NDArray[np.float64]:

@@ -12,6 +12,7 @@ from analysis.reduction.points import (
     imported_rows,
     is_imported,
     point_events,
+    rounding_only,
     without_excluded,
 )
 
@@ -73,4 +74,5 @@ def imported_points(run: Run, protocol: str) -> Reduction | None:
                 put(row, name, float(stream[name][k]), number_or_nan(stated.get(f"u_{name}")))
         rows.append(row)
     table = valve_test_frame(rows, columns_of(protocol))
-    return without_excluded(run, Reduction(table, tuple(notes), {}))
+    made = Reduction(table, tuple(notes), {}, rounding_only=rounding_only(run))
+    return without_excluded(run, made)

@@ -68,7 +68,7 @@ def page_one(
         "results": result_table(shown),
         "all_results": len(results),
         "details": result_table(results) if len(shown) < len(results) else None,
-        "means": means_text(results, bool(reduction.calibrations)),
+        "means": means_text(results, bool(reduction.calibrations), bool(reduction.rounding_only)),
         "acceptance": acceptance_table(judged, JUDGED_MOST),
         "all_judged": acceptance_table(judged) if len(judged) > JUDGED_MOST else None,
         "notes": notes,
@@ -255,12 +255,15 @@ def _short(name: str, value: float | str) -> str:
     return f"{value:g}".replace("-", "−")
 
 
-def means_text(results: Sequence[Result], calibrated: bool = True) -> str:
+def means_text(
+    results: Sequence[Result], calibrated: bool = True, rounding_only: bool = False
+) -> str:
     """How mean, deviation and uncertainty were made, in words."""
     if not results:
         return ""
     if all(not math.isfinite(r.mean.expanded) for r in results):
-        return "No uncertainty is known for these results."
+        stated = "; only the rounding of the printed numbers is stated" if rounding_only else ""
+        return f"No uncertainty is known for these results{stated}."
     mounted = (
         " With several mountings the random part is from the means of the mountings."
         if any(r.mountings > 1 for r in results) else ""

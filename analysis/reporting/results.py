@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.figures.wording import decimals_of, fixed, significant
 from analysis.findings.findings import ResultColumns
 from analysis.statistics.conformity import NOT_MEASURED, decide, overall
 from analysis.statistics.repeats import RepeatMean, repeat_mean
@@ -126,7 +127,12 @@ def setting_text(name: str, value: Setting) -> str:
 def results_of(reduction: Reduction, columns: ResultColumns) -> list[Result]:
     """The results of a run: one for each quantity and setting, in order of both."""
     found = [
-        Result(quantity, at, _mean(part, quantity), part["mounting"].nunique())
+        Result(
+            quantity,
+            at,
+            _mean(part, quantity, quantity in reduction.rounding_only),
+            part["mounting"].nunique(),
+        )
         for (quantity, at), part in point_groups(reduction, columns).items()
     ]
     return _in_order(found, columns)
@@ -174,7 +180,7 @@ def _in_order(results: list[Result], columns: ResultColumns) -> list[Result]:
     return sorted(results, key=key)
 
 
-def _mean(part: pd.DataFrame, quantity: str) -> RepeatMean:
+def _mean(part: pd.DataFrame, quantity: str, rounding_only: bool) -> RepeatMean:
     values = part[quantity].to_numpy(dtype=np.float64)
     unknown = np.full(len(values), math.nan)
     noise, common, whole = (
@@ -183,6 +189,8 @@ def _mean(part: pd.DataFrame, quantity: str) -> RepeatMean:
     )
     if not np.isfinite(noise).any() and not np.isfinite(common).any():
         common = whole  # not split into parts: it may be common to all
+    if rounding_only and len(values) == 1:
+        noise, common = unknown, unknown  # rounding is no estimate of the uncertainty of a test
     return repeat_mean(values, noise, common, list(part["mounting"]))
 
 
@@ -318,23 +326,25 @@ def rule_text(guard: float) -> str:
 
 
 def rounded(mean: RepeatMean) -> dict[str, str]:
-    """Mean, standard deviation and expanded uncertainty as text, to the uncertainty's digits."""
-    known = math.isfinite(mean.expanded) and mean.expanded > 0.0
-    spread = mean.expanded if known else mean.sd if _positive(mean.sd) else abs(mean.mean) / 100
-    decimals = min(max(1 - math.floor(math.log10(spread)), 0), 6) if spread > 0.0 else 3
-    number = number_text
+    """Mean, standard deviation and expanded uncertainty as text.
+
+    Mean and expanded uncertainty have two significant digits of the latter (GUM, 7.2.6). Without
+    one the mean has those of the standard deviation, and at most four significant digits.
+    """
+    known = _positive(mean.expanded)
+    four = decimals_of(abs(mean.mean), 4) if mean.mean else 3
+    own = decimals_of(mean.sd) if _positive(mean.sd) else four
+    decimals = decimals_of(mean.expanded) if known else min(own, four)
+    text = fixed(mean.mean, decimals) if known or mean.n > 1 else significant(mean.mean)
     return {
-        "mean": number(mean.mean, decimals),
-        "sd": number(mean.sd, min(decimals + 1, 6)) if math.isfinite(mean.sd) else "–",
+        "mean": text,
+        "sd": fixed(mean.sd, min(own, decimals + 1) if known else own)
+        if math.isfinite(mean.sd)
+        else "–",
         "n": str(mean.n),
-        "expanded": number(mean.expanded, decimals) if known else "–",
+        "expanded": fixed(mean.expanded, decimals) if known else "–",
         "k": f"{mean.k:.2f}" if known else "–",
     }
-
-
-def number_text(value: float, decimals: int) -> str:
-    """A number with this many decimals and a true minus; zero has no sign."""
-    return f"{value:z.{min(decimals, 6)}f}".replace("-", "−")
 
 
 def _positive(value: float) -> bool:

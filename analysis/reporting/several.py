@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from analysis.figures.wording import decimals_of, fixed
 from analysis.registry import analysis_of
 from analysis.reporting.conditions import simulated
 from analysis.reporting.page_one import limits_text, method_text
@@ -23,9 +24,9 @@ from analysis.reporting.results import (
     chosen,
     judge,
     matches,
-    number_text,
     point_groups,
     results_of,
+    rounded,
     setting_text,
 )
 from analysis.run_table import contents_of, record_findings, reduce_run
@@ -119,8 +120,8 @@ class Compared:
     def decimals(self) -> int:
         """Decimals of its values: two digits of the smallest expanded uncertainty."""
         known = [r.mean.expanded for r in self.results if r.mean.expanded > 0.0]
-        spread = min(known, default=abs(self.components.mean) / 1000 or 1e-3)
-        return min(max(1 - math.floor(math.log10(spread)), 0), 6)
+        spread = min(known, default=abs(self.components.mean) / 100 or 1e-3)
+        return decimals_of(spread)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for --json."""
@@ -335,7 +336,7 @@ def headline(found: Comparison) -> str:
     one = found.shown[-1]
     c = one.components
     parts = [
-        f"{name} {number_text(part.sd, one.decimals + 1)} {one.unit}".strip()
+        f"{name} {fixed(part.sd, one.decimals + 1)} {one.unit}".strip()
         for name, part in (
             ("repeatability", c.repeatability), ("between mountings", c.mounting),
             ("between specimens", c.specimen),
@@ -343,7 +344,7 @@ def headline(found: Comparison) -> str:
         if math.isfinite(part.sd)
     ]  # fmt: skip
     spread = f"; standard deviations: {', '.join(parts)}" if parts else ""
-    text = f"{one.name}: {number_text(c.mean, one.decimals)} {one.unit}".strip()
+    text = f"{one.name}: {fixed(c.mean, one.decimals)} {one.unit}".strip()
     return f"{text[:1].upper()}{text[1:]}, mean of {c.n} tests in {len(one.numbers)} runs{spread}."
 
 
@@ -355,7 +356,7 @@ def _page_one(found: Comparison) -> dict[str, Any]:
         cells = []
         for compared in shown:
             result = one.results.get(compared.key)
-            cells.append("–" if result is None else _with_u(result, compared.decimals))
+            cells.append("–" if result is None else _with_u(result))
         rows.append({
             "number": one.number, "date": one.date, "specimen": one.specimen,
             "mountings": ", ".join(one.mountings), "cells": cells,
@@ -372,10 +373,10 @@ def _page_one(found: Comparison) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _with_u(result: Result, decimals: int) -> str:
-    text = number_text(result.mean.mean, decimals)
-    u = result.mean.expanded
-    return f"{text} ± {number_text(u, decimals)}" if math.isfinite(u) else text
+def _with_u(result: Result) -> str:
+    text = rounded(result.mean)
+    known = text["expanded"] != "–"
+    return f"{text['mean']} ± {text['expanded']}" if known else text["mean"]
 
 
 def _statistics(compared: Sequence[Compared]) -> dict[str, Any]:
@@ -393,11 +394,11 @@ def _statistics(compared: Sequence[Compared]) -> dict[str, Any]:
             if part.remark:
                 text = f"{what}: {part.remark}."
                 mark = remarks.setdefault(text, LETTERS[len(remarks) % len(LETTERS)])
-            sd = number_text(part.sd, one.decimals + 1) if math.isfinite(part.sd) else "–"
+            sd = fixed(part.sd, one.decimals + 1) if math.isfinite(part.sd) else "–"
             cells.append({"text": f"{sd} ({part.dof})" if part.dof else sd, "mark": mark})
-        total = number_text(c.total, one.decimals + 1) if math.isfinite(c.total) else "–"
+        total = fixed(c.total, one.decimals + 1) if math.isfinite(c.total) else "–"
         rows.append({"name": one.name, "unit": one.unit, "n": c.n, "cells": cells, "total": total,
-                     "mean": number_text(c.mean, one.decimals)})  # fmt: skip
+                     "mean": fixed(c.mean, one.decimals)})  # fmt: skip
     return {"rows": rows, "remarks": [(mark, text) for text, mark in remarks.items()]}
 
 
@@ -406,8 +407,8 @@ def chart_sentence(one: Compared) -> str:
     chart = one.chart
     assert chart is not None
     limits = (
-        f"Centre {number_text(chart.centre, one.decimals)}, limits"
-        f" {number_text(chart.lower, one.decimals)} to {number_text(chart.upper, one.decimals)}"
+        f"Centre {fixed(chart.centre, one.decimals)}, limits"
+        f" {fixed(chart.lower, one.decimals)} to {fixed(chart.upper, one.decimals)}"
         f" {one.unit} ({chart.remark})."
     )
     if chart.in_control:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.regression.calibration_line import LEAST_POINTS, Reference
+from daq.calibration import Calibration
 from daq.errors import ConfigError
 from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
@@ -77,7 +78,7 @@ def calibrate_pressure(
             assert cal is not None
             serial = config.instruments.modbus["pressure_transmitter"].serial
             known = Reference(
-                f"pressure_transmitter {serial} ({cal.id} {cal.date})".strip(),
+                reference_name(serial, cal),
                 u_offset=cal.u_offset,
                 u_gain=cal.u_gain,
             )
@@ -150,3 +151,10 @@ def _check_pressures(
             "there is no [pressure_transmitter] to serve as the reference",
             "add one, or name a gauge that you read: --gauge",
         )
+
+
+def reference_name(serial: str, calibration: Calibration) -> str:
+    """Name of the transmitter as a reference: serial number, certificate and date, if stated."""
+    certificate = " ".join(filter(None, (calibration.id, calibration.date)))
+    words = ("pressure_transmitter", serial, f"({certificate})" if certificate else "")
+    return " ".join(filter(None, words))
