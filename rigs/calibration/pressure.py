@@ -75,9 +75,10 @@ def calibrate_pressure(
             gauge = rig.instruments["pressure_transmitter"]
             cal = gauge.calibration
             assert cal is not None
+            whence = f"{cal.id} {cal.date}".strip()
             serial = config.instruments.modbus["pressure_transmitter"].serial
             known = Reference(
-                f"pressure_transmitter {serial} ({cal.id} {cal.date})".strip(),
+                " ".join(w for w in ("pressure_transmitter", serial, f"({whence})") if w),
                 u_offset=cal.u_offset,
                 u_gain=cal.u_gain,
             )
