@@ -114,7 +114,7 @@ def test_what_is_found_carries_over_to_protocols_that_were_left_out(
     amounts = {one["name"]: one for one in found["stability"] if one["kind"] == "amount"}
     assert set(amounts) == {"flow_area:inlet", "bladder_elasticity"}
     assert all(one["variation"] < 0.2 for one in amounts.values())
-    assert any("carries over" in line or "worse on" in line for line in as_lines(found))
+    assert any("improvement holds" in line or "worse for" in line for line in as_lines(found))
 
 
 def test_nothing_to_learn_and_nothing_is_learnt(tmp_path: Path) -> None:

@@ -154,7 +154,8 @@ def shrink_command(question: Question, out: Path | None, as_json: bool) -> None:
     lines += as_lines(found) if found else []
     lines += empirical_lines(verdict)
     if written is not None:
-        lines.append(f"improved plant written to {written}")
+        plant = "improved" if verdict.effects else "recalibrated"
+        lines.append(f"{plant} plant written to {written}")
     elif out is not None:
         lines.append(f"{out} was not written: these data do not improve the plant")
     typer.echo("\n".join(lines))
@@ -301,18 +302,17 @@ def _gap_text(verdict: Verdict) -> list[str]:
         return []
     lines = [_gap_line("gap", gap)]
     if gap.closed is not None and gap.closed_low is not None and gap.closed_high is not None:
-        lines.append(
-            f"closed      {100 * gap.closed:.0f} % "
-            f"({100 * gap.closed_low:.0f} to {100 * gap.closed_high:.0f})"
-        )
+        ends = [f"{100 * end:.0f}" for end in (gap.closed_low, gap.closed_high)]
+        between = f" ({ends[0]} to {ends[1]} %)" if ends[0] != ends[1] else ""
+        lines.append(f"closed      {100 * gap.closed:.0f} % of the error{between}")
     return lines + [_gap_line("", other) for other in verdict.channels[1:]]
 
 
 def _gap_line(name: str, gap: Gap) -> str:
     return (
-        f"{name:12}without fit {gap.before:.3g}, recalibrated {gap.recalibrated:.3g}"
-        + (f", after {gap.after:.3g}" if gap.after is not None else "")
-        + (f", floor {gap.floor:.3g}" if gap.floor is not None else "")
+        f"{name:12}rms error as stated {gap.before:.3g}, recalibrated {gap.recalibrated:.3g}"
+        + (f", with the effects {gap.after:.3g}" if gap.after is not None else "")
+        + (f", noise floor {gap.floor:.3g}" if gap.floor is not None else "")
         + f" {gap.unit} "
         + (f"(held out by {gap.held_out})" if gap.held_out else "(one setting: nothing held out)")
     )

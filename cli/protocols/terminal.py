@@ -74,7 +74,7 @@ class ProgressLine:
         left_s = time_left_s(
             p.seconds, p.spent_s, time.monotonic() - self._start, self._runner.rig.clock.virtual
         )
-        if left_s is not None:
+        if left_s is not None and p.done < p.points:
             text += f", about {left_s:.0f} s left"
         return text
 

@@ -157,13 +157,19 @@ def _stability(problem: FitProblem, fit: FitResult) -> list[dict[str, Any]]:
 
 def as_lines(found: dict[str, Any]) -> list[str]:
     """The tables for people."""
-    lines = ["held out        block      recalibrated    after    floor"]
+    lines = [
+        "rms error of what was held out (after: with the effects; floor: noise)",
+        "  left out      channel   recalibrated    after    floor",
+    ]
     for scheme, blocks in found["held_out"].items():
         lines += [_row(f"by {scheme}", block, gap) for block, gap in blocks.items()]
-    lines.append("free-running, end to end")
+    lines.append("the same, whole chain simulated from the command")
     lines += [_row("by slot", gap["end"], gap) for gap in found["free_running"]]
     if found["generic"]:
-        lines.append("closed by      the named effects, a learner no freer, a large one (ceiling)")
+        lines.append(
+            "share of the error removed: by the named effects, by splines with as many "
+            "parameters, by many splines (upper bound)"
+        )
     for one in found["generic"]:
         values = [one[key] for key in ("closed_named", "closed_alike", "closed_large")]
         if values[0] is not None:
@@ -172,17 +178,18 @@ def as_lines(found: dict[str, Any]) -> list[str]:
     worse = [one for one in found["transfer"] if not one["carries"]]
     for one in worse:
         lines.append(
-            f"  worse on {one['held_out']} {one['name']} when it is left out: {one['block']} "
+            f"  worse for {one['held_out']} {one['name']} when it is left out: {one['block']} "
             f"{one['recalibrated']:.3g} -> {one['after']:.3g} {one['unit']}"
         )
     if found["transfer"] and not worse:
-        lines.append("carries over to every protocol and mounting that was left out")
-    for one in found["stability"]:
-        if one["kind"] == "amount":
-            lines.append(
-                f"  {one['name']:22s} {one['value']:.4g}, over folds {one['low']:.4g} to "
-                f"{one['high']:.4g}"
-            )
+        lines.append("the improvement holds for every protocol and mounting that was left out")
+    amounts = [one for one in found["stability"] if one["kind"] == "amount"]
+    if amounts:
+        lines.append("amounts of the effects, with their range when one slot at a time is left out")
+    for one in amounts:
+        lines.append(
+            f"  {one['name']:22s} {one['value']:.3g} ({one['low']:.3g} to {one['high']:.3g})"
+        )
     return lines
 
 

@@ -135,7 +135,7 @@ def _identities(rig: Rig) -> Iterator[Finding]:
             f" {v.get('conf')}, boot {v.get('boot')} ({v.get('cause')})",
         )
     for name in [n for n in rig.identities if n not in sides_of(rig.config)]:
-        words = ", ".join(f"{k} {x}" for k, x in rig.identities[name].items())
+        words = ", ".join(f"{k} {x}" for k, x in rig.identities[name].items() if x)
         yield Finding(name, "ok", words)
 
 
