@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from analysis.reduction.muscle.time_laws import best_law, fit_rate, fit_time_laws
 from analysis.registry import analysis_of
 from analysis.reporting.derived import derive_all
+from analysis.reporting.report import report_json
 from analysis.run_table import reduce_run
 from cli.protocols.resume import continue_run
 from daq.errors import ConfigError
@@ -204,6 +206,8 @@ def test_free_contraction_is_that_of_the_plant(tmp_path: Path) -> None:
     true = 1.0 - hung_length_mm(found["pressure_kpa"], 0.1 * 9.80665) / 72.5
     assert abs(found["contraction"] - true) < 3.0 * math.hypot(found["u_contraction"], 1e-4)
     assert found["u_contraction"] < 5e-4
+    shown = re.search(r"is [\d.]+ ± 0\.0*([1-9]\d) % ", report_json(run)["headline"])
+    assert shown, "two significant digits of the uncertainty"
     stated, run, _ = run_short(
         "free-contraction", tmp_path, seed=3, pressures_kpa=(300.0,), rest_length_mm=72.5,
         u_rest_length_mm=0.1,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.figures.wording import with_u
 from analysis.findings.findings import (
     BARS,
     EXPANDED,
@@ -166,8 +167,9 @@ def free_contraction_findings(run: Run, reduction: Reduction) -> Findings:
         *hysteresis,
     )
     headline = (
-        f"The largest free contraction is {100 * best['contraction']:.2f} ±"
-        f" {200 * best['u_contraction']:.2f} % (k = 2) at {best['pressure_kpa']:.1f} kPa, of"
+        "The largest free contraction is"
+        f" {with_u(100 * best['contraction'], 100 * best['u_contraction'])} % (k = 2)"
+        f" at {best['pressure_kpa']:.1f} kPa, of"
         f" L0 = {l0_mm:.2f} mm."
     )
     data = {
