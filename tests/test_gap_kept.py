@@ -17,8 +17,10 @@ import pandas as pd
 import pytest
 
 from bench_process import call_pamrig
+from daq.progress import heard_by
 from gap.data.reader import read_dataset
 from gap.decision import store
+from gap.decision.diagnose import diagnose
 from gap.decision.diagnosis import diagnosis
 from gap.decision.fingerprint import fingerprint
 from gap.decision.store import Store, user_folder
@@ -286,6 +288,11 @@ def test_stages_are_shown_on_a_terminal_and_nowhere_else(settled: Path) -> None:
     quiet = subprocess.run(words, capture_output=True, check=True)
     assert quiet.stderr == b""
     assert json.loads(quiet.stdout) == found
+    told: list[str] = []
+    with heard_by(told.append):
+        diagnose(read_dataset(settled))
+    assert "noise and recalibration of 15 trials" in told
+    assert any(text.startswith("effect 1: fit 1 of") for text in told)
 
 
 def _read_terminal(handle: int) -> bytes:

@@ -29,6 +29,10 @@ DIGITS = 2
 """Significant digits of half an interval; value and limits have the same last decimal place."""
 UNCERTAIN_DIGITS = 4
 """Significant digits of a value without an interval."""
+LEAST_EXPONENT, MOST_EXPONENT = -4, 5
+"""Powers of ten that are written out; beyond them numbers have an exponent."""
+NEGLIGIBLE = 0.05
+"""A systematic error below this share of the noise is not given as a number."""
 
 
 def fit_text(found: Fit, points: Points) -> str:
@@ -90,9 +94,6 @@ def to_interval(numbers: tuple[float, float, float]) -> tuple[str, str, str]:
     return value, low, high
 
 
-LEAST_EXPONENT, MOST_EXPONENT = -4, 5
-"""Powers of ten that are written out; beyond them numbers have an exponent."""
-
 NOISE_FROM = {
     "repeats": "from the scatter of repeated points",
     "roughness": "from the roughness of the residuals along the pressure",
@@ -133,10 +134,6 @@ def misfit_text(sizes: Misfit, model: Model) -> str:
             f"diameter of {g.diameter_mm:g} mm."
         )
     return "\n".join(lines)
-
-
-NEGLIGIBLE = 0.05
-"""A systematic error below this share of the noise is not given as a number."""
 
 
 def start_lines(scalings: Iterable[Scaling]) -> list[str]:

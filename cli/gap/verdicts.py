@@ -154,7 +154,7 @@ def shrink_command(question: Question, out: Path | None, as_json: bool) -> None:
     lines += as_lines(found) if found else []
     lines += empirical_lines(verdict)
     if written is not None:
-        plant = "improved" if verdict.effects else "recalibrated"
+        plant = "improved" if named or verdict.empirical else "recalibrated"
         lines.append(f"{plant} plant written to {written}")
     elif out is not None:
         lines.append(f"{out} was not written: these data do not improve the plant")
@@ -304,7 +304,7 @@ def _gap_text(verdict: Verdict) -> list[str]:
     if gap.closed is not None and gap.closed_low is not None and gap.closed_high is not None:
         ends = [f"{100 * end:.0f}" for end in (gap.closed_low, gap.closed_high)]
         between = f" ({ends[0]} to {ends[1]} %)" if ends[0] != ends[1] else ""
-        lines.append(f"closed      {100 * gap.closed:.0f} % of the error{between}")
+        lines.append(f"closed      {100 * gap.closed:.0f} % of the gap{between}")
     return lines + [_gap_line("", other) for other in verdict.channels[1:]]
 
 

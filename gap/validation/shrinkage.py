@@ -167,7 +167,7 @@ def as_lines(found: dict[str, Any]) -> list[str]:
     lines += [_row("by slot", gap["end"], gap) for gap in found["free_running"]]
     if found["generic"]:
         lines.append(
-            "share of the error removed: by the named effects, by splines with as many "
+            "share of the gap that is closed by the named effects, by splines with as many "
             "parameters, by many splines (upper bound)"
         )
     for one in found["generic"]:
@@ -185,7 +185,7 @@ def as_lines(found: dict[str, Any]) -> list[str]:
         lines.append("the improvement holds for every protocol and mounting that was left out")
     amounts = [one for one in found["stability"] if one["kind"] == "amount"]
     if amounts:
-        lines.append("amounts of the effects, with their range when one slot at a time is left out")
+        lines.append("amounts of the effects, with 95 % intervals by the jackknife over slots")
     for one in amounts:
         lines.append(
             f"  {one['name']:22s} {one['value']:.3g} ({one['low']:.3g} to {one['high']:.3g})"

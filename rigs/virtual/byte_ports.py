@@ -70,23 +70,50 @@ class PtyPort:
                 os.close(fd)
 
 
-class TcpPort:
-    """A loopback TCP socket that one client at a time may connect to."""
+class LoopbackServer:
+    """A loopback TCP socket that one client at a time may connect to; the newest one stays.
 
-    def __init__(self) -> None:
+    Args:
+        scheme: what the address begins with.
+    """
+
+    def __init__(self, scheme: str) -> None:
         self._server = socket.create_server((LOOPBACK, 0))
         self._server.setblocking(False)
         self._client: socket.socket | None = None
-        self.address = f"socket://{LOOPBACK}:{self._server.getsockname()[1]}"
+        self.address = f"{scheme}{LOOPBACK}:{self._server.getsockname()[1]}"
 
-    def read(self) -> bytes:
-        """What came, without waiting."""
+    def _accept(self) -> bool:
+        """Take a client that waits, without waiting for one; whether there is a new one."""
         with contextlib.suppress(BlockingIOError, OSError):
             client, _ = self._server.accept()
             client.setblocking(False)
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._drop()
             self._client = client
+            return True
+        return False
+
+    def _drop(self) -> None:
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    def close(self) -> None:
+        """Let go."""
+        self._drop()
+        self._server.close()
+
+
+class TcpPort(LoopbackServer):
+    """Bytes over a loopback socket."""
+
+    def __init__(self) -> None:
+        super().__init__("socket://")
+
+    def read(self) -> bytes:
+        """What came, without waiting."""
+        self._accept()
         if self._client is None:
             return b""
         try:
@@ -108,13 +135,3 @@ class TcpPort:
                 pass  # nobody reads
             except OSError:
                 self._drop()
-
-    def _drop(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None
-
-    def close(self) -> None:
-        """Let go."""
-        self._drop()
-        self._server.close()

@@ -18,7 +18,7 @@ from typing import Any
 
 from daq.errors import PortError
 from rigs.rigfile.instruments import CardDevice
-from rigs.virtual.byte_ports import LOOPBACK
+from rigs.virtual.byte_ports import LoopbackServer
 from rigs.virtual.emulators.cards import VirtualCard
 
 TCP = "tcp://"
@@ -28,25 +28,18 @@ LONGEST = 65536
 """Bytes of a request; a client that sends more without an end is hung up on."""
 
 
-class CardPort:
+class CardPort(LoopbackServer):
     """Serves one client at a time, in the bench's own thread."""
 
     def __init__(self, card: VirtualCard) -> None:
+        super().__init__(TCP)
         self._card = card
-        self._server = socket.create_server((LOOPBACK, 0))
-        self._server.setblocking(False)
-        self._client: socket.socket | None = None
         self._buffer = b""
-        self.address = f"{TCP}{LOOPBACK}:{self._server.getsockname()[1]}"
 
     def step(self) -> None:
         """Answer what was asked."""
-        with contextlib.suppress(BlockingIOError, OSError):
-            client, _ = self._server.accept()
-            client.setblocking(False)
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._drop()
-            self._client, self._buffer = client, b""
+        if self._accept():
+            self._buffer = b""
         if self._client is None:
             return
         try:
@@ -83,16 +76,6 @@ class CardPort:
                 card.scans.clear()
                 return {"scans": scans, "gone": card.gone}
         return {}
-
-    def _drop(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None
-
-    def close(self) -> None:
-        """Let go."""
-        self._drop()
-        self._server.close()
 
 
 class RemoteCard:
