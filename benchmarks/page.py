@@ -16,6 +16,7 @@ PARTS = {
     "recording": "recording",
     "marker": "marker",
     "simulation": "simulation",
+    "laws": "laws",
     "dynamics": "dynamics",
     "startup": "startup",
     "diagnosis": "gap.diagnosis",
