@@ -70,8 +70,8 @@ def lines(result: dict[str, Any]) -> list[str]:
     out = table(["method", f"ms for {result['points']:,} points", f"/ {SAME}"], rows)
     out += [
         f"{result['rounds']} rounds, processor time of one core. Both ways of `chou-hannaford` "
-        "give the same forces. The models also check their domain; those with memory (`play`, `slip`, "
-        "`late`) follow the order of the points.",
+        "give the same forces. The models also check their domain; those with memory (`play`, "
+        "`slip`, `late`) follow the order of the points.",
         "",
     ]
     return out
