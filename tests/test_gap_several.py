@@ -6,7 +6,9 @@ import pytest
 
 from blind.physics.entries import ENTRIES
 from blind.sets import LEAST_AT_ONCE, MOST_AT_ONCE, SEVERAL, blind_set
-from gap.check.several import score, totals
+from gap.check.several import line_of, score, totals
+from gap.reason import Cause, reason
+from gap.verdict import Status, Verdict
 
 
 def test_a_set_hides_effects_of_as_many_families_on_another_muscle() -> None:
@@ -20,18 +22,33 @@ def test_a_set_hides_effects_of_as_many_families_on_another_muscle() -> None:
 
 def test_totals_count_right_and_wrong_names() -> None:
     scores = [
-        {"hidden": ["a", "b"], "named": ["a", "c"], "offered": ["a", "c"], "closed": 0.9},
-        {"hidden": ["d"], "named": [], "offered": ["d"], "closed": None},
-    ]
+        {
+            "hidden": ["a", "b"], "named": ["a", "c"], "offered": ["a", "c"], "closed": 0.9,
+            "status": "named",
+        },
+        {"hidden": ["d"], "named": [], "offered": ["d"], "closed": None, "status": "unknown"},
+        {"hidden": ["e"], "named": [], "offered": [], "closed": None, "status": "nominal_unfit"},
+    ]  # fmt: skip
     found = totals(scores)
     assert found["named"] == {
-        "right": 1, "of": 3, "wrong": 1, "share": pytest.approx(1 / 3), "wrong_share": 0.5,
+        "right": 1, "of": 4, "wrong": 1, "share": pytest.approx(1 / 4), "wrong_share": 0.5,
     }  # fmt: skip
     assert found["offered"]["right"] == 2
     assert found["closed_median"] == 0.9
+    assert (found["sets"], found["unfit"], found["unknown"]) == (3, 1, 1)
+
+
+def test_a_set_whose_stated_plant_is_refused_names_nothing() -> None:
+    why = reason(Cause.NOMINAL_UNFIT, findings="turns would have to be off by 9 sd")
+    refused = Verdict(Status.NOMINAL_UNFIT, why, None, (), 0.0, 1.0)
+    line = line_of(504, ["leak", "wear", "payload"], ["wear"], refused)
+    assert line["hidden"] == ["leak", "payload"]
+    assert line["named"] == line["offered"] == []
+    found = totals([line])
+    assert (found["unfit"], found["named"]["of"]) == (1, 2)
 
 
 @pytest.mark.campaign
 def test_three_effects_at_once_are_named() -> None:
-    found = score(20, 6)
+    found = score(20)
     assert set(found["named"]) == set(found["hidden"])

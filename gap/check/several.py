@@ -1,8 +1,10 @@
 """Several effects at once: `python -m gap.check.several --sets 0-19`.
 
 Sets of the stream `several` of the blind bench hide three to five effects of as many families, each
-of 1 to 8 floors, on a muscle that differs from the nominal one. A name counts where the verdict
-is sure of it. Prints one line a set and the totals; `--out` keeps them, and a stopped run goes on.
+of 1 to 8 floors, on a muscle that differs from the nominal one. A set is scored as `pamrig gap
+diagnose` would report it: what it refuses (`Status.NOMINAL_UNFIT`, `Status.DATA_UNFIT`) is counted
+by itself, and its effects are not named. A name counts where the verdict is sure of it. Prints one
+line a set and the totals; `--out` keeps them, and a stopped run goes on.
 """
 
 from __future__ import annotations
@@ -12,7 +14,6 @@ import json
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,26 +24,37 @@ from blind.exchange import write
 from blind.recording import record
 from blind.sets import SEVERAL, blind_set
 from gap.data.reader import read_dataset
-from gap.decision.classify import classify
-from gap.estimation.fit_problem import FitProblem
-from gap.selection.config import SELECTION
-from gap.selection.search import search_effects
-from gap.verdict import plain
+from gap.decision.diagnose import verdict_by_catalogue
+from gap.verdict import Status, Verdict, plain
+
+UNFIT = (Status.NOMINAL_UNFIT, Status.DATA_UNFIT)
+"""Verdicts that refuse to diagnose: the stated plant, or the data, are not usable."""
 
 
-def score(number: int, most: int, small: bool = False) -> dict[str, Any]:
-    """Diagnose one set with explanations of up to `most` effects."""
+def score(number: int, small: bool = False, strike: bool = False) -> dict[str, Any]:
+    """Diagnose one set.
+
+    With `strike` one of the hidden effects is struck from the catalogue, and what stands in its
+    place is wrong.
+    """
     one = blind_set(SEVERAL, number, small)
     hidden = sorted(effect.id for effect in one.hidden)
+    struck = [hidden[number % len(hidden)]] if strike else []
     with tempfile.TemporaryDirectory() as scratch:
         write(record(one), Path(scratch))
-        problem = FitProblem.of(read_dataset(Path(scratch)))
-    config = replace(SELECTION, most_effects=most)
-    verdict, _ = classify(problem, search_effects(problem, config))
+        verdict, _, _ = verdict_by_catalogue(read_dataset(Path(scratch)), struck)
+    return line_of(number, hidden, struck, verdict)
+
+
+def line_of(
+    number: int, hidden: Sequence[str], struck: Sequence[str], verdict: Verdict
+) -> dict[str, Any]:
+    """What is kept of one set: what it hides, and what the verdict says."""
     offered = verdict.effects[0].ids if verdict.effects and verdict.status.explained else ()
     gap = verdict.gap
     return {
-        "number": number, "hidden": hidden, "status": str(verdict.status),
+        "number": number, "hidden": sorted(set(hidden) - set(struck)), "struck": list(struck),
+        "status": str(verdict.status),
         "named": sorted(verdict.sure), "offered": sorted(offered),
         "closed": gap.closed if gap is not None else None,
         "presence": plain(verdict.evidence.get("presence")),
@@ -50,8 +62,15 @@ def score(number: int, most: int, small: bool = False) -> dict[str, Any]:
 
 
 def totals(scores: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Share of hidden effects named and offered, wrong names, closed fraction in the median."""
-    made: dict[str, Any] = {"sets": len(scores)}
+    """Share of hidden effects named and offered, wrong names, closed fraction in the median.
+
+    The effects of sets that are refused as unfit count as hidden and not named.
+    """
+    made: dict[str, Any] = {
+        "sets": len(scores),
+        "unfit": sum(s["status"] in UNFIT for s in scores),
+        "unknown": sum(s["status"] == Status.UNKNOWN for s in scores),
+    }
     hidden = sum(len(s["hidden"]) for s in scores)
     for key in ("named", "offered"):
         right = sum(len(set(s[key]) & set(s["hidden"])) for s in scores)
@@ -69,18 +88,20 @@ def main() -> int:
     """Score sets, or go on where a run was stopped."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", default="0-19", help="set numbers: 0-19, or 3,5,8")
-    parser.add_argument("--most", type=int, default=SELECTION.most_effects)
+    parser.add_argument(
+        "--strike", action="store_true", help="strike one hidden effect of each set"
+    )
     parser.add_argument("--out", type=Path, default=Path("out/several.jsonl"))
     options = parser.parse_args()
     options.out.parent.mkdir(parents=True, exist_ok=True)
     lines = options.out.read_text().splitlines() if options.out.exists() else []
-    scores = {s["number"]: s for s in map(json.loads, lines)}
+    scores = {(s["number"], bool(s.get("struck"))): s for s in map(json.loads, lines)}
     for number in numbers_of(options.sets):
-        if number not in scores:
-            scores[number] = score(number, options.most)
+        if (number, options.strike) not in scores:
+            made = scores[number, options.strike] = score(number, strike=options.strike)
             with options.out.open("a") as file:
-                file.write(json.dumps(scores[number]) + "\n")
-            print(json.dumps(scores[number]), file=sys.stderr, flush=True)
+                file.write(json.dumps(made) + "\n")
+            print(json.dumps(made), file=sys.stderr, flush=True)
     print(json.dumps(totals(list(scores.values())), indent=2))
     return 0
 

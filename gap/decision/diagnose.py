@@ -56,6 +56,16 @@ def diagnose_with_search(
 
     FitProblem and search are None where the data are unfit or nothing can be compared.
     """
+    verdict, problem, search = verdict_by_catalogue(data, without)
+    if problem is None or search is None:
+        return verdict, None, None
+    return with_empirical_term(verdict, problem, search), problem, search
+
+
+def verdict_by_catalogue(
+    data: DataSet, without: Iterable[str] = ()
+) -> tuple[Verdict, FitProblem | None, SearchResult | None]:
+    """The verdict before what it has no name for is described; see `diagnose_with_search`."""
     candidates = candidates_without(without)
     unfit = unfit_channels(data)
     if unfit:
@@ -74,7 +84,7 @@ def diagnose_with_search(
     found = search_effects(problem)
     stage("confounders, stages and the next experiment")
     verdict, search = classify(problem, found)
-    return with_empirical_term(verdict, problem, search), problem, search
+    return verdict, problem, search
 
 
 _NEAREST = 3
