@@ -11,12 +11,20 @@ from gap.check.presence import cases, fit
 from gap.data.from_runs import open_data
 from gap.decision.classify import _by_presence, _Case, _Finding
 from gap.decision.config import DECISION
-from gap.decision.presence import FEATURES, Evidence, evidence_of, shipped_presence
+from gap.decision.presence import (
+    FEATURES,
+    Evidence,
+    evidence_of,
+    only_effects,
+    shipped_presence,
+)
 from gap.errors import CheckError
 from gap.estimation.fit_problem import FitProblem
 from gap.reason import Cause, reason
 from gap.reporting.text import headline
-from gap.selection.search import search_effects
+from gap.selection.further import is_further, with_further
+from gap.selection.inclusion import StepStatistics
+from gap.selection.search import SearchResult, search_effects
 from gap.verdict import Explanation, Status, Verdict
 from gap_bench import write_set
 
@@ -40,7 +48,9 @@ def refused(case: _Case) -> _Finding:
 
 
 def test_effects_that_are_there_have_a_high_probability(two: _Case) -> None:
-    odds = {one.id: shipped_presence().of(one) for one in evidence_of(two.problem, two.search)}
+    odds = {
+        one.id: shipped_presence().of(one) for one in evidence_of(two.problem, two.search, 0.05)
+    }
     assert min(odds.values()) > 0.9
 
 
@@ -78,6 +88,51 @@ def test_effects_on_which_all_entries_agree_are_sure(two: _Case) -> None:
     assert found.sure == other.fit.ids
 
 
+@pytest.fixture(scope="module")
+def wider(two: _Case) -> tuple[_Case, SearchResult]:
+    """The same bench, one effect found by the search and the other beside it."""
+    search = two.search
+    one = only_effects(two.problem, search, search.best.fit.ids[:1])
+    one = replace(one, steps=search.steps[:1])
+    return _Case(two.problem, one, DECISION), with_further(two.problem, one)
+
+
+def test_an_effect_that_takes_most_of_what_is_left_comes_beside_the_search(
+    wider: tuple[_Case, SearchResult],
+) -> None:
+    one, further = wider
+    assert len(one.search.best.keys) == 1
+    assert set(further.best.fit.ids) == set(TWO)
+    assert further.left < one.search.left
+
+
+def test_a_further_effect_is_named_only_where_it_is_sure(
+    wider: tuple[_Case, SearchResult],
+) -> None:
+    one, further = wider
+    first, other = further.best.fit.ids
+    whole = replace(refused(one), status=Status.NAMED)
+    case, found = _by_presence(one, whole, {first: 0.95, other: 0.95}, further)
+    assert found.sure == (first, other)
+    assert found.status is Status.NAMED
+    assert case.search.best.fit.ids == (first, other)
+    case, found = _by_presence(one, whole, {first: 0.95, other: 0.8}, further)
+    assert found.sure == (first,)
+    assert case is one
+    # A single effect that was refused stays so, whatever stands beside it.
+    case, found = _by_presence(one, refused(one), {first: 0.95, other: 0.95}, further)
+    assert found.status is Status.UNKNOWN
+
+
+def test_an_effect_that_takes_little_of_what_is_left_and_is_not_seen_stays_out() -> None:
+    step = StepStatistics(
+        "leak", 200.0, 1e6, 250.0, 5000, 30.0, 0.05, False, False, False, 0.0, 0.0, False
+    )
+    assert is_further(step)
+    assert not is_further(replace(step, left=2000.0))
+    assert not is_further(replace(step, gain=40.0))
+
+
 def test_the_headline_says_that_a_part_is_not_known() -> None:
     why = reason(Cause.PARTLY, names="leak", percent=95.0, share=60.0)
     entry = Explanation(("leak",), "leak", 0.95)
@@ -88,7 +143,7 @@ def test_the_headline_says_that_a_part_is_not_known() -> None:
 
 
 def test_an_effect_is_the_likelier_the_less_another_can_stand_for_it() -> None:
-    plain = Evidence("leak", 100.0, 5000.0, 2000.0, 10.0, 2.0, 1.0, 0.0, 0.0)
+    plain = Evidence("leak", 100.0, 5000.0, 2000.0, 10.0, 2.0, 1.0, 0.0, 0.0, 5.0, 0.1)
     odds = [shipped_presence().of(replace(plain, margin=margin)) for margin in (0.0, 50.0, 500.0)]
     assert odds == sorted(odds)
     assert shipped_presence().of(replace(plain, shape_at_end=1.0)) < odds[0]
@@ -96,7 +151,7 @@ def test_an_effect_is_the_likelier_the_less_another_can_stand_for_it() -> None:
 
 def line(kind: str, margin: float, there: bool) -> dict[str, object]:
     """A line of a campaign with one effect of one explanation."""
-    one = Evidence("leak", 100.0, 5000.0, 2000.0, margin, 2.0, 1.0, 0.0, 1.0)
+    one = Evidence("leak", 100.0, 5000.0, 2000.0, margin, 2.0, 1.0, 0.0, 1.0, 5.0, 0.1)
     hidden = ["leak"] if there else ["wear"]
     score = {
         "stream": "practice", "kind": kind, "mimic": 0.1, "hidden": hidden, "truth": "effects",
@@ -110,7 +165,7 @@ def test_weights_are_learnt_from_lines_of_a_campaign() -> None:
     learnt = fit(of.x, of.y, of.weight)
     assert set(learnt.weights) == set(FEATURES)
     assert learnt.weights["margin"] > 0.5
-    assert learnt.of(Evidence("leak", 100.0, 5e3, 2e3, 1e3, 2.0, 1.0, 0.0, 1.0)) > 0.8
+    assert learnt.of(Evidence("leak", 100.0, 5e3, 2e3, 1e3, 2.0, 1.0, 0.0, 1.0, 5.0, 0.1)) > 0.8
 
 
 def test_sets_with_held_out_forms_never_teach() -> None:

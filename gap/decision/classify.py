@@ -62,6 +62,16 @@ class _Case:
         """Chi-square of the recalibrated plant that replicates share."""
         return shared_chi2(self.problem, self.problem.base.residual)
 
+    @cached_property
+    def traits(self) -> dict[str, float]:
+        """Traits of the best explanation."""
+        return traits_of(self.problem, self.search, self.held)
+
+    @cached_property
+    def reliability(self) -> dict[str, float]:
+        """Probability of each outcome of the best explanation."""
+        return shipped_reliability().of(self.traits)
+
     @property
     def share(self) -> float:
         """Share of the gap that is explained; what chance may leave does not count as left."""
@@ -127,9 +137,10 @@ def classify(
     elif outcome.uncertain_defect:
         finding = _unknown(case, case.search.best.fit, 1.0, Reason(Cause.UNCERTAIN_DEFECT))
     elif case.search.best.keys:
-        evidence = evidence_of(problem, case.search)
+        further = case.search
+        evidence = evidence_of(problem, further, case.reliability["unknown"])
         odds = {one.id: shipped_presence().of(one) for one in evidence}
-        case, finding = _by_presence(case, _explained(case), odds)
+        case, finding = _by_presence(case, _explained(case), odds, further)
         presence = [one.as_dict() for one in evidence]
         finding = replace(finding, evidence={**finding.evidence, "presence": presence})
     else:
@@ -215,8 +226,7 @@ def _explained(case: _Case) -> _Finding:
             reason(Cause.LOOKS_LIKE, names=names, freedom=problem.noise.freedom),
             0.3, 0.5, named=True,
         )  # fmt: skip
-    traits = traits_of(problem, search, case.held)
-    reliability = shipped_reliability().of(traits)
+    reliability = case.reliability
     found = posterior(search, reliability, min(search.chance, 0.5), config)
     one, two = _confounders(case)
     finding = _Finding(
@@ -238,7 +248,7 @@ def _explained(case: _Case) -> _Finding:
             "mimics": [{"ids": m.ids, "share": m.share} for m in (one, two) if m],
             "steps": [{"entry": k, "gain": g} for k, g in search.steps],
             "further": [test.as_dict(included) for test, included in search.tests],
-            "traits": traits,
+            "traits": case.traits,
         },
     )  # fmt: skip
     if reliability["unknown"] > config.unknown:
@@ -269,26 +279,41 @@ def _explained(case: _Case) -> _Finding:
 
 
 def _by_presence(
-    case: _Case, finding: _Finding, odds: Mapping[str, float]
+    case: _Case,
+    finding: _Finding,
+    odds: Mapping[str, float],
+    further: SearchResult | None = None,
 ) -> tuple[_Case, _Finding]:
     """The finding once each effect has been asked for by itself.
 
     Where an explanation of several effects is refused as a whole, those that are there in any case
     are named, and the rest of the gap stays unknown. Where it is accepted, it goes without effects
-    that are rather not there. Where several fit, those on which they agree are sure.
+    that are rather not there, and with further ones that are. Where several fit, those on which
+    they agree are sure.
 
     Args:
-        odds: probability of each effect of the best explanation.
+        odds: probability of each effect of the best explanation of `further`.
+        further: the search with further effects beside its best explanation (`with_further`).
     """
     config = case.config
-    sure = tuple(name for name in case.search.best.fit.ids if odds[name] >= config.present)
+    wider = case if further is None else replace(case, search=further)
+    sure = tuple(name for name in wider.search.best.fit.ids if odds[name] >= config.present)
     if finding.status is Status.UNKNOWN:
         if len(case.search.best.fit.ids) == 1:  # its refusal was learnt on single effects
             return case, finding
-        return _partly(case, finding, sure, odds)
+        part, found = _partly(wider, finding, sure, odds)
+        return (case, finding) if part is wider else (part, found)
     if finding.status in NAMED:
         ids = finding.entries[0][0].fit.ids
         kept = tuple(name for name in ids if odds.get(name, 0.0) >= config.needless)
+        more = tuple(name for name in sure if name not in ids)
+        if more:
+            part, found = _partly(wider, finding, (*kept, *more), odds)
+            if part is not wider and finding.status is Status.NAMED and len(kept) == len(ids):
+                why = reason(Cause.EXPLAINED, names=part.names)
+                return part, replace(found, status=Status.NAMED, reason=why)
+            if part is not wider:
+                return part, found
         if kept and len(kept) < len(ids):
             return _partly(case, finding, kept, odds)
         return case, replace(finding, sure=ids)

@@ -21,6 +21,7 @@ from importlib import resources
 import numpy as np
 from scipy.special import expit
 
+from gap.estimation.cross_validation import left_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.shape_fit import LOOSE, fit_shapes
 from gap.selection.backward import refitted_without, without
@@ -47,6 +48,9 @@ class Evidence:
         visibility: what it takes from some block, in units of its floor.
         shape_at_end: whether the data hold a number of its shape at an end of its range.
         single: whether the explanation has no other effect.
+        steady: its amount over the jackknife error over slots of that amount.
+        unknown: probability that the explanation, as a whole, stands for an effect outside the
+            catalogue (`gap.decision.reliability`).
     """
 
     id: str
@@ -58,6 +62,8 @@ class Evidence:
     visibility: float
     shape_at_end: float
     single: float
+    steady: float
+    unknown: float
 
     def features(self) -> Array:
         """Bounded numbers of order one, in the order of `FEATURES`."""
@@ -68,6 +74,8 @@ class Evidence:
             "visibility": np.clip(np.log10(self.visibility + 0.05), -1.3, 1.0),
             "shape_at_end": self.shape_at_end,
             "single": self.single,
+            "steady": np.clip(np.log10(self.steady + 0.1), -1.0, 2.0),
+            "unknown": self.unknown,
         }
         return np.array([float(made[name]) for name in FEATURES])
 
@@ -76,7 +84,9 @@ class Evidence:
         return {**asdict(self), "probability": shipped_presence().of(self)}
 
 
-FEATURES = ("margin", "lost", "slots", "visibility", "shape_at_end", "single")
+FEATURES = (
+    "margin", "lost", "slots", "visibility", "shape_at_end", "single", "steady", "unknown",
+)  # fmt: skip
 _TABLE = "presence.toml"
 
 
@@ -101,10 +111,15 @@ def shipped_presence() -> Presence:
     return Presence(table["constant"], table["weights"])
 
 
-def evidence_of(problem: FitProblem, search: SearchResult) -> tuple[Evidence, ...]:
-    """The evidence for each effect of the best explanation of a search."""
+def evidence_of(problem: FitProblem, search: SearchResult, unknown: float) -> tuple[Evidence, ...]:
+    """The evidence for each effect of the best explanation of a search.
+
+    Args:
+        unknown: probability that the explanation stands for an effect outside the catalogue.
+    """
     fit, keys = search.best.fit, search.best.keys
     chance = float(np.sqrt(2.0 * len(problem.rows)))
+    steady = _steadiness(problem, fit)
     made = []
     for key in keys:
         name = key.partition(":")[0]
@@ -120,10 +135,31 @@ def evidence_of(problem: FitProblem, search: SearchResult) -> tuple[Evidence, ..
                 visibility(problem, less, fit),
                 float(any(_against_end(problem, fit, j, search.left + chance)
                           for j, c in enumerate(fit.candidates) if c.key == key)),
-                float(len(keys) == 1),
+                float(len(keys) == 1), steady[name], unknown,
             )
         )  # fmt: skip
     return tuple(made)
+
+
+def _steadiness(problem: FitProblem, fit: FitResult) -> dict[str, float]:
+    """Amount of each effect over its jackknife error over slots, by id.
+
+    A stand-in is asked for by some slots and not by others.
+    """
+    change = left_out(problem, fit, problem.units).change[:, len(problem.names) :]
+    slots = len(change)
+    made = {}
+    for name in fit.ids:
+        own = [j for j, candidate in enumerate(fit.candidates) if candidate.id == name]
+        moved = change[:, own].sum(axis=1)
+        spread = float(np.sum((moved - moved.mean()) ** 2))
+        error = float(np.sqrt((slots - 1) / slots * spread))
+        made[name] = min(abs(float(fit.amounts[own].sum())) / max(error, 1e-300), _STEADIEST)
+    return made
+
+
+_STEADIEST = 1e6
+"""Stands for an amount that no slot moves."""
 
 
 def _against_end(problem: FitProblem, fit: FitResult, at: int, left: float) -> bool:

@@ -108,6 +108,15 @@ class SelectionConfig:
     freed_to_sd: float = 2.4
     """Shift before and after, in sd, of a constant that an effect frees."""
 
+    # Further effects for which presence decides (`gap.selection.further`)
+    beside_fitted: int = 5
+    """Candidates that are fitted at a step, best linear gain first."""
+    beside_alarms: float = 1.5
+    """Least gain of such an effect, in alarms."""
+    beside_of_left: float = 0.3
+    """Share of what is left from which it need not be visible. More effects found at once. Set on:
+    sets 500 to 521 of the stream `several`, as is `beside_alarms`."""
+
     # Pruning
     needless_weight: float = 10.0
     """Linear weight of an effect, in alarms, from which no fit without it is tried."""
