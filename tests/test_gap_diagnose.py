@@ -83,10 +83,6 @@ def test_agreement_that_asks_nothing_of_what_is_stated_leans_on_nothing(nominal_
     assert relieving(FitProblem.of(read_dataset(nominal_set))) == {}
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a defect: the search takes a delay that depends on pressure, and an end cap with it",
-)
 def test_an_outlet_much_later_than_a_controllers_pulses_are_long_is_found_alone(
     tmp_path: Path,
 ) -> None:

@@ -132,14 +132,19 @@ def _first_gains(
         linear = replace(linear, gain=np.maximum(linear.gain, most))
     if excess_chi2(problem, base) < config.scan_excess_per_row * len(problem.rows):
         return linear, fresh
-    gain, amount = linear.gain.copy(), linear.amount.copy()
     scanned = _scan_clocks(problem, config)
     if non_identical(problem.data):
         scanned |= _scan_delays(problem, config)
+    gain, amount = linear.gain.copy(), linear.amount.copy()
+    afresh = None if fresh is None else fresh.amount.copy()
     for j, candidate in enumerate(problem.candidates):
         found = scanned.get(candidate.key, (0.0, 0.0))
         if found[0] > gain[j]:
             gain[j], amount[j] = found
+            if afresh is not None:
+                afresh[j] = found[1]
+    if fresh is not None and afresh is not None:
+        fresh = replace(fresh, amount=afresh)
     return LinearGains(problem.candidates, gain, amount), fresh
 
 
@@ -313,13 +318,16 @@ def _scan_delays(problem: FitProblem, config: SelectionConfig) -> dict[str, tupl
     """Gain and amount of valve delays in tests that a controller made.
 
     The pulses of a controller may be shorter than the delay, and then do nothing at all: the
-    sensitivity at one millisecond does not show a delay of twenty.
+    sensitivity at one millisecond does not show a delay of twenty. Nor does a delay of twenty
+    where the constants have moved to what such pulses leave: it is tried at the stated ones too.
     """
     found = {}
+    starts = (problem.base.shift, np.zeros(len(problem.names)))
     for candidate in problem.candidates:
         if candidate.search.scan == "delay":
             tried = [
-                _gain_of(problem, problem.base.shift, candidate, size)
+                _gain_of(problem, start, candidate, size)
+                for start in starts
                 for size in config.scan_delays_ms
             ]
             found[candidate.key] = max(tried)
