@@ -22,6 +22,7 @@ from gap.errors import CheckError
 from gap.estimation.fit_problem import FitProblem
 from gap.reason import Cause, reason
 from gap.reporting.text import headline
+from gap.selection.config import SELECTION
 from gap.selection.further import is_further, with_further
 from gap.selection.inclusion import StepStatistics
 from gap.selection.search import SearchResult, search_effects
@@ -56,7 +57,7 @@ def test_effects_that_are_there_have_a_high_probability(two: _Case) -> None:
 
 def test_where_the_whole_is_refused_the_sure_effect_is_named_alone(two: _Case) -> None:
     odds = {"bladder_elasticity": 0.95, "leak": 0.6}
-    part, found = _by_presence(two, refused(two), odds)
+    part, found = _by_presence(two, refused(two), two.search, odds)
     assert found.status is Status.NAMED_FORM_INADEQUATE
     assert found.sure == ("bladder_elasticity",)
     assert part.search.best.fit.ids == ("bladder_elasticity",)  # fitted anew without the other
@@ -66,16 +67,17 @@ def test_where_the_whole_is_refused_the_sure_effect_is_named_alone(two: _Case) -
 
 
 def test_without_a_sure_effect_the_verdict_stays_unknown(two: _Case) -> None:
-    case, found = _by_presence(two, refused(two), dict.fromkeys(TWO, 0.85))
+    case, found = _by_presence(two, refused(two), two.search, dict.fromkeys(TWO, 0.85))
     assert found.status is Status.UNKNOWN
     assert case is two
 
 
 def test_an_effect_that_is_rather_not_there_is_not_named_with_the_rest(two: _Case) -> None:
     whole = replace(refused(two), status=Status.NAMED)
-    kept = _by_presence(two, whole, {"bladder_elasticity": 0.8, "leak": 0.3})[1]
-    assert kept.sure == ("bladder_elasticity",)
-    assert _by_presence(two, whole, dict.fromkeys(TWO, 0.8))[1].sure == two.search.best.fit.ids
+    odds = {"bladder_elasticity": 0.8, "leak": 0.3}
+    assert _by_presence(two, whole, two.search, odds)[1].sure == ("bladder_elasticity",)
+    odds = dict.fromkeys(TWO, 0.8)
+    assert _by_presence(two, whole, two.search, odds)[1].sure == two.search.best.fit.ids
 
 
 def test_effects_on_which_all_entries_agree_are_sure(two: _Case) -> None:
@@ -83,7 +85,7 @@ def test_effects_on_which_all_entries_agree_are_sure(two: _Case) -> None:
     other = replace(best, fit=replace(best.fit, candidates=best.fit.candidates[:1]))
     entries = [(best, 0.5), (other, 0.4)]
     open_ = replace(refused(two), status=Status.INDISTINGUISHABLE, entries=entries)
-    found = _by_presence(two, open_, dict.fromkeys(TWO, 0.95))[1]
+    found = _by_presence(two, open_, two.search, dict.fromkeys(TWO, 0.95))[1]
     assert found.status is Status.INDISTINGUISHABLE
     assert found.sure == other.fit.ids
 
@@ -94,7 +96,8 @@ def wider(two: _Case) -> tuple[_Case, SearchResult]:
     search = two.search
     one = only_effects(two.problem, search, search.best.fit.ids[:1])
     one = replace(one, steps=search.steps[:1])
-    return _Case(two.problem, one, DECISION), with_further(two.problem, one)
+    least = replace(SELECTION, beside_fitted=1, most_effects=2)
+    return _Case(two.problem, one, DECISION), with_further(two.problem, one, least)
 
 
 def test_an_effect_that_takes_most_of_what_is_left_comes_beside_the_search(
@@ -112,15 +115,15 @@ def test_a_further_effect_is_named_only_where_it_is_sure(
     one, further = wider
     first, other = further.best.fit.ids
     whole = replace(refused(one), status=Status.NAMED)
-    case, found = _by_presence(one, whole, {first: 0.95, other: 0.95}, further)
+    case, found = _by_presence(one, whole, further, {first: 0.95, other: 0.95})
     assert found.sure == (first, other)
     assert found.status is Status.NAMED
     assert case.search.best.fit.ids == (first, other)
-    case, found = _by_presence(one, whole, {first: 0.95, other: 0.8}, further)
+    case, found = _by_presence(one, whole, further, {first: 0.95, other: 0.8})
     assert found.sure == (first,)
     assert case is one
     # A single effect that was refused stays so, whatever stands beside it.
-    case, found = _by_presence(one, refused(one), {first: 0.95, other: 0.95}, further)
+    case, found = _by_presence(one, refused(one), further, {first: 0.95, other: 0.95})
     assert found.status is Status.UNKNOWN
 
 

@@ -25,9 +25,16 @@ def test_totals_count_right_and_wrong_names() -> None:
         {
             "hidden": ["a", "b"], "named": ["a", "c"], "offered": ["a", "c"], "closed": 0.9,
             "status": "named",
+            "presence": [{"id": "a", "probability": 0.9}, {"id": "c", "probability": 0.9}],
         },
-        {"hidden": ["d"], "named": [], "offered": ["d"], "closed": None, "status": "unknown"},
-        {"hidden": ["e"], "named": [], "offered": [], "closed": None, "status": "nominal_unfit"},
+        {
+            "hidden": ["d"], "named": [], "offered": ["d"], "closed": None, "status": "unknown",
+            "presence": [{"id": "d", "probability": 0.3}],
+        },
+        {
+            "hidden": ["e"], "named": [], "offered": [], "closed": None,
+            "status": "nominal_unfit", "presence": None,
+        },
     ]  # fmt: skip
     found = totals(scores)
     assert found["named"] == {
@@ -36,6 +43,8 @@ def test_totals_count_right_and_wrong_names() -> None:
     assert found["offered"]["right"] == 2
     assert found["closed_median"] == 0.9
     assert (found["sets"], found["unfit"], found["unknown"]) == (3, 1, 1)
+    assert found["calibration"]["effects"] == 3
+    assert found["calibration"]["stated_there_count"] == [(0.3, 1.0, 1), (0.9, 0.5, 2)]
 
 
 def test_a_set_whose_stated_plant_is_refused_names_nothing() -> None:

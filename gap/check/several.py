@@ -23,6 +23,7 @@ from blind.__main__ import numbers_of
 from blind.exchange import write
 from blind.recording import record
 from blind.sets import SEVERAL, blind_set
+from gap.check.scoring.statistics import bins_of, debiased_error
 from gap.data.reader import read_dataset
 from gap.decision.diagnose import verdict_by_catalogue
 from gap.verdict import Status, Verdict, plain
@@ -79,9 +80,29 @@ def totals(scores: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "right": right, "of": hidden, "wrong": wrong,
             "share": right / max(hidden, 1), "wrong_share": wrong / max(right + wrong, 1),
         }  # fmt: skip
+    made["calibration"] = _calibration(scores)
     closed = [s["closed"] for s in scores if s["closed"] is not None]
     made["closed_median"] = float(np.median(closed)) if closed else None
     return made
+
+
+def _calibration(scores: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Stated probabilities of presence against what is there: bins, and the error less chance."""
+    stated, there = [], []
+    for line in scores:
+        for one in line["presence"] or []:
+            stated.append(one["probability"])
+            there.append(one["id"] in line["hidden"])
+    p, right = np.array(stated), np.array(there)
+    return {
+        "effects": len(p),
+        "error": debiased_error(p, right) if len(p) else None,
+        "stated_there_count": bins_of(p, right, BINS) if len(p) else [],
+    }
+
+
+BINS = 5
+"""Bins of equal width that the stated probabilities are printed in."""
 
 
 def main() -> int:

@@ -23,6 +23,7 @@ from gap.estimation.intervals import detection_limits, growth_estimates, headlin
 from gap.reason import Cause, Reason, reason
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.config import SELECTION
+from gap.selection.further import with_further
 from gap.selection.per_stroke import with_per_stroke_delays
 from gap.selection.pruning import prune
 from gap.selection.search import SearchResult, why_not
@@ -137,10 +138,10 @@ def classify(
     elif outcome.uncertain_defect:
         finding = _unknown(case, case.search.best.fit, 1.0, Reason(Cause.UNCERTAIN_DEFECT))
     elif case.search.best.keys:
-        further = case.search
+        further = with_further(problem, case.search)
         evidence = evidence_of(problem, further, case.reliability["unknown"])
         odds = {one.id: shipped_presence().of(one) for one in evidence}
-        case, finding = _by_presence(case, _explained(case), odds, further)
+        case, finding = _by_presence(case, _explained(case), further, odds)
         presence = [one.as_dict() for one in evidence]
         finding = replace(finding, evidence={**finding.evidence, "presence": presence})
     else:
@@ -279,10 +280,7 @@ def _explained(case: _Case) -> _Finding:
 
 
 def _by_presence(
-    case: _Case,
-    finding: _Finding,
-    odds: Mapping[str, float],
-    further: SearchResult | None = None,
+    case: _Case, finding: _Finding, further: SearchResult, odds: Mapping[str, float]
 ) -> tuple[_Case, _Finding]:
     """The finding once each effect has been asked for by itself.
 
@@ -292,32 +290,29 @@ def _by_presence(
     they agree are sure.
 
     Args:
-        odds: probability of each effect of the best explanation of `further`.
         further: the search with further effects beside its best explanation (`with_further`).
+        odds: probability of each effect of the best explanation of `further`.
     """
     config = case.config
-    wider = case if further is None else replace(case, search=further)
-    sure = tuple(name for name in wider.search.best.fit.ids if odds[name] >= config.present)
+    wider = replace(case, search=further)
+    sure = tuple(name for name in further.best.fit.ids if odds[name] >= config.present)
+    single = len(case.search.best.fit.ids) == 1
     if finding.status is Status.UNKNOWN:
-        if len(case.search.best.fit.ids) == 1:  # its refusal was learnt on single effects
-            return case, finding
-        part, found = _partly(wider, finding, sure, odds)
-        return (case, finding) if part is wider else (part, found)
+        # The refusal of one effect was learnt on single effects.
+        return (None if single else _partly(wider, finding, sure, odds)) or (case, finding)
     if finding.status in NAMED:
         ids = finding.entries[0][0].fit.ids
         kept = tuple(name for name in ids if odds.get(name, 0.0) >= config.needless)
         more = tuple(name for name in sure if name not in ids)
-        if more:
-            part, found = _partly(wider, finding, (*kept, *more), odds)
-            if part is not wider and finding.status is Status.NAMED and len(kept) == len(ids):
-                why = reason(Cause.EXPLAINED, names=part.names)
-                return part, replace(found, status=Status.NAMED, reason=why)
-            if part is not wider:
-                return part, found
+        with_more = _partly(wider, finding, (*kept, *more), odds) if more else None
+        if with_more is not None:
+            part, found = with_more
+            whole = finding.status is Status.NAMED and len(kept) == len(ids)
+            return part, _as_whole(part, found) if whole else found
         if kept and len(kept) < len(ids):
-            return _partly(case, finding, kept, odds)
+            return _partly(case, finding, kept, odds) or (case, finding)
         return case, replace(finding, sure=ids)
-    if finding.status is Status.INDISTINGUISHABLE and len(case.search.best.fit.ids) > 1:
+    if finding.status is Status.INDISTINGUISHABLE and not single:
         agreed = [n for n in sure if all(n in h.fit.ids for h, _ in finding.entries)]
         if agreed:
             names = " and ".join(agreed)
@@ -326,21 +321,27 @@ def _by_presence(
     return case, finding
 
 
+def _as_whole(case: _Case, finding: _Finding) -> _Finding:
+    """The finding where all that the search found is named, and further effects with it."""
+    why = reason(Cause.EXPLAINED, names=case.names)
+    return replace(finding, status=Status.NAMED, reason=why)
+
+
 def _partly(
     case: _Case, finding: _Finding, named: tuple[str, ...], odds: Mapping[str, float]
-) -> tuple[_Case, _Finding]:
+) -> tuple[_Case, _Finding] | None:
     """Some effects named, all others taken out, and the rest of the gap left unknown.
 
-    The finding as it was where nothing is named, or where the data do not determine it.
+    None where nothing is named, or where the data do not determine it.
     """
     if not named:
-        return case, finding
+        return None
     search = case.search
     if len(named) < len(search.best.fit.ids):
         search = only_effects(case.problem, search, named)
     part = replace(case, search=search)
     if not _determined(part, search.best.fit):
-        return case, finding
+        return None
     probability = float(np.prod([odds[name] for name in named]))
     several = Cause.PARTLY_SEVERAL if len(named) > 1 else Cause.PARTLY
     why = reason(
