@@ -25,7 +25,7 @@ from gap.reporting.text import headline
 from gap.selection.config import SELECTION
 from gap.selection.further import is_further, with_further
 from gap.selection.inclusion import StepStatistics
-from gap.selection.search import SearchResult, search_effects
+from gap.selection.search import search_effects
 from gap.verdict import Explanation, Status, Verdict
 from gap_bench import write_set
 
@@ -91,39 +91,31 @@ def test_effects_on_which_all_entries_agree_are_sure(two: _Case) -> None:
 
 
 @pytest.fixture(scope="module")
-def wider(two: _Case) -> tuple[_Case, SearchResult]:
-    """The same bench, one effect found by the search and the other beside it."""
-    search = two.search
-    one = only_effects(two.problem, search, search.best.fit.ids[:1])
-    one = replace(one, steps=search.steps[:1])
+def one(two: _Case) -> _Case:
+    """The same bench with one effect alone in the explanation."""
+    search = only_effects(two.problem, two.search, two.search.best.fit.ids[:1])
+    return _Case(two.problem, replace(search, steps=two.search.steps[:1]), DECISION)
+
+
+def test_an_effect_that_takes_most_of_what_is_left_comes_beside_the_search(one: _Case) -> None:
     least = replace(SELECTION, beside_fitted=1, most_effects=2)
-    return _Case(two.problem, one, DECISION), with_further(two.problem, one, least)
-
-
-def test_an_effect_that_takes_most_of_what_is_left_comes_beside_the_search(
-    wider: tuple[_Case, SearchResult],
-) -> None:
-    one, further = wider
-    assert len(one.search.best.keys) == 1
+    further = with_further(one.problem, one.search, least)
     assert set(further.best.fit.ids) == set(TWO)
     assert further.left < one.search.left
 
 
-def test_a_further_effect_is_named_only_where_it_is_sure(
-    wider: tuple[_Case, SearchResult],
-) -> None:
-    one, further = wider
-    first, other = further.best.fit.ids
+def test_a_further_effect_is_named_only_where_it_is_sure(two: _Case, one: _Case) -> None:
+    first, other = two.search.best.fit.ids
     whole = replace(refused(one), status=Status.NAMED)
-    case, found = _by_presence(one, whole, further, {first: 0.95, other: 0.95})
+    case, found = _by_presence(one, whole, two.search, {first: 0.95, other: 0.95})
     assert found.sure == (first, other)
     assert found.status is Status.NAMED
     assert case.search.best.fit.ids == (first, other)
-    case, found = _by_presence(one, whole, further, {first: 0.95, other: 0.8})
+    case, found = _by_presence(one, whole, two.search, {first: 0.95, other: 0.8})
     assert found.sure == (first,)
     assert case is one
     # A single effect that was refused stays so, whatever stands beside it.
-    case, found = _by_presence(one, refused(one), further, {first: 0.95, other: 0.95})
+    case, found = _by_presence(one, refused(one), two.search, {first: 0.95, other: 0.95})
     assert found.status is Status.UNKNOWN
 
 

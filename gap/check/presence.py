@@ -2,6 +2,7 @@
 
     pamrig gap check --stream practice --sets 10000-10239 --no-baselines --out out/practice
     python -m gap.check.several --sets 100-139 --out out/several.jsonl
+    python -m gap.check.several --sets 100-109 --strike --out out/several.jsonl
     python -m gap.check.presence out/practice/results.jsonl out/several.jsonl --write
 
 A logistic regression over all effects of all best explanations: is the effect hidden in the set?

@@ -23,6 +23,7 @@ from gap.estimation.intervals import detection_limits, growth_estimates, headlin
 from gap.reason import Cause, Reason, reason
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.config import SELECTION
+from gap.selection.further import with_further
 from gap.selection.per_stroke import with_per_stroke_delays
 from gap.selection.pruning import prune
 from gap.selection.search import SearchResult, why_not
@@ -137,7 +138,7 @@ def classify(
     elif outcome.uncertain_defect:
         finding = _unknown(case, case.search.best.fit, 1.0, Reason(Cause.UNCERTAIN_DEFECT))
     elif case.search.best.keys:
-        further = case.search
+        further = with_further(problem, case.search)
         evidence = evidence_of(problem, further, case.reliability["unknown"])
         odds = {one.id: shipped_presence().of(one) for one in evidence}
         case, finding = _by_presence(case, _explained(case), further, odds)

@@ -45,7 +45,8 @@ class DecisionConfig:
     # Presence of each effect by itself
     present: float = 0.9
     """Least probability of an effect that is named although the explanation as a whole is not
-    reliable. A matter of definition: one in ten of those at the threshold is wrong."""
+    reliable, or although the inclusion test did not take it in. A matter of definition: one in ten
+    of those at the threshold is wrong."""
     needless: float = 0.5
     """Probability below which an effect of a reliable explanation is not named with it."""
 

@@ -5,9 +5,10 @@ for. So each effect is asked for by itself: how much worse is the best explanati
 the best with another effect in its place? Both are measured by what the explanation leaves: no form
 is exact, and what is left is the size of the model's own error. With such an error the likelihood
 falls as a power of what an explanation leaves, so the odds of an effect are a product of powers,
-and their logarithm is a sum. Its weights (`presence.toml`) were learnt (`python -m
-gap.check.presence`) from sets of one to five effects and from sets whose effect is not in the
-catalogue.
+and their logarithm is a sum. Two more features are no likelihoods: how steady the amount is over
+slots, and how probable it is that the whole stands for something outside the catalogue. The weights
+(`presence.toml`) were learnt (`python -m gap.check.presence`) from sets of one to five effects and
+from sets whose effect is not in the catalogue.
 """
 
 from __future__ import annotations
@@ -142,9 +143,9 @@ def evidence_of(problem: FitProblem, search: SearchResult, unknown: float) -> tu
 
 
 def _steadiness(problem: FitProblem, fit: FitResult) -> dict[str, float]:
-    """Amount of each effect over its jackknife error over slots, by id.
+    """Amount of each effect over the jackknife error over slots of that amount, by id.
 
-    A stand-in is asked for by some slots and not by others.
+    Some slots need a stand-in, and others do not.
     """
     change = left_out(problem, fit, problem.units).change[:, len(problem.names) :]
     slots = len(change)

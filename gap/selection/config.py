@@ -110,7 +110,7 @@ class SelectionConfig:
 
     # Further effects for which presence decides (`gap.selection.further`)
     beside_fitted: int = 5
-    """Candidates that are fitted at a step, best linear gain first."""
+    """Candidates that are fitted at a step, best linear gain first. No other value was tried."""
     beside_alarms: float = 1.5
     """Least gain of such an effect, in alarms."""
     beside_of_left: float = 0.3
