@@ -10,6 +10,8 @@ from daq.live.layout import LiveLayout, Panel
 
 TIMELINE = "time"
 BACKGROUND = (18, 20, 22)
+LEGEND = 0.35
+"""Room for the legend before the oldest data, as a part of the time that is shown."""
 
 
 def blueprint(layout: LiveLayout, *, extra: bool, whole_s: float | None = None) -> Any:
@@ -78,15 +80,18 @@ class _Span:
         return [rrb.VisibleTimeRange(TIMELINE, start=start, end=end)]
 
     def axis(self) -> Any:
-        """The range of the time axis; None adapts it to the data."""
-        if self.whole_s is None:
-            return None
+        """The range of the time axis: that of the data, and before it room for the legend."""
         import rerun as rr
         import rerun.blueprint as rrb
 
-        edge = rrb.TimeRangeBoundary.absolute
-        whole = rr.TimeRange(start=edge(seconds=0.0), end=edge(seconds=self.whole_s))
-        return rrb.TimeAxis(view_range=whole)
+        edge = rrb.TimeRangeBoundary
+        if self.whole_s is None:
+            start = edge.cursor_relative(seconds=-(1.0 + LEGEND) * self.window_s)
+            end = edge.cursor_relative()
+        else:
+            start = edge.absolute(seconds=-LEGEND * self.whole_s)
+            end = edge.absolute(seconds=self.whole_s)
+        return rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
 
 
 def _view(panel: Panel, span: _Span) -> Any:

@@ -42,12 +42,23 @@ MOST_STATES = 200  # limit of texts with their own colour per lane
 TABLE_ROWS = 9  # the newest results that a table shows
 
 
-def _label_place(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
-    """Above the upper end of a steep line, below the middle of a flat one."""
-    if abs(b[1] - a[1]) > abs(b[0] - a[0]):
-        top = min(a, b, key=lambda end: end[1])
-        return top[0], top[1] - 28.0
-    return (a[0] + b[0]) / 2.0, max(a[1], b[1]) + 6.0
+LABEL_HEIGHT = 56.0  # of a label over a frame, in pixels of the frame
+
+
+def label_places(lines: list[Line]) -> list[tuple[float, float]]:
+    """Of a steep line above its upper end, each lower than the one before; of a flat one below it.
+
+    Two edges may be closer to each other than their labels are wide.
+    """
+    places, steep = [], 0
+    for a, b, _ in lines:
+        if abs(b[1] - a[1]) > abs(b[0] - a[0]):
+            top = min(a, b, key=lambda end: end[1])
+            places.append((top[0], top[1] - 28.0 + steep * LABEL_HEIGHT))
+            steep += 1
+        else:
+            places.append(((a[0] + b[0]) / 2.0, max(a[1], b[1]) + 6.0))
+    return places
 
 
 class Scene:
@@ -191,8 +202,7 @@ class Scene:
                 "|--:|:--|--:|--:|",
             ]
             lines += [
-                f"| {count - k} | {label} | {panel.x_axis.quantity(x):#.5g} |"
-                f" {panel.y_axis.quantity(y):#.4g} |"
+                f"| {count - k} | {label} | {panel.x_axis.text(x)} | {panel.y_axis.text(y)} |"
                 for k, (label, x, y) in enumerate(rows[: -TABLE_ROWS // len(charts) - 1 : -1])
             ]
             parts.append("\n".join(lines if rows else [*lines, "| | none yet | | |"]))
@@ -275,7 +285,7 @@ class Scene:
         self._rec.log(
             f"{path}/edges/names",
             rr.Points2D(
-                [_label_place(a, b) for a, b, _ in named],
+                label_places(named),
                 radii=0.1,
                 colors=colours,
                 labels=[text for _, _, text in named],
