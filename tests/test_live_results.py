@@ -101,11 +101,14 @@ def test_names_of_edges_near_each_other_do_not_overlap() -> None:
     assert np.diff(heights).min() > 50.0
 
 
-@pytest.mark.parametrize(("whole_s", "first", "last"), [(None, -81.0, 0.0), (100.0, -35.0, 100.0)])
+@pytest.mark.parametrize(
+    ("ends", "first", "last"),
+    [({}, -81.0, 0.0), ({"whole_s": 100.0}, -35.0, 100.0), ({"until_s": 60.0}, -21.0, 60.0)],
+)
 def test_the_legend_of_a_curve_has_room_before_the_oldest_data(
-    whole_s: float | None, first: float, last: float
+    ends: dict[str, float], first: float, last: float
 ) -> None:
-    made = blueprint(isometric_layout(), extra=False, whole_s=whole_s)
+    made = blueprint(isometric_layout(), extra=False, **ends)
     views = [view for column in made.root_container.contents for view in column.contents]
     curves = [view for view in views if type(view).__name__ == "TimeSeriesView"]
     assert len(curves) == 4
@@ -119,3 +122,28 @@ def test_a_length_that_nothing_sets_is_not_shown_as_set() -> None:
     layouts = [analysis_of(name).layout({}) for name in ("isotonic", "creep", "free-contraction")]
     assert not any(SET_LENGTH in layout.channels for layout in layouts)
     assert SET_LENGTH in analysis_of("isometric").layout({}).channels
+
+
+def test_the_time_axis_of_a_live_test_grows_and_then_moves(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The first seconds of a test would be a line at the right edge of a whole minute."""
+    import rerun as rr
+
+    sent: list[float | None] = []
+
+    def note(layout: LiveLayout, *, until_s: float | None = None, **more: Any) -> Any:
+        sent.append(until_s)
+        return blueprint(layout, until_s=until_s, **more)
+
+    monkeypatch.setattr("daq.live.scene.blueprint", note)
+    for live, expected in ((True, [15.0, 60.0, None]), (False, [None])):
+        sent.clear()
+        rec = rr.RecordingStream("pamrig", recording_id=f"axis {live}")
+        rec.save(tmp_path / f"{live}.rrd")
+        scene = Scene(rec, isometric_layout(), live)
+        scene.start()
+        for time_s in range(0, 100, 5):
+            scene.series("pressure/measured_kpa", np.array([float(time_s)]), np.array([1.0]))
+        rec.disconnect()
+        assert sent == expected

@@ -52,8 +52,9 @@ def isotonic_layout(
     )
 
 
-def _not_set(length: Panel) -> Panel:
+def _not_set(length: Panel | tuple[Panel, ...]) -> Panel:
     """The panel of a length that nothing sets: a load hangs."""
+    assert isinstance(length, Panel)
     return replace(length, channels=tuple(c for c in length.channels if c.path != SET_LENGTH))
 
 

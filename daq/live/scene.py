@@ -39,6 +39,7 @@ GRID_COLOUR = (45, 49, 53)
 TEXT_COLOUR = (215, 215, 215)
 EXTRA_COLOURS = (PURPLE, VERMILLION, SKY, YELLOW, ORANGE, GREEN, BLUE, GREY)
 MOST_STATES = 200  # limit of texts with their own colour per lane
+FIRST_S = 15.0  # end of the time axis when a test begins
 TABLE_ROWS = 9  # the newest results that a table shows
 
 
@@ -64,7 +65,8 @@ def label_places(lines: list[Line]) -> list[tuple[float, float]]:
 class Scene:
     """Draws series, points, pictures, states and messages into a ``rerun.RecordingStream``."""
 
-    def __init__(self, rec: Any, layout: LiveLayout) -> None:
+    def __init__(self, rec: Any, layout: LiveLayout, live: bool = False) -> None:
+        """Draw into ``rec``; of a ``live`` test the time axis grows until it is full."""
         import rerun as rr
 
         self._rr, self._rec = rr, rec
@@ -75,6 +77,8 @@ class Scene:
         self._counts: dict[str, int] = {}
         self._charts: dict[str, Chart] = {}
         self._extra = False
+        ends = [end for end in (FIRST_S, layout.window_s) if end <= layout.window_s]
+        self._ends = ends if live else []  # of the time axis, before it moves with the data
         self._state_colours: dict[str, dict[str, Colour]] = {}
         self.newest: dict[str, float] = {}
         self._last_s: dict[str, float] = {}
@@ -85,7 +89,7 @@ class Scene:
 
     def start(self) -> None:
         """Send the blueprint, the style of every known channel and empty charts."""
-        self._rec.send_blueprint(blueprint(self._layout, extra=self._extra))
+        self._arrange()
         for index, (path, channel) in enumerate(self._layout.channels.items()):
             panel = self._layout.panel_of(path)
             if panel is not None and panel.kind == "series":
@@ -142,6 +146,9 @@ class Scene:
         self.newest[path] = float(values[-1])
         self._last_s[path] = float(time_s[-1])
         self.newest_s = max(self.newest_s, float(time_s[-1]))
+        if self._ends and self.newest_s > self._ends[0]:
+            self._ends = [end for end in self._ends if end >= self.newest_s]
+            self._arrange()
 
     def _add_path(self, path: str) -> None:
         self._known.add(path)
@@ -153,7 +160,11 @@ class Scene:
         self._style(channel, free[0])
         if panel is None and not self._extra:
             self._extra = True
-            self._rec.send_blueprint(blueprint(self._layout, extra=self._extra))
+            self._arrange()
+
+    def _arrange(self) -> None:
+        until_s = self._ends[0] if self._ends else None
+        self._rec.send_blueprint(blueprint(self._layout, extra=self._extra, until_s=until_s))
 
     def points(self, path: str, time_s: float, label: str, x: Floats, y: Floats) -> None:
         """Add points to a chart; paths without a points panel are ignored."""

@@ -204,7 +204,7 @@ def _headline(
             f" {with_u(least['bandwidth_hz'], least['u_bandwidth_hz'])} Hz (k = 2; {least['slot']})"
         )
     elif len(own := table[table["pair"] == SET_PRESSURE]):
-        last = own.loc[own["frequency_hz"].idxmax()]
+        last = own.sort_values("frequency_hz").iloc[-1].to_dict()
         text += (
             f"; at {last['frequency_hz']:.3g} Hz the gain from set-point to pressure is"
             f" {with_u(last['gain'], last['u_gain'])} (k = 2; {last['slot']})"

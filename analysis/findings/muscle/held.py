@@ -131,7 +131,7 @@ def held_findings(quantity: Quantity, run: Run, reduction: Reduction) -> Finding
         ("first", f"first, {unit}"), ("rate", f"slope, {unit}/decade"),
         ("share", "slope, %/decade"), ("tau", "tau, points"),
     )  # fmt: skip
-    laws = (
+    laws: tuple[tuple[str, str], ...] = (
         ("slot", "held"), ("repeat", "repeat"), ("law", "law"), ("level", f"level, {unit}"),
         ("a1", f"slope or first amplitude, {unit}"), ("t1", "time constant, s"),
         ("a2", f"second amplitude, {unit}"), ("t2", "time constant, s"),
