@@ -170,7 +170,7 @@ def experiment_sentence(experiment: Experiment, named: bool = True) -> str:
 
 
 UNITS = ("kpa", "mm_s", "mm", "kg", "s", "c")
-UNIT_TEXT = {"kpa": "kPa", "mm_s": "mm/s", "c": "degC"}
+UNIT_TEXT = {"kpa": "kPa", "mm_s": "mm/s", "c": "°C"}
 
 
 def _setting(key: str, value: object) -> str:

@@ -219,7 +219,7 @@ class BenchSim:
         self.state[LENGTH_RATE] = rate_mm_s * 1e-3
 
     def set_temperature(self, temperature_c: float) -> None:
-        """Temperature of the muscle's wall. Raises `PlantError` out of -40 to 120 degC."""
+        """Temperature of the muscle's wall. Raises `PlantError` out of -40 to 120 °C."""
         if not -40.0 <= temperature_c <= 120.0:
             raise PlantError(f"temperature_c = {temperature_c!r}; allowed -40 to 120")
         self.state[layout.TEMPERATURE] = temperature_c + 273.15

@@ -482,8 +482,8 @@ def _limits(t: Table, of_joint: bool = False) -> Limits:
 
 def _conditions(t: Table) -> Conditions:
     out = Conditions(
-        temperature_c=t.number("temperature_c", -20, 80, unit="degC"),
-        u_temperature_c=t.number("u_temperature_c", 0, 20, unit="degC"),
+        temperature_c=t.number("temperature_c", -20, 80, unit="°C"),
+        u_temperature_c=t.number("u_temperature_c", 0, 20, unit="°C"),
         gravity_m_s2=t.number("gravity_m_s2", 9.7, 9.9, 9.80665, unit="m/s2"),
     )
     t.finish()

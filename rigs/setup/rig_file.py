@@ -201,7 +201,7 @@ force_n = {force:g}
 
 
 def _conditions(ask: Interview) -> str:
-    celsius = ask.number("temperature_c", "Temperature of the air", 21.0, -20, 80, "degC")
+    celsius = ask.number("temperature_c", "Temperature of the air", 21.0, -20, 80, "°C")
     return f"""[conditions]
 temperature_c = {celsius:g}        # entered by hand until a thermometer is connected
 u_temperature_c = 1.0

@@ -163,7 +163,7 @@ class Logbook:
         warm = ""
         if self.temperature_c is not None:
             held = (*held, ("temperature_c", self.temperature_c))
-            warm = f" at {self.temperature_c:g} degC"
+            warm = f" at {self.temperature_c:g} °C"
         yield State(f"trial {self.trial}: {in_words(slot)}{warm}, replicate {place.replicate}")
         yield Trial(
             self.trial, slot + warm, place.replicate, self.trial, place.mounting, protocol, held
@@ -200,7 +200,7 @@ class Logbook:
         answer = yield Settle(self.method.settle, pressure_kpa)
         settled, waited = answer if answer is not None else (True, 0.0)
         self.order += 1
-        warm = "" if self.temperature_c is None else f" at {self.temperature_c:g} degC"
+        warm = "" if self.temperature_c is None else f" at {self.temperature_c:g} °C"
         yield Measure(
             trial=self.trial,
             slot=slot + warm,
