@@ -116,7 +116,8 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         yield _pressure(side, rig.clock.virtual)
     yield from _readings(rig)
     yield from _clocks(rig)
-    if config.camera.source and config.joint is None:  # marks are an instrument of the joint
+    ram = config.virtual is not None and config.virtual.load == "ram"  # no muscle, so no marks
+    if config.camera.source and config.joint is None and not ram:  # a joint's marks: an instrument
         yield _camera(rig)
     for side in rig.sides:
         if side.valve.fault_latched:
@@ -145,7 +146,7 @@ def _clocks(rig: Rig) -> Iterator[Finding]:
         fit = side.valve.clock_fit
         if fit.ready:
             mark = "ok" if fit.error_ns < 2e6 else "warn"
-            detail = f"error {fit.error_ns / 1e6:.3f} ms, drift {fit.drift_ppm:+.0f} ppm"
+            detail = f"error {fit.error_ns / 1e6:.3f} ms, drift {round(fit.drift_ppm) + 0:+d} ppm"
             yield Finding(f"clock fit{_which(side)}", mark, detail)
 
 
@@ -171,18 +172,20 @@ def _pressure(side: Side, virtual: bool) -> Finding:
 
 
 def _readings(rig: Rig) -> Iterator[Finding]:
-    """The balance, where there is one, and the optional instruments."""
+    """The force as a test takes it, where something measures it, and the optional instruments."""
     config = rig.config
     grams, stable = rig.balance.recent(10)
+    source = f"from [{config.force_source}]"
     if config.force_source == NONE:
         pass
     elif not len(grams):
-        yield Finding("balance readings", "stop", rig.balance.last_problem or "none came")
+        yield Finding("force", "stop", f"{source}: {rig.balance.last_problem or 'no reading came'}")
     else:
         newton = abs(config.calibrations["force_n"].scale)
         spread = float(np.std(grams)) * newton
         mark = "ok" if stable.all() else "warn"
-        yield Finding("balance readings", mark, f"noise {spread:.3f} N, stable {stable.mean():.0%}")
+        detail = f"{source}, noise {spread:.3f} N, {stable.mean():.0%} of readings stable"
+        yield Finding("force", mark, detail)
     yield from _instruments(rig)
 
 
@@ -213,7 +216,7 @@ def _timing(answer: dict[str, str], which: str) -> Finding:
     if step:
         detail += f", longest safety step {step} us"
     if missed:
-        detail += f", {missed} ms without a pass of the loop"
+        detail += f", {missed} ms in all without a pass of the loop"
     if high >= DRIVE_SILENCE_US or loop * TICK_US >= LOOP:
         mark = "stop"
         detail += ": an armed controller would latch loop_stalled; install the firmware again"
