@@ -295,7 +295,7 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
 
 
 def _force_source(root: Table, instruments: InstrumentSettings) -> str:
-    """Balance, load cell, or a load cell on the controller; the first that there is without the key."""
+    """Balance, or load cell, also on the controller; the first that there is without the key."""
     cells = [n for n, c in instruments.channels.items() if c.form.quantity == "force_n"]
     there = [name for name in ("balance", "load_cell") if name in root] + cells
     known = ("balance", "load_cell", *cells)

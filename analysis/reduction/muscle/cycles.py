@@ -70,7 +70,7 @@ def reduce_fatigue(run: Run) -> Reduction:
         out["force_max_n"], out["force_min_n"] = out["force_min_n"], out["force_max_n"]
     for end in ("high", "low"):
         out[f"length_{end}_mm"] = np.asarray(length.apply(raw[f"length_{end}"]))
-    out["leak_kpa_s"] = raw["leak_counts_s"] * abs(pressure.scale)
+    out["leak_kpa_s"] = raw["leak_counts_s"] * pressure.scale  # a loss is positive
     thermometer = run.instrument_calibrations.get("thermometer")
     warm = raw["temperature"]
     out["temperature_c"] = np.asarray(warm if thermometer is None else thermometer.apply(warm))
