@@ -84,11 +84,11 @@ def _config(config: RigConfig) -> Iterator[Finding]:
             "(a normally open outlet vents by itself)",
         )
     for quantity, cal in config.calibrations.items():
-        made = f"of {cal.date}" if cal.date else "without a date"
+        made = f" of {cal.date}" if cal.date else ", no date"
         yield Finding(
             f"calibration {quantity}",
             "ok" if cal.date else "warn",
-            f"{cal.id} {made}, {cal.domain[0]:g} to {cal.domain[1]:g} {cal.unit}, "
+            f"{cal.id}{made}, {cal.domain[0]:g} to {cal.domain[1]:g} {cal.unit}, "
             f"u = {cal.u_offset:g} {cal.unit} + {cal.u_gain * 100:g} %",
         )
     for late in due_calibrations(config):
@@ -132,8 +132,8 @@ def _identities(rig: Rig) -> Iterator[Finding]:
         yield Finding(
             f"valve controller{_which(side)}",
             "ok",
-            f"{v.get('board')} {v.get('serial')}, firmware {v.get('fw')}, config CRC"
-            f" {v.get('conf')}, boot {v.get('boot')} ({v.get('cause')})",
+            f"{v.get('board')} {v.get('serial') or '(no serial number)'}, firmware {v.get('fw')},"
+            f" config CRC {v.get('conf')}, boot {v.get('boot')} ({v.get('cause')})",
         )
     for name in [n for n in rig.identities if n not in sides_of(rig.config)]:
         words = ", ".join(f"{k} {x}" for k, x in rig.identities[name].items() if x)
