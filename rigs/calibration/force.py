@@ -26,7 +26,7 @@ from rigs.calibration.run import (
 )
 from rigs.devices.instruments.balance import Balance
 from rigs.devices.instruments.load_cell import LoadCell
-from rigs.devices.operator import Request, put_request
+from rigs.devices.operator import Request, request_enter
 from rigs.execution.runner import Watch
 from rigs.rigfile.config import RigConfig
 
@@ -125,7 +125,7 @@ def _sensor(rig: Rig) -> str:
 
 
 def _request(rig: Rig, axis: str, value: float, text: str) -> None:
-    put_request(
+    request_enter(
         rig.operator, rig.event_loop, Request(axis, value, "kg", f"{text}, then press Enter")
     )
 
