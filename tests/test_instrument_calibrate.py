@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -282,6 +283,17 @@ def test_a_file_is_not_overwritten_unasked(calibrated: Calibrated, tmp_path: Pat
         write_calibration(path, file, calibrated.points)
     back = load_calibration(str(path), "rig", "pressure_kpa", file.calibration.raw_unit)
     assert back.reference == file.reference
+
+
+def test_a_sensor_without_serial_number_leaves_the_key_open(
+    calibrated: Calibrated, tmp_path: Path
+) -> None:
+    path, file = tmp_path / "p.toml", dataclasses.replace(calibrated.file, instrument="")
+    write_calibration(path, file, calibrated.points)
+    assert "instrument" not in tomllib.loads(path.read_text())
+    assert "# instrument = " in path.read_text()
+    back = load_calibration(str(path), "rig", "pressure_kpa", serial="VB-0004")
+    assert back.instrument == ""
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,14 @@ from rigs.bench.doctor import examine
 from rigs.bench.rig import open_rig
 from rigs.calibration.force import calibrate_force
 from rigs.devices.event_loop import EventLoop
-from rigs.devices.operator import ManualAxis, Request, read_number, request_done, request_number
+from rigs.devices.operator import (
+    ManualAxis,
+    Request,
+    read_number,
+    request_done,
+    request_enter,
+    request_number,
+)
 from rigs.execution.runner import Runner
 from rigs.execution.session import run_protocol
 from rigs.protocols.isometric import load_isometric
@@ -135,6 +142,23 @@ def test_a_mass_far_from_the_requested_one_is_typed_twice_and_never_above_the_li
     assert axis.set(1.154).taken == 1.2
     assert asked[1].startswith("60 kg is above the limit of this rig, 51 kg. Again: ")
     assert asked[2].startswith("1.154 kg was requested, not 5: type 5 again if that is what hangs.")
+
+
+def test_only_enter_confirms_where_nothing_can_be_typed() -> None:
+    """`q` at a prompt of `calibrate force` was taken for Enter, and the weight was measured."""
+    asked: list[Request] = []
+
+    class Person(Typist):
+        def begin(self, request: Request) -> None:
+            asked.append(request)
+
+    request = Request("dead weight", 1.0, "kg", "hang 1 kg on the load cell, then press Enter")
+    request_enter(Person("q", "2", ""), EventLoop(VirtualClock(), 0.02), request)
+    whys = ["'q' is not Enter; Ctrl-C ends", "'2' is not Enter; Ctrl-C ends"]
+    assert [r.again for r in asked] == ["", *whys]
+    assert asked[2].text == f"{whys[1]}. Again: {request.text}"
+    with pytest.raises(DeviceError, match="'q' is not Enter, after 10 answers"):
+        request_enter(Typist(*["q"] * 20), EventLoop(VirtualClock(), 0.02), request)
 
 
 @pytest.mark.parametrize("words", [("abc", "-1", ""), ("0.7", "3"), ("7", "2,5 mm")])

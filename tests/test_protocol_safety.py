@@ -114,7 +114,9 @@ def leaky(kpa_s: float) -> Any:
     return begin
 
 
-@pytest.mark.parametrize(("kpa_s", "outcome"), [(0.0, "clean"), (0.3, "clean"), (3.0, "faulted")])
+@pytest.mark.parametrize(
+    ("kpa_s", "outcome"), [(0.0, "clean"), (0.3, "clean"), (3.0, "faulted"), (-3.0, "faulted")]
+)
 def test_a_leak_is_found_before_the_test(tmp_path: Path, kpa_s: float, outcome: str) -> None:
     check = {"leak": LeakCheck(300.0, 3.0, 1.0)}
     result, run, _ = run_short(
@@ -125,7 +127,9 @@ def test_a_leak_is_found_before_the_test(tmp_path: Path, kpa_s: float, outcome: 
     assert leak["loss_kpa_s"] == pytest.approx(kpa_s, abs=0.1)
     assert leak["tight"] == (outcome == "clean")
     if outcome == "faulted":
-        assert "leak" in str(result.error)
+        way, where = ("fell", "fittings") if kpa_s > 0 else ("rose", "inlet")
+        assert f"{way} by {abs(leak['loss_kpa_s']):.3f} kPa/s" in str(result.error)
+        assert where in str(result.error)
         assert not events(run, "point")
 
 

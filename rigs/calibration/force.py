@@ -1,4 +1,4 @@
-"""Calibrating the source of force with dead weights: the laboratory method, top to bottom.
+"""Calibrating the force sensor with dead weights: the laboratory method, top to bottom.
 
 On a load cell they are hung one after the other, up and down; on a balance they all stand on the
 pan, are tared away, and are taken off one after the other, as the muscle takes weight off.
@@ -26,7 +26,7 @@ from rigs.calibration.run import (
 )
 from rigs.devices.instruments.balance import Balance
 from rigs.devices.instruments.load_cell import LoadCell
-from rigs.devices.operator import Request, put_request
+from rigs.devices.operator import Request, request_enter
 from rigs.execution.runner import Watch
 from rigs.rigfile.config import RigConfig
 
@@ -45,7 +45,7 @@ def calibrate_force(
     stop: StopFlag | None = None,
     watch: Watch | None = None,
 ) -> Calibrated:
-    """Calibrate the source of force with dead weights.
+    """Calibrate the force sensor with dead weights.
 
     Args:
         config: the rig; the load cell or the balance, whichever is its force_source.
@@ -81,7 +81,7 @@ def calibrate_force(
         zeros: list[float] = []
 
         def method() -> None:
-            _request(rig, "muscle off", 0.0, "take the muscle off the force sensor")
+            _request(rig, "muscle off", 0.0, f"take the muscle off the {_sensor(rig)}")
             most = max(masses_kg)
             hangs = isinstance(rig.balance, LoadCell)
             loads = up_and_down(masses_kg)
@@ -119,14 +119,20 @@ def calibrate_force(
         return finish(record, rig, old, device, points, weights, zeros)
 
 
+def _sensor(rig: Rig) -> str:
+    """What the operator sees of the force sensor."""
+    return "load cell" if isinstance(rig.balance, LoadCell) else "balance"
+
+
 def _request(rig: Rig, axis: str, value: float, text: str) -> None:
-    put_request(
+    request_enter(
         rig.operator, rig.event_loop, Request(axis, value, "kg", f"{text}, then press Enter")
     )
 
 
 def _hang(rig: Rig, mass_kg: float) -> None:
-    text = f"load the force sensor with {mass_kg:g} kg" if mass_kg else "take all weights off"
+    verb = "hang" if isinstance(rig.balance, LoadCell) else "put"
+    text = f"{verb} {mass_kg:g} kg on the {_sensor(rig)}" if mass_kg else "take all weights off"
     _request(rig, "dead weight", mass_kg, text)
 
 

@@ -29,7 +29,7 @@ from rigs.calibration.run import (
 )
 from rigs.devices.interfaces import Instrument
 from rigs.devices.motion.stage import MotorStage
-from rigs.devices.operator import Request, put_request
+from rigs.devices.operator import Request, request_enter
 from rigs.execution.runner import Watch
 from rigs.rigfile.config import CAMERA, RigConfig
 
@@ -148,7 +148,7 @@ def _instrument(config: RigConfig, instrument: str) -> str:
 
 def _request(rig: Rig, axis: str, value: float, text: str) -> None:
     request = Request(axis, value, "mm", f"{text}, then press Enter")
-    put_request(rig.operator, rig.event_loop, request)
+    request_enter(rig.operator, rig.event_loop, request)
 
 
 def _read(rig: Rig, reader: Instrument, seconds: float) -> Array:

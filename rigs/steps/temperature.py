@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError
-from rigs.devices.operator import Request, put_request
+from rigs.devices.operator import Request, request_enter
 from rigs.steps.custom_step import CustomStep
 from rigs.steps.steps import State, Vent
 
@@ -57,7 +57,7 @@ class SetTemperature(CustomStep):
         # The thermometer's word counts when it has soaked, not when the knob has been turned.
         text = f"set the bench to {self.temperature_c:g} °C, then press Enter"
         request = Request("temperature", self.temperature_c, "°C", text)
-        _, asked_s = put_request(rig.operator, rig.event_loop, request)
+        asked_s = request_enter(rig.operator, rig.event_loop, request)
         start_ns = begun_ns = rig.clock.now_ns()
         low = high = thermometer.mean(READINGS)
 

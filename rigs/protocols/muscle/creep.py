@@ -39,11 +39,10 @@ class Creep(MethodParameters):
         settings = [(mass, p) for mass in self.masses_kg for p in self.pressures_kpa]
         for place, (mass, pressure) in self.method.trials(settings):
             yield from book.remount(place)
-            slot = f"{mass:g} kg, {pressure:g} kPa"
-            held = (("load_kg", mass), ("held_pressure_kpa", pressure))
-            yield from book.begin(place, slot, "creep", held)
-            hung = yield HangLoad(mass)
-            hung = mass if hung is None else float(hung)
+            place, slot, hung = yield from book.begin_hung(
+                place, mass, lambda kg, p=pressure: f"{kg:.10g} kg, {p:g} kPa", "creep",
+                (("held_pressure_kpa", pressure),),
+            )  # fmt: skip
             yield Dwell(self.recover_s)
             yield Zero(book.trial, "before", self.method.zero_s)
             hold = Hold(book.trial, pressure, self.method.settle)
