@@ -14,6 +14,7 @@ import pytest
 from analysis.figures.timeline import broken, timeline_figure
 from analysis.figures.wording import column_decimals, ratio_unit
 from analysis.findings.findings import Section
+from analysis.findings.isothermal import isothermal_headline
 from analysis.findings.muscle.held import LENGTH, held_headline
 from analysis.registry import analysis_of
 from analysis.reporting.report import render_report, report_json
@@ -117,3 +118,10 @@ def test_what_was_not_recorded_is_a_gap_in_the_time_line(runs: dict[str, Run]) -
     assert np.isnan(y).sum() == 1
     x, _ = broken(np.arange(0.0, 100.0, 2.0), np.arange(50.0))
     assert not np.isnan(x).any(), "slow readings are no gaps"
+
+
+def test_a_negative_change_with_temperature_has_a_minus_sign() -> None:
+    table = pd.DataFrame({"temperature_c": [21.0, 39.0]})
+    growth = pd.DataFrame({"growth": [-0.00099, 0.0013], "u_growth": [0.0001, 0.0001]})
+    headline = isothermal_headline(table, growth)
+    assert "by −0.00099 to 0.0013 %/K, more than its uncertainty at 2 of 2 lengths" in headline
