@@ -314,3 +314,10 @@ def test_facts_wrap_on_a_narrow_screen(page: str) -> None:
     facts = page.partition('<table class="facts">')[2].partition("</table>")[0]
     assert set(re.findall(r'<td class="(\w+)', facts)) == {"text"}
     assert "table.facts td.text { overflow-wrap: anywhere; min-width: 0; }" in page
+
+
+def test_a_long_name_of_a_certificate_wraps_and_a_short_one_does_not(page: str) -> None:
+    found = re.findall(r'<td class="text( whole)?">(P-[^<]*|F-[^<]*|L-[^<]*)</td>', page)
+    assert found
+    for whole, name in found:
+        assert bool(whole) == (len(name) < 15)

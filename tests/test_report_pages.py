@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -14,13 +14,21 @@ import pytest
 from analysis.figures.timeline import broken, timeline_figure
 from analysis.figures.wording import column_decimals, ratio_unit
 from analysis.findings.findings import Section
+from analysis.findings.isothermal import isothermal_headline
 from analysis.findings.muscle.held import LENGTH, held_headline
+from analysis.reduction.points import Reduction
 from analysis.registry import analysis_of
 from analysis.reporting.report import render_report, report_json
 from analysis.reporting.sections import section_parts
 from analysis.run_table import reduce_run
 from daq.store.run import Run
 from protocol_runs import run_short
+
+
+class Bare:
+    """A run of which nothing is known."""
+
+    manifest: dict[str, Any] = {}  # noqa: RUF012 - never changed
 
 
 @pytest.fixture(scope="module")
@@ -117,3 +125,26 @@ def test_what_was_not_recorded_is_a_gap_in_the_time_line(runs: dict[str, Run]) -
     assert np.isnan(y).sum() == 1
     x, _ = broken(np.arange(0.0, 100.0, 2.0), np.arange(50.0))
     assert not np.isnan(x).any(), "slow readings are no gaps"
+
+
+def test_a_negative_change_with_temperature_has_a_minus_sign() -> None:
+    table = pd.DataFrame({"temperature_c": [21.0, 39.0]})
+    growth = pd.DataFrame({"growth": [-0.00099, 0.0013], "u_growth": [0.0001, 0.0001]})
+    headline = isothermal_headline(table, growth)
+    assert "by −0.00099 to 0.0013 %/K, more than its uncertainty at 2 of 2 lengths" in headline
+
+
+def test_lines_over_pressure_are_stated_for_the_pressures_that_were_measured() -> None:
+    """Not from 0 to 600 kPa; and a probability is never a number such as 2e-21."""
+    pressures = np.array([100.0, 200.0, 300.0, 400.0])
+    values = {"on_v": 3.0 + 0.002 * pressures, "off_v": 0.8 + 0.0001 * pressures}
+    table = pd.DataFrame({"valve": "inlet", "pressure_kpa": pressures, **values})
+    table["set_pressure_kpa"] = table["pressure_kpa"]
+    for name in values:
+        for part in ("", "_noise", "_cal"):
+            table[f"u_{name}{part}"] = 0.01
+    found = analysis_of("switching-voltage").findings(cast(Run, Bare()), Reduction(table, (), {}))
+    assert found.headline.startswith("From 100 to 400 kPa the inlet turns on at 3.20 to 3.80 V")
+    lines = next(s for s in found.sections if s.title == "Straight lines in pressure")
+    assert lines.table is not None
+    assert set(lines.table["p"]) == {"< 0.001"}

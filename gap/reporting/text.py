@@ -156,7 +156,8 @@ def experiment_sentence(experiment: Experiment, named: bool = True) -> str:
     what = experiment.protocol + (f" ({settings})" if settings else "")
     count = f"{experiment.trials} trial{'s' if experiment.trials != 1 else ''} of {what}"
     already = (
-        "These data tell them apart already, as far as the forms of the catalogue go. To be surer: "
+        "These data tell them apart already, as far as the forms of the catalogue go. To be more"
+        " certain: "
         if named and experiment.separation_now >= DESIGN.enough_sd
         else ""
     )
