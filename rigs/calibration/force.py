@@ -21,7 +21,9 @@ from rigs.calibration.run import (
     block_mean,
     carry_out,
     finish,
+    leave_out,
     open_record,
+    over_range,
     up_and_down,
 )
 from rigs.devices.instruments.balance import Balance
@@ -96,8 +98,12 @@ def calibrate_force(
                 if load != there:  # nobody is asked to do what is done
                     _hang(rig, load)
                 there = load
-                raw, u_raw = _weigh(rig, seconds)
-                add_point(record, points, Point(raw, u_raw, mass * gravity))
+                found = _weigh(rig, seconds)
+                if found is None:
+                    name = rig.balance.name
+                    leave_out(record, watch, f"calibrate force, {mass:g} kg", name, mass_kg=mass)
+                else:
+                    add_point(record, points, Point(*found, mass * gravity))
             watch.state(f"calibrate force: {TARES} tares")
             for _ in range(TARES):
                 rig.balance.tare()
@@ -137,29 +143,47 @@ def _hang(rig: Rig, mass_kg: float) -> None:
 
 
 def _at_rest(rig: Rig, seconds: float = 20.0) -> None:
-    """Wait for readings that all say that they are stable."""
+    """Wait for readings that all say that they are stable, or that are none."""
     source = rig.balance
-    start, n = source.rows, 5
-    rig.event_loop.until(
-        lambda: source.rows >= start + n and bool(source.recent(n)[1].all()), seconds
-    )
+    start, n, before = source.rows, 5, over_range(source.counters())
+
+    def still() -> bool:
+        if over_range(source.counters()) >= before + n:
+            return True
+        return source.rows >= start + n and bool(source.recent(n)[1].all())
+
+    rig.event_loop.until(still, seconds)
 
 
 def _weigh_net(rig: Rig, seconds: float) -> float:
     """What a tare has left, in the unit of :func:`_weigh`."""
-    raw, _ = _weigh(rig, seconds)
     source = rig.balance
+    found = _weigh(rig, seconds)
+    if found is None:
+        raise PamrigError(source.name, f"is at the end of its range: {source.last_problem}")
+    raw, _ = found
     return float(source.grams(raw)) / source.factor if isinstance(source, LoadCell) else raw
 
 
-def _weigh(rig: Rig, seconds: float) -> tuple[float, float]:
-    """Mean raw reading (g of a balance, the indicator's unit of a load cell) and its u."""
+def _weigh(rig: Rig, seconds: float) -> tuple[float, float] | None:
+    """Mean raw reading (g of a balance, the indicator's unit of a load cell) and its u.
+
+    None where a reading was at the end of the range meanwhile.
+
+    Raises:
+        PamrigError: too few readings came.
+    """
     source = rig.balance
     _at_rest(rig)
     rate_hz = source.indicator.rate_hz if isinstance(source, LoadCell) else 10.0
     n = max(3, round(seconds * rate_hz))
-    start = source.rows
-    if not rig.event_loop.until(lambda: source.rows >= start + n, 3 * seconds + 2.0):
+    start, over = source.rows, over_range(source.counters())
+    whole = rig.event_loop.until(
+        lambda: source.rows >= start + n or over_range(source.counters()) > over, 3 * seconds + 2.0
+    )
+    if over_range(source.counters()) > over:
+        return None
+    if not whole:
         raise PamrigError(source.name, "sent too few readings", source.last_problem)
     if isinstance(source, LoadCell):
         return block_mean(source.indicator.recent(n)[0], 0.001)

@@ -24,7 +24,9 @@ from rigs.calibration.run import (
     block_mean,
     carry_out,
     finish,
+    leave_out,
     open_record,
+    over_range,
     up_and_down,
 )
 from rigs.devices.interfaces import Instrument
@@ -114,6 +116,10 @@ def calibrate_length(  # noqa: PLR0913 - reference, instrument and hooks, each b
                     _request(rig, "block", length, f"put a gauge block of {length:g} mm in")
                 rig.event_loop.for_seconds(REST_S)
                 readings = _read(rig, reader, seconds)
+                if readings is None:
+                    where = f"calibrate length, {length:g} mm"
+                    leave_out(record, watch, where, reader.name, reference=at_mm)
+                    continue
                 seen.append((at_mm, readings))
                 record.event("calibration_readings", reference=at_mm, readings=list(readings))
             for point in _points(reader, seen):
@@ -151,15 +157,21 @@ def _request(rig: Rig, axis: str, value: float, text: str) -> None:
     request_enter(rig.operator, rig.event_loop, request)
 
 
-def _read(rig: Rig, reader: Instrument, seconds: float) -> Array:
-    """The readings of so many seconds, as they came.
+def _read(rig: Rig, reader: Instrument, seconds: float) -> Array | None:
+    """The readings of so many seconds, as they came; None if some were at the end of the range.
 
     Raises:
         PamrigError: too few came.
     """
     n = max(LEAST_READINGS, round(seconds * reader.rate_hz))
-    start = reader.rows
-    if not rig.event_loop.until(lambda: reader.rows >= start + n, 3.0 * n / reader.rate_hz + 2.0):
+    start, over = reader.rows, over_range(reader.counters())
+    whole = rig.event_loop.until(
+        lambda: reader.rows >= start + n or over_range(reader.counters()) > over,
+        3.0 * n / reader.rate_hz + 2.0,
+    )
+    if over_range(reader.counters()) > over:
+        return None
+    if not whole:
         raise PamrigError(
             reader.name, f"sent {reader.rows - start} of {n} readings",
             reader.last_problem or "check its cable, and whether the length is in its range",
@@ -171,8 +183,13 @@ def _points(reader: Instrument, seen: Sequence[tuple[float, Array]]) -> list[Poi
     """Means with what noise and the step of the readings leave open.
 
     Raises:
-        PamrigError: the readings do not follow the lengths.
+        PamrigError: too few lengths, or the readings do not follow them.
     """
+    if len(seen) < LEAST_POINTS:
+        raise PamrigError(
+            reader.name, f"points within its range: {len(seen)}, needed: {LEAST_POINTS}",
+            "choose lengths in its range, or place it elsewhere",
+        )  # fmt: skip
     distinct = np.unique(np.concatenate([readings for _, readings in seen]))
     step = float(np.diff(distinct).min()) if len(distinct) > 1 else 0.0
     lengths = np.array([length for length, _ in seen])

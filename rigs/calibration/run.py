@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,7 +20,7 @@ from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig
 from rigs.execution.manifest import software
-from rigs.execution.runner import outcome_of
+from rigs.execution.runner import Watch, outcome_of
 from rigs.rigfile.calibration_file import CalibrationFile
 
 BLOCKS = 10
@@ -110,6 +110,20 @@ def carry_out(rig: Rig, record: RecordWriter, method: Callable[[], None], stop: 
                 reason=str(error) if error is not None else "",
                 duration_s=(rig.clock.now_ns() - record.start_ns) / NS_PER_S,
             )
+
+
+def over_range(counters: Mapping[str, int]) -> int:
+    """How many readings of a sensor were at an end of what it can read, by its counters.
+
+    They are no rows; the mean of those beside them leans away from that end.
+    """
+    return sum(counters.get(kind, 0) for kind in ("overload", "underload", "range"))
+
+
+def leave_out(record: RecordWriter, watch: Watch, where: str, device: str, **point: Any) -> None:
+    """Record and show that a point was not taken, as the sensor was at the end of its range."""
+    record.event("left_out", device=device, **point)
+    watch.log(f"{where}: left out, {device} is at the end of its range")
 
 
 def add_point(record: RecordWriter, points: list[Point], point: Point) -> None:
