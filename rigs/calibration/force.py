@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from analysis.regression.calibration_line import LEAST_POINTS, Reference
-from daq.errors import ConfigError, PamrigError
+from analysis.regression.calibration_line import Reference
+from daq.errors import PamrigError
 from daq.interrupt import StopFlag
 from rigs.bench.rig import Rig, open_rig
 from rigs.calibration.run import (
@@ -20,15 +20,16 @@ from rigs.calibration.run import (
     add_point,
     block_mean,
     carry_out,
+    check_values,
     finish,
     leave_out,
     open_record,
     over_range,
+    request,
     up_and_down,
 )
 from rigs.devices.instruments.balance import Balance
 from rigs.devices.instruments.load_cell import LoadCell
-from rigs.devices.operator import Request, request_enter
 from rigs.execution.runner import Watch
 from rigs.rigfile.config import RigConfig
 
@@ -63,18 +64,10 @@ def calibrate_force(
         DeviceTimeout: the load would not come to rest.
     """
     gravity = config.conditions.gravity_m_s2
-    if len(set(masses_kg)) < LEAST_POINTS:
-        raise ConfigError(
-            "masses", f"at least {LEAST_POINTS} different ones are needed", "add some"
-        )
-    for mass in masses_kg:
-        if not 0.0 <= mass * gravity <= config.limits.force_n:
-            raise ConfigError(
-                "masses",
-                f"{mass:g} kg is {mass * gravity:.4g} N, limits.force_n is "
-                f"{config.limits.force_n:g} N ({config.source})",
-                "correct the list or the limit",
-            )
+    check_values(
+        "--masses-kg", masses_kg, 0.0, config.limits.force_n / gravity, "kg",
+        f"{config.source}: limits.force_n = {config.limits.force_n:g} N",
+    )  # fmt: skip
     stop, watch = stop or StopFlag(), watch or Watch()
     parameters = {"masses_kg": list(masses_kg), "seconds": seconds, "gravity_m_s2": gravity}
     with open_rig(config) as rig:
@@ -83,7 +76,7 @@ def calibrate_force(
         zeros: list[float] = []
 
         def method() -> None:
-            _request(rig, "muscle off", 0.0, f"take the muscle off the {_sensor(rig)}")
+            request(rig, "muscle off", 0.0, "kg", f"take the muscle off the {_sensor(rig)}")
             most = max(masses_kg)
             hangs = isinstance(rig.balance, LoadCell)
             loads = up_and_down(masses_kg)
@@ -111,7 +104,7 @@ def calibrate_force(
                 record.event("tare_left", reading=zeros[-1])
             if there:
                 _hang(rig, 0.0)
-            _request(rig, "muscle", 0.0, "mount the muscle again")
+            request(rig, "muscle", 0.0, "kg", "mount the muscle again")
 
         carry_out(rig, record, method, stop)
         if isinstance(rig.balance, LoadCell):
@@ -130,16 +123,10 @@ def _sensor(rig: Rig) -> str:
     return "load cell" if isinstance(rig.balance, LoadCell) else "balance"
 
 
-def _request(rig: Rig, axis: str, value: float, text: str) -> None:
-    request_enter(
-        rig.operator, rig.event_loop, Request(axis, value, "kg", f"{text}, then press Enter")
-    )
-
-
 def _hang(rig: Rig, mass_kg: float) -> None:
     verb = "hang" if isinstance(rig.balance, LoadCell) else "put"
     text = f"{verb} {mass_kg:g} kg on the {_sensor(rig)}" if mass_kg else "take all weights off"
-    _request(rig, "dead weight", mass_kg, text)
+    request(rig, "dead weight", mass_kg, "kg", text)
 
 
 def _at_rest(rig: Rig, seconds: float = 20.0) -> None:

@@ -23,15 +23,16 @@ from rigs.calibration.run import (
     add_point,
     block_mean,
     carry_out,
+    check_values,
     finish,
     leave_out,
     open_record,
     over_range,
+    request,
     up_and_down,
 )
 from rigs.devices.interfaces import Instrument
 from rigs.devices.motion.stage import MotorStage
-from rigs.devices.operator import Request, request_enter
 from rigs.execution.runner import Watch
 from rigs.rigfile.config import CAMERA, RigConfig
 
@@ -74,19 +75,10 @@ def calibrate_length(  # noqa: PLR0913 - reference, instrument and hooks, each b
         PamrigError: the instrument gave too few readings, or readings that do not change.
     """
     name = _instrument(config, instrument)
-    if len(set(lengths_mm)) < LEAST_POINTS:
-        raise ConfigError(
-            "lengths", f"at least {LEAST_POINTS} different ones are needed", "add some"
-        )
-    low, high = config.limits.length_min_mm, config.limits.length_max_mm
-    for length in lengths_mm:
-        if not low <= length <= high:
-            raise ConfigError(
-                "lengths",
-                f"{length:g} mm is outside limits.length_min_mm and length_max_mm,"
-                f" {low:g} to {high:g} mm ({config.source})",
-                "correct the list or the limits",
-            )
+    check_values(
+        "--lengths-mm", lengths_mm, config.limits.length_min_mm, config.limits.length_max_mm, "mm",
+        f"{config.source}: limits.length_min_mm and length_max_mm",
+    )  # fmt: skip
     stop, watch = stop or StopFlag(), watch or Watch()
     parameters = {
         "lengths_mm": list(lengths_mm), "seconds": seconds, "instrument": name,
@@ -106,14 +98,14 @@ def calibrate_length(  # noqa: PLR0913 - reference, instrument and hooks, each b
 
         def method() -> None:
             if not by_stage:
-                _request(rig, "muscle off", 0.0, "take the muscle out")
+                request(rig, "muscle off", 0.0, "mm", "take the muscle out")
             for length in up_and_down(lengths_mm):
                 watch.state(f"calibrate length: {length:g} mm")
                 at_mm = length
                 if by_stage:
                     at_mm = stage.set_value(length)
                 else:
-                    _request(rig, "block", length, f"put a gauge block of {length:g} mm in")
+                    request(rig, "block", length, "mm", f"put a gauge block of {length:g} mm in")
                 rig.event_loop.for_seconds(REST_S)
                 readings = _read(rig, reader, seconds)
                 if readings is None:
@@ -125,7 +117,7 @@ def calibrate_length(  # noqa: PLR0913 - reference, instrument and hooks, each b
             for point in _points(reader, seen):
                 add_point(record, points, point)
             if not by_stage:
-                _request(rig, "muscle", 0.0, "mount the muscle again")
+                request(rig, "muscle", 0.0, "mm", "mount the muscle again")
 
         carry_out(rig, record, method, stop)
         old = reader.calibration
@@ -150,11 +142,6 @@ def _instrument(config: RigConfig, instrument: str) -> str:
             "instrument", f"{name!r} {what} ({config.source})", f"one of: {', '.join(fit) or '-'}"
         )
     return name
-
-
-def _request(rig: Rig, axis: str, value: float, text: str) -> None:
-    request = Request(axis, value, "mm", f"{text}, then press Enter")
-    request_enter(rig.operator, rig.event_loop, request)
 
 
 def _read(rig: Rig, reader: Instrument, seconds: float) -> Array | None:

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.regression.calibration_line import Reference, fit_line
+from analysis.regression.calibration_line import LEAST_POINTS, Reference, fit_line
 from daq.calibration import Calibration
 from daq.clock import NS_PER_S
-from daq.errors import PamrigError
+from daq.errors import ConfigError, PamrigError
 from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig
+from rigs.devices.operator import Request, request_enter
 from rigs.execution.manifest import software
 from rigs.execution.runner import Watch, outcome_of
 from rigs.rigfile.calibration_file import CalibrationFile
@@ -110,6 +111,38 @@ def carry_out(rig: Rig, record: RecordWriter, method: Callable[[], None], stop: 
                 reason=str(error) if error is not None else "",
                 duration_s=(rig.clock.now_ns() - record.start_ns) / NS_PER_S,
             )
+
+
+def check_values(
+    option: str, values: Sequence[float], low: float, high: float, unit: str, limit: str
+) -> None:
+    """See that the values of the reference are enough, and within a limit of the rig.
+
+    Args:
+        option: which of the command line gave them.
+        values: of the reference, in ``unit``.
+        low, high: between which they must lie.
+        limit: file and key of these.
+
+    Raises:
+        ConfigError: they are not.
+    """
+    if len(set(values)) < LEAST_POINTS:
+        raise ConfigError(
+            option, f"at least {LEAST_POINTS} different values are needed", "add some"
+        )
+    for value in values:
+        if not low <= value <= high:
+            raise ConfigError(
+                option, f"{value:g} {unit} is outside {low:.4g} to {high:.4g} {unit} ({limit})",
+                "correct the list or the limit",
+            )  # fmt: skip
+
+
+def request(rig: Rig, axis: str, value: float, unit: str, text: str) -> None:
+    """Have a person set something, confirmed by Enter."""
+    put = Request(axis, value, unit, f"{text}, then press Enter")
+    request_enter(rig.operator, rig.event_loop, put)
 
 
 def over_range(counters: Mapping[str, int]) -> int:
