@@ -76,7 +76,7 @@ def camera(
     if distance_mm is not None:
         bounded("--distance-mm", distance_mm, 0.0, 100_000.0, "mm", above=True)
     if (gauges is None) == (board is None):
-        raise ConfigError("pamrig calibrate camera", "give either --gauges or --board")
+        raise ConfigError("calibrate camera", "needs either --gauges or --board")
     if gauges is not None:
         found = cc.calibrate_from_gauges(
             gauges, identity=identity, distance_mm=distance_mm, u_off_plane_mm=u_off_plane_mm

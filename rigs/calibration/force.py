@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from analysis.regression.calibration_line import Reference
-from daq.errors import PamrigError
+from daq.errors import ConfigError, PamrigError
 from daq.interrupt import StopFlag
 from rigs.bench.rig import Rig, open_rig
 from rigs.calibration.run import (
@@ -31,7 +31,7 @@ from rigs.calibration.run import (
 from rigs.devices.instruments.balance import Balance
 from rigs.devices.instruments.load_cell import LoadCell
 from rigs.execution.runner import Watch
-from rigs.rigfile.config import RigConfig
+from rigs.rigfile.config import NONE, RigConfig
 
 TARES = 6
 """So many tares after the weights tell what a tare leaves."""
@@ -60,9 +60,13 @@ def calibrate_force(
         who, stop, watch: as for the pressure.
 
     Raises:
-        ConfigError: too few weights, or one beyond the rig's limit.
+        ConfigError: no force sensor, too few weights, or one beyond the rig's limit.
         DeviceTimeout: the load would not come to rest.
     """
+    if config.force_source == NONE:
+        raise ConfigError(
+            config.source, "has no balance and no load cell to calibrate", "choose another --rig"
+        )
     gravity = config.conditions.gravity_m_s2
     check_values(
         "--masses-kg", masses_kg, 0.0, config.limits.force_n / gravity, "kg",
