@@ -44,7 +44,7 @@ def find_run(root: Path | str, text: str) -> Run:
         return open_run(text)
     listed = list_runs(root)
     if not listed:
-        raise RecordError(text, f"there are no runs in {root}", "name their folder with --runs")
+        raise RecordError(text, f"there are no runs in {root}", "choose the folder of your runs")
     runs = [info.run_id for info in listed]
     if text == "last":
         found = ([info.run_id for info in listed if info.origin in TESTS] or runs)[-1:]
