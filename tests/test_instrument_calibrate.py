@@ -197,8 +197,16 @@ def test_an_uncertainty_that_is_none_is_refused_before_anything_is_loaded(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_rig_without_a_force_sensor_is_refused(tmp_path: Path) -> None:
+    """`calibrate force --rig virtual-joint` waited for readings for ever."""
+    with pytest.raises(ConfigError, match="has no balance and no load cell to calibrate"):
+        calibrate_force(load_rig("virtual-joint"), [0, 1, 2], tmp_path, weights=WEIGHTS)
+
+
 def test_weights_beyond_the_limit_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"30 kg is 294.2 N, limits.force_n is 200 N"):
+    with pytest.raises(
+        ConfigError, match=r"30 kg is outside 0 to 20.39 kg .*limits.force_n = 200 N"
+    ):
         calibrate_force(load_rig("virtual"), [0, 10, 30], tmp_path, weights=WEIGHTS)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from daq.errors import ConfigError, DeviceError
 from daq.interrupt import StopFlag, Stopped
 from daq.store.run import open_run
 from daq.store.verify import verify
+from protocol_runs import run_short
 from rigs.bench.doctor import examine
 from rigs.bench.rig import open_rig
 from rigs.calibration.force import calibrate_force
@@ -350,6 +352,28 @@ def test_a_load_is_given_a_catch_and_the_record_says_so_when_it_was_needed(tmp_p
     assert [e["below_mm"] for e in events if e["kind"] == "catch"] == [3.0]
     (lowered,) = (e for e in events if e["kind"] == "lowered")
     assert (lowered["done"], lowered["catch_mm"]) == (False, 3.0)
+
+
+@pytest.mark.parametrize("rig", ["virtual", "virtual-laser"])
+def test_a_load_that_stretches_the_muscle_too_far_ends_the_test_before_it_is_filled(
+    rig: str, tmp_path: Path
+) -> None:
+    """15 kg: the test ended with `vent_lost`, or with a length outside the calibration."""
+    config = load_rig(rig)
+    assert config.limits.length_max_mm == 72.5
+    result, run, _ = run_short(
+        "isotonic", tmp_path, config=config, masses_kg=(5.0, 15.0), pressures_kpa=(300.0,)
+    )
+    assert result.outcome == "faulted"
+    words = (
+        r"vented muscle is (79|80)\.\d mm long under 15 kg: above limits.length_max_mm = 72.5 by"
+    )
+    assert re.search(words, str(result.error)), result.error
+    assert "load.stretch = 0.05" in str(result.error)
+    loads = [e for e in run.events if e["kind"] == "load"]
+    assert [e["mass_kg"] for e in loads] == [5.0, 15.0]
+    after = [e for e in run.events if e["n"] > loads[1]["n"]]
+    assert not [e for e in after if e["kind"] in ("command", "point") and e.get("pressure_kpa")]
 
 
 # ---- the isometric test has the habits of the others ------------------------------------

@@ -211,6 +211,15 @@ class BenchSim:
         self._jump(float(absolute - atmosphere), length_mm * 1e-3)
         self.state[LENGTH_RATE] = 0.0
 
+    def lead_to(self, length_mm: float) -> None:
+        """Hold the muscle at another length, led there so slowly that its pressure stays.
+
+        Raises `PlantError` as :meth:`set_length`.
+        """
+        pressure_pa = float(self.state[PRESSURE])
+        self.set_length(length_mm)
+        self._jump(pressure_pa, float(self.state[LENGTH]))
+
     def set_length_rate(self, rate_mm_s: float) -> None:
         """Move the stage at a steady rate, positive when lengthening, until told otherwise."""
         self._check_prescribed("set_length_rate")

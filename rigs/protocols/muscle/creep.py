@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from analysis.findings.muscle.held import CREEP
 from rigs.execution.procedure import Procedure
@@ -40,7 +41,7 @@ class Creep(MethodParameters):
         for place, (mass, pressure) in self.method.trials(settings):
             yield from book.remount(place)
             place, slot, hung = yield from book.begin_hung(
-                place, mass, lambda kg, p=pressure: f"{kg:.10g} kg, {p:g} kPa", "creep",
+                place, mass, partial(_slot, pressure), "creep",
                 (("held_pressure_kpa", pressure),),
             )  # fmt: skip
             yield Dwell(self.recover_s)
@@ -51,6 +52,10 @@ class Creep(MethodParameters):
             yield from book.end()
         yield State("done")
         yield HangLoad(0.0)
+
+
+def _slot(pressure_kpa: float, mass_kg: float) -> str:
+    return f"{mass_kg:.10g} kg, {pressure_kpa:g} kPa"
 
 
 def read(name: str, config: RigConfig) -> Creep:
