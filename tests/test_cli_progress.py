@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import pty
@@ -155,6 +156,29 @@ def test_rows_are_counted_where_they_do_not_appear_themselves(terminal: Terminal
         seen.append(item)
         wait_for(terminal, f"frames: {item + 1}")
     assert seen == [0, 1, 2]
+
+
+@pytest.mark.parametrize("stages", [0, 1])
+def test_ctrl_c_that_a_library_swallowed_counts_at_the_next_stage_or_at_the_end(
+    terminal: Terminal, stages: int
+) -> None:
+    """A report went on, with status 0, when it was pressed in the middle of an import."""
+    del terminal
+    reached: list[str] = []
+    before = signal.getsignal(signal.SIGINT)
+
+    def command() -> None:
+        with progress_line("report"):
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            for _ in range(stages):
+                stage("the next one")
+                reached.append("beyond")
+
+    with pytest.raises(KeyboardInterrupt):
+        command()
+    assert reached == []
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_report_stopped_by_ctrl_c_leaves_record_and_old_report(tmp_path: Path) -> None:

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.figures.wording import fixed
 from analysis.reduction.pictures import measure_stored
+from analysis.reporting.page_one import conditions_text
 from bench_process import LIMIT_S, STARVED_MS, run_in_real_time
 from daq.interrupt import StopFlag
 from daq.store.run import open_run
@@ -126,6 +128,8 @@ def test_a_leak_is_found_before_the_test(tmp_path: Path, kpa_s: float, outcome: 
     (leak,) = events(run, "leak")
     assert leak["loss_kpa_s"] == pytest.approx(kpa_s, abs=0.1)
     assert leak["tight"] == (outcome == "clean")
+    shown = f"loss in the leak check {fixed(leak['loss_kpa_s'], 3)} kPa/s"
+    assert shown in conditions_text(run), "a rise is a negative loss"
     if outcome == "faulted":
         way, where = ("fell", "fittings") if kpa_s > 0 else ("rose", "inlet")
         assert f"{way} by {abs(leak['loss_kpa_s']):.3f} kPa/s" in str(result.error)

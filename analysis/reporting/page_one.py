@@ -104,7 +104,7 @@ def _facts(run: Run, data: Mapping[str, Any]) -> list[tuple[str, str]]:
             ("Operator", str(data["operator"] or "not stated")),
             ("Tested", _date(data["started_utc"]) + took),
             ("Method", method_text(manifest)),
-            ("Conditions", _conditions(run)),
+            ("Conditions", conditions_text(run)),
             ("Rig", " – ".join(filter(None, (rig.get("name"), rig.get("description")))) or "–"),
         ]
     facts.append(("Points", _points(data)))
@@ -161,7 +161,8 @@ def _listed(values: Sequence[float]) -> str:
     return f"{text(min(values))} to {text(max(values))} ({len(values)} values)"
 
 
-def _conditions(run: Run) -> str:
+def conditions_text(run: Run) -> str:
+    """Temperature, gravity and leak of a test in words; a loss is positive."""
     stated = run.manifest.get("conditions") or {}
     words = []
     if stated.get("temperature_c") is not None:
@@ -174,8 +175,8 @@ def _conditions(run: Run) -> str:
     if leaks:
         worst = max(leaks, key=lambda row: abs(row["loss_kpa_s"]))
         words.append(
-            f"leak check {abs(worst['loss_kpa_s']):.3f} kPa/s at {worst['pressure_kpa']:.0f} kPa"
-            f" (limit {worst['limit_kpa_s']:g})"
+            f"loss in the leak check {fixed(worst['loss_kpa_s'], 3)} kPa/s"
+            f" at {worst['pressure_kpa']:.0f} kPa (limit {worst['limit_kpa_s']:g})"
         )
     return "; ".join(words) or "–"
 

@@ -25,8 +25,8 @@ from rigs.setup.search import (
 GRAVITY = 9.80665
 TOP_COUNT = 4095
 NOT_CALIBRATED = "not calibrated"
-ANY_SERIAL = '# serial = "..."            # number that `pamrig doctor` prints: others are refused'
 """Id of a calibration that is only the maker's range, or a guess."""
+ANY_SERIAL = '# serial = "..."            # number that `pamrig doctor` prints: others are refused'
 PRESSURE = {
     "solenoids": "two solenoid valves, pulsed by the controller",
     "analogue": "a proportional regulator on the controller's analogue output",
